@@ -13,6 +13,7 @@ from typer.core import TyperGroup
 
 from geodrake.boundary.escaping import printable
 from geodrake.cli.check_options import CheckOptions
+from geodrake.cli.digest_options import DigestOptions
 from geodrake.cli.excitation_options import ExciteOptions, IdentifiableOptions
 from geodrake.cli.export_options import ExportOptions
 from geodrake.cli.options import (
@@ -203,6 +204,15 @@ def identifiable(options: IdentifiableOptions) -> None:
     from geodrake.cli.identifiable import run_identifiable
 
     run_identifiable(options)
+
+
+@app.command()
+@taking(DigestOptions)
+def digest(options: DigestOptions) -> None:
+    """Digest each log into a small file; exit code 1 if a log could not be, the others are."""
+    from geodrake.cli.digest import run_digest
+
+    run_digest(options)
 
 
 @app.command()

@@ -37,16 +37,33 @@ def with_known_payloads(
     Raises:
         ArgumentError: One cannot be read, or names no log, no body or no mass.
     """
+    carried = known_payloads(files, given, model)
+    return tuple(
+        replace(log, payloads=carried[file]) if file in carried else log
+        for file, log in zip(files, logs, strict=True)
+    )
+
+
+def known_payloads(
+    files: Sequence[Path], given: Sequence[str], model: RobotModel
+) -> dict[Path, tuple[KnownPayload, ...]]:
+    """Log -> its known payloads, of logs that have some.
+
+    Args:
+        files: The files of the logs.
+        given: As in `with_known_payloads`.
+        model: The robot.
+
+    Raises:
+        ArgumentError: One cannot be read, or names no log, no body or no mass.
+    """
     carried: dict[Path, list[KnownPayload]] = defaultdict(list)
     for text in given:
         log, payload = _parsed(text, files)
         carried[log].append(payload)
     for payloads in carried.values():
         carried_phi(model, tuple(payloads))  # bodies that there are not are refused before the work
-    return tuple(
-        replace(log, payloads=tuple(carried[file])) if file in carried else log
-        for file, log in zip(files, logs, strict=True)
-    )
+    return {log: tuple(payloads) for log, payloads in carried.items()}
 
 
 def with_facts(

@@ -65,6 +65,15 @@ EffectNames = Annotated[
         "Repeatable.",
     ),
 ]
+KnownPayloads = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="LOG:BODY:MASS[:X,Y,Z]",
+        help="What the robot carried throughout a log, of known mass, kg, and centre of mass "
+        "in the body's frame, m. With a log without it, gains of efforts are identifiable. "
+        "Repeatable.",
+    ),
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,15 +93,7 @@ class LogOptions(AxisOptions, ModelOptions):
             "chosen from the data.",
         ),
     ] = None
-    known_payload: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="LOG:BODY:MASS[:X,Y,Z]",
-            help="What the robot carried throughout a log, of known mass, kg, and centre of mass "
-            "in the body's frame, m. With a log without it, gains of efforts are identifiable. "
-            "Repeatable.",
-        ),
-    ] = None
+    known_payload: KnownPayloads = None
     quiet: Quiet = False
     debug: Debug = False
 

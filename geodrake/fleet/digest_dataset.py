@@ -35,6 +35,7 @@ def model_of_digests(model: RobotModel, settings: DigestSettings) -> RobotModel:
         DigestError: It is another model.
     """
     instance(model, "model", RobotModel)
+    instance(settings, "settings", DigestSettings)
     if (own := model_hash(model)) != settings.model:
         raise DigestError(
             f"The digests are of another model than {model.path.name}: its hash is {own[:12]}, "
@@ -76,7 +77,7 @@ def digest_dataset(
         tuple(_joint_data(joint, columns, settings) for joint, columns in pairs),
         digest.effort_std,
         digest.noise_floor,
-        settings.bandwidth,
+        digest.logs[0].bandwidth,
         digest.still,
         payload_reference(model.phi),
         gain_uncertainty(model, digest.logs),

@@ -7,19 +7,20 @@ come. Files appear whole or not at all: a run that was stopped goes on where it 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import file_path, instance, integer, number
+from geodrake.boundary.arguments import file_path, instance, instances, number
 from geodrake.boundary.showing import Short
 from geodrake.boundary.whole_files import Content, check_writable, write_together
 from geodrake.errors import ArgumentError, DigestError, GeodrakeError, OutputError
 from geodrake.fleet.digest import Digest, DigestedLog, check_same
 from geodrake.fleet.digest_dataset import model_of_digests
 from geodrake.fleet.digest_file import digest_content, read_digest
+from geodrake.fleet.log_dates import date_text
 from geodrake.fleet.making import LogFacts, Wanted, make_digest, make_settings, said_of_reading
 from geodrake.fleet.model_hash import file_hash, text_hash
 from geodrake.fleet.settings import SETTINGS_FILE, DigestSettings, read_settings
@@ -48,7 +49,7 @@ class DigestRow(Short):
         about: What that says of the log.
         samples: (nv,) filtered samples of each joint.
         effective: (nv,) independent samples that these are worth.
-        reason: Why there is no digest; or why one that was there was made again.
+        reason: Why there is no digest; or what else is to say of it.
     """
 
     file: Path
@@ -188,20 +189,21 @@ def digest_logs(
         OutputError: The folder cannot be written to.
     """
     instance(model, "model", RobotModel)
-    if not logs:
+    files = [file_path(log) for log in instances(logs, "logs", (str, Path))]
+    if not files:
         raise ArgumentError("There is no log to digest.", advice="Give at least one.")
-    wanted, carried = wanted or Wanted(), dict(payloads or {})
-    if wanted.bandwidth is not None:
-        number(wanted.bandwidth, "bandwidth", lower=0.0, strict=True)
-    if wanted.blocks is not None:
-        integer(wanted.blocks, "blocks", lower=2, upper=100)
+    instance(version, "version", str)
+    wanted = instance(wanted or Wanted(), "wanted", Wanted)
+    carried = dict(instance(payloads or {}, "payloads", Mapping))
+    if date is not None:
+        number(date, "date", lower=0.0, strict=True)
     path = file_path(to)
     _check_folder(path)
     folder = _Folder(path, model, wanted, version)
     folder.take_settings()
     rows = []
-    for at, log in enumerate(map(file_path, logs)):
-        told(f"Digesting {log.name}", at / len(logs))
+    for at, log in enumerate(files):
+        told(f"Digesting {log.name}", at / len(files))
         rows.append(_row(folder, log, date, tuple(carried.get(log, ()))))
     return DigestRun(path, folder.settings, tuple(rows), folder.chosen)
 
@@ -243,13 +245,23 @@ def _row(
             check_log(file)
         episode = folder.wanted.reading.episode
         facts = LogFacts(file_hash(files), files, date, payloads, episode)
-        return folder.add(log, facts)
+        return _said_otherwise(folder.add(log, facts), date)
     except OutputError:
         raise
     except GeodrakeError as error:
         return DigestRow(log, FAILED, reason=str(error))
     except (OSError, MemoryError) as error:
         return DigestRow(log, FAILED, reason=f"{log} cannot be read: {error}.")
+
+
+def _said_otherwise(row: DigestRow, date: float | None) -> DigestRow:
+    """The row, with what is said of a date that a digest that is there has otherwise."""
+    about = row.about
+    if about is None or row.status != THERE or about.date_from == "stamps":
+        return row
+    if date is None or date == about.date:
+        return row
+    return replace(row, reason=f"its date stays {date_text(about.date)}: delete it to change that")
 
 
 def _check_folder(path: Path) -> None:

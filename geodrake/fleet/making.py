@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import instance, instances, integer, number
 from geodrake.effects import Effect
 from geodrake.errors import ArgumentError, LogError
 from geodrake.fleet.autocovariance import with_autocovariances
@@ -45,6 +46,7 @@ from geodrake.robot.reduction import triangular_factor
 
 Array = NDArray[np.float64]
 
+_MOST_BLOCKS = 100  # of a log
 _KEY = 32  # letters of a digest's name
 
 
@@ -57,12 +59,23 @@ class Wanted:
         blocks: Blocks into which each log is cut.
         reading: How all logs are read.
         extra: Effect classes of the user's own, which get columns too.
+
+    Raises:
+        ArgumentError: One is not what it must be.
     """
 
     bandwidth: float | None = None
     blocks: int | None = None
     reading: Reading = field(default_factory=Reading)
     extra: tuple[type[Effect], ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.bandwidth is not None:
+            number(self.bandwidth, "bandwidth", lower=0.0, strict=True)
+        if self.blocks is not None:
+            integer(self.blocks, "blocks", lower=2, upper=_MOST_BLOCKS)
+        instance(self.reading, "reading", Reading)
+        object.__setattr__(self, "extra", instances(self.extra, "extra", type))
 
 
 @dataclass(frozen=True)
@@ -75,6 +88,9 @@ class LogFacts:
         date: When it was recorded, s since 1970, if somebody says it.
         payloads: What the robot carried all the time, of known mass, that the model does not have.
         episode: Which episode of a dataset the log is; None for all.
+
+    Raises:
+        ArgumentError: One is not what it must be.
     """
 
     content: str
@@ -82,6 +98,15 @@ class LogFacts:
     date: float | None = None
     payloads: tuple[KnownPayload, ...] = ()
     episode: int | None = None
+
+    def __post_init__(self) -> None:
+        instance(self.content, "content", str)
+        object.__setattr__(self, "files", instances(self.files, "files", Path))
+        object.__setattr__(self, "payloads", instances(self.payloads, "payloads", KnownPayload))
+        if self.date is not None:
+            number(self.date, "date", lower=0.0, strict=True)
+        if self.episode is not None:
+            integer(self.episode, "episode", lower=0)
 
     def key(self, settings: DigestSettings) -> str:
         """What the digest of the log by some settings is called."""
@@ -118,7 +143,10 @@ def make_settings(
         LogError: The log cannot be used.
         ArgumentError: What is asked for cannot be.
     """
-    wanted = wanted or Wanted()
+    instance(model, "model", RobotModel)
+    instance(log, "log", JointLog)
+    instance(version, "version", str)
+    wanted = instance(wanted or Wanted(), "wanted", Wanted)
     own = model_of_logs(model, [log])
     uniform = make_uniform(_in_efforts(log_of_model(log, own), own))
     fits = set(model.bandwidths.values())
@@ -180,6 +208,9 @@ def make_digest(
         DigestError: It is another model.
         LogError: The log cannot be used, or not with the bandwidth of the settings.
     """
+    instance(log, "log", JointLog)
+    instance(facts, "facts", LogFacts)
+    extra = instances(extra, "extra", type)
     own = model_of_digests(model, settings)
     log = replace(log, payloads=facts.payloads) if facts.payloads else log
     log = _in_efforts(log_of_model(log, own), own)

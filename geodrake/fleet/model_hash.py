@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from geodrake.boundary.arguments import instance
 from geodrake.effects import Effect
 from geodrake.effects.column_checks import of_geodrake
 from geodrake.errors import LogError
@@ -24,6 +25,7 @@ def model_hash(model: RobotModel) -> str:
 
     Where its file lies and what notes say does not count.
     """
+    instance(model, "model", RobotModel)
     said = (
         model.joints,
         model.joint_tree,

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import file_path
 from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, make_effect
@@ -258,7 +259,7 @@ def read_settings(folder: str | Path) -> DigestSettings | None:
     Raises:
         DigestError: The file cannot be read, is damaged or of another version.
     """
-    path = Path(folder) / SETTINGS_FILE
+    path = file_path(folder) / SETTINGS_FILE
     if not path.exists() and not path.is_symlink():
         return None
     regular_file(path, "settings file", DigestError, largest=_LARGEST_FILE)

@@ -1,0 +1,356 @@
+"""Digests of logs: they merge into what a reading of all logs gives, and mean what they say."""
+
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chain_logs import chain_log
+
+from geodrake.errors import DigestError, LogError
+from geodrake.fleet import (
+    Digest,
+    LogFacts,
+    Wanted,
+    digest_content,
+    digest_dataset,
+    make_digest,
+    make_settings,
+    merge,
+    model_hash,
+    read_digest,
+)
+from geodrake.fleet.log_dates import date_of_log, date_seconds
+from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.hypothesis import first_hypothesis
+from geodrake.identification.logs.model_fit import fit_model, model_unknowns
+from geodrake.logs.files import read_log
+from geodrake.logs.known_payload import KnownPayload
+from geodrake.model.saved_model import load_model
+
+MODELS = Path(__file__).parents[2] / "models"
+VERSION = "1"
+FRICTION = np.array([6.0, 5.0, 4.0, 1.0, 1.0, 0.5])  # N·m
+VISCOUS = np.array([3.0, 2.0, 2.0, 0.6, 0.5, 0.2])  # N·m·s/rad
+
+
+def resisted(q, v, vd, load):
+    return FRICTION * np.tanh(50.0 * v) + VISCOUS * v
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(MODELS / "arm6.urdf")
+
+
+@pytest.fixture(scope="module")
+def logs(model):
+    """Three logs; the first is the fastest, so that a reading of all chooses what it does."""
+    reaches = {1: 2.0, 2: 0.8, 3: 0.6}
+    return [chain_log(model, k, resisted, seconds=22.0, reach=r) for k, r in reaches.items()]
+
+
+@pytest.fixture(scope="module")
+def settings(model, logs):
+    return make_settings(model, logs[0], version=VERSION)
+
+
+def digested(model, log, settings, **facts):
+    return make_digest(model, log, settings, LogFacts(log.name, (MODELS,), **facts))
+
+
+@pytest.fixture(scope="module")
+def digests(model, logs, settings):
+    return [digested(model, log, settings) for log in logs]
+
+
+def read_together(model, logs, settings):
+    """The `Dataset` of logs that are read together: it knows nothing of digests."""
+    how = {"bandwidth": settings.bandwidth, "motion_bandwidth": settings.motion_bandwidth}
+    return open_case(model, logs, candidates=True, blocks=settings.blocks, **how).dataset
+
+
+@pytest.fixture(scope="module")
+def together(model, logs, settings):
+    return read_together(model, logs, settings)
+
+
+def assert_same_normal_matrices(found, expected):
+    for own, other in zip(found.data, expected.data, strict=True):
+        assert np.array_equal(own.columns, other.columns)
+        sizes = np.sqrt(np.einsum("fii->fi", other.grams))
+        sizes[sizes == 0.0] = 1.0
+        change = (own.grams - other.grams) / (sizes[:, :, None] * sizes[:, None, :])
+        assert np.abs(change).max() < 1e-10
+        assert np.abs(own.grams - other.grams).max() < 1e-10 * np.abs(other.grams).max()
+        assert np.allclose(own.carried, other.carried, rtol=1e-10, atol=1e-10)
+
+
+def test_merged_digests_are_those_of_a_reading_of_all_logs(model, digests, together):
+    found = digest_dataset(merge(digests), model)
+    assert found.effects == together.effects
+    assert found.folds == together.folds
+    assert found.logs == together.logs
+    assert np.array_equal(found.delays, together.delays)
+    assert np.array_equal(found.samples, together.samples)
+    assert_same_normal_matrices(found, together)
+    for name in ("effort_std", "noise_floor", "still", "gain_uncertainty", "payload"):
+        assert np.allclose(getattr(found, name), getattr(together, name), rtol=1e-12), name
+    own = slice(10 * len(model.bodies), None)  # those that priors of effects are made from
+    assert np.allclose(found.column_peak[own], together.column_peak[own], rtol=1e-12)
+
+
+def test_merging_goes_in_any_order_and_in_steps(digests):
+    at_once = merge(digests).normal_matrices()
+    size = np.sqrt(np.einsum("jii->ji", at_once))
+    least = 1e-12 * size[:, :, None] * size[:, None, :]
+    others = [merge(digests[::-1]), merge([merge(digests[:2]), digests[2]])]
+    for other in [*(each.normal_matrices() for each in others), apart(digests)]:
+        assert np.all(np.abs(other - at_once) <= least)
+    back = merge(digests).of_log(1)
+    assert digest_content(replace(back, joints=_peaks_of(back, digests[1]))) == digest_content(
+        digests[1]
+    )
+
+
+def apart(digests):
+    return sum(digest.normal_matrices() for digest in digests)
+
+
+def _peaks_of(digest, other):
+    pairs = zip(digest.joints, other.joints, strict=True)
+    return tuple(replace(joint, peaks=own.peaks) for joint, own in pairs)
+
+
+def test_a_fit_of_merged_digests_is_that_of_a_reading_of_all_logs(model, digests, together):
+    merged = digest_dataset(merge(digests), model)
+    weights = 0.3 / together.effort_std**2
+    found = fit_model(model, merged, model_unknowns(merged, model), weights)
+    expected = fit_model(model, together, model_unknowns(together, model), weights)
+    assert np.allclose(found.result.x, expected.result.x, rtol=1e-8, atol=1e-9)
+    assert np.allclose(found.held_out.rms, expected.held_out.rms, rtol=1e-8)
+    assert np.linalg.norm(expected.result.x - model.phi.ravel()) > 0.01  # it has moved
+
+
+def test_normal_matrices_are_those_of_the_named_columns(model, settings):
+    """With the robot's own parameters by the names of columns, hardly any effort is left."""
+    log = chain_log(model, 5, resisted, seconds=22.0, share=0.0)
+    digest = digested(model, log, settings)
+    x = np.zeros(len(digest.columns) + 1)
+    base = len(settings.independent)
+    x[:base] = settings.base_matrix @ model.phi.ravel()
+    for at, column in enumerate(digest.columns):
+        if column.kind == "effect" and column.name in ("coulomb_friction", "viscous_friction"):
+            size = FRICTION if column.name == "coulomb_friction" else VISCOUS
+            x[at] = size[model.joints.index(column.where[0])]
+    x[-1] = -1.0
+    matrices = digest.normal_matrices()
+    rms = np.sqrt(np.einsum("i,jik,k->j", x, matrices, x) / digest.samples)
+    assert np.all(rms < 0.02 * digest.effort_std)
+    assert np.allclose(matrices, np.swapaxes(matrices, 1, 2))
+    late = digest.normal_matrices(delay=3)  # whose efforts are those of another instant
+    moved = np.sqrt(np.einsum("i,jik,k->j", x, late, x) / digest.samples)
+    assert np.all(moved > rms)
+    blocks = [digest.normal_matrices(block=block) for block in range(len(digest.blocks))]
+    assert np.allclose(sum(blocks), matrices)
+    power = matrices[:, -1, -1]
+    sums = np.array([joint.effort_sums.sum(axis=0) for joint in digest.joints])
+    assert np.allclose(power, sums[:, 1])
+
+
+def test_samples_are_worth_what_residuals_of_the_library_say(model, digests, logs, settings):
+    for digest, log in zip(digests[:2], logs, strict=False):
+        alone = read_together(model, [log], settings)
+        known = first_hypothesis(alone, model_unknowns(alone, model)).effective
+        assert np.allclose(digest.effective, known, rtol=0.1)
+        assert np.all(digest.effective < 0.7 * digest.samples)  # friction is missing
+    white = digested(model, chain_log(model, 7, seconds=22.0, share=0.3), settings)
+    assert np.median(white.effective_share) > 0.7
+
+
+def test_known_payloads_are_taken_off(model, logs, settings, tmp_path):
+    carried = (KnownPayload(model.bodies[-1], 2.0, (0.0, 0.02, 0.1)),)
+    log = replace(logs[1], payloads=carried)
+    merged = merge(
+        [digested(model, logs[0], settings), digested(model, logs[1], settings, payloads=carried)]
+    )
+    expected = read_together(model, [logs[0], log], settings)
+    found = digest_dataset(read_back(merged, tmp_path), model)
+    assert found.effects != expected.effects  # known gains let gains be tried
+    kept = [effect for effect in expected.effects if effect in found.effects]
+    assert len(kept) == len(found.effects)
+    for own, other in zip(found.data, expected.data, strict=True):
+        bodies = other.columns < 10 * len(model.bodies)
+        n = int(bodies.sum())
+        efforts = slice(len(own.columns), None), slice(len(other.columns), None)
+        assert np.allclose(
+            own.grams[:, :n, efforts[0]],
+            other.grams[:, :n, efforts[1]],
+            rtol=1e-9,
+            atol=1e-9 * np.abs(other.grams).max(),
+        )
+        assert np.allclose(own.carried[:, :n], other.carried[:, :n], rtol=1e-9, atol=1e-9)
+    assert np.any(found.data[1].carried)
+    assert np.array_equal(found.gain_uncertainty, expected.gain_uncertainty)
+
+
+def read_back(digest, folder):
+    """The digest through a file."""
+    path = folder / "x.npz"
+    path.write_bytes(digest_content(digest))
+    return read_digest(path)
+
+
+def test_a_file_holds_all_of_a_digest(digests, tmp_path):
+    for digest in (digests[0], merge(digests)):
+        found = read_back(digest, tmp_path)
+        assert isinstance(found, Digest)
+        assert found.settings.hash == digest.settings.hash
+        assert found.settings.columns == digest.columns
+        assert np.array_equal(found.normal_matrices(), digest.normal_matrices())
+        assert np.array_equal(found.effective, digest.effective)
+        assert digest_content(found) == digest_content(digest)
+
+
+def test_the_same_log_gives_the_same_file(model, logs, settings, digests):
+    again = digested(model, logs[0], make_settings(model, logs[0], version=VERSION))
+    assert digest_content(again) == digest_content(digests[0])
+
+
+def test_a_minute_of_an_arm_of_seven_joints_is_small():
+    arm = load_model(MODELS / "arm7.urdf")
+    log = chain_log(arm, 1, seconds=60.0, rate=500.0)
+    digest = digested(arm, log, make_settings(arm, log, version=VERSION))
+    assert len(digest_content(digest)) < 2e6
+    assert len(digest.blocks) == 4
+    assert np.all(digest.samples > 300)
+
+
+def test_a_joint_that_rests_all_the_time_has_no_samples(model, logs, settings, digests):
+    rng = np.random.default_rng(0)
+    position, effort = logs[1].position.copy(), logs[1].effort.copy()
+    position[:, 3] = 0.2 + 1e-7 * rng.normal(size=len(position))
+    log = replace(logs[1], position=position, effort=effort)
+    digest = digested(model, log, settings)
+    assert digest.samples[3] == 0
+    assert np.all(np.delete(digest.samples, 3) > 100)
+    assert digest.still[3] == 1.0
+    assert not digest.normal_matrices()[3].any()
+    assert np.isfinite(digest.effective_share).all()
+    merged = merge([digests[0], digest])
+    assert merged.samples[3] == digests[0].samples[3]
+    assert np.allclose(merged.normal_matrices()[3], digests[0].normal_matrices()[3])
+    first = make_settings(model, log, version=VERSION)  # also where the first log is such one
+    named = {(column.name, column.where) for column in first.columns}
+    assert ("stribeck_friction", (model.joints[3],)) in named
+    assert np.all(first.still_speed > 0.0)
+
+
+def test_what_motion_covers_is_that_of_the_log(digests, logs):
+    for digest, log in zip(digests, logs, strict=True):
+        assert np.allclose(digest.position[0], log.position.min(axis=0), atol=0.02)
+        assert np.allclose(digest.position[1], log.position.max(axis=0), atol=0.02)
+        speed = np.gradient(log.position, log.time, axis=0)
+        assert np.allclose(digest.speed[1], speed.max(axis=0), rtol=0.05)
+    merged = merge(digests)
+    assert np.allclose(merged.position[0], np.min([d.position[0] for d in digests], axis=0))
+
+
+def test_what_does_not_add_up_is_refused(model, logs, settings, digests):
+    other = make_settings(model, logs[0], version="2", wanted=Wanted(bandwidth=5.0, blocks=3))
+    stranger = digested(model, logs[1], other)
+    with pytest.raises(DigestError, match=r"log_2 .* differ in .*bandwidth.*version of geodrake"):
+        merge([digests[0], stranger])
+    with pytest.raises(DigestError, match="same log"):
+        merge([digests[0], digests[1], digests[0]])
+    heavier = replace(model, phi=1.1 * model.phi)
+    with pytest.raises(DigestError, match=r"of another model than arm6\.urdf"):
+        digested(heavier, logs[1], settings)
+    with pytest.raises(DigestError, match="of another model"):
+        digest_dataset(digests[0], heavier)
+    assert model_hash(model) == model_hash(load_model(MODELS / "arm6.urdf"))
+    assert model_hash(model) != model_hash(heavier)
+
+
+def test_a_log_that_cannot_bear_the_settings_is_told_so(model, logs, settings):
+    slow = replace(
+        logs[1],
+        time=logs[1].time[::10],
+        position=logs[1].position[::10],
+        effort=logs[1].effort[::10],
+    )
+    wide = replace(settings, bandwidth=8.0, motion_bandwidth=24.0)
+    with pytest.raises(LogError, match=r"cannot bear the 8 Hz .* 20 samples a second"):
+        digested(model, slow, wide)
+    with pytest.raises(LogError, match="too short"):
+        digested(model, logs[1], replace(settings, bandwidth=0.02, motion_bandwidth=0.06))
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda data: data[: len(data) // 2],
+        lambda data: data[:5000] + bytes(100) + data[5100:],
+        lambda data: b"",
+        lambda data: b"PK" + bytes(100),
+        lambda data: rewritten(data, header=lambda h: {**h, "format": "geodrake digest 9"}),
+        lambda data: rewritten(data, header=lambda h: {**h, "settings": "0" * 64}),
+        lambda data: rewritten(data, header=lambda h: {**h, "block_logs": [7, 0, 0, 0]}),
+        lambda data: rewritten(data, header=lambda h: {**h, "logs": "many"}),
+        lambda data: rewritten(data, header=lambda h: []),
+        lambda data: rewritten(data, settings=lambda s: {**s, "base_matrix": [[1.0]]}),
+        lambda data: rewritten(data, settings=lambda s: {**s, "joints": 3}),
+        lambda data: rewritten(data, arrays={"0.factors": np.full((4, 3), np.nan)}),
+        lambda data: rewritten(data, arrays={"0.columns": np.arange(500)}),
+        lambda data: rewritten(data, arrays={"1.samples": np.array(["x"] * 4)}),
+    ],
+)
+def test_a_damaged_digest_is_refused(digests, tmp_path, spoil):
+    path = tmp_path / "x.npz"
+    path.write_bytes(spoil(digest_content(digests[0])))
+    with pytest.raises(DigestError, match=r"x\.npz") as caught:
+        read_digest(path)
+    assert "\n" not in str(caught.value)
+
+
+def rewritten(data, *, header=None, settings=None, arrays=None):
+    """The bytes of a digest some of which says something else."""
+    members = dict(np.load(io.BytesIO(data)))
+    for name, change in (("header", header), ("settings", settings)):
+        if change is not None:
+            said = change(json.loads(bytes(members[name]).decode()))
+            members[name] = np.frombuffer(json.dumps(said).encode(), np.uint8)
+    file = io.BytesIO()
+    np.savez_compressed(file, **{**members, **(arrays or {})})
+    return file.getvalue()
+
+
+def test_dates_are_those_of_stamps_or_said(logs, tmp_path):
+    log = logs[0]
+    file = tmp_path / "log.csv"
+    file.write_text("x", encoding="utf-8")
+    assert date_of_log(log, [file]) == (file.stat().st_mtime, "file")
+    said = date_seconds("2026-05-01T14:00:00+02:00")
+    assert said == date_seconds("2026-05-01T12:00:00") == 1777636800.0
+    assert date_of_log(log, [file], said) == (said, "option")
+    absolute = replace(log, time=log.time + 1.7e9)
+    assert date_of_log(absolute, [file], said) == (1.7e9, "stamps")
+
+
+def test_dates_in_a_file_say_when_a_log_began(tmp_path, logs):
+    log, path = logs[0], tmp_path / "dated.csv"
+    stamps = np.datetime64("2026-05-01T12:00:00.000000000") + (1e9 * log.time).astype("m8[ns]")
+    head = ["time", *(f"{j}.{q}" for q in ("position", "effort") for j in log.joints)]
+    rows = zip(stamps, log.position, log.effort, strict=True)
+    lines = [",".join([str(t), *map(repr, map(float, [*q, *e]))]) for t, q, e in rows]
+    path.write_text("\n".join([",".join(head), *lines[:200]]) + "\n", encoding="utf-8")
+    read = read_log(path)
+    assert date_of_log(read, [path]) == (1777636800.0, "stamps")
+
+
+@pytest.mark.parametrize("text", ["", "yesterday", "2026-13-01", "1970-01-02", "nan", "1e9"])
+def test_what_is_no_date_is_refused(text):
+    with pytest.raises(ValueError, match="A date is such as"):
+        date_seconds(text)
