@@ -26,6 +26,7 @@ from geodrake.fleet.model_hash import file_hash, text_hash
 from geodrake.fleet.settings import SETTINGS_FILE, DigestSettings, read_settings
 from geodrake.logs.files import check_log, parts_of, read_log
 from geodrake.logs.known_payload import KnownPayload
+from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -120,9 +121,7 @@ class _Folder:
                 reason = f"made again: {error.problem}"
         known, reading = self.model.known_joints, self.wanted.reading
         read = read_log(log, joints=known, partial=True, reading=reading)
-        settings = self.settings or make_settings(
-            self.model, read, version=self.version, wanted=self.wanted
-        )
+        settings = self.settings or self._chosen_from(read)
         digest = make_digest(self.model, read, settings, facts, extra=self.wanted.extra)
         new: dict[Path, Content] = {}
         if self.settings is None:
@@ -134,6 +133,20 @@ class _Folder:
         make_folder(self.path)
         write_together({**new, file: digest_content(digest)})
         return DigestRow.of(log, MADE, file, digest, reason)
+
+    def _chosen_from(self, log: JointLog) -> DigestSettings:
+        """Settings by the first log.
+
+        Raises:
+            DigestError: The bandwidth that is asked for is none that logs like it can have.
+            LogError: The log cannot be used.
+        """
+        try:
+            return make_settings(self.model, log, version=self.version, wanted=self.wanted)
+        except ArgumentError as error:
+            if self.wanted.bandwidth is None:
+                raise
+            raise DigestError(error.problem, advice=error.advice, **error.evidence) from error
 
     def take_settings(self) -> bool:
         """Take the settings that the folder has, if it has any.
@@ -194,7 +207,7 @@ def digest_logs(
         raise ArgumentError("There is no log to digest.", advice="Give at least one.")
     instance(version, "version", str)
     wanted = instance(wanted or Wanted(), "wanted", Wanted)
-    carried = dict(instance(payloads or {}, "payloads", Mapping))
+    carried = _checked_payloads(payloads or {}, files)
     if date is not None:
         number(date, "date", lower=0.0, strict=True)
     path = file_path(to)
@@ -204,8 +217,27 @@ def digest_logs(
     rows = []
     for at, log in enumerate(files):
         told(f"Digesting {log.name}", at / len(files))
-        rows.append(_row(folder, log, date, tuple(carried.get(log, ()))))
+        rows.append(_row(folder, log, date, carried.get(log, ())))
     return DigestRun(path, folder.settings, tuple(rows), folder.chosen)
+
+
+def _checked_payloads(
+    payloads: Mapping[Path, Sequence[KnownPayload]], files: Sequence[Path]
+) -> dict[Path, tuple[KnownPayload, ...]]:
+    """Payloads of logs that there are.
+
+    Raises:
+        ArgumentError: They are something else.
+    """
+    found = {}
+    for log, own in instance(payloads, "payloads", Mapping).items():
+        if log not in files:
+            names = ", ".join(map(str, files))
+            raise ArgumentError(
+                f"There are payloads of {log!r}, which is no log.", advice=f"Logs are: {names}."
+            )
+        found[log] = instances(own, f"payloads of {log}", KnownPayload)
+    return found
 
 
 def digest_files(folder: str | Path) -> tuple[Path, ...]:
@@ -246,7 +278,7 @@ def _row(
         episode = folder.wanted.reading.episode
         facts = LogFacts(file_hash(files), files, date, payloads, episode)
         return _said_otherwise(folder.add(log, facts), date)
-    except OutputError:
+    except (OutputError, DigestError):  # which are not of this log alone
         raise
     except GeodrakeError as error:
         return DigestRow(log, FAILED, reason=str(error))
@@ -271,16 +303,19 @@ def _check_folder(path: Path) -> None:
         OutputError: It is none, or must not be changed.
     """
     try:
-        if path.is_dir():
-            check_writable(path / f"digest{_SUFFIX}")
-            return
-        if path.exists() or path.is_symlink():
-            raise _refused(path, "is there and is no folder")
-        if not path.parent.is_dir():
-            raise _refused(path, f"is in {path.parent}, which is no folder")
-        check_writable(path.parent / f"digest{_SUFFIX}")
+        if not path.is_dir():
+            if path.exists() or path.is_symlink():
+                raise _refused(path, "is there and is no folder")
+            if not path.parent.is_dir():
+                raise _refused(path, f"is in {path.parent}, which is no folder")
+        probe = path if path.is_dir() else path.parent
+        check_writable(probe / f"digest{_SUFFIX}")
     except (OSError, ValueError) as error:
         raise _refused(path, f"cannot be used: {getattr(error, 'strerror', error)}") from error
+    except OutputError as error:
+        if "reason" not in error.evidence:
+            raise
+        raise _refused(path, f"cannot be written to: {error.evidence['reason']}") from error
 
 
 def _refused(path: Path, reason: str) -> OutputError:

@@ -47,6 +47,7 @@ from geodrake.robot.reduction import triangular_factor
 Array = NDArray[np.float64]
 
 _MOST_BLOCKS = 100  # of a log
+_STILL = 2e-3  # rad or m, by which a joint may move and still stand
 _KEY = 32  # letters of a digest's name
 
 
@@ -212,6 +213,7 @@ def make_digest(
     instance(facts, "facts", LogFacts)
     extra = instances(extra, "extra", type)
     own = model_of_digests(model, settings)
+    _check_held(log, settings)
     log = replace(log, payloads=facts.payloads) if facts.payloads else log
     log = _in_efforts(log_of_model(log, own), own)
     trajectory = _prepared(log, settings)
@@ -232,6 +234,26 @@ def make_digest(
         tuple(_joint(*each, settings) for each in zip(own.joints, data, strict=True)),
     )
     return with_autocovariances(digest, model, data, extra=extra)
+
+
+def _check_held(log: JointLog, settings: DigestSettings) -> None:
+    """Refuse a log in which a joint moves that the settings hold.
+
+    Raises:
+        LogError: There is one.
+    """
+    for joint, place in settings.held.items():
+        known = joint in log.joints
+        if not known and joint not in log.standing:
+            continue
+        where = log.position[:, log.joints.index(joint)] if known else log.standing[joint]
+        if not np.nanmax(np.abs(where - place), initial=0.0) <= _STILL or np.isnan(where).all():
+            raise LogError(
+                f"The settings of the digests hold {joint} at {place:.4g}, where it does not stand "
+                f"in log {log.name!r}.",
+                advice="Digest logs in which it moves into another folder.",
+                joint=joint,
+            )
 
 
 def _in_efforts(log: JointLog, model: RobotModel) -> JointLog:

@@ -63,6 +63,7 @@ from geodrake.identification.newton import newton_sweep, solve_newton
 from geodrake.identification.problem import LinearConstraints, whitened_factor
 from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.logs.files import read_log, write_log
+from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog, Motion
 from geodrake.manifolds import ConstrainedInertia, Interval, PhysicalInertia, Positive, Product
 from geodrake.manifolds import Free as FreeManifold
@@ -95,6 +96,7 @@ MODULES = (
     "diagnosis",
     "effects",
     "excitation",
+    "fleet",
     "identification",
     "inertia",
     "manifolds",
@@ -184,6 +186,14 @@ NO_DOOR = {
             "drafting.Correlate",
             "drafting.Draft",
             "excitation.ExcitationResult",
+            "fleet.Digest",
+            "fleet.DigestColumn",
+            "fleet.DigestEffect",
+            "fleet.DigestRow",
+            "fleet.DigestRun",
+            "fleet.DigestSettings",
+            "fleet.DigestedLog",
+            "fleet.JointDigest",
             "excitation.ExcitationTrajectory",
             "excitation.IdentifiableParameters",
             "identifiability.LogIdentifiability",
@@ -371,6 +381,7 @@ def good_calls():
         _identification,
         _excitation,
         _diagnosis,
+        _fleet,
         _files,
     ):
         found.update(part(t))
@@ -1641,6 +1652,58 @@ def _diagnosis(t):
             {"model": t.model, "after": t.model, "logs": (t.log,), "between": ()},
             slow=True,
             allows={"logs": ("a text",)},  # files are read where there are servos
+        ),
+    )
+
+
+def _fleet(t):
+    m = geodrake.fleet
+    facts = {"content": Free("0" * 64), "files": (PENDULUM,), "date": 1.7e9, "payloads": ()}
+    settings = m.make_settings(t.model, t.log, version="1")
+    digest = m.make_digest(t.model, t.log, settings, m.LogFacts("0" * 64, (PENDULUM,)))
+    path = folder() / "digest.npz"
+    path.write_bytes(m.digest_content(digest))
+    write_log(t.log, folder() / "digested.csv")
+    yield "fleet.Wanted", Call(m.Wanted, {"bandwidth": 5.0, "blocks": 4, "extra": ()})
+    yield "fleet.LogFacts", Call(m.LogFacts, {**facts, "episode": 0})
+    yield (
+        "fleet.make_settings",
+        Call(
+            m.make_settings,
+            {"model": t.model, "log": t.log, "version": Free("1"), "wanted": m.Wanted()},
+            slow=True,
+        ),
+    )
+    made = {"settings": settings, "facts": m.LogFacts(**{**facts, "content": ""}), "extra": ()}
+    yield (
+        "fleet.make_digest",
+        Call(m.make_digest, {"model": t.model, "log": t.log, **made}, slow=True, infinite=True),
+    )
+    yield "fleet.merge", Call(m.merge, {"digests": (digest,)}, infinite=True)
+    yield (
+        "fleet.digest_dataset",
+        Call(m.digest_dataset, {"digest": digest, "model": t.model, "extra": ()}, infinite=True),
+    )
+    yield "fleet.digest_content", Call(m.digest_content, {"digest": digest})
+    yield "fleet.read_digest", Call(m.read_digest, {"path": path}, infinite=True)
+    yield "fleet.read_settings", Call(m.read_settings, {"folder": folder()})
+    yield "fleet.digest_files", Call(m.digest_files, {"folder": folder()})
+    yield "fleet.model_hash", Call(m.model_hash, {"model": t.model})
+    yield (
+        "fleet.digest_logs",
+        Call(
+            m.digest_logs,
+            {
+                "model": t.model,
+                "logs": (folder() / "digested.csv",),
+                "to": folder() / "digests",
+                "version": Free("1"),
+                "wanted": m.Wanted(),
+                "date": 1.7e9,
+                "payloads": {folder() / "digested.csv": (KnownPayload("lower_link", 0.3),)},
+            },
+            slow=True,
+            infinite=True,
         ),
     )
 

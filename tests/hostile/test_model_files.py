@@ -1015,6 +1015,7 @@ COMMANDS = (
     "rollout robot.urdf log.csv --before {}",
     "identify {} log.csv",
     "identifiable {} log.csv",
+    "digest {} log.csv --to new",
     "excite {}",
 )
 PATHS = [

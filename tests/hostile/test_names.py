@@ -7,7 +7,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
-from hostile import PENDULUM, Row, fill, read_json, run_here, table, write_log
+from hostile import PENDULUM, Row, check_words, fill, read_json, run_here, table, write_log
 from rich.console import Console
 
 from geodrake import load_model
@@ -25,6 +25,7 @@ from geodrake.diagnosis.drafting import Draft, source_of
 from geodrake.diagnosis.drafting.formula import Factor, Formula, Term
 from geodrake.diagnosis.drafting.results import DraftedEffect
 from geodrake.effects import load_effect_file
+from geodrake.fleet import digest_files, read_digest
 from geodrake.logs.files import read_log
 from geodrake.logs.files import write_log as write_joint_log
 from geodrake.logs.motion import JointLog
@@ -296,6 +297,26 @@ def test_a_written_log_has_the_names_that_it_was_given(what, suffix, tmp_path):
     again = read_log(tmp_path / f"log{suffix}", joints=names)
     assert again.joints == names
     np.testing.assert_array_equal(again.effort, log.effort)
+
+
+@pytest.mark.sampled(8)
+@pytest.mark.parametrize("what", IN_XML)
+def test_digests_of_any_names_are_read_again(what, tmp_path, monkeypatch):
+    name, log = IN_XML[what], f"{IN_FILES[what]}.csv"
+    fill(tmp_path)
+    rename(tmp_path, shoulder=name, link=name)
+    (tmp_path / "log.csv").rename(tmp_path / log)
+    monkeypatch.chdir(tmp_path)
+    given = ["digest", "robot.urdf", f"./{log}", "--to", "new", "--json", "new.json"]
+    code, out, err = run_here(given)
+    assert code == 0, out + err
+    check_words(out, err)
+    assert [*read_json(tmp_path / "new.json")["logs"][0]["joints"]] == [name, "elbow"]
+    (path,) = digest_files("new")
+    found = read_digest(path)
+    assert found.settings.joints == (name, "elbow")
+    assert found.logs[0].name == IN_FILES[what]
+    assert not (tmp_path / "PWNED").exists()
 
 
 def test_a_motion_of_any_names_goes_to_ros_and_to_logs(tmp_path, monkeypatch):

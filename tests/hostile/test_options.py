@@ -41,6 +41,35 @@ CHECK = [
     Row("check over its model", "check robot.urdf --json robot.urdf", ("robot.urdf",)),
 ]
 
+DIGEST = [
+    *rows(f"digest {DATA} --to new", "--bandwidth", ODD, "bandwidth"),
+    *rows(f"digest {DATA} --to new", "--bandwidth", ("0.001", "26", "1000"), "bandwidth of"),
+    *rows(f"digest {DATA} --to new", "--bandwidth", NO_FLOATS, "'--bandwidth'"),
+    *rows(f"digest {DATA} --to new", "--blocks", ("0", "-1", "1", "101", *HUGE), "blocks"),
+    *rows(f"digest {DATA} --to new", "--blocks", NO_INTEGERS, "'--blocks'"),
+    *rows(
+        f"digest {DATA} --to new",
+        "--date",
+        ("''", "soon", "1", "nan", "2026-02-30", "0001-01-01", "9999-12-31"),
+        "A date is such as",
+    ),
+    *rows(f"digest {DATA}", "--to", ("log.csv", "none/new", "log.csv/new"), "no folder"),
+    *rows(f"digest {DATA}", "--to", ("/dev/null", "/proc/new", "x" * 300), "Digests cannot be"),
+    *rows(f"digest {DATA} --to new", "--units", ("position=furlong",), "furlong"),
+    *rows(f"digest {DATA} --to new", "--known-payload", ("log.csv:nobody:1",), "nobody"),
+    *rows(f"digest {DATA} --to new", "--known-payload", ("log.csv:lower_link:-1",), "mass of"),
+    *rows(f"digest {DATA} --to new", "--json", ("log.csv", "robot.urdf", "x.txt"), "--json"),
+    Row("digest to nowhere", f"digest {DATA}", ("--to",)),
+    Row("digest of no log", "digest robot.urdf --to new", ("LOG",)),
+    Row("digest of no model", "digest nothing.urdf log.csv --to new", ("nothing.urdf",)),
+    Row(
+        "digest over its input",
+        f"digest {DATA} --to new --json log.json",
+        ("is an input",),
+        lambda folder: (folder / "log.json").symlink_to("log.csv"),
+    ),
+]
+
 LOG_OPTIONS = [
     *chain.from_iterable(
         rows(f"{command} {DATA}", "--bandwidth", ODD, "bandwidth of", "Hz")
@@ -170,7 +199,7 @@ def test_row(row, tmp_path, monkeypatch):
 
 
 @pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", [*CHECK, *LOG_OPTIONS], ids=str)
+@pytest.mark.parametrize("row", [*CHECK, *DIGEST, *LOG_OPTIONS], ids=str)
 def test_options_of_commands_on_logs(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 

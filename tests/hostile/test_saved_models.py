@@ -148,6 +148,7 @@ ALL = (
     "rollout robot.urdf log.csv --before {0}",
     "identify {0} log.csv",
     "identifiable {0} log.csv",
+    "digest {0} log.csv --to new",
     "excite {0}",
 )
 GOOD = [

@@ -1,0 +1,291 @@
+"""Folders of digests: made once, whole or not at all, by settings that all of them share."""
+
+import errno
+import multiprocessing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pendulum_logs import PENDULUM, pendulum_log
+
+from geodrake.effects import JointEffect, Parameter
+from geodrake.errors import ArgumentError, DigestError, OutputError
+from geodrake.fleet import (
+    Wanted,
+    digest_dataset,
+    digest_files,
+    digest_logs,
+    merge,
+    read_digest,
+    read_settings,
+)
+from geodrake.fleet.settings import SETTINGS_FILE
+from geodrake.logs.files import Reading, write_log
+from geodrake.logs.known_payload import KnownPayload
+from geodrake.model.saved_model import load_model
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(PENDULUM)
+
+
+@pytest.fixture(scope="module")
+def made(model, tmp_path_factory):
+    """Three logs, and a folder of digests of two of them."""
+    here = tmp_path_factory.mktemp("logs")
+    for seed in (1, 2, 3):
+        write_log(pendulum_log(seed, seconds=20.0), here / f"log_{seed}.csv")
+    run = digested(model, [here / "log_1.csv", here / "log_2.csv"], here / "digests")
+    assert [row.status for row in run.rows] == ["made", "made"]
+    assert run.chosen
+    return here
+
+
+@pytest.fixture
+def folder(made, tmp_path):
+    """A copy of that folder."""
+    copy = tmp_path / "digests"
+    copy.mkdir()
+    for path in (made / "digests").iterdir():
+        (copy / path.name).write_bytes(path.read_bytes())
+    return copy
+
+
+def digested(model, logs, to, *, version="1", **how):
+    return digest_logs(model, logs, to, version=version, **how)
+
+
+def bytes_of(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def test_a_digest_that_is_there_is_not_made_again(model, made, folder):
+    before = {path: path.stat() for path in folder.iterdir()}
+    told = []
+    run = digested(
+        model, [made / "log_2.csv", made / "log_1.csv"], folder, told=lambda *w: told.append(w)
+    )
+    assert [row.status for row in run.rows] == ["there", "there"]
+    assert not run.chosen
+    assert [share for _, share in told] == [0.0, 0.5]
+    assert {path: path.stat() for path in folder.iterdir()} == before
+    more = digested(model, [made / "log_3.csv", made / "log_3.csv"], folder)
+    assert [row.status for row in more.rows] == ["made", "there"]
+    assert len(digest_files(folder)) == 3
+    moved = made / "moved.csv"  # what counts are the bytes, not the name
+    moved.write_bytes((made / "log_3.csv").read_bytes())
+    assert digested(model, [moved], folder).rows[0].status == "there"
+
+
+def test_logs_that_cannot_be_read_leave_the_others_alone(model, made, tmp_path):
+    bad, short, pipe = (made / name for name in ("bad.csv", "short.csv", "folder.csv"))
+    bad.write_text("time,x\n1,2\n", encoding="utf-8")
+    lines = (made / "log_1.csv").read_text(encoding="utf-8").splitlines()
+    short.write_text("\n".join(lines[:60]), encoding="utf-8")
+    pipe.mkdir(exist_ok=True)
+    logs = [bad, made / "none.csv", made / "log_1.csv", short, pipe, made / "log_2.csv"]
+    run = digested(model, logs, tmp_path / "digests")
+    statuses = ["failed", "failed", "made", "failed", "failed", "made"]
+    assert [row.status for row in run.rows] == statuses
+    assert (run.count("failed"), run.count("made"), run.count("there")) == (4, 2, 0)
+    assert all(bool(row.reason) == (row.status == "failed") for row in run.rows)
+    assert "does not exist" in run.rows[1].reason
+    assert "\n" not in "".join(row.reason for row in run.rows)
+    nothing = digested(model, [bad], tmp_path / "empty")
+    assert nothing.settings is None
+    assert not (tmp_path / "empty").exists()
+
+
+def test_a_damaged_digest_is_made_again(model, made, folder):
+    damaged = digest_files(folder)[0]
+    good = damaged.read_bytes()
+    damaged.write_bytes(good[:1000])
+    run = digested(model, [made / "log_1.csv", made / "log_2.csv"], folder)
+    assert sorted(row.status for row in run.rows) == ["made", "there"]
+    assert any("made again" in row.reason for row in run.rows)
+    assert damaged.read_bytes() == good
+
+
+def test_settings_of_something_else_are_refused_by_name(model, made, folder):
+    log, before = [made / "log_3.csv"], bytes_of(folder)
+    own = read_settings(folder)
+    cases = {
+        "of another model": {"model": replace(model, phi=1.01 * model.phi)},
+        "are of geodrake 1, this is 2": {"version": "2"},
+        "have bandwidth .*, and 3 is asked for": {"wanted": Wanted(bandwidth=3.0)},
+        "have blocks 4, and 5 is asked for": {"wanted": Wanted(blocks=5)},
+        "read otherwise: units differ": {
+            "wanted": Wanted(reading=Reading(units={"position": "deg"}))
+        },
+        "no columns of wobble": {"wanted": Wanted(extra=(Wobble,))},
+    }
+    for words, how in cases.items():
+        with pytest.raises(DigestError, match=words):
+            digested(how.pop("model", model), log, folder, **how)
+    same = Wanted(bandwidth=own.bandwidth, blocks=4)
+    assert digested(model, log, folder, wanted=same).rows[0].status == "made"
+    for name, content in before.items():
+        assert (folder / name).read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: text[: len(text) // 2], "does not hold settings"),
+        (lambda text: "", "is empty"),
+        (lambda text: "[]", "does not hold settings"),
+        (lambda text: text.replace("geodrake digest 1", "geodrake digest 9"), "has the format"),
+        (lambda text: text.replace('"blocks": 4', '"blocks": "four"'), "does not hold settings"),
+        (lambda text: text.replace('"held"', '"holds"'), "does not hold settings"),
+        (lambda text: text.replace('"lags": 200', '"lags": NaN'), "does not hold settings"),
+        (lambda text: text.replace("viscous_friction", "nobody's"), "cannot be made"),
+    ],
+)
+def test_damaged_settings_are_refused(model, made, folder, change, words):
+    path = folder / SETTINGS_FILE
+    path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
+    before = bytes_of(folder)
+    with pytest.raises(DigestError, match=words):
+        digested(model, [made / "log_3.csv"], folder)
+    assert bytes_of(folder) == before
+
+
+def test_a_digest_by_other_settings_is_made_again(model, made, folder, tmp_path):
+    other = tmp_path / "other"
+    wanted = Wanted(bandwidth=4.0)
+    stranger = digested(model, [made / "log_1.csv"], other, wanted=wanted).rows[0].digest
+    own = digested(model, [made / "log_1.csv"], folder).rows[0].digest
+    assert stranger.name != own.name
+    own.write_bytes(stranger.read_bytes())
+    run = digested(model, [made / "log_1.csv"], folder)
+    assert run.rows[0].status == "made"
+    assert "differ in bandwidth" in run.rows[0].reason
+
+
+def test_a_full_disk_leaves_nothing_half_written(model, made, folder, monkeypatch):
+    before = bytes_of(folder)
+
+    def full(self, target):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(OutputError, match="No space left"):
+        digested(model, [made / "log_3.csv"], folder)
+    assert bytes_of(folder) == before
+    with pytest.raises(OutputError, match="No space left"):
+        digested(model, [made / "log_3.csv"], folder.parent / "new")
+    assert not digest_files(folder.parent / "new")
+    assert read_settings(folder.parent / "new") is None
+
+
+def test_a_folder_that_cannot_be_is_refused_before_the_work(model, made, tmp_path):
+    for to, words in (
+        (made / "log_1.csv", "is no folder"),
+        (tmp_path / "none" / "digests", "which is no folder"),
+        (made / "log_1.csv" / "digests", "which is no folder"),
+        (Path("/proc/digests"), "annot"),
+    ):
+        with pytest.raises(OutputError, match=words):
+            digested(model, [made / "none.csv"], to)
+    with pytest.raises(ArgumentError, match="no log to digest"):
+        digested(model, [], tmp_path / "digests")
+
+
+def test_another_process_makes_the_same_bytes(made, tmp_path):
+    arguments = (str(PENDULUM), [str(made / f"log_{k}.csv") for k in (1, 2)], str(tmp_path / "x"))
+    process = multiprocessing.get_context("spawn").Process(target=digest_apart, args=arguments)
+    process.start()
+    process.join()
+    assert process.exitcode == 0
+    assert bytes_of(tmp_path / "x") == bytes_of(made / "digests")
+
+
+def digest_apart(model, logs, folder):
+    digest_logs(load_model(model), logs, folder, version="1")
+
+
+def test_settings_that_another_run_has_made_meanwhile_are_taken(model, made, folder, tmp_path):
+    other, asked = tmp_path / "other", []
+
+    def meanwhile(words, share):
+        if asked.append(words) is None and len(asked) == 1:
+            other.mkdir()
+
+    from geodrake.fleet import digest_folder
+
+    make = digest_folder.make_digest
+
+    def slowly(*given, **more):
+        text = (folder / SETTINGS_FILE).read_text(encoding="utf-8")
+        (other / SETTINGS_FILE).write_text(text, encoding="utf-8")
+        return make(*given, **more)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(digest_folder, "make_digest", slowly)
+        run = digested(model, [made / "log_3.csv"], other, told=meanwhile)
+    assert run.settings.hash == read_settings(folder).hash
+    assert not run.chosen
+    assert read_digest(digest_files(other)[0]).settings.hash == run.settings.hash
+
+
+def test_payloads_and_dates_are_kept(model, made, folder):
+    log = made / "log_3.csv"
+    carried = {log: (KnownPayload("lower_link", 0.3),)}
+    bare = digested(model, [log], folder, date=1.7e9).rows[0]
+    loaded = digested(model, [log], folder, payloads=carried).rows[0]
+    assert bare.digest != loaded.digest
+    assert (bare.about.date, bare.about.date_from) == (1.7e9, "option")
+    assert loaded.about.date_from == "file"
+    assert read_digest(loaded.digest).logs[0].payloads == carried[log]
+    again = digested(model, [log], folder, date=1.8e9).rows[0]
+    assert again.status == "there"
+    assert "its date stays 2023-11-14T22:13:20+00:00" in again.reason
+
+
+def test_logs_without_a_joint_hold_it_for_all(model, tmp_path):
+    log = pendulum_log(4, seconds=20.0)
+    alone = log.select(("shoulder",))
+    write_log(alone, tmp_path / "alone.csv")
+    write_log(log, tmp_path / "both.csv")
+    run = digested(model, [tmp_path / "alone.csv", tmp_path / "both.csv"], tmp_path / "digests")
+    assert [row.status for row in run.rows] == ["made", "failed"]
+    assert "hold elbow at 0, where it does not stand in log 'both'" in run.rows[1].reason
+    assert run.settings.joints == ("shoulder",)
+    assert list(run.settings.held) == ["elbow"]
+    digest = read_digest(run.rows[0].digest)
+    assert digest_dataset(digest, model).joints == ("shoulder",)
+    other = digested(model, [tmp_path / "both.csv"], tmp_path / "both")
+    lacking = digested(model, [tmp_path / "alone.csv"], tmp_path / "both")
+    assert other.settings.joints == model.joints
+    assert lacking.rows[0].status == "failed"
+    assert "elbow" in lacking.rows[0].reason
+
+
+class Wobble(JointEffect):
+    """An effect of a user's own: effort = a sin 7q."""
+
+    name = "wobble"
+    parameters = (Parameter("size", "N·m"),)
+    law = "a sin 7q"
+    signature = "wobbles"
+    depends_on = frozenset({"q"})
+
+    def columns(self, joint):
+        return [np.sin(7.0 * joint.q)]
+
+
+def test_effects_of_a_users_own_have_columns(model, made, tmp_path):
+    wanted = Wanted(extra=(Wobble,))
+    logs = [made / "log_1.csv", made / "log_2.csv"]
+    run = digested(model, logs, tmp_path / "digests", wanted=wanted)
+    merged = merge([read_digest(path) for path in digest_files(tmp_path / "digests")])
+    named = [column for column in merged.columns if column.name == "wobble"]
+    assert {column.where for column in named} == {("shoulder",), ("elbow",)}
+    assert run.count("made") == 2
+    with pytest.raises(DigestError, match="wobble, which cannot be made"):
+        digested(model, logs, tmp_path / "digests")
+    with pytest.raises(DigestError, match="wobble, which cannot be made"):
+        digest_dataset(merged, model)
+    assert digest_dataset(merged, model, extra=(Wobble,)).effects
