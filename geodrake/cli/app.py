@@ -12,6 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from geodrake.boundary.escaping import printable
+from geodrake.boundary.version import version
 from geodrake.cli.check_options import CheckOptions
 from geodrake.cli.digest_options import DigestOptions
 from geodrake.cli.excitation_options import ExciteOptions, IdentifiableOptions
@@ -28,7 +29,6 @@ from geodrake.cli.options import (
     taking,
 )
 from geodrake.cli.surroundings import settled_surroundings
-from geodrake.cli.version import version
 
 if TYPE_CHECKING:
     from geodrake.cli.session import Input

@@ -7,6 +7,7 @@ from typing import Any
 import typer
 from rich.console import Console
 
+from geodrake.boundary.version import version
 from geodrake.cli.check_options import CheckOptions
 from geodrake.cli.guard import INTERNAL_ERROR
 from geodrake.cli.model_options import read_model
@@ -15,7 +16,6 @@ from geodrake.cli.session import own_effects
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import head, make_console, say, show_saved, show_table
 from geodrake.cli.targets import STDOUT, Targets
-from geodrake.cli.version import version
 from geodrake.model.dynamics_check import TOLERANCE, DynamicsCheck, check_dynamics
 from geodrake.report.json_output import number_or, to_json
 from geodrake.report.tables import Table, cells

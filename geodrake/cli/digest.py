@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from geodrake.boundary.version import version
 from geodrake.cli.digest_options import DigestOptions
 from geodrake.cli.guard import INTERNAL_ERROR
 from geodrake.cli.known_payloads import known_payloads
@@ -13,7 +14,6 @@ from geodrake.cli.session import own_effects
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import head, make_console, say, show_list, show_saved, show_table
 from geodrake.cli.targets import STDOUT, Targets
-from geodrake.cli.version import version
 from geodrake.fleet.digest_folder import FAILED, digest_logs
 from geodrake.fleet.log_dates import date_seconds
 from geodrake.fleet.making import Wanted
@@ -48,7 +48,6 @@ def run_digest(options: DigestOptions) -> None:
             model,
             options.logs,
             options.to,
-            version=version(),
             wanted=Wanted(options.bandwidth, options.blocks, options.reading, extra),
             date=date,
             payloads=known_payloads(options.logs, options.known_payload or (), model),

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import typer
 
+from geodrake.boundary.version import version
 from geodrake.cli.excitation_options import ExciteOptions
 from geodrake.cli.excite_tables import show_excitation
 from geodrake.cli.guard import INTERRUPTED
@@ -21,7 +22,6 @@ from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.cli.tell_apart import check_alone, separation_of
-from geodrake.cli.version import version
 from geodrake.effects import Effect
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.excitation import (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 
+from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content
 from geodrake.cli.export_options import ExportOptions
 from geodrake.cli.export_tables import show_export
@@ -14,7 +15,6 @@ from geodrake.cli.session import check_logs, own_effects
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
-from geodrake.cli.version import version
 from geodrake.control.export_proof.export import export_with_proof
 from geodrake.control.export_proof.writing import check_folder, write_files
 from geodrake.logs.files import parts_of, read_log

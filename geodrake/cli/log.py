@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content, write_together
 from geodrake.cli.columns import columns_list, found_columns
 from geodrake.cli.model_options import read_model
@@ -17,7 +18,6 @@ from geodrake.cli.session import check_logs
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import head, make_console, show_list, show_saved, show_table
 from geodrake.cli.targets import STDOUT, Targets
-from geodrake.cli.version import version
 from geodrake.diagnosis.columns import ColumnFinding
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.logs.files import log_content, parts_of

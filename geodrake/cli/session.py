@@ -15,6 +15,7 @@ from urllib.parse import quote
 import typer
 from rich.console import Console
 
+from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content
 from geodrake.cli.axis_model import written_axis
 from geodrake.cli.columns import (
@@ -33,7 +34,6 @@ from geodrake.cli.reading_options import proposing
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import SAVED, make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
-from geodrake.cli.version import version
 from geodrake.diagnosis.columns import ColumnFinding, corrected
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect

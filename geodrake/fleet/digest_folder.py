@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import file_path, instance, instances, number
 from geodrake.boundary.showing import Short
+from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content, check_writable, write_together
 from geodrake.errors import ArgumentError, DigestError, GeodrakeError, OutputError
 from geodrake.fleet.digest import Digest, DigestedLog, check_same
@@ -23,7 +24,12 @@ from geodrake.fleet.digest_file import digest_content, read_digest
 from geodrake.fleet.log_dates import date_text
 from geodrake.fleet.making import LogFacts, Wanted, make_digest, make_settings, said_of_reading
 from geodrake.fleet.model_hash import file_hash, text_hash
-from geodrake.fleet.settings import SETTINGS_FILE, DigestSettings, read_settings
+from geodrake.fleet.settings import (
+    SETTINGS_FILE,
+    DigestSettings,
+    own_sources,
+    read_settings,
+)
 from geodrake.logs.files import check_log, parts_of, read_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog
@@ -103,7 +109,6 @@ class _Folder:
     path: Path
     model: RobotModel
     wanted: Wanted
-    version: str
     settings: DigestSettings | None = None
     chosen: bool = False
 
@@ -142,7 +147,7 @@ class _Folder:
             LogError: The log cannot be used.
         """
         try:
-            return make_settings(self.model, log, version=self.version, wanted=self.wanted)
+            return make_settings(self.model, log, wanted=self.wanted)
         except ArgumentError as error:
             if self.wanted.bandwidth is None:
                 raise
@@ -156,7 +161,7 @@ class _Folder:
         """
         self.settings = read_settings(self.path)
         if self.settings is not None:
-            _check(self.settings, self.model, self.wanted, self.version)
+            _check(self.settings, self.model, self.wanted)
         return self.settings is not None
 
     def _file(self, settings: DigestSettings, facts: LogFacts) -> Path:
@@ -174,7 +179,6 @@ def digest_logs(
     logs: Sequence[str | Path],
     to: str | Path,
     *,
-    version: str,
     wanted: Wanted | None = None,
     date: float | None = None,
     payloads: Mapping[Path, Sequence[KnownPayload]] | None = None,
@@ -189,7 +193,6 @@ def digest_logs(
         logs: Files of logs.
         to: The folder. If it has settings, they count; else they are chosen by the model and the
             first log that can be used, and written.
-        version: Version of geodrake, which digests of one folder share.
         wanted: How logs are read, and what settings are to be like.
         date: When logs were recorded whose stamps do not say it, s since 1970.
         payloads: Log -> what the robot carried all the time, of known mass, beyond its model.
@@ -205,14 +208,13 @@ def digest_logs(
     files = [file_path(log) for log in instances(logs, "logs", (str, Path))]
     if not files:
         raise ArgumentError("There is no log to digest.", advice="Give at least one.")
-    instance(version, "version", str)
     wanted = instance(wanted or Wanted(), "wanted", Wanted)
     carried = _checked_payloads(payloads or {}, files)
     if date is not None:
         number(date, "date", lower=0.0, strict=True)
     path = file_path(to)
     _check_folder(path)
-    folder = _Folder(path, model, wanted, version)
+    folder = _Folder(path, model, wanted)
     folder.take_settings()
     rows = []
     for at, log in enumerate(files):
@@ -326,25 +328,25 @@ def _refused(path: Path, reason: str) -> OutputError:
     )
 
 
-def _check(settings: DigestSettings, model: RobotModel, wanted: Wanted, version: str) -> None:
+def _check(settings: DigestSettings, model: RobotModel, wanted: Wanted) -> None:
     """Refuse settings that are of something else than what is wanted.
 
     Raises:
         DigestError: They are; the message says in what.
     """
-    if settings.version != version:
+    if settings.version != (own := version()):
         raise DigestError(
-            f"The settings of the digests are of geodrake {settings.version}, this is {version}: "
+            f"The settings of the digests are of geodrake {settings.version}, this is {own}: "
             "columns may be computed otherwise.",
             advice="Digest the logs again into a new folder.",
         )
     model_of_digests(model, settings)
     asked = {"bandwidth": wanted.bandwidth, "blocks": wanted.blocks}
     for name, value in asked.items():
-        own = getattr(settings, name)
-        if value is not None and not np.isclose(value, own, rtol=1e-9, atol=0.0):
+        there = getattr(settings, name)
+        if value is not None and not np.isclose(value, there, rtol=1e-9, atol=0.0):
             raise DigestError(
-                f"The settings of the digests have {name} {own:g}, and {value:g} is asked for.",
+                f"The settings of the digests have {name} {there:g}, and {value:g} is asked for.",
                 advice="Leave it out, or choose a new folder.",
             )
     said = said_of_reading(wanted.reading)
@@ -354,10 +356,13 @@ def _check(settings: DigestSettings, model: RobotModel, wanted: Wanted, version:
             f"The settings of the digests have logs read otherwise: {', '.join(odd)} differ.",
             advice="Give the options of the first digest, or choose a new folder.",
         )
-    effects = [effect.made(wanted.extra) for effect in settings.effects]
-    missing = [kind.name for kind in wanted.extra if kind not in map(type, effects)]
-    if missing:
+    given = own_sources(wanted.extra)
+    if given != dict(settings.extra):
+        names = [", ".join(each) or "none" for each in (settings.extra, given)]
         raise DigestError(
-            f"The settings of the digests have no columns of {', '.join(missing)}.",
-            advice="Leave the effect out, or choose a new folder.",
+            f"The settings of the digests have effects of your own: {names[0]}; now there are "
+            f"{names[1]}, or their source is another one.",
+            advice="Give the same files by --effects, or choose a new folder.",
         )
+    for effect in settings.effects:
+        effect.made(wanted.extra)

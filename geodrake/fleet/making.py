@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, instances, integer, number
+from geodrake.boundary.version import version
 from geodrake.effects import Effect
 from geodrake.errors import ArgumentError, LogError
 from geodrake.fleet.autocovariance import with_autocovariances
@@ -18,7 +19,7 @@ from geodrake.fleet.digest import Digest, DigestedLog, JointDigest
 from geodrake.fleet.digest_dataset import delays_of_joints, model_of_digests
 from geodrake.fleet.log_dates import date_of_log
 from geodrake.fleet.model_hash import model_hash, text_hash
-from geodrake.fleet.settings import BLOCKS, LAGS, DigestEffect, DigestSettings
+from geodrake.fleet.settings import BLOCKS, LAGS, DigestEffect, DigestSettings, own_sources
 from geodrake.identification.logs.candidate_effects import candidate_delays, candidate_effects
 from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
 from geodrake.identification.logs.dataset import JointData
@@ -126,7 +127,7 @@ def said_of_reading(reading: Reading) -> dict[str, Any]:
 
 
 def make_settings(
-    model: RobotModel, log: JointLog, *, version: str, wanted: Wanted | None = None
+    model: RobotModel, log: JointLog, *, wanted: Wanted | None = None
 ) -> DigestSettings:
     """The settings of all digests of a robot's logs, chosen by its model and one of them.
 
@@ -137,7 +138,6 @@ def make_settings(
     Args:
         model: The model.
         log: A log that is like the others.
-        version: Version of geodrake.
         wanted: What is asked for.
 
     Raises:
@@ -146,7 +146,6 @@ def make_settings(
     """
     instance(model, "model", RobotModel)
     instance(log, "log", JointLog)
-    instance(version, "version", str)
     wanted = instance(wanted or Wanted(), "wanted", Wanted)
     own = model_of_logs(model, [log])
     uniform = make_uniform(_in_efforts(log_of_model(log, own), own))
@@ -180,10 +179,11 @@ def make_settings(
         tuple(map(DigestEffect.of, effects)),
         base.independent,
         base.matrix,
+        own_sources(wanted.extra),
         said_of_reading(wanted.reading),
         wanted.blocks or BLOCKS,
         LAGS,
-        version,
+        version(),
         chosen_from=log.name,
     )
 

@@ -145,6 +145,7 @@ class DigestSettings(Short):
         effects: What has columns beside the bodies: the model's effects, then candidates.
         independent: (n_B,) inertial parameters whose columns stand for all; see `BaseParameters`.
         base_matrix: (n_B, 10·nb) base parameters of inertial parameters, φ_B = B φ.
+        extra: Effect of the user's own that may have columns -> SHA-256 of its source.
         reading: How logs are read, as far as that is the same for all.
         blocks: Blocks into which each log is cut.
         lags: Distance up to which autocovariances are kept, samples.
@@ -165,6 +166,7 @@ class DigestSettings(Short):
     effects: tuple[DigestEffect, ...]
     independent: Indices
     base_matrix: Array
+    extra: Mapping[str, str]
     reading: Mapping[str, Any]
     blocks: int
     lags: int
@@ -218,6 +220,7 @@ class DigestSettings(Short):
 
 _WORDS = {
     "base_matrix": "base parameters",
+    "extra": "effects of your own",
     "independent": "base parameters",
     "motion_bandwidth": "bandwidth of the motion",
     "sign_width": "widths of signs",
@@ -272,6 +275,11 @@ def read_settings(folder: str | Path) -> DigestSettings | None:
     return settings_of(text, path)
 
 
+def own_sources(extra: Sequence[type[Effect]]) -> dict[str, str]:
+    """Name of an effect of the user's own -> SHA-256 of its source."""
+    return {kind.name: source_hash(kind) for kind in extra}
+
+
 def _numbers(settings: DigestSettings) -> dict[str, Any]:
     """Settings as JSON has them."""
     plain = {f.name: getattr(settings, f.name) for f in fields(settings)}
@@ -298,6 +306,7 @@ def _settings(said: Mapping[str, Any]) -> DigestSettings:
             **said,
             "joints": _names(said["joints"]),
             "bodies": _names(said["bodies"]),
+            "extra": {str(name): str(source) for name, source in said["extra"].items()},
             "held": {str(joint): float(value) for joint, value in said["held"].items()},
             "sign_width": _floats(said["sign_width"], (nv,)),
             "still_speed": _floats(said["still_speed"], (nv,)),

@@ -67,6 +67,14 @@ def takes_little_memory(table):
         assert 0.1 < cost["peak_memory"] < 0.6
 
 
+def digests_are_small_and_merge(table):
+    """Two digests are what a reading of both logs is, to rounding."""
+    (cost,) = table
+    assert cost["bytes"] < 2e5
+    assert cost["merged"] < 1e-12
+    assert cost["made"] < 5.0 * cost["reading"]
+
+
 def says_what_diagnose_names_and_days_tell(table):
     """A fit to one run of a robot, another run, and an error of a third before and after."""
     assert table["named_afterwards"] == {"double pendulum": []}
@@ -134,6 +142,7 @@ SHOWS = {
     "wam_payload": orders_laws_as_the_source,
     "hidden_effects": reaches_its_bars,
     "servo_gains": finds_servos,
+    "digest_speed": digests_are_small_and_merge,
     "long_log": takes_little_memory,
     "simulate_fitted": shows_what_friction_is_worth,
     "real_robots": says_what_diagnose_names_and_days_tell,

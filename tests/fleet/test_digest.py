@@ -31,7 +31,6 @@ from geodrake.logs.known_payload import KnownPayload
 from geodrake.model.saved_model import load_model
 
 MODELS = Path(__file__).parents[2] / "models"
-VERSION = "1"
 FRICTION = np.array([6.0, 5.0, 4.0, 1.0, 1.0, 0.5])  # N·m
 VISCOUS = np.array([3.0, 2.0, 2.0, 0.6, 0.5, 0.2])  # N·m·s/rad
 
@@ -54,7 +53,7 @@ def logs(model):
 
 @pytest.fixture(scope="module")
 def settings(model, logs):
-    return make_settings(model, logs[0], version=VERSION)
+    return make_settings(model, logs[0])
 
 
 def digested(model, log, settings, **facts):
@@ -215,14 +214,14 @@ def test_a_file_holds_all_of_a_digest(digests, tmp_path):
 
 
 def test_the_same_log_gives_the_same_file(model, logs, settings, digests):
-    again = digested(model, logs[0], make_settings(model, logs[0], version=VERSION))
+    again = digested(model, logs[0], make_settings(model, logs[0]))
     assert digest_content(again) == digest_content(digests[0])
 
 
 def test_a_minute_of_an_arm_of_seven_joints_is_small():
     arm = load_model(MODELS / "arm7.urdf")
     log = chain_log(arm, 1, seconds=60.0, rate=500.0)
-    digest = digested(arm, log, make_settings(arm, log, version=VERSION))
+    digest = digested(arm, log, make_settings(arm, log))
     assert len(digest_content(digest)) < 2e6
     assert len(digest.blocks) == 4
     assert np.all(digest.samples > 300)
@@ -242,7 +241,7 @@ def test_a_joint_that_rests_all_the_time_has_no_samples(model, logs, settings, d
     merged = merge([digests[0], digest])
     assert merged.samples[3] == digests[0].samples[3]
     assert np.allclose(merged.normal_matrices()[3], digests[0].normal_matrices()[3])
-    first = make_settings(model, log, version=VERSION)  # also where the first log is such one
+    first = make_settings(model, log)  # also where the first log is such one
     named = {(column.name, column.where) for column in first.columns}
     assert ("stribeck_friction", (model.joints[3],)) in named
     assert np.all(first.still_speed > 0.0)
@@ -259,7 +258,8 @@ def test_what_motion_covers_is_that_of_the_log(digests, logs):
 
 
 def test_what_does_not_add_up_is_refused(model, logs, settings, digests):
-    other = make_settings(model, logs[0], version="2", wanted=Wanted(bandwidth=5.0, blocks=3))
+    other = make_settings(model, logs[0], wanted=Wanted(bandwidth=5.0, blocks=3))
+    other = replace(other, version="2")
     stranger = digested(model, logs[1], other)
     with pytest.raises(DigestError, match=r"log_2 .* differ in .*bandwidth.*version of geodrake"):
         merge([digests[0], stranger])

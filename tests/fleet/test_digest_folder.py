@@ -15,6 +15,7 @@ from geodrake.fleet import (
     Wanted,
     digest_dataset,
     digest_files,
+    digest_folder,
     digest_logs,
     merge,
     read_digest,
@@ -53,8 +54,8 @@ def folder(made, tmp_path):
     return copy
 
 
-def digested(model, logs, to, *, version="1", **how):
-    return digest_logs(model, logs, to, version=version, **how)
+def digested(model, logs, to, **how):
+    return digest_logs(model, logs, to, **how)
 
 
 def bytes_of(folder):
@@ -113,17 +114,20 @@ def test_settings_of_something_else_are_refused_by_name(model, made, folder):
     own = read_settings(folder)
     cases = {
         "of another model": {"model": replace(model, phi=1.01 * model.phi)},
-        "are of geodrake 1, this is 2": {"version": "2"},
         "have bandwidth .*, and 3 is asked for": {"wanted": Wanted(bandwidth=3.0)},
         "have blocks 4, and 5 is asked for": {"wanted": Wanted(blocks=5)},
         "read otherwise: units differ": {
             "wanted": Wanted(reading=Reading(units={"position": "deg"}))
         },
-        "no columns of wobble": {"wanted": Wanted(extra=(Wobble,))},
+        "effects of your own: none; now there are wobble": {"wanted": Wanted(extra=(Wobble,))},
     }
     for words, how in cases.items():
         with pytest.raises(DigestError, match=words):
             digested(how.pop("model", model), log, folder, **how)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(digest_folder, "version", lambda: "77.0")
+        with pytest.raises(DigestError, match=r"are of geodrake .*, this is 77\.0"):
+            digested(model, log, folder)
     same = Wanted(bandwidth=own.bandwidth, blocks=4)
     assert digested(model, log, folder, wanted=same).rows[0].status == "made"
     for name, content in before.items():
@@ -203,7 +207,7 @@ def test_another_process_makes_the_same_bytes(made, tmp_path):
 
 
 def digest_apart(model, logs, folder):
-    digest_logs(load_model(model), logs, folder, version="1")
+    digest_logs(load_model(model), logs, folder)
 
 
 def test_settings_that_another_run_has_made_meanwhile_are_taken(model, made, folder, tmp_path):
@@ -212,8 +216,6 @@ def test_settings_that_another_run_has_made_meanwhile_are_taken(model, made, fol
     def meanwhile(words, share):
         if asked.append(words) is None and len(asked) == 1:
             other.mkdir()
-
-    from geodrake.fleet import digest_folder
 
     make = digest_folder.make_digest
 
@@ -284,8 +286,9 @@ def test_effects_of_a_users_own_have_columns(model, made, tmp_path):
     named = [column for column in merged.columns if column.name == "wobble"]
     assert {column.where for column in named} == {("shoulder",), ("elbow",)}
     assert run.count("made") == 2
-    with pytest.raises(DigestError, match="wobble, which cannot be made"):
+    with pytest.raises(DigestError, match="of your own: wobble; now there are none"):
         digested(model, logs, tmp_path / "digests")
+    assert digested(model, logs, tmp_path / "digests", wanted=wanted).count("there") == 2
     with pytest.raises(DigestError, match="wobble, which cannot be made"):
         digest_dataset(merged, model)
     assert digest_dataset(merged, model, extra=(Wobble,)).effects

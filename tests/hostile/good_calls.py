@@ -1659,7 +1659,7 @@ def _diagnosis(t):
 def _fleet(t):
     m = geodrake.fleet
     facts = {"content": Free("0" * 64), "files": (PENDULUM,), "date": 1.7e9, "payloads": ()}
-    settings = m.make_settings(t.model, t.log, version="1")
+    settings = m.make_settings(t.model, t.log)
     digest = m.make_digest(t.model, t.log, settings, m.LogFacts("0" * 64, (PENDULUM,)))
     path = folder() / "digest.npz"
     path.write_bytes(m.digest_content(digest))
@@ -1670,7 +1670,7 @@ def _fleet(t):
         "fleet.make_settings",
         Call(
             m.make_settings,
-            {"model": t.model, "log": t.log, "version": Free("1"), "wanted": m.Wanted()},
+            {"model": t.model, "log": t.log, "wanted": m.Wanted()},
             slow=True,
         ),
     )
@@ -1697,7 +1697,6 @@ def _fleet(t):
                 "model": t.model,
                 "logs": (folder() / "digested.csv",),
                 "to": folder() / "digests",
-                "version": Free("1"),
                 "wanted": m.Wanted(),
                 "date": 1.7e9,
                 "payloads": {folder() / "digested.csv": (KnownPayload("lower_link", 0.3),)},
