@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import coupled_arm
 import numpy as np
 import pytest
 from chain_logs import chain_log
@@ -167,6 +168,24 @@ def test_samples_are_worth_what_residuals_of_the_library_say(model, digests, log
         assert np.all(digest.effective < 0.7 * digest.samples)  # friction is missing
     white = digested(model, chain_log(model, 7, seconds=22.0, share=0.3), settings)
     assert np.median(white.effective_share) > 0.7
+
+
+def test_behind_a_transmission_digests_are_exact_and_have_temperatures(tmp_path):
+    arm = coupled_arm.arm(tmp_path)
+    log = coupled_arm.log_of(arm, 1)
+    warm = 20.0 + 3.0 * np.tile(log.time[:, None] / log.time[-1], len(log.joints))
+    log = replace(log, temperature=warm)
+    chosen = make_settings(arm, log)
+    digest = digested(arm, log, chosen)
+    assert_same_normal_matrices(digest_dataset(digest, arm), read_together(arm, [log], chosen))
+    assert "thermal_friction" in {column.name for column in digest.columns}
+    assert np.allclose(digest.logs[0].temperature, 21.5)
+
+
+def test_signals_of_unknown_gain_are_refused(model, logs, settings):
+    currents = replace(logs[1], effort_kinds=dict.fromkeys(model.joints, "current"))
+    with pytest.raises(LogError, match=r"has the current of base_yaw .* identify --save"):
+        digested(model, currents, settings)
 
 
 def test_known_payloads_are_taken_off(model, logs, settings, tmp_path):
