@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from geodrake.effects import FittedEffect, make_effect
 from geodrake.logs import JointLog
 from geodrake.model import RobotModel
+from wrong_columns.limited import follow
 
 Array = NDArray[np.float64]
 
@@ -61,6 +62,9 @@ class Motion:
         friction: Those of dry and viscous friction.
         rotors: Those of the rotors' inertia.
         ratios: (n,) gear ratios.
+        engine: The robot.
+        dry, viscous: (n,) coefficients of the friction.
+        inertia: (n,) of the rotors.
     """
 
     time: Array
@@ -72,6 +76,10 @@ class Motion:
     friction: Array
     rotors: Array
     ratios: Array
+    engine: Engine
+    dry: Array
+    viscous: Array
+    inertia: Array
 
     @property
     def effort(self) -> Array:
@@ -159,6 +167,38 @@ def _motor_side(columns: Columns, motion: Motion, rng: np.random.Generator) -> F
     return replace(columns, effort=columns.effort / motion.ratios), (Secret("effort_gains", ()),)
 
 
+def _limited(falling: bool) -> Wrong:
+    """Efforts that were asked for of a motor that cannot give them, but holds the robot."""
+
+    def wrong(columns: Columns, motion: Motion, rng: np.random.Generator) -> Found:
+        share = rng.uniform(1.3, 2.0) if falling else np.inf
+        fastest = share * np.abs(motion.v).max(axis=0)
+        needed = np.abs(motion.effort) / (1.0 - np.sign(motion.effort) * motion.v / fastest)
+        peak, held = needed.max(axis=0), _HELD * np.abs(motion.weight).max(axis=0)
+        limits = np.maximum(rng.uniform(0.6, 0.8) * peak, held)
+        able = np.flatnonzero(limits < _BITING * peak)
+        j = int(rng.choice(able)) if len(able) else int(np.argmin(limits / peak))
+        most, fastest = float(min(limits[j], _BITING * peak[j])), fastest[j]
+
+        def given(asked: Array, velocity: Array) -> Array:
+            found, share = asked.copy(), velocity[j] / fastest
+            found[j] = max(min(asked[j], most * (1.0 - share)), -most * (1.0 + share))
+            return found
+
+        moved = follow(
+            motion.engine,
+            (motion.time, motion.q, motion.v, motion.a),
+            lambda rate: motion.dry * smooth_sign(rate) + motion.viscous * rate,
+            motion.inertia,
+            given,
+        )
+        gains = columns.effort[-1] / motion.effort[-1]
+        changed = replace(columns, position=moved.q, velocity=moved.v, effort=moved.asked * gains)
+        return changed, (Secret("effort_limit", (j,), float(most * gains[j])),)
+
+    return wrong
+
+
 def _all_times(quantity: str, kind: str, values: tuple[float, ...]) -> Wrong:
     """All columns of a quantity multiplied."""
 
@@ -187,6 +227,7 @@ def _gain(rng: np.random.Generator) -> float:
 
 
 _BOTH = ("position", "velocity")
+_HELD, _BITING = 1.15, 0.85  # limits of motors, of the weight to be held and of what is needed
 MISTAKES: Mapping[str, Wrong] = {
     "sign of an effort": _at_joint(("effort",), "effort_sign", lambda rng: -1.0),
     "sign of a position": _at_joint(_BOTH, "position_sign", lambda rng: -1.0),
@@ -204,6 +245,8 @@ MISTAKES: Mapping[str, Wrong] = {
     "without rotors": _taken_out("rotors", "without_rotor_inertia"),
     "wrong time": _all_times("time", "time", (1.0 / 20.0, 0.1, 4.0, 60.0)),
     "wrong velocities": _all_times("velocity", "velocity_factor", (20.0, 180.0 / np.pi, -1.0)),
+    "limit of a motor": _limited(falling=False),
+    "limit that falls with speed": _limited(falling=True),
     "two at once": _two(
         _at_joint(("effort",), "effort_sign", lambda rng: -1.0),
         _swapped(("effort",), "swapped_efforts"),
@@ -270,14 +313,16 @@ def _moved(
     load, weight = engine.efforts(q, v, a), engine.efforts(q, 0.0 * q, 0.0 * q)
     n = q.shape[1]
     size = load.std(0) * on_robot.uniform(0.05, 0.25, n)
-    friction = size * smooth_sign(v) + 0.5 * size * on_robot.uniform(0.3, 1.5, n) * v
+    viscous = 0.5 * size * on_robot.uniform(0.3, 1.5, n)
+    friction = size * smooth_sign(v) + viscous * v
     if draw.mistake == "spring":
         j = int(on_robot.integers(n))
         friction[:, j] += 0.3 * load[:, j].std() / q[:, j].std() * (q[:, j] - q[:, j].mean())
     if draw.mistake == "load friction":
         friction += 0.1 * np.abs(load) * smooth_sign(v)
-    rotors = load.std(0) * on_robot.uniform(0.1, 0.3, n) / a.std(0) * a
-    return Motion(time, q, v, a, load, weight, friction, rotors, on_robot.uniform(50.0, 160.0, n))
+    inertia = load.std(0) * on_robot.uniform(0.1, 0.3, n) / a.std(0)
+    ratios, own = on_robot.uniform(50.0, 160.0, n), (engine, size, viscous, inertia)
+    return Motion(time, q, v, a, load, weight, friction, inertia * a, ratios, *own)
 
 
 def _stating(model: RobotModel, motion: Motion) -> RobotModel:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from geodrake.diagnosis.columns.limits import MotorLimit
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -34,6 +37,7 @@ class Assignment:
         carrying: Indices of bodies that hold a payload, or are otherwise not as in the model.
         tilted: Whether the base may stand on a slope.
         apart: Indices of joints whose efforts have nothing to do with what the bodies need.
+        limits: What the motors of some joints, by their indices, can give of their efforts.
     """
 
     position: Indices
@@ -48,6 +52,7 @@ class Assignment:
     carrying: frozenset[int] = frozenset()
     tilted: bool = False
     apart: frozenset[int] = frozenset()
+    limits: Mapping[int, MotorLimit] = field(default_factory=dict)
 
     @classmethod
     def as_named(cls, n: int) -> Assignment:
@@ -65,7 +70,17 @@ class Assignment:
     def effort_key(self) -> tuple[object, ...]:
         """What the fit of the efforts depends on."""
         columns = self.effort.tobytes(), self.gain.tobytes()
-        return (*self.motion_key, *columns, self.without, self.carrying, self.tilted, self.apart)
+        beside = self.without, self.carrying, self.tilted, self.apart
+        return (*self.motion_key, *columns, *beside, *self.limits.items())
+
+    def limited(self, joint: int, limit: MotorLimit) -> Assignment:
+        """With a limit of what a joint's motor can give.
+
+        Args:
+            joint: The joint.
+            limit: The limit.
+        """
+        return replace(self, limits={**self.limits, joint: limit})
 
     def swapped(self, i: int, j: int, *, positions: bool, efforts: bool) -> Assignment:
         """With the columns of two joints swapped.

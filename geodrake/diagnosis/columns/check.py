@@ -108,6 +108,10 @@ def _values(before: Assignment, best: Judged) -> tuple[float, ...]:
         return ()
     if kind == "time":
         return (after.time / before.time,)
+    if kind == "effort_limit":
+        limit = after.limits[best.mistake.joints[0]]
+        falls = np.isfinite(limit.no_load_speed)
+        return (limit.effort, limit.no_load_speed) if falls else (limit.effort,)
     at = list(best.mistake.joints or range(len(after.gain)))
     if kind == "position_zero":
         return tuple((after.zero - before.zero)[at].tolist())

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, instances
 from geodrake.diagnosis.columns.finding import ColumnFinding
+from geodrake.diagnosis.columns.limits import MotorLimit
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
 
@@ -65,6 +66,8 @@ def _corrected(log: JointLog, finding: ColumnFinding) -> JointLog:
         return replace(log, **_changed(log, shifted, lambda own: _add(own, at, finding.values)))
     if not finding.is_correctable:
         return log
+    if finding.kind == "effort_limit":
+        return replace(log, effort=_limited(log, at[0], MotorLimit(*finding.values)))
     quantities = _MULTIPLIED[finding.kind.rpartition("_")[0]]
     return replace(log, **_changed(log, quantities, lambda own: _multiply(own, at, finding.values)))
 
@@ -73,6 +76,18 @@ def _changed(log: JointLog, quantities: Sequence[str], change: Any) -> dict[str,
     """Columns of a log, changed in a copy, as far as it has them."""
     found = {name: getattr(log, name) for name in quantities}
     return {name: change(own.copy()) for name, own in found.items() if own is not None}
+
+
+def _limited(log: JointLog, joint: int, limit: MotorLimit) -> Array:
+    """Efforts of which those of one joint are no more than its motor gives."""
+    effort = log.effort.copy()
+    velocity = np.zeros(len(effort))
+    if log.velocity is not None:
+        velocity = log.velocity[:, joint]
+    elif np.isfinite(limit.no_load_speed):
+        velocity = np.gradient(log.position[:, joint], log.time)
+    effort[:, joint] = limit.given(effort[:, joint], velocity)
+    return effort
 
 
 def _swap(own: Array, at: Sequence[int]) -> Array:

@@ -175,6 +175,8 @@ class JointDesign:
         X: (K, m) their columns; at the end known payloads' efforts and all columns of efforts.
         grams: (F, m + 1 + n, m + 1 + n) normal matrices of X, fold by fold.
         peak: (m,) largest entry of each column.
+        beyond: Share of the samples in which more effort was asked for than the motor gives, and
+            the mean square of what was too much.
     """
 
     columns: Indices
@@ -182,6 +184,7 @@ class JointDesign:
     X: Array
     grams: Array
     peak: Array
+    beyond: tuple[float, float] = (0.0, 1.0)
 
     @cached_property
     def total(self) -> Array:
@@ -192,6 +195,35 @@ class JointDesign:
     def summary(self) -> JointDesign:
         """What a fit to all folds needs: one normal matrix, and no samples."""
         return replace(self, X=self.X[:0], grams=self.total[None])
+
+    def asked(
+        self, samples: ColumnSamples, assignment: Assignment, joint: int
+    ) -> tuple[Array, Array]:
+        """Efforts (K,) of the log at the joint, and velocities (K,).
+
+        Args:
+            samples: The samples.
+            assignment: What the columns are.
+            joint: The joint.
+        """
+        velocity = samples.v[self.rows, assignment.position[joint]] * assignment.scale[joint]
+        effort = samples.effort[self.rows, assignment.effort[joint]]
+        return assignment.gain[joint] * effort, velocity / assignment.time
+
+    def limited(self, samples: ColumnSamples, assignment: Assignment, joint: int) -> JointDesign:
+        """With no more effort than the joint's motor gives.
+
+        Args:
+            samples: The samples.
+            assignment: An assignment that says what it gives.
+            joint: The joint.
+        """
+        asked, velocity = self.asked(samples, assignment, joint)
+        limit, X = assignment.limits[joint], self.X.copy()
+        column = len(self.columns) + 1 + assignment.effort[joint]
+        X[:, column] = limit.given(asked, velocity) / assignment.gain[joint]
+        grams = _grams(X, samples.fold[self.rows], samples.folds)
+        return replace(self, X=X, grams=grams, beyond=limit.beyond(asked, velocity))
 
 
 def joint_motion(samples: ColumnSamples, assignment: Assignment) -> tuple[Array, Array, Array]:
@@ -317,11 +349,14 @@ def _local(model: RobotModel, layout: Layout, joint: int) -> Array:
 def _reduced(samples: ColumnSamples, columns: Indices, X: Array, position: int) -> JointDesign:
     rows = np.flatnonzero(samples.used[:, position])
     X = X[rows]
-    fold = samples.fold[rows]
-    parts = [X[fold == f] for f in range(samples.folds)]
-    grams = np.stack([part.T @ part for part in parts])
     peak = np.abs(X[:, : len(columns)]).max(axis=0)
-    return JointDesign(columns, rows, X, grams, peak)
+    return JointDesign(columns, rows, X, _grams(X, samples.fold[rows], samples.folds), peak)
+
+
+def _grams(X: Array, fold: Indices, folds: int) -> Array:
+    """(F, m, m) normal matrices of rows (K, m) of F folds."""
+    parts = [X[fold == f] for f in range(folds)]
+    return np.stack([part.T @ part for part in parts])
 
 
 def nuisance_information(

@@ -28,6 +28,7 @@ from geodrake.diagnosis.columns.design import (
     joint_designs,
     nuisance_information,
 )
+from geodrake.diagnosis.columns.limits import spread
 from geodrake.diagnosis.columns.samples import ColumnSamples
 from geodrake.identification.logs.criteria import LEAST_NOISE, SPREAD
 from geodrake.identification.logs.unknowns import payload_reference
@@ -107,12 +108,13 @@ class ColumnJudge:
     _designs: dict[tuple[object, ...], tuple[JointDesign, ...]] = field(default_factory=dict)
     _screened: dict[tuple[object, ...], ColumnFit] = field(default_factory=dict)
     _summaries: dict[tuple[object, ...], tuple[JointDesign, ...]] = field(default_factory=dict)
+    _limited: dict[tuple[object, ...], JointDesign] = field(default_factory=dict)
     _rows: EffectRows = field(default_factory=dict)
 
     def keep(self, assignment: Assignment) -> None:
         """Keep the designs for the motion of an assignment, and forget all others."""
-        self._designs = {assignment.motion_key: self.designs(assignment)}
-        self._screened = {}
+        self._designs = {assignment.motion_key: self._unlimited(assignment)}
+        self._screened, self._limited = {}, {}
 
     def designs(self, assignment: Assignment) -> tuple[JointDesign, ...]:
         """Normal matrices for the motion of an assignment, fold by fold.
@@ -120,8 +122,24 @@ class ColumnJudge:
         Args:
             assignment: The assignment.
         """
+        return self._within_limits(assignment, self._unlimited(assignment))
+
+    def _unlimited(self, assignment: Assignment) -> tuple[JointDesign, ...]:
+        """Those of efforts as they are in the log."""
         found = self._designs.get(assignment.motion_key)
         return self._made(assignment, slopes=True) if found is None else found
+
+    def _within_limits(
+        self, assignment: Assignment, designs: tuple[JointDesign, ...]
+    ) -> tuple[JointDesign, ...]:
+        """Those of efforts that motors can give."""
+        found = list(designs)
+        for j, limit in assignment.limits.items():
+            key = (*assignment.motion_key, j, assignment.effort[j], assignment.gain[j], limit)
+            if key not in self._limited:
+                self._limited[key] = designs[j].limited(self.samples, assignment, j)
+            found[j] = self._limited[key]
+        return tuple(found)
 
     def summaries(self, assignment: Assignment, *, slopes: bool) -> tuple[JointDesign, ...]:
         """Those of all folds together, which further fits of the same motion find again.
@@ -131,11 +149,13 @@ class ColumnJudge:
             slopes: Whether errors of zeros have their columns.
         """
         if kept := self._designs.get(assignment.motion_key):
-            return kept
-        key = (*assignment.motion_key, slopes)
+            return self._within_limits(assignment, kept)
+        limited = {j: assignment.gain[j] for j in assignment.limits}
+        key = (*assignment.motion_key, slopes, *assignment.limits.items(), *limited.items())
         found = self._summaries.get(key)
         if found is None:
-            found = tuple(d.summary for d in self._made(assignment, slopes=slopes))
+            made = self._made(assignment, slopes=slopes)
+            found = tuple(d.summary for d in self._within_limits(assignment, made))
             each = sum(design.grams.nbytes for design in found)
             if (len(self._summaries) + 1) * each < _MOST_KEPT:
                 self._summaries[key] = found
@@ -197,6 +217,21 @@ class ColumnJudge:
             effective, mse = base.effective, base.mse
         first = system.fitted(effective, _ROUNDS, mse, held_out=False)
         return system.fitted(system.effective(first), _ROUNDS, first.mse, start=first.x)
+
+    def needed(self, fit: ColumnFit) -> list[Array]:
+        """Per joint (K,) efforts that bodies and effects of a fit need.
+
+        Args:
+            fit: A fit to the kept samples.
+        """
+        assignment, designs = fit.assignment, self.designs(fit.assignment)
+        left = _System.of(self, designs, assignment, ()).residuals(fit)
+        return [
+            r + gain * design.X[:, len(design.columns) + 1 + column]
+            for r, design, gain, column in zip(
+                left, designs, assignment.gain, assignment.effort, strict=True
+            )
+        ]
 
     def spared(self, base: ColumnFit, parameters: Indices) -> float:
         """What a fit pays for parameters that data say and the prior does not, as evidence does.
@@ -342,7 +377,7 @@ class _System:
             x = np.where(held, lower, x)
             mse = np.maximum(_squares(self.totals, x) / samples, least)
         far, by_column = x - self.mean, np.zeros(len(samples))
-        by_column[assignment.effort] = mse / scale
+        by_column[assignment.effort] = self._spread(mse) / scale
         return ColumnFit(
             assignment,
             x,
@@ -457,16 +492,26 @@ class _System:
                 squares += _squares(own, self._stepped(x, to))
             mse = squares / samples
         by_column, own = np.zeros((2, len(samples)))
-        by_column[assignment.effort] = np.maximum(mse, least) / scale
-        own[assignment.effort] = np.maximum(fitted, least) / scale
+        by_column[assignment.effort] = self._spread(np.maximum(mse, least)) / scale
+        own[assignment.effort] = self._spread(np.maximum(fitted, least)) / scale
         rates, prior = self.judge.rate_errors(assignment), self.prior_cost(x)
         return ColumnFit(assignment, x, by_column, effective, rates, prior, own)
 
+    def _spread(self, mse: Array) -> Array:
+        """(n,) mean squared errors, those of efforts beyond a limit counted as they are."""
+        pairs = zip(mse.tolist(), self.designs, strict=True)
+        return np.array([spread(error, design.beyond) for error, design in pairs])
+
+    def residuals(self, fit: ColumnFit) -> list[Array]:
+        """Per joint (K,) what is needed by a fit, less the efforts."""
+        return [
+            design.X @ (T @ np.append(fit.x[columns], -1.0))
+            for columns, T, design in zip(self.columns, self.maps, self.designs, strict=True)
+        ]
+
     def effective(self, fit: ColumnFit) -> Array:
         """(n,) independent samples that the residuals of each column of efforts are worth."""
-        left = []
-        for columns, T, design in zip(self.columns, self.maps, self.designs, strict=True):
-            left.append(design.X @ (T @ np.append(fit.x[columns], -1.0)))
+        left = self.residuals(fit)
         found = np.zeros(len(left))
         rows = [design.rows for design in self.designs]
         found[self.assignment.effort] = self.judge.samples.effective(left, rows)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.design import joint_motion
 from geodrake.diagnosis.columns.fit import ColumnFit, ColumnJudge
+from geodrake.diagnosis.columns.limits import likely_limits
 from geodrake.robot.regressor import inverse_dynamics
 
 Array = NDArray[np.float64]
@@ -36,6 +37,7 @@ class ColumnMistake:
         value: Its size, where it has one.
         free: Parameters of small errors that are to be found large, if its size is to be found.
         times: The columns whose factor was found, if it is no small error.
+        numbers: How many other numbers were found.
         spared: What a fit pays for numbers that are none without the mistake.
         price: Numbers that the data say of what is no mistake in columns.
     """
@@ -46,13 +48,14 @@ class ColumnMistake:
     value: float = np.nan
     free: tuple[int, ...] = ()
     times: str = ""
+    numbers: int = 0
     spared: float = 0.0
     price: float = 0.0
 
     @property
     def sizes(self) -> int:
         """How many numbers are found in the data."""
-        return len(self.free) + bool(self.times)
+        return len(self.free) + bool(self.times) + self.numbers
 
 
 def mistakes(judge: ColumnJudge, base: ColumnFit) -> list[ColumnMistake]:
@@ -62,7 +65,8 @@ def mistakes(judge: ColumnJudge, base: ColumnFit) -> list[ColumnMistake]:
         judge: The fits' samples.
         base: The fit by what is known of the columns.
     """
-    found = [*_efforts(judge, base), *_positions(judge, base), *_velocities(judge, base)]
+    found = [*_efforts(judge, base), *_limits(judge, base)]
+    found += [*_positions(judge, base), *_velocities(judge, base)]
     return [*found, *_zeros(judge, base), *_clocks(judge, base), *_bodies(judge, base)]
 
 
@@ -117,6 +121,20 @@ def _efforts(judge: ColumnJudge, base: ColumnFit) -> Iterator[ColumnMistake]:
             gone = judge.parameters.stated(name)
             kind, spared = f"without_{name.replace(' ', '_')}", judge.spared(base, gone)
             yield ColumnMistake(kind, (), without, spared=spared)
+
+
+def _limits(judge: ColumnJudge, base: ColumnFit) -> Iterator[ColumnMistake]:
+    """Efforts that were asked for of motors that cannot give them."""
+    start, samples = base.assignment, judge.samples
+    for j, (needed, design) in enumerate(
+        zip(judge.needed(base), judge.designs(start), strict=True)
+    ):
+        if j in start.limits:
+            continue
+        asked, velocity = design.asked(samples, start, j)
+        for limit in likely_limits(asked, needed, velocity):
+            numbers = 1 + int(np.isfinite(limit.no_load_speed))
+            yield ColumnMistake("effort_limit", (j,), start.limited(j, limit), numbers=numbers)
 
 
 def _positions(judge: ColumnJudge, base: ColumnFit) -> Iterator[ColumnMistake]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.design import Parameters
 from geodrake.diagnosis.columns.fit import ColumnFit, ColumnJudge
+from geodrake.diagnosis.columns.limits import MotorLimit, nearest_limit
 from geodrake.diagnosis.columns.proposals import ColumnMistake, mistakes
 from geodrake.diagnosis.columns.samples import ColumnSamples
 from geodrake.identification.logs.criteria import PENALTY
@@ -145,6 +146,8 @@ class ColumnSearch:
 
     def _refined(self, mistake: ColumnMistake, base: ColumnFit) -> tuple[ColumnMistake, ColumnFit]:
         """A mistake of the size that fits best, and the fit."""
+        if mistake.kind == "effort_limit":
+            return self._of_nearest_limit(mistake, base)
         parameters, assignment = self.judge.parameters, mistake.assignment
         zeros, gains, free = parameters.zeros(), parameters.gains(), list(mistake.free)
         for _ in range(_STEPS if free else 0):
@@ -157,6 +160,19 @@ class ColumnSearch:
                 break
         fit = self.judge.fit(assignment, base)
         return replace(mistake, assignment=assignment), fit
+
+    def _of_nearest_limit(
+        self, mistake: ColumnMistake, base: ColumnFit
+    ) -> tuple[ColumnMistake, ColumnFit]:
+        """The limit of its kind with which the bodies explain most, and the fit by it."""
+        (j,), start = mistake.joints, mistake.assignment
+
+        def cost(limit: MotorLimit) -> float:
+            fit = self.judge.quick(start.limited(j, limit), base)
+            return -fit.gain_over(base, self._of_rates)
+
+        assignment = start.limited(j, nearest_limit(start.limits[j], cost))
+        return replace(mistake, assignment=assignment), self.judge.fit(assignment, base)
 
 
 def _is_promising(entry: Entry, gain: float) -> bool:

@@ -52,6 +52,12 @@ def _effort_words(kind: str, where: str, values: Sequence[float], *, all_joints:
         return f"the effort of {where} has the wrong sign"
     if kind == "effort_unit":
         return f"the efforts of {where} are in {'N·mm or mN' if factor < 1.0 else 'kN·m or kN'}"
+    if kind == "effort_limit":
+        falls = f" at rest, and none at a speed of {values[1]:.3g}" if len(values) > 1 else ""
+        return (
+            f"the efforts of {where} are what was asked for: its motor gives at most "
+            f"{factor:.4g}{falls}"
+        )
     if kind == "effort_gains":
         gains = ", ".join(f"{value:.3g}" for value in values)
         side = ": torques of the motors, or currents" if min(map(abs, values)) > _GEARED else ""
@@ -81,6 +87,8 @@ def mistake_advice(kind: str, joints: Sequence[str], values: Sequence[float]) ->
         joints: Names of the joints.
         values: What corrects it.
     """
+    if kind == "effort_limit":
+        return "Log what the motor gives, or let --correct-columns keep the efforts to the limit."
     if kind.startswith("effort"):
         each = zip(joints, values, strict=True)
         found = " ".join(f"--gain {joint}={value:.4g}" for joint, value in each)

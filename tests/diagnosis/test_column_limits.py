@@ -1,0 +1,93 @@
+"""Efforts that were asked for of motors that give less: simulated, named, and kept to the limit."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geodrake.control.motors import MotorConstants, motor_torque, steady_current
+from geodrake.diagnosis import check_columns, corrected
+from geodrake.diagnosis.columns.limits import MotorLimit, likely_limits, spread
+from geodrake.diagnosis.columns.words import mistake_words
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "diagrams"))
+
+from wrong_columns.logs import WrongLog, make_log
+
+
+def made(mistake, robot="double_pendulum", number=0, motion="fast", duration=8.0):
+    return make_log(WrongLog(mistake, robot, "mujoco", motion, number, 3, duration))
+
+
+class TestLimit:
+    def test_is_that_of_a_motor_on_a_voltage(self):
+        """Of which no more than 24 V acts, as the law of direct-current motors has it."""
+        rng = np.random.default_rng(0)
+        kt, ke, resistance, ratio, most = 0.05, 0.04, 0.8, 30.0, 24.0
+        one = np.ones(200)
+        constants = MotorConstants(
+            *(value * one for value in (kt, ke, resistance, ratio, 0.0, most, np.inf))
+        )
+        v, voltage = rng.uniform(-15.0, 15.0, 200), rng.uniform(-60.0, 60.0, 200)
+        free = replace(constants, voltage_limit=np.inf * one)
+        asked, given = (
+            motor_torque(own, steady_current(own, voltage, v)) for own in (free, constants)
+        )
+        limit = MotorLimit(ratio * kt * most / resistance, most / (ratio * ke))
+        np.testing.assert_allclose(limit.given(asked, v), given, atol=1e-9)
+        share, square = limit.beyond(asked, v)
+        assert share == np.mean(np.abs(voltage) > most)
+        assert square * share == pytest.approx(np.mean((asked - given) ** 2))
+
+    def test_what_is_never_beyond_is_as_it_was(self):
+        assert spread(0.3, (0.0, 1.0)) == 0.3
+        assert spread(0.25, (0.5, 1.0)) == pytest.approx(0.5)
+        assert MotorLimit(2.0).beyond(np.array([-1.0, 2.0]), np.zeros(2)) == (0.0, 1.0)
+
+    @pytest.mark.parametrize("most", [0.8, 1.5])
+    def test_none_is_likely_where_efforts_are_what_is_needed(self, most):
+        """But one at the top of the efforts, which cuts noise off."""
+        rng, time = np.random.default_rng(1), np.linspace(0.0, 20.0, 2000)
+        needed, v = 2.0 * np.sin(time), np.cos(0.7 * time)
+        right = likely_limits(needed + 0.02 * rng.normal(size=2000), needed, v)
+        assert all(limit.effort > 1.98 for limit in right)
+        given = np.clip(needed, -most, most)
+        (flat, _) = likely_limits(needed, given + 0.02 * rng.normal(size=2000), v)
+        assert flat.effort == pytest.approx(most, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "robot", "number"),
+    [
+        ("limit of a motor", "double_pendulum", 0),
+        ("limit that falls with speed", "double_pendulum", 0),
+        pytest.param("limit of a motor", "arm6", 1, marks=pytest.mark.thorough),
+        pytest.param("limit that falls with speed", "arm6", 1, marks=pytest.mark.thorough),
+    ],
+)
+def test_named_and_corrected(mistake, robot, number):
+    model, log, (secret,) = made(mistake, robot, number)
+    (found,) = check_columns(model, [log])
+    joint = secret.joints[0]
+    assert (found.kind, found.joints) == ("effort_limit", (model.joints[joint],))
+    falls = mistake == "limit that falls with speed"
+    assert len(found.values) == 1 + falls
+    assert found.values[0] == pytest.approx(secret.value, rel=0.1)
+    assert ("none at a speed of" in str(found)) == falls
+    after = corrected(log, [found])
+    changed = np.flatnonzero((after.effort != log.effort).any(axis=0))
+    assert changed.tolist() == [joint]
+    v = log.velocity[:, joint] / (found.values[1] if falls else np.inf)
+    most = found.values[0] * (1.0 - np.sign(log.effort[:, joint]) * v)
+    assert (np.abs(after.effort[:, joint]) <= most + 1e-12).all()
+    assert check_columns(model, [after]) == ()
+    if falls:
+        alone = corrected(replace(log, velocity=None), [found]).effort[:, joint]
+        np.testing.assert_allclose(alone, after.effort[:, joint], atol=0.02 * secret.value)
+
+
+def test_words_say_the_limit():
+    said = mistake_words("effort_limit", ["elbow"], (30.0,), all_joints=False)
+    assert said == "the efforts of elbow are what was asked for: its motor gives at most 30"
