@@ -282,9 +282,8 @@ def test_pinocchio_with_bodies_off(case, seed):
             assert steps["effort_delay"][joint]["delay"] == pytest.approx(delay, abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    "name", ["double_pendulum", pytest.param("arm6", marks=pytest.mark.thorough)]
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["double_pendulum", "arm6"])
 def test_one_joint_later_than_all_others(name):
     """All are late, and one of them twice as much: every joint's delay is told."""
     rng, file = np.random.default_rng(6), robot(name)

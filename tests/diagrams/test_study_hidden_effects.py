@@ -185,48 +185,32 @@ class TestWhatItMustShow:
         assert sum(not row["extra"] for row in rows) >= len(names) - few
         assert np.median([row["over_floor"] for row in rows]) < 1.1
 
-    @pytest.mark.sampled(2)
+    @pytest.mark.thorough
     @pytest.mark.parametrize(
         ("case", "hidden", "number", "seed", "fixed"),
         [
             # The friction hides the spring, and the spring the friction: neither convinces alone.
-            pytest.param(
-                *("two", ("joint_spring", "viscous_friction"), 7, 8, {"robot": "panda"}),
-                marks=pytest.mark.thorough,
-            ),
+            ("two", ("joint_spring", "viscous_friction"), 7, 8, {"robot": "panda"}),
             # Before the pair is known, bounded friction and bristles fit better than either.
-            pytest.param(
-                *("two", ("gravity_compensator", "viscous_friction"), 3, 11, {"robot": "panda"}),
-                marks=pytest.mark.thorough,
-            ),
+            ("two", ("gravity_compensator", "viscous_friction"), 3, 11, {"robot": "panda"}),
             # An offset leaves several times the squared error, most of it in a few folds.
-            pytest.param(
-                *("one", ("gravity_compensator",), 2, 8, {"robot": "arm7"}),
-                marks=pytest.mark.thorough,
-            ),
+            ("one", ("gravity_compensator",), 2, 8, {"robot": "arm7"}),
             # The load changes its sign in five of eight folds.
-            pytest.param(
-                *("one", ("backlash",), 2, 9, {"robot": "panda"}),
-                marks=pytest.mark.thorough,  # as the other robots of test_soft_joints.py
-            ),
+            ("one", ("backlash",), 2, 9, {"robot": "panda"}),
             # Single rotors do as well, beside a body that cannot be.
             ("one", ("coupled_rotor_inertia",), 1, 18, {"robot": "double_pendulum"}),
             # Bodies that may move take the payload in: then only the other effect is found.
             ("two", ("payload", "joint_spring"), 9, 103, {"robot": "double_pendulum"}),
-            pytest.param(
-                *("two", ("payload", "effort_delay"), 0, 111, {"robot": "arm7", "prior": "exact"}),
-                marks=pytest.mark.thorough,
-            ),
+            ("two", ("payload", "effort_delay"), 0, 111, {"robot": "arm7", "prior": "exact"}),
             # Bodies that may not move at all make one more rotor of what they are off.
-            pytest.param(
-                *("two", ("rotor_inertia", "payload"), 5, 103, {"robot": "panda"}),
-                marks=pytest.mark.thorough,
-            ),
+            ("two", ("rotor_inertia", "payload"), 5, 103, {"robot": "panda"}),
             # On a coarse grid of exponents v and v² stand for |v|^1.7.
-            pytest.param(
-                *("two", ("nonlinear_viscous_friction", "load_dependent_friction"), 8, 102),
+            (
+                "two",
+                ("nonlinear_viscous_friction", "load_dependent_friction"),
+                8,
+                102,
                 {"robot": "arm7"},
-                marks=pytest.mark.thorough,  # as are TestShapes of test_search.py
             ),
         ],
     )

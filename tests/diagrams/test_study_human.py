@@ -66,6 +66,7 @@ def test_residuals_and_bodies(tables):
         assert row["starts_agree"] in ((True,) if row["regularizer"] == "riemannian" else (None,))
 
 
+@pytest.mark.thorough
 @NEEDED
 def test_residual_without_the_total_mass_is_what_others_computed():
     human = Human.read(DATA / "human_force_plate.npz")
