@@ -123,6 +123,7 @@ def test_a_sensor_that_fails_for_a_while(kind, fault):
     assert np.abs(logs["parameters"][-1] - during[0]).max() > 1e-5  # and goes on after it
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "kind", ["varying", pytest.param("accelerated", marks=pytest.mark.thorough)]
 )

@@ -106,6 +106,7 @@ def test_the_true_servos_move_the_model_as_the_robot(arm):
         assert joint.moved > 0.05
 
 
+@pytest.mark.thorough
 def test_wrong_servos_depart(arm):
     log, model = arm
     silent = without_efforts(log, "a", "b")
@@ -149,6 +150,7 @@ def test_servos_at_motors_behind_gears(arm):
     assert command_rollout(geared, [turned], most=2, horizon=0.2).relative < 0.01
 
 
+@pytest.mark.thorough
 def test_joints_without_a_servo_get_their_efforts(arm):
     log, model = arm
     mixed = replace(model, effort_signals=model.effort_signals[:1])

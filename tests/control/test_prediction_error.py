@@ -111,6 +111,7 @@ def test_a_step_is_by_the_sum_of_both_covectors():
     np.testing.assert_array_equal(system.parameters(system.CreateDefaultContext()), perturbed(0.2))
 
 
+@pytest.mark.thorough
 def test_without_excitation_nothing_diverges():
     """At rest and with noise: what no motion shows stays where it is."""
     found = []

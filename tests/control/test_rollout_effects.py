@@ -196,6 +196,7 @@ class Unbent(Hysteresis):
 class TestHysteresis:
     angle, size = 0.4, 2.0
 
+    @pytest.mark.thorough
     def test_starts_as_bent_as_the_motion_left_it(self, pendulum):
         log = swung(
             "bristles",

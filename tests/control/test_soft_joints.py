@@ -210,6 +210,7 @@ def test_rollouts_have_play(pendulum):
     assert np.median(found) < 0.4 * np.median(rigid)
 
 
+@pytest.mark.thorough
 def test_a_link_is_thrown_from_side_to_side(pendulum):
     """The same sides and motors, written out for scipy."""
     gap, size, rate = 0.02, 3.0, 14.0

@@ -79,6 +79,7 @@ class TestCandidates:
         assert "coupled_rotor_inertia" in first.effect.split(" + ")
         assert first.where == SECOND_AND_LAST
 
+    @pytest.mark.thorough
     def test_under_friction_of_the_joints(self):
         belt = shared(1, 3, 1, lambda w, _: 0.3 * sign(w))
         size = np.array([1.0, 1.0, 0.3, 0.3])

@@ -80,6 +80,7 @@ def test_without_a_step_the_model_stays(model):
     assert found.model is model
 
 
+@pytest.mark.thorough
 def test_velocities_that_nobody_filled_in(model):
     log = pendulum_log(10, friction((0.5, 0.2)))
     empty = replace(log, velocity=np.zeros_like(log.position))

@@ -69,6 +69,7 @@ class TestPlaces:
         floor = NOISE * design_filter(1 / 200.0, BANDWIDTH).noise_gain
         np.testing.assert_allclose([joint.rms for joint in found.end.joints], floor, rtol=0.15)
 
+    @pytest.mark.thorough
     def test_candidates_err_as_they_do_when_they_are_added(self):
         """Those that help stand between others that do not: none has the evidence of another."""
         log = pendulum_log(1, friction((0.2, 0.1), (0.15, 0.0)), seconds=20.0)
@@ -299,6 +300,7 @@ class TestTies:
 
 
 class TestShapes:
+    @pytest.mark.thorough
     def test_exponents_lie_between_those_of_the_grid(self):
         """Exactly at both joints: v and v² together would stand for them on the grid."""
 
@@ -310,6 +312,7 @@ class TestShapes:
         for values in found.steps[0].parameters.values():
             assert values["exponent"] == pytest.approx(1.7, rel=0.02)
 
+    @pytest.mark.thorough
     def test_exponents_next_to_one_are_reached(self):
         found = explained(pendulum_log(9, at_elbow(power(1.4))))
         (step,) = [s for s in found.steps if s.effect == "nonlinear_viscous_friction"]

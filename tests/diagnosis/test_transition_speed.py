@@ -72,6 +72,7 @@ def test_another_log_needs_nothing_more(faded):
     assert found.end.nrms < 0.02
 
 
+@pytest.mark.thorough
 def test_dry_friction_that_is_known_is_seen_to_fade(model, faded):
     jumping = replace(faded.model, fading_speed=None)
     found = explain(jumping, [rubbing(3, 0.02).log])
@@ -117,6 +118,7 @@ def test_controllers_know_it(model):
     np.testing.assert_allclose(regressor @ control.prior, expected, rtol=1e-9)
 
 
+@pytest.mark.thorough
 def test_friction_that_jumps_is_left_alone(model):
     found = explain(model, [rubbing(1, 1e-4).log])
     (step,) = found.steps

@@ -222,6 +222,7 @@ class TestWhatItMustShow:
         assert not row["extra"]
         assert row["over_floor"] < 1.1
 
+    @pytest.mark.thorough
     @pytest.mark.parametrize(
         ("case", "hidden", "number", "seed"),
         [
@@ -264,6 +265,7 @@ class TestWhatItMustShow:
         assert row["right_joint"]
         assert row["right_correlate"]
 
+    @pytest.mark.thorough
     def test_a_hose_that_free_bodies_follow(self):
         """It goes with the pendulum's weight, so that bodies spread it over both joints."""
         hose = "hose on the sum of two angles"

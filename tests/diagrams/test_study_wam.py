@@ -132,6 +132,7 @@ class TestFullAdaptation:
         for law in laws.LAWS[1:]:
             assert 0.0 <= adapted[law]["rise"] < 1e-3
 
+    @pytest.mark.thorough
     @pytest.mark.parametrize("speed", [3.0, 30.0])
     def test_natural_is_physical_at_100_hz_even_when_lost(self, speed):
         draw = full.Draw(full.STEP, laws.NATURAL, speed, 0.4, 0, 1e-2, (0.8,))

@@ -256,6 +256,7 @@ def test_contradictory_constraints_are_named(regularizer, solver):
             )
 
 
+@pytest.mark.thorough
 @pytest.mark.measurements("data/human_force_plate.npz")
 def test_human_residuals_match_for_all_regularizers():
     human = np.load(DATA / "human_force_plate.npz")

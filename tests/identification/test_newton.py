@@ -352,6 +352,7 @@ def test_what_newton_refuses():
         solve_newton(replace(problem, constraints=negative))
 
 
+@pytest.mark.thorough
 @pytest.mark.measurements("data/human_force_plate.npz")
 def test_the_human_as_clarabel_has_it():
     human = np.load(DATA / "human_force_plate.npz")

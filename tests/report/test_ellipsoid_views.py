@@ -84,6 +84,7 @@ def test_the_skeleton_goes_from_joint_to_joint(model, context):
     assert np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).min() > 1e-6
 
 
+@pytest.mark.thorough
 def test_the_figure_has_a_panel_for_each_set_and_marks_the_boundary(model):
     sets = [
         EllipsoidSet.of("prior", model.phi),
