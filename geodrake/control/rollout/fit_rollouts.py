@@ -15,7 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.control.rollout.fit_results import FittedValue, RolloutFit
-from geodrake.control.rollout.motion_search import MotionSearch
+from geodrake.control.rollout.motion_search import (
+    MotionSearch,
+    SearchWindow,
+    blind_to,
+    blinds,
+)
 from geodrake.control.rollout.near_motion import NearMotion
 from geodrake.control.rollout.passages import Passage
 from geodrake.control.rollout.results import Rollout
@@ -40,6 +45,8 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_BROKEN = 1e3  # rad or m, by which a simulation departs that broke off
+_FEWEST = 2  # windows to fit, and to test
 _BLOCKS = 4  # of the windows of one log, every other of which is held out
 
 
@@ -79,27 +86,32 @@ def fit_rollouts(
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
     passages = chosen_passages(case, horizon, most)
     tested = held_out([passage.log for passage in passages])
-    given = {"horizon": horizon, "most": most}
-    before = case_rollout(case, **given, progress=_named("before", progress))
-    fitted = _usable(before) & ~tested
-    if not (fitted.sum() >= 2 and (_usable(before) & tested).sum() >= 2):
+    before = case_rollout(case, horizon=horizon, most=most, progress=_named("before", progress))
+    usable = _usable(before)
+    fitted, seen = np.flatnonzero(usable & ~tested), np.flatnonzero(usable & tested)
+    if min(len(fitted), len(seen)) < _FEWEST:
         raise LogError(
-            f"There are {int(fitted.sum())} windows to fit and {int(tested.sum())} to test in "
-            "which the robot moves and can be simulated; there must be two of each.",
+            f"There are {len(fitted)} windows to fit and {len(seen)} to test in which the robot "
+            f"moves and can be simulated; there must be {_FEWEST} of each.",
             advice="Give a longer log, a shorter horizon, or more windows.",
         )
     if progress is not None:
         progress("fitting", 0.5)
-    found, shares = _search(case, values, passages, before, fitted).fit()
-    better = _better_model(case.model, values, found, found * shares)
-    after = case_rollout(replace(case, model=better), **given, progress=_named("after", progress))
-    chance = _chance(before, after, tested)
+    windows = _windows(case, passages, before)
+    x, deviations = MotionSearch(case.model, values, [windows[k] for k in fitted]).fit()
+    found = np.array([value.value for value in values]) * np.exp(x)
+    better = _better_model(case.model, values, found, found * deviations)
+    after = case_rollout(
+        replace(case, model=better), horizon=horizon, most=most, progress=_named("after", progress)
+    )
+    departures = [after.windows[k].simulated - passages[k].logged for k in seen]
+    chance = _chance(MotionSearch(case.model, values, [windows[k] for k in seen]), x, departures)
     taken = chance <= Criteria().tie and not _departs_more(before, after, tested)
     return RolloutFit(
         better if taken else case.model,
         tuple(
-            FittedValue(v.effect, v.joint, v.name, v.value, float(x), float(x * share))
-            for v, x, share in zip(values, found, shares, strict=True)
+            FittedValue(v.effect, v.joint, v.name, v.value, float(now), float(now * share))
+            for v, now, share in zip(values, found, deviations, strict=True)
         ),
         before,
         after,
@@ -121,25 +133,16 @@ def held_out(logs: Sequence[str]) -> Mask:
     return np.arange(len(logs)) * _BLOCKS // max(len(logs), 1) % 2 == 1
 
 
-def _search(
-    case: Case,
-    values: tuple[RolloutValue, ...],
-    passages: Sequence[Passage],
-    before: Rollout,
-    fitted: Mask,
-) -> MotionSearch:
-    """What is fitted, ready to be."""
-    chosen = [passages[k] for k in np.flatnonzero(fitted)]
-    simulations, laws, near = Simulations(case, chosen), [], []
-    for passage in chosen:
+def _windows(case: Case, passages: Sequence[Passage], before: Rollout) -> list[SearchWindow]:
+    """All windows, ready to be simulated with other soft joints."""
+    simulations, found = Simulations(case, passages), []
+    for passage, window in zip(passages, before.windows, strict=True):
         simulation = simulations(passage.log)
         if isinstance(simulation, Simulation):  # as it is wherever joints are soft
-            laws.append(simulation.law)
             known = simulations.sign_width, simulations.temperatures(passage.log)
-            near.append(NearMotion.of(simulations.model(passage.log), laws[-1], passage, *known))
-    departures = [before.windows[k].departure for k in np.flatnonzero(fitted)]
-    moved = np.array([joint.moved for joint in before.joints])
-    return MotionSearch(case.model, values, laws, near, departures, moved)
+            near = NearMotion.of(simulations.model(passage.log), simulation.law, passage, *known)
+            found.append(SearchWindow(simulation.law, near, window.simulated - passage.logged))
+    return found
 
 
 def _better_model(
@@ -170,21 +173,34 @@ def _usable(rollout: Rollout) -> Mask:
     return np.array([bool(np.isfinite(window.simulated).all()) for window in rollout.windows])
 
 
-def _losses(rollout: Rollout, windows: Mask) -> Array:
-    """(W, nv) mean squared departures of some windows, infinite where a simulation broke off."""
-    chosen = [window for window, taken in zip(rollout.windows, windows, strict=True) if taken]
-    return np.array([np.mean(np.square(np.nan_to_num(w.departure, nan=np.inf)), 0) for w in chosen])
+def _chance(search: MotionSearch, x: Array, after: Sequence[Array]) -> float:
+    """Chance that held-out windows are truly predicted no better than before.
 
+    They are compared at the joints whose values are fitted: others feel them too, but there they
+    are lost in larger errors. Either model may begin with other states, by its own dynamics.
 
-def _chance(before: Rollout, after: Rollout, tested: Mask) -> float:
-    """Chance that the held-out windows are truly predicted no better than before."""
-    seen = tested & _usable(before)
-    losses = [_losses(rollout, seen) for rollout in (before, after)]
-    mean = np.maximum(losses[0].mean(axis=0), np.finfo(float).tiny)
-    earlier, later = (np.minimum(loss / mean, 1e12).sum(axis=1) for loss in losses)
-    if not later.sum() < earlier.sum():
+    Args:
+        search: The windows, none of which was fitted.
+        x: (k,) logarithms of the values over those before.
+        after: Of each window (N, nv) simulated − logged positions afterwards.
+    """
+    before, now = ([slopes for _, slopes in search.near(y, slopes=True)] for y in (0.0 * x, x))
+    departures = [window.departure for window in search.windows]
+    earlier = blinds(before, departures)
+    scale = earlier[0].scale
+    later = [blind_to(each, scale) for each in now]
+    joints = list(search.model.joints)
+    own = sorted({joints.index(value.joint) for value in search.values})
+    losses = [
+        np.array([np.sum(np.square(blind(d).reshape(d.shape)[:, own])) for blind, d in pairs])
+        for pairs in (
+            zip(earlier, departures, strict=True),
+            zip(later, [np.nan_to_num(d, nan=_BROKEN) for d in after], strict=True),
+        )
+    ]
+    if not losses[1].sum() < losses[0].sum():
         return 1.0
-    return tie_probability(later, earlier)
+    return tie_probability(losses[1], losses[0])
 
 
 def _departs_more(before: Rollout, after: Rollout, tested: Mask) -> bool:

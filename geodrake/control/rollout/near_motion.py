@@ -128,25 +128,35 @@ class NearMotion:
             motion_before(model, passage, sign_width),
         )
 
-    def departure(self, effects: Sequence[FittedEffect], couplings: Sequence[Coupling]) -> Array:
-        """(N, nv) simulated − measured positions of the motors, rad or m.
+    def departure(
+        self,
+        effects: Sequence[FittedEffect],
+        couplings: Sequence[Coupling],
+        *,
+        slopes: bool = False,
+    ) -> tuple[Array, Array]:
+        """(N, nv) simulated − measured positions of the motors, rad or m, and slopes (N, nv, k).
 
         Args:
             effects: All effects, for where links in dead bands begin.
             couplings: What holds motors and links together.
+            slopes: Whether those with positions and velocities of all links and motors at the start
+                are asked for; there are none (k = 0) if not.
         """
         lag, rate = self._start(effects, couplings)
-        n = self.rest.shape[1] - len(self.soft)
-        start = np.zeros((2, self.rest.shape[1]))
-        start[0, self.soft], start[1, self.soft] = -lag, -rate
+        s = self.rest.shape[1]
+        n = s - len(self.soft)
+        start = np.zeros((2, s, 1 + (2 * s if slopes else 0)))
+        start[0, self.soft, 0], start[1, self.soft, 0] = -lag, -rate
+        start[:, :, 1:] = np.eye(2 * s)[:, : start.shape[2] - 1].reshape(2, s, -1)
         held = np.array([[c.stiffness, c.play, c.damping, c.ramp] for c in couplings])
-        out = np.empty_like(self.rest)
+        out = np.empty((len(self.rest), *start.shape[1:]))
         steps = max(1, int(np.ceil(self.period / _STEP)))
         equations = self.rest, self.inertia, self.damping, self.stiffness
         calc_near_motion(equations, (self.period, steps), (self.soft, held), start, out)
         found = out[:, :n].copy()
         found[:, self.soft] = out[:, n:]
-        return found
+        return found[..., 0], found[..., 1:]
 
     def _start(
         self, effects: Sequence[FittedEffect], couplings: Sequence[Coupling]
@@ -194,16 +204,16 @@ def calc_near_motion(
     start: Array,
     out: Array,
 ) -> None:
-    """Writes how far links and motors (N, s) are from the measured motion, by the midpoint rule.
+    """Writes how far links and motors are from the measured motion, by the midpoint rule.
 
-    Couplings are linear within a step.
+    Couplings are linear within a step. Beside the motion, changes of it are followed.
 
     Args:
         equations: (N, s) r, (N, s, s) H, C and K.
         steps: Time between rows, s, and steps between two.
         soft: (m,) velocities of soft joints, and (m, 4) stiffness, play, damping and ramp.
-        start: (2, s) y and ẏ.
-        out: (N, s) y.
+        start: (2, s, 1 + k) y and ẏ, and k changes of them.
+        out: (N, s, 1 + k) y, and its changes.
     """
     r, H, C, K = equations
     at, held = soft
@@ -219,22 +229,23 @@ def calc_near_motion(
             C_now = (1.0 - f) * C[k] + f * C[k + 1]
             K_now = (1.0 - f) * K[k] + f * K[k + 1]
             S = (1.0 - f) * H[k] + f * H[k + 1] + 0.5 * h * C_now + 0.25 * h * h * K_now
-            b = -((1.0 - f) * r[k] + f * r[k + 1]) - C_now @ v - K_now @ middle
+            b = -(C_now @ v) - K_now @ middle
+            b[:, 0] -= (1.0 - f) * r[k] + f * r[k + 1]
             for i in range(m):
                 stiffness, play, damping, ramp = held[i]
                 link, motor = at[i], n + i
                 lag, rate = middle[motor] - middle[link], v[motor] - v[link]
-                side = 1.0 if lag > 0.0 else -1.0
-                over, push = side * lag - play, 0.0
+                side = 1.0 if lag[0] > 0.0 else -1.0
+                over = side * lag[0] - play
                 share = 1.0 if play == 0.0 else min(max(over / ramp, 0.0), 1.0)
-                slope = 0.0
-                if play == 0.0 or over > 0.0:
-                    push = stiffness * over + share * damping * side * rate
-                    slope = 0.5 * h * share * damping + 0.25 * h * h * stiffness
-                if play > 0.0 and push <= 0.0:
-                    push, slope = 0.0, 0.0
-                b[link] += side * push
-                b[motor] -= side * push
+                push = stiffness * over + share * damping * side * rate[0]
+                if play > 0.0 and (over <= 0.0 or push <= 0.0):
+                    continue
+                torque = stiffness * lag + share * damping * rate
+                torque[0] = side * push
+                b[link] += torque
+                b[motor] -= torque
+                slope = 0.5 * h * share * damping + 0.25 * h * h * stiffness
                 S[link, link] += slope
                 S[motor, motor] += slope
                 S[link, motor] -= slope
