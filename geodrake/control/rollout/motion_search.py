@@ -3,8 +3,7 @@
 Few values, positive, by their logarithms; a start knows each to a factor of e. Departures are those
 of the rollout that the search begins with, and how much they change near the measured motion
 (`near_motion`). They are compared with the positions as they were logged, and what other states at
-the start of a window would make of them does not count: those are smoothed, and never exact. Each
-window counts once at each joint, over what the joint departs by: what is left goes with the motion.
+the start of a window would make of them does not count: those are smoothed, and never exact.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from scipy.optimize import least_squares
 
 from geodrake.control.rollout.near_motion import NearMotion
 from geodrake.control.rollout.rollout_values import RolloutValue, giving_way, with_values
+from geodrake.identification.logs.evidence import effective_samples_of_each
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.simulation.force_law import ForceLaw
 
@@ -136,7 +136,7 @@ class Blind:
     """A window, blind to other states at its start.
 
     Attributes:
-        scale: (nv,) what joints depart by, rad or m.
+        scale: (nv,) what joints depart by, over the root of what a window is worth, rad or m.
         basis: (N nv, k) orthonormal: what other states make, each joint over its scale.
     """
 
@@ -149,23 +149,29 @@ class Blind:
         whole = whole - self.basis @ (self.basis.T @ whole)
         return np.asarray(whole / np.sqrt(len(departure)))
 
+    def left(self, departure: Array) -> Array:
+        """(N, nv) the same as a departure, rad or m."""
+        whole = self(departure).reshape(departure.shape)
+        return np.asarray(whole * self.scale * np.sqrt(len(departure)))
+
 
 def blinds(slopes: Sequence[Array], departures: Sequence[Array]) -> list[Blind]:
-    """Windows that are blind to their starts, with the RMS that joints depart by as their scale.
+    """Windows that are blind to their starts, over how well they know what joints depart by.
+
+    A window is worth as many samples as what is left has that are independent of each other: all
+    where it is a sensor's noise, hardly more than one where it goes with the motion.
 
     Args:
         slopes: Of each window (N, nv, k) departures that other states at its start make.
         departures: Of each (N, nv) departures, rad or m.
     """
-    scale = _rms(departures)
+    scale, worth = _rms(departures), np.ones(departures[0].shape[1])
     for _ in range(2):  # as what is explained depends on the scale
-        found = [blind_to(each, scale) for each in slopes]
-        left = [
-            blind(d).reshape(d.shape) * scale * np.sqrt(len(d))
-            for blind, d in zip(found, departures, strict=True)
-        ]
-        scale = _rms(left)
-    return [blind_to(each, scale) for each in slopes]
+        found = [blind_to(each, scale / np.sqrt(worth)) for each in slopes]
+        left = [blind.left(d) for blind, d in zip(found, departures, strict=True)]
+        series = [[d[:, j, None] for d in left] for j in range(len(scale))]
+        scale, worth = _rms(left), effective_samples_of_each(series)[:, 0] / len(left)
+    return [blind_to(each, scale / np.sqrt(np.maximum(worth, 1.0))) for each in slopes]
 
 
 def _rms(departures: Sequence[Array]) -> Array:
