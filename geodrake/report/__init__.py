@@ -76,6 +76,7 @@ _MODULES = (
     "identifiable",
     "identification_page",
     "rollout",
+    "rollout_fit",
     "series_figures",
     "adaptation_view",
 )
