@@ -15,7 +15,9 @@ from typer.testing import CliRunner
 from geodrake import effects, load_model, save_model
 from geodrake.cli.app import app
 from geodrake.control.rollout import fit_rollouts
+from geodrake.control.rollout.fit_rollouts import better_model, held_out
 from geodrake.control.rollout.near_motion import NearMotion
+from geodrake.control.rollout.rollout_values import rollout_values
 from geodrake.control.rollout.simulations import Simulations, chosen_passages
 from geodrake.errors import LogError, ModelError
 from geodrake.identification.logs.case import open_case
@@ -329,3 +331,23 @@ class TestCommand:
         assert done.exit_code == 2
         assert says in done.output
         assert not (files / "new.yaml").exists()
+
+
+def test_blocks_and_logs_are_held_out_whole():
+    assert held_out(["a"] * 8).tolist() == [False, False, True, True] * 2
+    assert held_out(["a", "a", "b", "c", "c"]).tolist() == [False, False, True, False, False]
+
+
+def test_what_is_known_of_other_parameters_stays(pendulum):
+    """As for a compliance that is given: nothing of it goes with the others any more."""
+    model = springy(pendulum, 0.8)
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((13, 13))
+    model = dataclasses.replace(model, information=root @ root.T + np.eye(13))
+    values = rollout_values(model)
+    better = better_model(model, values, np.array([2e-3, 0.1]), np.array([1e-4, 0.02]))
+    np.testing.assert_array_equal(better.information[:12, :12], model.information[:12, :12])
+    np.testing.assert_array_equal(better.information[12, :12], 0.0)
+    assert better.information[12, 12] == pytest.approx(1e8)
+    assert np.linalg.eigvalsh(better.information).min() > 0.0
+    assert better.effects[-1].effect.damping == 0.1

@@ -100,7 +100,7 @@ def fit_rollouts(
     windows = _windows(case, passages, before)
     x, deviations = MotionSearch(case.model, values, [windows[k] for k in fitted]).fit()
     found = np.array([value.value for value in values]) * np.exp(x)
-    better = _better_model(case.model, values, found, found * deviations)
+    better = better_model(case.model, values, found, found * deviations)
     after = case_rollout(
         replace(case, model=better), horizon=horizon, most=most, progress=_named("after", progress)
     )
@@ -145,13 +145,19 @@ def _windows(case: Case, passages: Sequence[Passage], before: Rollout) -> list[S
     return found
 
 
-def _better_model(
+def better_model(
     model: RobotModel, values: Sequence[RolloutValue], found: Array, deviations: Array
 ) -> RobotModel:
     """The model with what was found, and with what is known of it.
 
     What else the model knows is as for values that are given: the efforts that led to it took its
     former ones for what they are not.
+
+    Args:
+        model: The model.
+        values: What was free.
+        found: (k,) what was found.
+        deviations: (k,) its standard deviations.
     """
     better = with_values(model, values, found.tolist(), deviations.tolist())
     if model.information is None:
