@@ -212,6 +212,21 @@ class RolloutOptions(LogOptions):
             "efforts at their joints.",
         ),
     ] = False
+    fit: Annotated[
+        bool,
+        typer.Option(
+            "--fit",
+            help="Fit the model's soft joints and play to how the simulated robot moves; every "
+            "other block of windows, or every other log, is held out.",
+        ),
+    ] = False
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.yaml",
+            help="Write the model with what --fit found, or as it was if that was not taken.",
+        ),
+    ] = None
     series: SeriesFile = None
     meshcat: Annotated[
         Path | None,
@@ -220,6 +235,11 @@ class RolloutOptions(LogOptions):
             help="Write a page that replays the windows: the measured and the simulated robot.",
         ),
     ] = None
+
+    @property
+    def model_target(self) -> Path | None:
+        """Where the model goes, if it is saved."""
+        return self.save
 
 
 @dataclass(frozen=True, kw_only=True)

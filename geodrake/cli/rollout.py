@@ -10,6 +10,7 @@ from rich.console import Console
 
 from geodrake.boundary.input_files import regular_file
 from geodrake.cli.options import RolloutOptions
+from geodrake.cli.rollout_fit import check_fit, run_rollout_fit
 from geodrake.cli.session import Command, Input, run
 from geodrake.cli.tables import head, say, show_list, show_table
 from geodrake.control.rollout import Rollout, command_rollout, roll_out
@@ -32,6 +33,10 @@ def run_rollout(options: RolloutOptions) -> None:
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """
+    check_fit(options)
+    if options.fit:
+        run_rollout_fit(options)
+        return
 
     def simulated(given: Input) -> Pair:
         before = None

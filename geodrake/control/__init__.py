@@ -12,7 +12,7 @@ from geodrake.control.adaptation import (
 from geodrake.control.loops import AdaptiveLoop, add_adaptive_loop
 from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate
 from geodrake.control.regressor import ControlModel
-from geodrake.control.rollout import Rollout, command_rollout, roll_out
+from geodrake.control.rollout import Rollout, RolloutFit, command_rollout, fit_rollouts, roll_out
 from geodrake.control.systems import (
     AdaptiveComputedTorqueController,
     BregmanProjectionEstimator,
@@ -47,6 +47,7 @@ __all__ = [
     "PredictionError",
     "ProjectedLaw",
     "Rollout",
+    "RolloutFit",
     "SampleUpdate",
     "VaryingGains",
     "adapted_parameters",
@@ -54,6 +55,7 @@ __all__ = [
     "add_tracking_drives",
     "command_rollout",
     "euclidean_adaptation",
+    "fit_rollouts",
     "natural_adaptation",
     "parameter_manifold",
     "pullback_adaptation",

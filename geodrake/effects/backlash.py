@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geodrake.effects.base import Array, Parameter, Proposer, RobotMotion, Shape, require_positive
+from geodrake.effects.base import (
+    Array,
+    Parameter,
+    Proposer,
+    RobotMotion,
+    Shape,
+    Values,
+    require_positive,
+)
 from geodrake.effects.deflection import Deflection, DeflectionEffect, Give
+from geodrake.effects.fitted_effect import FittedEffect
 
 _SUBSTEPS = 4
 
@@ -60,6 +69,17 @@ class Backlash(DeflectionEffect):
     def give(self, parameters: Array) -> Give:
         """Play of half the width h to either side, times the share g."""
         return Give(play=max(parameters[0], 0.0) * self.half_width)
+
+    def rollout_values(self, parameters: Array) -> Values:
+        """Half the width of the gap that the share makes of the shape."""
+        width = float(parameters[0]) * self.half_width
+        return {"half_width": width} if width > 0.0 else {}
+
+    def with_rollout_values(self, values: Values, deviations: Values) -> FittedEffect:
+        """A gap as wide as its shape says."""
+        width = values["half_width"]
+        share = np.array([deviations["half_width"] / width])
+        return FittedEffect(replace(self, half_width=width), np.ones(1), share)
 
     def lag(self, acceleration: Array, time: Array) -> Array:
         """The lag s (N,) of a link.

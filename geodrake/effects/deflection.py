@@ -9,10 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from geodrake.effects.base import Array, JointEffect, JointMotion, RobotMotion, Role
+from geodrake.effects.base import Array, JointEffect, JointMotion, RobotMotion, Role, Values
+from geodrake.effects.fitted_effect import FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.logs.filtering import LEAST_SPECTRUM, choose_bandwidth, design_filter
 from geodrake.robot.effort_slopes import EffortSlopes
+
+SPRING_DAMPING = 0.05
+"""Usual damping of springs, as a share of the critical one."""
 
 _DEGREE = 5
 _LEAST_SECONDS = 8.0  # of a lag that says what is noise in it
@@ -68,14 +72,17 @@ class Give:
     Attributes:
         compliance: Of the spring beyond the dead band, rad/(N·m) or m/N; 0 for a rigid one.
         play: Half width of the dead band, rad or m.
+        damping: Of the spring, as a share of the critical one; None for the usual one.
     """
 
     compliance: float = 0.0
     play: float = 0.0
+    damping: float | None = None
 
     def __add__(self, other: Give) -> Give:
         """That of both in series."""
-        return Give(self.compliance + other.compliance, self.play + other.play)
+        damping = other.damping if self.damping is None else self.damping
+        return Give(self.compliance + other.compliance, self.play + other.play, damping)
 
     def __bool__(self) -> bool:
         """Whether it gives way at all."""
@@ -125,6 +132,29 @@ class DeflectionEffect(JointEffect):
             f"parameters {parameters.tolist()} in a fit only.",
             advice="Define give(parameters), which returns a geodrake.effects.deflection.Give.",
         )
+
+    def rollout_values(self, parameters: Array) -> Values:
+        """Positive values that a simulated motion shows, and efforts hardly; none for most.
+
+        `geodrake.control.fit_rollouts` fits them. Names are those of parameters and shapes.
+
+        Args:
+            parameters: (k,) linear parameters.
+        """
+        del parameters
+        return {}
+
+    def with_rollout_values(self, values: Values, deviations: Values) -> FittedEffect:
+        """The effect with some `rollout_values`.
+
+        Args:
+            values: Values by name.
+            deviations: Their standard deviations.
+
+        Raises:
+            NotImplementedError: There are such values, and the class does not say.
+        """
+        raise NotImplementedError(f"{self.name} does not say what {values} ± {deviations} make.")
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """Nothing that the joint's own motion says."""

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from geodrake.effects.base import Array, Parameter, Proposer, RobotMotion
-from geodrake.effects.deflection import Deflection, DeflectionEffect, Give
+import numpy as np
+
+from geodrake.effects.base import Array, Parameter, Proposer, RobotMotion, Shape, Values
+from geodrake.effects.deflection import SPRING_DAMPING, Deflection, DeflectionEffect, Give
+from geodrake.effects.fitted_effect import FittedEffect
+from geodrake.errors import ArgumentError
 
 
 @dataclass(frozen=True)
@@ -21,7 +25,13 @@ class JointElasticity(DeflectionEffect):
     as at rest.
 
     A simulation has motor and link as two bodies with a spring, at any frequency.
+
+    Attributes:
+        damping: Of that spring, as a share of the critical one; None for the usual one. A fit of
+            efforts does not see it, one of rollouts does.
     """
+
+    damping: float | None = None
 
     name = "joint_elasticity"
     law = "the link gives way by its load over k, to first order in 1/k"
@@ -30,8 +40,19 @@ class JointElasticity(DeflectionEffect):
     proposer = Proposer.BENDING
     hidden_share = 0.0
     other_bandwidths = (0.5,)
+    shapes = (Shape("damping", "1"),)
     parameters = (Parameter("compliance", "rad/(N·m)", lower=0.0),)
     signature = "follows what moving the joint on by its own load would change, at all joints"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.damping is not None and self.damping < 0.0:
+            raise ArgumentError(f"damping of {self.name} must not be negative; got {self.damping}.")
+
+    @property
+    def free_shapes(self) -> int:
+        """None: efforts do not show the damping."""
+        return 0
 
     def deflection(self, motion: RobotMotion) -> Deflection:
         """The load of the joint, as a spring of unit stiffness gives way to it."""
@@ -39,4 +60,21 @@ class JointElasticity(DeflectionEffect):
 
     def give(self, parameters: Array) -> Give:
         """A spring of the compliance."""
-        return Give(compliance=max(parameters[0], 0.0))
+        return Give(compliance=max(parameters[0], 0.0), damping=self.damping)
+
+    def rollout_values(self, parameters: Array) -> Values:
+        """Compliance and damping of a spring that gives way at all."""
+        if not parameters[0] > 0.0:
+            return {}
+        damping = SPRING_DAMPING if self.damping is None else self.damping
+        return {
+            "compliance": float(parameters[0]),
+            **({"damping": damping} if damping > 0.0 else {}),
+        }
+
+    def with_rollout_values(self, values: Values, deviations: Values) -> FittedEffect:
+        """A spring of this compliance and damping."""
+        effect = replace(self, damping=values.get("damping", self.damping))
+        return FittedEffect(
+            effect, np.array([values["compliance"]]), np.array([deviations["compliance"]])
+        )

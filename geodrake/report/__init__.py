@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         save_figures,
     )
     from geodrake.report.rollout import render_rollout
+    from geodrake.report.rollout_fit import render_rollout_fit
     from geodrake.report.series_figures import effort_figure, residual_figure
 
 __all__ = [
@@ -54,6 +55,7 @@ __all__ = [
     "render_identifiable",
     "render_identification",
     "render_rollout",
+    "render_rollout_fit",
     "report_figures",
     "residual_figure",
     "save_figures",
@@ -74,6 +76,7 @@ _MODULES = (
     "identifiable",
     "identification_page",
     "rollout",
+    "rollout_fit",
     "series_figures",
     "adaptation_view",
 )

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from geodrake.boundary.escaping import json_text
-from geodrake.control.rollout import Rollout
+from geodrake.control.rollout import Rollout, RolloutFit
 from geodrake.diagnosis.drafting import Correlate, Draft
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.identification.certificate import Certificate
@@ -219,6 +219,25 @@ def rollout_dict(rollout: Rollout) -> dict[str, Any]:
             for joint in rollout.joints
         },
         "notes": list(rollout.notes),
+    }
+
+
+def rollout_fit_dict(found: RolloutFit) -> dict[str, Any]:
+    """A fit of rollouts: values before and after, and departures in all windows.
+
+    Args:
+        found: The result of `geodrake.control.rollout.fit_rollouts`.
+    """
+    stages = {"fitted": found.fitted, "held_out": found.held_out}
+    return {
+        "taken": found.taken,
+        "chance": found.chance,
+        "values": [asdict(value) for value in found.values],
+        **{
+            name: {"before": rollout_dict(before), "after": rollout_dict(after)}
+            for name, (before, after) in stages.items()
+        },
+        "notes": list(found.notes),
     }
 
 

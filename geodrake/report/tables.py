@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from geodrake.control.rollout import Rollout
+from geodrake.control.rollout import Rollout, RolloutFit
 from geodrake.diagnosis.drafting import Draft
 from geodrake.diagnosis.drafting.results import DraftedEffect
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
@@ -312,6 +312,49 @@ def departures_table(
     steps = [f"after step {k + 1}" for k in range(len(between))]
     ends = ("before", *steps, "after") if before else ("departure",)
     return Table(("joint", "moved", *ends, "share of motion", "worst at"), tuple(rows))
+
+
+def rollout_values_table(found: RolloutFit, units: Units) -> Table:
+    """What a fit of rollouts found, before and after.
+
+    Args:
+        found: The fit.
+        units: Units of the joints and effects of the model.
+    """
+    rows = []
+    for value in found.values:
+        unit = units.parameter(value.effect, value.name, value.joint)
+        rows.append(
+            cells(
+                effect_label(value.effect),
+                value.joint,
+                f"{effect_label(value.name)}, {unit}" if unit else effect_label(value.name),
+                number(value.before),
+                with_deviation(value.after, value.deviation),
+            )
+        )
+    return Table(("effect", "joint", "value", "before", "fitted"), tuple(rows), words=3)
+
+
+def rollout_fit_table(found: RolloutFit, units: Units) -> Table:
+    """Departures of every joint before and after a fit, in the windows it saw and in the others.
+
+    Args:
+        found: The fit.
+        units: Units of the joints of the model.
+    """
+    stages = (*found.fitted, *found.held_out)
+    rows = [
+        cells(
+            f"{joint.joint}, {units.at(joint.joint, 'rad')}",
+            *(number(stage.joints[j].rms) for stage in stages),
+            *(departure(stage.joints[j].relative) for stage in stages[2:]),
+        )
+        for j, joint in enumerate(found.before.joints)
+    ]
+    total = cells("of all joints", *[""] * 4, *(departure(stage.relative) for stage in stages[2:]))
+    head = ("joint", "fitted before", "after", "held out before", "after", "of motion", "after")
+    return Table(head, (*rows, total), total=True)
 
 
 def _share(share: float) -> Cell:

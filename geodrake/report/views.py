@@ -12,7 +12,7 @@ from functools import singledispatch
 from typing import TYPE_CHECKING, Any
 
 from geodrake.boundary.escaping import html_text
-from geodrake.control.rollout import Rollout
+from geodrake.control.rollout import Rollout, RolloutFit
 from geodrake.diagnosis.results import Diagnosis, Explanation
 from geodrake.errors import ArgumentError
 from geodrake.excitation import ExcitationResult, LogIdentifiability
@@ -34,6 +34,8 @@ from geodrake.report.tables import (
     departures_table,
     error_stages,
     errors_table,
+    rollout_fit_table,
+    rollout_values_table,
     short_steps_table,
 )
 from geodrake.report.words import (
@@ -41,6 +43,7 @@ from geodrake.report.words import (
     departure,
     diagnosis_verdict,
     explanation_verdict,
+    rollout_fit_words,
 )
 
 if TYPE_CHECKING:
@@ -290,6 +293,31 @@ def _(result: Rollout) -> Figure:
     from geodrake.report.rollout import rollout_chart
 
     return chart_figure(rollout_chart(result, None, Units()))
+
+
+@tables.register
+def _(result: RolloutFit) -> tuple[str, Sequence[Table]]:
+    units, words = Units.of(result.model), rollout_fit_words(result)
+    found = rollout_values_table(result, units), rollout_fit_table(result, units)
+    return f"{words[:1].upper()}{words[1:]}", found
+
+
+@records.register
+def _(result: RolloutFit) -> Records:
+    return [asdict(value) for value in result.values]
+
+
+@samples.register
+def _(result: RolloutFit) -> Columns:
+    return rollout_series(result.after, result.before)
+
+
+@figure.register(RolloutFit)
+def _(result: RolloutFit) -> Figure:
+    from geodrake.report.chart_figure import chart_figure
+    from geodrake.report.rollout import rollout_chart
+
+    return chart_figure(rollout_chart(result.after, result.before, Units.of(result.model)))
 
 
 def _error_records(stages: Mapping[str, ErrorTable]) -> Records:

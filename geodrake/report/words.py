@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from geodrake.boundary.escaping import printable
+from geodrake.control.rollout import RolloutFit
 from geodrake.diagnosis.drafting import Correlate
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.diagnosis.search_progress import FoundStep
@@ -19,7 +20,7 @@ from geodrake.identification.logs.model_errors import (
     Failing,
     JointError,
 )
-from geodrake.report.numbers import Units, estimate, number, percent
+from geodrake.report.numbers import Units, chance, estimate, number, percent
 
 _MOST_NAMED = 4
 _MOST_VALUES = 2  # places whose values are listed one by one
@@ -454,6 +455,21 @@ def departure(share: float) -> str:
     if not np.isfinite(share):
         return "more than can be simulated"
     return percent(share) if share < 10 else f"{number(share)} times the whole"
+
+
+def rollout_fit_words(found: RolloutFit) -> str:
+    """What a fit of rollouts comes to, in a sentence."""
+    before, after = found.held_out
+    shares = f"from {departure(before.relative)} to {departure(after.relative)} of the motion"
+    if found.taken:
+        return (
+            f"what was fitted is taken: held-out windows depart less, {shares} (by chance with "
+            f"probability {chance(found.chance)})."
+        )
+    why = "which chance may do as well"
+    if after.relative > before.relative:
+        why = "which is more"
+    return f"the model stays as it was: with what was fitted held-out windows go {shares}, {why}."
 
 
 def _tied(diagnosis: Diagnosis) -> list[str]:

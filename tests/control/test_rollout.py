@@ -95,14 +95,18 @@ def test_command(frictional, tmp_path):
     numbers = json.loads((tmp_path / "r.json").read_text())
     assert numbers["relative"] < numbers["before"]["relative"]
     assert "<svg" in (tmp_path / "r.html").read_text()
-    absent = (["--save", str(tmp_path / "x.yaml")], ["--blocks", "4"])  # it would ignore them
+    absent = (
+        ["--save", str(tmp_path / "x.yaml")],
+        ["--blocks", "4"],
+    )  # it would ignore them: only a fit saves
     for wrong in (["--horizon", "-1"], ["--windows", "0"], *absent):
         bad = CliRunner().invoke(app, [*arguments[:3], *wrong])
         assert bad.exit_code == 2
         assert "Traceback" not in bad.output
     told = CliRunner().invoke(app, ["rollout", "--help"], env={"COLUMNS": "200"}).output
     assert "--before" in told
-    assert not {"--save", "--blocks"}.intersection(told.split())
+    assert {"--fit", "--save"} <= set(told.split())
+    assert "--blocks" not in told.split()
 
 
 def test_what_cannot_be_simulated(plain):

@@ -212,7 +212,9 @@ NO_DOOR = {
             "models.ModelIdentification",
             "perturbation.Perturbation",
             "export_proof.ProvenExport",
+            "rollout.FittedValue",
             "rollout.Rollout",
+            "rollout.RolloutFit",
         ),
         "a result: a function makes it",
     ),
@@ -1620,6 +1622,25 @@ def _diagnosis(t):
         Call(
             geodrake.control.rollout.roll_out,
             {**short, "horizon": 0.2, "most": 2, "bandwidth": 8.0, "progress": lambda *_: None},
+            slow=True,
+            infinite=True,
+            allows={"most": ("beyond floats", "beyond machine integers")},
+        ),
+    )
+    spring = FittedEffect(geodrake.effects.JointElasticity(t.model.joints[1]), np.array([1e-3]))
+    soft = replace(t.model, effects=(*t.model.effects, spring), information=None)
+    yield (
+        "rollout.fit_rollouts",
+        Call(
+            geodrake.control.rollout.fit_rollouts,
+            {
+                "model": soft,
+                "logs": (brief,),
+                "horizon": 0.2,
+                "most": 4,
+                "bandwidth": 8.0,
+                "progress": lambda *_: None,
+            },
             slow=True,
             infinite=True,
             allows={"most": ("beyond floats", "beyond machine integers")},

@@ -3,7 +3,7 @@
 import csv
 import inspect
 import sys
-from dataclasses import is_dataclass
+from dataclasses import is_dataclass, replace
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -19,9 +19,10 @@ from typer.testing import CliRunner
 from geodrake import load_model
 from geodrake.boundary.showing import Short, Shown
 from geodrake.cli.app import app
-from geodrake.control.rollout import roll_out
+from geodrake.control.rollout import fit_rollouts, roll_out
 from geodrake.diagnosis import compare, diagnose
 from geodrake.diagnosis.add import add
+from geodrake.effects import FittedEffect, JointElasticity
 from geodrake.errors import ArgumentError
 from geodrake.excitation import (
     DesignOptions,
@@ -56,6 +57,13 @@ def designed():
     )
 
 
+def soft():
+    """The model with a soft elbow, which the log does not have."""
+    model = load_model(MODEL)
+    spring = FittedEffect(JointElasticity("elbow"), np.array([1e-3]))
+    return replace(model, effects=(*model.effects, spring))
+
+
 MAKERS = {
     "model": lambda: load_model(MODEL),
     "log": recorded,
@@ -68,6 +76,7 @@ MAKERS = {
     "ExcitationResult": designed,
     "LogIdentifiability": lambda: log_identifiability(load_model(MODEL), [recorded()]),
     "Rollout": lambda: roll_out(load_model(MODEL), [recorded()], horizon=0.1, most=3),
+    "RolloutFit": lambda: fit_rollouts(soft(), [recorded()], horizon=0.1, most=4),
 }
 SHOWN = [name for name in MAKERS if name[0].isupper()]
 WITH_SAMPLES = [name for name in SHOWN if name != "LogIdentifiability"]

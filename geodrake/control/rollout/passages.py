@@ -44,6 +44,12 @@ class Passage:
         return self.segment.time - self.began
 
     @property
+    def logged(self) -> Array:
+        """(K, nv) positions as they were logged, not smoothed."""
+        first = self.stretch.first + self.start
+        return self.stretch.piece.piece[first : first + len(self.segment)].position
+
+    @property
     def before(self) -> Array:
         """(M, nv) positions right before the first sample, as far as effects look back."""
         return self.stretch[max(0, self.start - MEMORY) : self.start].position

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +76,50 @@ class Rollout(Shown):
     broken: int
     notes: tuple[str, ...] = ()
     commands: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        names: Sequence[str],
+        windows: Sequence[Window],
+        horizon: float,
+        notes: tuple[str, ...] = (),
+    ) -> Rollout:
+        """With the departures of joints that windows have.
+
+        Args:
+            names: Names of the nv joints.
+            windows: What was simulated.
+            horizon: Length of the windows, s.
+            notes: What was done to the logs, noticed about the model, and assumed.
+        """
+        departures = [np.nan_to_num(w.departure, nan=np.inf) for w in windows]
+        squares = np.array([np.mean(np.square(d), 0) for d in departures])
+        moved = np.array([np.mean(np.square(w.measured - w.measured[0]), 0) for w in windows])
+        joints = []
+        for j, joint in enumerate(names):
+            worst = windows[int(np.argmax(squares[:, j]))]
+            joints.append(
+                JointDeparture(
+                    joint,
+                    float(np.sqrt(squares[:, j].mean())),
+                    float(np.sqrt(moved[:, j].mean())),
+                    (worst.log, float(worst.time[0])),
+                )
+            )
+        broken = sum(bool(np.isnan(w.simulated).any()) for w in windows)
+        return cls(tuple(joints), tuple(windows), horizon, broken, notes)
+
+    def part(self, chosen: Sequence[bool]) -> Rollout:
+        """Some of the windows alone.
+
+        Args:
+            chosen: (W,) which.
+        """
+        windows = [w for w, taken in zip(self.windows, chosen, strict=True) if taken]
+        names = [joint.joint for joint in self.joints]
+        found = Rollout.of(names, windows, self.horizon, self.notes)
+        return replace(found, commands=self.commands)
 
     @property
     def under(self) -> str:

@@ -4,25 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from geodrake.boundary.arguments import function, instance, instances, integer, real_array
-from geodrake.control.rollout.acting import LoggedEffort, ServoedCommand, told_joints
-from geodrake.control.rollout.driven_simulation import DrivenSimulation
-from geodrake.control.rollout.passages import moving_passages
-from geodrake.control.rollout.results import JointDeparture, Rollout, Window
-from geodrake.control.rollout.simulation import Simulation, allowed_steps
+from geodrake.control.rollout.acting import told_joints
+from geodrake.control.rollout.results import Rollout, Window
+from geodrake.control.rollout.simulations import Simulations, chosen_passages
 from geodrake.effects import Role
 from geodrake.effects.lookup import effect_of
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import Case, open_case
 from geodrake.identification.logs.inputs import checked_logs
-from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.logs.motion import JointLog
-from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import servos_of
 
@@ -34,8 +29,6 @@ MOST_WINDOWS = 12
 
 _COMPARED = 6  # windows for what servos are like before and after a fit
 _SHORTEST, _LONGEST = 1e-3, 1e3  # horizons, s
-_SIGN_WIDTH = 5e-3  # share of a joint's peak speed below which dry friction fades
-
 Progress = Callable[[str, float], None]
 
 
@@ -71,7 +64,7 @@ def roll_out(
         LogError: A log cannot be used, or none moves for as long as a window.
         ModelError: Joints follow others, and an effect depends on accelerations or loads.
     """
-    _check(horizon, most, progress)
+    check_windows(horizon, most, progress)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
     return case_rollout(case, horizon=horizon, most=most, progress=progress)
 
@@ -108,7 +101,7 @@ def command_rollout(
             servos.
         ModelError: Joints follow others, and an effect depends on accelerations or loads.
     """
-    _check(horizon, most, progress)
+    check_windows(horizon, most, progress)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
     return case_rollout(case, horizon=horizon, most=most, commands=True, progress=progress)
 
@@ -173,33 +166,17 @@ def case_rollout(
             "No log has the commands of a servo that the model knows.",
             advice="Roll out under efforts, or give logs with columns <joint>.command.",
         )
-    passages = moving_passages(case, horizon)
-    count = min(most, len(passages))
-    chosen = np.unique(np.linspace(0, len(passages) - 1, count).round().astype(int)).tolist()
-    steps = allowed_steps([passages[k] for k in chosen])
-    fastest = np.maximum(peak_speeds(case.trajectories), 1e-3)
-    least = _SIGN_WIDTH * fastest
-    width, prepared = model.sign_widths(least), {t.name: t for t in case.trajectories}
-
-    @cache
-    def simulation(log: str) -> Simulation | DrivenSimulation:
-        loaded = carrying(model, prepared[log].payloads)
-        servoed = commands and told_joints(model, logs[log]).any()
-        acting = ServoedCommand(model, logs[log]) if servoed else LoggedEffort(len(model.joints))
-        warmth = prepared[log].temperatures
-        if loaded.transmission and (driving := loaded.driving(width, log, warmth)) is not None:
-            return DrivenSimulation(loaded, driving, acting, fastest=fastest, steps=steps)
-        return Simulation(loaded, width, log, warmth, acting=acting, fastest=fastest, steps=steps)
-
+    chosen = chosen_passages(case, horizon, most)
+    simulation = Simulations(case, chosen, commands=commands)
     windows, notes = list[Window](), dict.fromkeys(_unheard(case) if commands else ())
-    for done, passage in enumerate(passages[k] for k in chosen):
+    for done, passage in enumerate(chosen):
         log, segment = passage.log, passage.segment
         if progress is not None:
             progress(f"{log} {segment.time[0]:.1f} s", done / len(chosen))
         simulated = simulation(log).positions(passage)
         windows.append(Window(log, segment.time, segment.position, simulated))
         notes |= dict.fromkeys(simulation(log).notes)
-    found = _rollout(model, windows, horizon, (*case.notes, *notes))
+    found = Rollout.of(model.joints, windows, horizon, (*case.notes, *notes))
     return replace(found, commands=commands)
 
 
@@ -214,8 +191,13 @@ def _unheard(case: Case) -> list[str]:
     return [f"{name} of {', '.join(late)} does not count: servos make these efforts at once"]
 
 
-def _check(horizon: float, most: int, progress: Progress | None) -> None:
+def check_windows(horizon: float, most: int, progress: Progress | None) -> None:
     """Refuses windows that cannot be.
+
+    Args:
+        horizon: Length of a window, s.
+        most: Most windows.
+        progress: What is called with each.
 
     Raises:
         ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
@@ -229,24 +211,3 @@ def _check(horizon: float, most: int, progress: Progress | None) -> None:
         )
     if progress is not None:
         function(progress, "progress")
-
-
-def _rollout(
-    model: RobotModel, windows: Sequence[Window], horizon: float, notes: tuple[str, ...]
-) -> Rollout:
-    departures = [np.nan_to_num(w.departure, nan=np.inf) for w in windows]
-    squares = np.array([np.mean(np.square(d), 0) for d in departures])
-    moved = np.array([np.mean(np.square(w.measured - w.measured[0]), 0) for w in windows])
-    joints = []
-    for j, joint in enumerate(model.joints):
-        worst = windows[int(np.argmax(squares[:, j]))]
-        joints.append(
-            JointDeparture(
-                joint,
-                float(np.sqrt(squares[:, j].mean())),
-                float(np.sqrt(moved[:, j].mean())),
-                (worst.log, float(worst.time[0])),
-            )
-        )
-    broken = sum(bool(np.isnan(w.simulated).any()) for w in windows)
-    return Rollout(tuple(joints), tuple(windows), horizon, broken, notes)

@@ -12,13 +12,14 @@ from pydrake.systems.primitives import Adder, MatrixGain
 
 from geodrake.control.rollout.acting import Acting, picked
 from geodrake.control.rollout.following import FollowingEffort
+from geodrake.control.rollout.loose_links import AT_START, first_lag, motion_before, thrown
 from geodrake.control.rollout.passages import Passage
 from geodrake.control.systems import EffectForce
-from geodrake.effects.deflection import DeflectionEffect
 from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.simulation.force_law import ForceLaw
 from geodrake.model.simulation.robot_in_diagram import FORCES
 from geodrake.robot.plant import load_plant, set_inertial_parameters
 
@@ -27,8 +28,6 @@ Array = NDArray[np.float64]
 LARGEST_STEP = 5e-3  # of the integrator, s
 _ACCURACY = 1e-3
 _STEPS, _TIMES = 60_000, 20  # that a rollout may take in all, and times those without a care
-_AT_START = 9  # samples of the rate at which soft joints bend when a passage begins
-_BEFORE = 0.5  # s before a passage, from which on links are followed through dead bands
 FASTEST = 1e6  # peak speeds of the log, beyond which no robot is simulated any more
 _STIFF = 4e3  # rate of decay from which on an implicit integrator is the faster one, 1/s
 
@@ -163,6 +162,11 @@ class Simulation:
         return gain.get_output_port()
 
     @property
+    def law(self) -> ForceLaw:
+        """What effects need, and what holds motors and links together."""
+        return self._force.law
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What was assumed."""
         return self._force.notes
@@ -215,7 +219,7 @@ class Simulation:
             start: (nq,) positions and (nv,) velocities of the motors, which become those of links.
         """
         first, ways, soft = (
-            passage.segment[:_AT_START],
+            passage.segment[:AT_START],
             self._model.coordinates,
             self._force.law.soft,
         )
@@ -227,36 +231,15 @@ class Simulation:
         )
         lags = np.array([self._force.lags(context, *each) for each in zip(*motion, strict=True)])
         plays = np.array([each.play for each in self._force.couplings(context)])
-        bends = lags - np.clip(lags, -plays, plays)
-        degree = min(2, len(lags) - 1)
-        slope = np.polyfit(first.time - first.time[0], bends, degree)
-        lag, rate = lags[0], slope[-2] if degree else np.zeros(len(plays))
-        if plays.any():
-            loose, rates = self._thrown(passage)
-            lag, rate = np.where(plays, bends[0] + loose, lag), np.where(plays, rates, rate)
+        lag, rate = first_lag(lags, plays, first.time, lambda: self._thrown(passage))
         q, v = start
         self._force.set_motors(context, lag, v[soft.velocities])
         q[soft.positions] -= lag
         v[soft.velocities] -= rate
 
     def _thrown(self, passage: Passage) -> tuple[Array, Array]:
-        """Lags (m,) in dead bands, and their rates, as the motion before a passage leaves them."""
-        first = max(0, passage.start - round(_BEFORE / passage.stretch.period))
-        known = passage.stretch[first : passage.start + 2]
-        positions, time = self._model.positions(known.position), known.time - passage.began
-        seen = self._model.motion(
-            Motion(positions, known.velocity, known.acceleration, time),
-            sign_width=self._sign_width,
-        )
-        names = self._force.soft_joints
-        lag, rate = np.zeros((2, len(names)))
-        for fitted in self._model.effects:
-            effect = fitted.effect
-            if isinstance(effect, DeflectionEffect) and effect.give(fitted.parameters).play:
-                found, share = effect.deflection(seen), float(fitted.parameters[0])
-                lag[names.index(effect.joint)] += share * found.lag[-2]
-                rate[names.index(effect.joint)] += share * found.rate[-2]
-        return lag, rate
+        seen = motion_before(self._model, passage, self._sign_width)
+        return thrown(self._model.effects, seen, self._force.soft_joints)
 
     def _whole(self, values: Array, at_followers: float = 0.0) -> Array:
         """Values (..., nv of the plant), of those (..., nv) of the model."""

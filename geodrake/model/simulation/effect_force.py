@@ -23,6 +23,7 @@ from pydrake.systems.primitives import MatrixGain
 
 from geodrake.boundary.arguments import instance, real_array
 from geodrake.effects import Effect
+from geodrake.effects.deflection import SPRING_DAMPING
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
@@ -38,7 +39,7 @@ from geodrake.model.simulation.force_law import (
 from geodrake.model.simulation.plant_motion import PlantMotion
 from geodrake.model.simulation.scalar_system import ScalarSystem, add_scalar_types
 from geodrake.model.simulation.scalars import slopes_of, value_of
-from geodrake.model.simulation.soft_joints import SPRING_DAMPING, Coupling
+from geodrake.model.simulation.soft_joints import Coupling
 from geodrake.robot.robot_instance import RobotInstance, add_generalized_force
 
 _PARAMETERS, _PHI = 0, 1
@@ -427,7 +428,8 @@ class EffectForce(_EffectForce, LeafSystem):
         log: Name of the log that is simulated; None for none.
         temperatures: Those of the joints, in the time of the Context; without, each joint has that
             to which its friction belongs.
-        spring_damping: Damping of elastic joints, as a share of the critical one.
+        spring_damping: Damping of elastic joints that have none of their own, as a share of the
+            critical one.
 
     Raises:
         ArgumentError: An effect does not fit the plant, parameters are not on the manifold

@@ -10,7 +10,7 @@ M. W. Spong, "Modeling and Control of Elastic Joint Robots", ASME J. Dyn. Sys., 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,9 +26,6 @@ from geodrake.inertia import Array
 
 LEAST_MOTOR = 0.01
 """Share of the link's inertia that a motor has at least, as without one it could not be moved."""
-
-SPRING_DAMPING = 0.05
-"""Usual damping of springs, as a share of the critical one."""
 
 _SIDE_DAMPING = 0.7  # of the sides of a dead band, at which links stay rather than bounce
 _SIDE_GIVE = 0.1  # of half a dead band: by how much its sides yield to the usual load
@@ -87,7 +84,7 @@ class SoftJoints:
         link_inertia: (m,) 1 / (M⁻¹)_jj in the default posture, kg·m² or kg.
         motor_inertia: (m,) that of the motors, kg·m² or kg.
         usual_load: (m,) efforts that sides of dead bands are made for, N·m or N.
-        damping: Of springs, as a share of the critical one.
+        damping: Of springs that do not say it, as a share of the critical one.
     """
 
     names: tuple[str, ...]
@@ -113,12 +110,23 @@ class SoftJoints:
         Args:
             mu: (k,) linear parameters of all effects.
         """
-        against = 1.0 / (1.0 / self.link_inertia + 1.0 / self.motor_inertia)
-        found = []
-        for i, (effects, inertia) in enumerate(zip(self.effects, against.tolist(), strict=True)):
+        gives = []
+        for effects in self.effects:
             give = Give()
             for effect, place in effects:
                 give = give + effect.give(mu[place])
+            gives.append(give)
+        return self.held_by(gives)
+
+    def held_by(self, gives: Sequence[Give]) -> list[Coupling]:
+        """What holds motors and links together that give way in some manner.
+
+        Args:
+            gives: (m,) how.
+        """
+        against = 1.0 / (1.0 / self.link_inertia + 1.0 / self.motor_inertia)
+        found = []
+        for i, (give, inertia) in enumerate(zip(gives, against.tolist(), strict=True)):
             if not give:
                 raise ArgumentError(
                     f"Joint {self.names[i]!r} was made soft, and gives way no more: its link would "
@@ -127,7 +135,8 @@ class SoftJoints:
                 )
             yields = _SIDE_GIVE * give.play
             if give.compliance > 0.0:
-                stiffness, share = 1.0 / give.compliance, self.damping
+                stiffness = 1.0 / give.compliance
+                share = self.damping if give.damping is None else give.damping
             else:
                 stiffness, share = self.usual_load[i] / yields, _SIDE_DAMPING
             damping = 2.0 * share * (stiffness * inertia) ** 0.5

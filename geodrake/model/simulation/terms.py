@@ -113,10 +113,24 @@ class Terms:
             return np.zeros_like(vd)
         if _scalar(at, parameters, load) is not float:
             return self._by_formulas(at, vd, load, parameters)
+        if self.columns.depends_on <= {"vd"}:
+            rest, *moved = self._of_acceleration @ parameters[0][self.places]
+            return self.plant.own(rest + vd @ (np.array(moved) - rest))
         many = (len(vd), 1)
         rates = np.tile(at.v, many), vd, np.tile(load, many)
         motion = self._seen(at, np.tile(at.q, many), rates, parameters)
         return self.plant.own(self.columns.effort(motion, parameters[0][self.places]))
+
+    @cached_property
+    def _of_acceleration(self) -> Array:
+        """Columns (nv + 1, nv, k) without acceleration, and with one of 1 at each velocity alone.
+
+        They are all that there is of rotors, which a simulation asks for at every step.
+        """
+        nv = len(self.plant.joints)
+        rest = np.zeros((nv + 1, nv))
+        motion = self.plant.trial(rest, np.vstack([rest[0], np.eye(nv)]), rest)
+        return np.concatenate([effect.regressor(motion) for effect in self.effects], axis=-1)
 
     def state_rates(self, at: Sample, parameters: Parameters) -> Any:
         """Rates of all hidden states, zero where the effect is not one of these.

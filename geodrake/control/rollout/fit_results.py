@@ -1,0 +1,69 @@
+"""What a fit of rollouts finds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from geodrake.boundary.showing import Short, Shown
+from geodrake.control.rollout.results import Rollout
+from geodrake.model.robot_model import RobotModel
+
+
+@dataclass(frozen=True)
+class FittedValue(Short):
+    """A value of an effect that rollouts were fitted by.
+
+    Attributes:
+        effect: Name of the effect.
+        joint: Its joint.
+        name: Name of the value.
+        before: The model's value, where the fit began, SI.
+        after: What was fitted, SI.
+        deviation: Its standard deviation.
+    """
+
+    effect: str
+    joint: str
+    name: str
+    before: float
+    after: float
+    deviation: float
+
+
+@dataclass(frozen=True, eq=False)
+class RolloutFit(Shown):
+    """What a model's soft joints and play are by its simulated motion.
+
+    Attributes:
+        model: The model with what was fitted, or as it was if that was not taken.
+        values: What was fitted.
+        before: The rollout of the model as it was, over all windows.
+        after: That with what was fitted, taken or not.
+        tested: Which windows the fit did not see.
+        chance: Chance that it is truly no better in those.
+        taken: Whether it predicts those better, by more than chance.
+    """
+
+    model: RobotModel
+    values: tuple[FittedValue, ...]
+    before: Rollout
+    after: Rollout
+    tested: tuple[bool, ...]
+    chance: float
+    taken: bool
+
+    @property
+    def held_out(self) -> tuple[Rollout, Rollout]:
+        """Before and after, over the windows that the fit did not see."""
+        return self.before.part(self.tested), self.after.part(self.tested)
+
+    @property
+    def fitted(self) -> tuple[Rollout, Rollout]:
+        """Before and after, over the windows that it saw."""
+        seen = [not tested for tested in self.tested]
+        return self.before.part(seen), self.after.part(seen)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the logs, noticed about the model, and assumed in the simulation."""
+        return self.after.notes

@@ -1,0 +1,222 @@
+"""A fit of what only the simulated motion shows: soft joints and play.
+
+A linear fit sees a soft joint to first order in its compliance, through a filter, and play hardly.
+How the simulated robot moves shows both. The fit starts at the model's values and sees every other
+block of windows; it counts only where it predicts the other windows better, by more than chance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.control.rollout.fit_results import FittedValue, RolloutFit
+from geodrake.control.rollout.motion_search import (
+    MotionSearch,
+    SearchWindow,
+    blind_to,
+    blinds,
+)
+from geodrake.control.rollout.near_motion import NearMotion
+from geodrake.control.rollout.passages import Passage
+from geodrake.control.rollout.results import Rollout
+from geodrake.control.rollout.roll_out import (
+    HORIZON,
+    MOST_WINDOWS,
+    Progress,
+    case_rollout,
+    check_windows,
+)
+from geodrake.control.rollout.rollout_values import RolloutValue, rollout_values, with_values
+from geodrake.control.rollout.simulation import Simulation
+from geodrake.control.rollout.simulations import Simulations, chosen_passages
+from geodrake.errors import LogError
+from geodrake.identification.logs.case import Case, open_case
+from geodrake.identification.logs.criteria import Criteria
+from geodrake.identification.logs.evidence import tie_probability
+from geodrake.identification.logs.inputs import checked_logs
+from geodrake.logs.motion import JointLog
+from geodrake.model.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_BROKEN = 1e3  # rad or m, by which a simulation departs that broke off
+_FEWEST = 2  # windows to fit, and to test
+_BLOCKS = 4  # of the windows of one log, every other of which is held out
+
+
+def fit_rollouts(
+    model: RobotModel,
+    logs: Sequence[JointLog | str | Path],
+    *,
+    horizon: float = HORIZON,
+    most: int = MOST_WINDOWS,
+    bandwidth: float | None = None,
+    progress: Progress | None = None,
+) -> RolloutFit:
+    """Fit the soft joints and the play of a model to how it moves under the efforts of logs.
+
+    Values that effects declare (`DeflectionEffect.rollout_values`: compliance, damping and half
+    width of a dead band) are fitted by least squares of what windows depart by, from the model's
+    values on; all else of the model stays. Every other block of windows, or of several logs every
+    other log, is held out. The fit is taken if it departs less in those, by more than chance: they
+    are compared window by window, as the folds of a diagnosis are. Else the model stays as it was.
+
+    Args:
+        model: The model.
+        logs: Logs or their files.
+        horizon: Length of a window, s.
+        most: Most windows, fitted and held out together.
+        bandwidth: As for `roll_out`.
+        progress: Called with what is simulated, and the share of that which is done.
+
+    Raises:
+        ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
+        LogError: A log cannot be used, or there are fewer windows than two to fit and two to test.
+        ModelError: The model has no soft joint and no play, or one that cannot be simulated.
+    """
+    check_windows(horizon, most, progress)
+    checked_logs(model, logs, (), None, None)
+    values = rollout_values(model)
+    case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
+    passages = chosen_passages(case, horizon, most)
+    tested = held_out([passage.log for passage in passages])
+    before = case_rollout(case, horizon=horizon, most=most, progress=_named("before", progress))
+    usable = _usable(before)
+    fitted, seen = np.flatnonzero(usable & ~tested), np.flatnonzero(usable & tested)
+    if min(len(fitted), len(seen)) < _FEWEST:
+        raise LogError(
+            f"There are {len(fitted)} windows to fit and {len(seen)} to test in which the robot "
+            f"moves and can be simulated; there must be {_FEWEST} of each.",
+            advice="Give a longer log, a shorter horizon, or more windows.",
+        )
+    if progress is not None:
+        progress("fitting", 0.5)
+    windows = _windows(case, passages, before)
+    x, deviations = MotionSearch(case.model, values, [windows[k] for k in fitted]).fit()
+    found = np.array([value.value for value in values]) * np.exp(x)
+    better = better_model(case.model, values, found, found * deviations)
+    after = case_rollout(
+        replace(case, model=better), horizon=horizon, most=most, progress=_named("after", progress)
+    )
+    departures = [after.windows[k].simulated - passages[k].logged for k in seen]
+    chance = _chance(MotionSearch(case.model, values, [windows[k] for k in seen]), x, departures)
+    taken = chance <= Criteria().tie and not _departs_more(before, after, tested)
+    return RolloutFit(
+        better if taken else case.model,
+        tuple(
+            FittedValue(v.effect, v.joint, v.name, v.value, float(now), float(now * share))
+            for v, now, share in zip(values, found, deviations, strict=True)
+        ),
+        before,
+        after,
+        tuple(tested.tolist()),
+        chance,
+        taken,
+    )
+
+
+def held_out(logs: Sequence[str]) -> Mask:
+    """(W,) which windows are held out: every other log, or block of the windows of one log.
+
+    Args:
+        logs: (W,) names of the windows' logs, one log after the other.
+    """
+    names = list(dict.fromkeys(logs))
+    if len(names) > 1:
+        return np.array([names.index(log) % 2 == 1 for log in logs])
+    return np.arange(len(logs)) * _BLOCKS // max(len(logs), 1) % 2 == 1
+
+
+def _windows(case: Case, passages: Sequence[Passage], before: Rollout) -> list[SearchWindow]:
+    """All windows, ready to be simulated with other soft joints."""
+    simulations, found = Simulations(case, passages), []
+    for passage, window in zip(passages, before.windows, strict=True):
+        simulation = simulations(passage.log)
+        if isinstance(simulation, Simulation):  # as it is wherever joints are soft
+            known = simulations.sign_width, simulations.temperatures(passage.log)
+            near = NearMotion.of(simulations.model(passage.log), simulation.law, passage, *known)
+            found.append(SearchWindow(simulation.law, near, window.simulated - passage.logged))
+    return found
+
+
+def better_model(
+    model: RobotModel, values: Sequence[RolloutValue], found: Array, deviations: Array
+) -> RobotModel:
+    """The model with what was found, and with what is known of it.
+
+    What else the model knows is as for values that are given: the efforts that led to it took its
+    former ones for what they are not.
+
+    Args:
+        model: The model.
+        values: What was free.
+        found: (k,) what was found.
+        deviations: (k,) its standard deviations.
+    """
+    better = with_values(model, values, found.tolist(), deviations.tolist())
+    if model.information is None:
+        return better
+    information, start = model.information.copy(), model.phi.size
+    changed = {value.at for value in values}
+    for at, fitted in enumerate(better.effects):
+        place = slice(start, start + len(fitted.parameters))
+        start = place.stop
+        if at in changed and fitted.deviations is not None:
+            information[place], information[:, place] = 0.0, 0.0
+            own = np.square(np.maximum(fitted.deviations, np.finfo(float).tiny))
+            information[place, place] = np.diag(1.0 / own)
+    return replace(better, information=information)
+
+
+def _usable(rollout: Rollout) -> Mask:
+    """(W,) windows that were simulated to their end."""
+    return np.array([bool(np.isfinite(window.simulated).all()) for window in rollout.windows])
+
+
+def _chance(search: MotionSearch, x: Array, after: Sequence[Array]) -> float:
+    """Chance that held-out windows are truly predicted no better than before.
+
+    They are compared at the joints whose values are fitted: others feel them too, but there they
+    are lost in larger errors. Either model may begin with other states, by its own dynamics.
+
+    Args:
+        search: The windows, none of which was fitted.
+        x: (k,) logarithms of the values over those before.
+        after: Of each window (N, nv) simulated − logged positions afterwards.
+    """
+    before, now = ([slopes for _, slopes in search.near(y, slopes=True)] for y in (0.0 * x, x))
+    departures = [window.departure for window in search.windows]
+    earlier = blinds(before, departures)
+    scale = earlier[0].scale
+    later = [blind_to(each, scale) for each in now]
+    joints = list(search.model.joints)
+    own = sorted({joints.index(value.joint) for value in search.values})
+    losses = [
+        np.array([np.sum(np.square(blind(d).reshape(d.shape)[:, own])) for blind, d in pairs])
+        for pairs in (
+            zip(earlier, departures, strict=True),
+            zip(later, [np.nan_to_num(d, nan=_BROKEN) for d in after], strict=True),
+        )
+    ]
+    if not losses[1].sum() < losses[0].sum():
+        return 1.0
+    return tie_probability(losses[1], losses[0])
+
+
+def _departs_more(before: Rollout, after: Rollout, tested: Mask) -> bool:
+    """Whether the held-out windows depart by a larger share of the motion than before."""
+    parts = [rollout.part(tested.tolist()) for rollout in (before, after)]
+    return bool(parts[1].relative > parts[0].relative) or parts[1].broken > parts[0].broken
+
+
+def _named(name: str, progress: Progress | None) -> Progress | None:
+    """A progress that says what is simulated."""
+    if progress is None:
+        return None
+    return lambda words, share: progress(f"{name}: {words}", share)

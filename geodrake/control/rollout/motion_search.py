@@ -1,0 +1,215 @@
+"""Least squares of what soft joints are, by how simulated windows depart from their motion.
+
+Few values, positive, by their logarithms; a start knows each to a factor of e. Departures are those
+of the rollout that the search begins with, and how much they change near the measured motion
+(`near_motion`). They are compared with the positions as they were logged, and what other states at
+the start of a window would make of them does not count: those are smoothed, and never exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from geodrake.control.rollout.near_motion import NearMotion
+from geodrake.control.rollout.rollout_values import RolloutValue, giving_way, with_values
+from geodrake.identification.logs.evidence import effective_samples_of_each
+from geodrake.model.robot_model import RobotModel
+from geodrake.model.simulation.force_law import ForceLaw
+
+Array = NDArray[np.float64]
+
+_REACH = np.log(30.0)  # of a value from where it begins
+_TRIED = np.log([0.1, 0.2, 0.4, 0.7, 1.4, 2.5, 5.0, 10.0])  # of one value alone, at first
+_STEP = 0.02  # of logarithms, for slopes
+_ROUNDS = 3  # with what joints depart by, which falls
+_MOST_EVALUATIONS = 20
+_LEAST = 1e-9  # rad or m, by which joints depart at least
+
+
+@dataclass(frozen=True, eq=False)
+class SearchWindow:
+    """A window that values are fitted to.
+
+    Attributes:
+        law: The force law of the model there, with what it carries.
+        near: The window near its measured motion.
+        departure: (N, nv) simulated − logged positions at the start of the search, rad or m.
+    """
+
+    law: ForceLaw
+    near: NearMotion
+    departure: Array
+
+
+@dataclass(frozen=True, eq=False)
+class MotionSearch:
+    """Windows that values are fitted to.
+
+    Attributes:
+        model: The model at the start.
+        values: What is free.
+        windows: The windows.
+    """
+
+    model: RobotModel
+    values: tuple[RolloutValue, ...]
+    windows: Sequence[SearchWindow]
+
+    def fit(self) -> tuple[Array, Array]:
+        """Logarithms (k,) of values over those at the start, and their standard deviations."""
+        x = np.zeros(len(self.values))
+        round_ = self._round(x, x)
+        for tried in range(_ROUNDS):
+            if not tried:
+                x = self._tried(x, round_)
+            x = least_squares(
+                lambda y, at=round_: np.concatenate([*at.residuals(y), y]),
+                x,
+                bounds=(-_REACH, _REACH),
+                diff_step=_STEP,
+                max_nfev=_MOST_EVALUATIONS,
+            ).x
+            round_ = self._round(x, x)
+        return x, self._deviations(x, round_)
+
+    def near(self, x: Array, *, slopes: bool = False) -> list[tuple[Array, Array]]:
+        """Departures of the windows near their motion, and slopes with their starts.
+
+        Args:
+            x: (k,) logarithms of values over those at the start.
+            slopes: Whether these are asked for.
+        """
+        values = [v.value * float(np.exp(share)) for v, share in zip(self.values, x, strict=True)]
+        effects = with_values(self.model, self.values, values, values).effects
+        gives = giving_way(effects)
+        return [
+            window.near.departure(
+                effects,
+                window.law.soft.held_by([gives[joint] for joint in window.law.soft.names]),
+                slopes=slopes,
+            )
+            for window in self.windows
+        ]
+
+    def _round(self, x: Array, scaled_at: Array) -> _Round:
+        """How departures count from now on, by where the search is."""
+        start = self.near(np.zeros(len(x)))
+        rest = [w.departure - d for w, (d, _) in zip(self.windows, start, strict=True)]
+        here = self.near(scaled_at, slopes=True)
+        departures = [r + d for r, (d, _) in zip(rest, here, strict=True)]
+        return _Round(self, rest, blinds([slopes for _, slopes in here], departures))
+
+    def _tried(self, x: Array, round_: _Round) -> Array:
+        """The best of some values, one after another."""
+        for i in range(len(x)):
+            tries = np.repeat(x[None], len(_TRIED) + 1, axis=0)
+            tries[1:, i] += _TRIED
+            costs = [sum(r @ r for r in round_.residuals(each)) + each @ each for each in tries]
+            x = tries[int(np.argmin(costs))]
+        return x
+
+    def _deviations(self, x: Array, round_: _Round) -> Array:
+        """(k,) standard deviations of the logarithms.
+
+        From the information of the windows, or from how their pulls differ, whichever is more.
+        """
+        at = round_.residuals(x)
+        columns = []
+        for unit in _STEP * np.eye(len(x)):
+            ahead, behind = round_.residuals(x + unit), round_.residuals(x - unit)
+            columns.append([(a - b) / (2.0 * _STEP) for a, b in zip(ahead, behind, strict=True)])
+        J = [np.column_stack(each) for each in zip(*columns, strict=True)]
+        covariance = np.linalg.inv(sum((j.T @ j for j in J), np.eye(len(x))))
+        pulls = np.array([j.T @ r for j, r in zip(J, at, strict=True)])
+        pulls = pulls - pulls.mean(axis=0)
+        spread = covariance @ (pulls.T @ pulls) @ covariance * len(at) / max(len(at) - 1, 1)
+        return np.asarray(np.sqrt(np.maximum(np.diag(covariance), np.diag(spread))))
+
+
+@dataclass(frozen=True, eq=False)
+class Blind:
+    """A window, blind to other states at its start.
+
+    Attributes:
+        scale: (nv,) what joints depart by, over the root of what a window is worth, rad or m.
+        basis: (N nv, k) orthonormal: what other states make, each joint over its scale.
+    """
+
+    scale: Array
+    basis: Array
+
+    def __call__(self, departure: Array) -> Array:
+        """(N nv,) what of a departure (N, nv) no other start explains; its square is a mean."""
+        whole = np.ravel(departure / self.scale)
+        whole = whole - self.basis @ (self.basis.T @ whole)
+        return np.asarray(whole / np.sqrt(len(departure)))
+
+    def left(self, departure: Array) -> Array:
+        """(N, nv) the same as a departure, rad or m."""
+        whole = self(departure).reshape(departure.shape)
+        return np.asarray(whole * self.scale * np.sqrt(len(departure)))
+
+
+def blinds(slopes: Sequence[Array], departures: Sequence[Array]) -> list[Blind]:
+    """Windows that are blind to their starts, over how well they know what joints depart by.
+
+    A window is worth as many samples as what is left has that are independent of each other: all
+    where it is a sensor's noise, hardly more than one where it goes with the motion.
+
+    Args:
+        slopes: Of each window (N, nv, k) departures that other states at its start make.
+        departures: Of each (N, nv) departures, rad or m.
+    """
+    scale, worth = _rms(departures), np.ones(departures[0].shape[1])
+    for _ in range(2):  # as what is explained depends on the scale
+        found = [blind_to(each, scale / np.sqrt(worth)) for each in slopes]
+        left = [blind.left(d) for blind, d in zip(found, departures, strict=True)]
+        series = [[d[:, j, None] for d in left] for j in range(len(scale))]
+        scale, worth = _rms(left), effective_samples_of_each(series)[:, 0] / len(left)
+    return [blind_to(each, scale / np.sqrt(np.maximum(worth, 1.0))) for each in slopes]
+
+
+def _rms(departures: Sequence[Array]) -> Array:
+    """(nv,) RMS of joints over windows."""
+    mean = np.mean([np.mean(np.square(d), axis=0) for d in departures], axis=0)
+    return np.asarray(np.maximum(np.sqrt(mean), _LEAST))
+
+
+def blind_to(slopes: Array, scale: Array) -> Blind:
+    """A window that is blind to its start.
+
+    Args:
+        slopes: (N, nv, k) departures that other states at its start make.
+        scale: (nv,) what joints depart by, rad or m.
+    """
+    columns = (slopes / scale[:, None]).reshape(-1, slopes.shape[2])
+    size = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
+    return Blind(scale, np.linalg.qr(columns / size)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Round:
+    """One round of a search.
+
+    Attributes:
+        search: The search.
+        rest: Of each window (N, nv) what departs beside what is simulated near its motion.
+        blinds: How departures count.
+    """
+
+    search: MotionSearch
+    rest: list[Array]
+    blinds: list[Blind]
+
+    def residuals(self, x: Array) -> list[Array]:
+        """Residuals of each window, at logarithms (k,)."""
+        near = self.search.near(x)
+        return [
+            blind(rest + departure)
+            for blind, rest, (departure, _) in zip(self.blinds, self.rest, near, strict=True)
+        ]

@@ -1,0 +1,256 @@
+"""Simulations of soft joints near the measured motion, where all but their couplings is linear.
+
+A rollout stays within milliradians of what was measured. There the efforts of bodies and effects
+are linear in how far links and motors are from it, y (s = n + m, of the n links and then of the m
+motors of soft joints), with slopes along the measured motion:
+
+    H(t) ÿ + C(t) ẏ + K(t) y + r(t) = (L − A)ᵀ τ(lag, rate of the lag).
+
+r is what the measured motion needs beyond the measured effort; A and L lead from accelerations of
+links and motors to those of all motors and of all links (`geodrake.model.simulation.force_law`).
+Springs and dead bands τ are as they are. Compiled, that is some hundred times as fast as a diagram,
+for a fit that needs many simulations. What it finds is judged by the diagram.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.compiling import compiled, contiguous
+from geodrake.control.rollout.loose_links import AT_START, first_lag, motion_before, thrown
+from geodrake.control.rollout.passages import Passage
+from geodrake.effects import FittedEffect, RobotMotion, Role
+from geodrake.effects.robot_motion import log_number
+from geodrake.logs.motion import Motion
+from geodrake.logs.temperatures import Temperatures
+from geodrake.model.robot_model import RobotModel
+from geodrake.model.simulation.force_law import ForceLaw
+from geodrake.model.simulation.soft_joints import Coupling
+
+Array = NDArray[np.float64]
+
+_STEP = 2.5e-4  # s, of a simulation at most
+_MOVED = 1e-4  # rad or m, by which positions change for slopes of effects
+_LAG_ITERATIONS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class NearMotion:
+    """A passage, ready to be simulated near its measured motion with other soft joints.
+
+    Attributes:
+        period: Time between samples, s.
+        rest: (N, s) r.
+        inertia: (N, s, s) H.
+        damping: (N, s, s) C.
+        stiffness: (N, s, s) K.
+        soft: (m,) velocities of the soft joints.
+        names: Their names.
+        load: (k, m) efforts of their links at the first samples, N·m or N.
+        give_way: (k, m) by how much these change when a link moves on, N·m/rad or N/m.
+        time: (k,) instants of these samples, s.
+        before: The motion before the passage.
+    """
+
+    period: float
+    rest: Array
+    inertia: Array
+    damping: Array
+    stiffness: Array
+    soft: NDArray[np.intp]
+    names: tuple[str, ...]
+    load: Array
+    give_way: Array
+    time: Array
+    before: RobotMotion
+
+    @classmethod
+    def of(
+        cls,
+        model: RobotModel,
+        law: ForceLaw,
+        passage: Passage,
+        sign_width: Array,
+        temperatures: Temperatures | None,
+    ) -> NearMotion:
+        """A passage of a log.
+
+        Args:
+            model: The model.
+            law: The force law of its effects.
+            passage: The passage.
+            sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
+            temperatures: Those of the joints, if any are known.
+        """
+        segment = passage.segment
+        motion = Motion(
+            model.positions(segment.position),
+            segment.velocity,
+            segment.acceleration,
+            passage.time,
+            model.positions(passage.before),
+        )
+        if temperatures is not None:
+            warmth = temperatures.at(passage.time, model.joints)
+            motion = replace(motion, temperature=warmth)
+        seen = model.motion(motion, sign_width=sign_width)
+        seen = replace(seen, log=log_number(passage.log))
+        slopes, A, L = seen.effort_slopes, law.of_motors, law.of_links
+        at_motors, own = _at_motors(model, seen)
+        applied = np.array([law.applied(u, law.mu) for u in segment.effort])
+        at_links = seen.load + _effort(model, seen, at_motor=False)
+        soft, added = law.soft.velocities, law.added_inertia
+        rest = (at_motors - applied) @ A + at_links @ L
+        rest[:, len(L) :] += added * segment.acceleration[:, soft]
+        position, velocity, acceleration = (
+            A.T @ (f[:, :, None] * A) + L.T @ D @ L
+            for f, D in zip(
+                own, (slopes.position, slopes.velocity, slopes.acceleration), strict=True
+            )
+        )
+        places = len(L) + np.arange(len(soft))
+        acceleration[:, places, places] += added
+        return cls(
+            segment.period,
+            contiguous(rest),
+            contiguous(acceleration),
+            contiguous(velocity),
+            contiguous(position),
+            soft,
+            law.soft.names,
+            at_links[:AT_START, soft],
+            slopes.position[:AT_START, soft, soft],
+            passage.time[:AT_START],
+            motion_before(model, passage, sign_width),
+        )
+
+    def departure(
+        self,
+        effects: Sequence[FittedEffect],
+        couplings: Sequence[Coupling],
+        *,
+        slopes: bool = False,
+    ) -> tuple[Array, Array]:
+        """(N, nv) simulated − measured positions of the motors, rad or m, and slopes (N, nv, k).
+
+        Args:
+            effects: All effects, for where links in dead bands begin.
+            couplings: What holds motors and links together.
+            slopes: Whether those with positions and velocities of all links and motors at the start
+                are asked for; there are none (k = 0) if not.
+        """
+        lag, rate = self._start(effects, couplings)
+        s = self.rest.shape[1]
+        n = s - len(self.soft)
+        start = np.zeros((2, s, 1 + (2 * s if slopes else 0)))
+        start[0, self.soft, 0], start[1, self.soft, 0] = -lag, -rate
+        start[:, :, 1:] = np.eye(2 * s)[:, : start.shape[2] - 1].reshape(2, s, -1)
+        held = np.array([[c.stiffness, c.play, c.damping, c.ramp] for c in couplings])
+        out = np.empty((len(self.rest), *start.shape[1:]))
+        steps = max(1, int(np.ceil(self.period / _STEP)))
+        equations = self.rest, self.inertia, self.damping, self.stiffness
+        calc_near_motion(equations, (self.period, steps), (self.soft, held), start, out)
+        found = out[:, :n].copy()
+        found[:, self.soft] = out[:, n:]
+        return found[..., 0], found[..., 1:]
+
+    def _start(
+        self, effects: Sequence[FittedEffect], couplings: Sequence[Coupling]
+    ) -> tuple[Array, Array]:
+        """Lags (m,) when the passage begins, and their rates."""
+        lags = np.zeros_like(self.load)
+        for _ in range(_LAG_ITERATIONS):
+            torques = self.load - self.give_way * lags
+            for i, coupling in enumerate(couplings):
+                lags[:, i] = torques[:, i] / coupling.stiffness
+                lags[:, i] += coupling.play * np.sign(torques[:, i])
+        plays = np.array([coupling.play for coupling in couplings])
+        return first_lag(lags, plays, self.time, lambda: thrown(effects, self.before, self.names))
+
+
+def _effort(model: RobotModel, seen: RobotMotion, *, at_motor: bool) -> Array:
+    """(N, nv) effort of effects at motors, or at bodies; without scales and soft joints."""
+    effort = np.zeros_like(seen.v)
+    for fitted in model.effects:
+        effect = fitted.effect
+        if effect.role in (Role.FORCE, Role.EPISODE) and effect.at_motor == at_motor:
+            effort += effect.effort(seen, fitted.parameters)
+    return effort
+
+
+def _at_motors(model: RobotModel, seen: RobotMotion) -> tuple[Array, tuple[Array, Array, Array]]:
+    """(N, nv) effort of effects at motors, and its slopes with each joint's own q, v and v̇."""
+    sizes = {"q": np.full(len(model.joints), _MOVED), "v": seen.sign_width + 1e-9}
+    sizes["vd"] = np.ones(len(model.joints))
+    slopes = []
+    for name, size in sizes.items():
+        ahead, behind = (
+            _effort(model, replace(seen, **{name: getattr(seen, name) + way * size}), at_motor=True)
+            for way in (1.0, -1.0)
+        )
+        slopes.append((ahead - behind) / (2.0 * size))
+    return _effort(model, seen, at_motor=True), (slopes[0], slopes[1], slopes[2])
+
+
+@compiled
+def calc_near_motion(
+    equations: tuple[Array, Array, Array, Array],
+    steps: tuple[float, int],
+    soft: tuple[NDArray[np.intp], Array],
+    start: Array,
+    out: Array,
+) -> None:
+    """Writes how far links and motors are from the measured motion, by the midpoint rule.
+
+    Couplings are linear within a step. Beside the motion, changes of it are followed.
+
+    Args:
+        equations: (N, s) r, (N, s, s) H, C and K.
+        steps: Time between rows, s, and steps between two.
+        soft: (m,) velocities of soft joints, and (m, 4) stiffness, play, damping and ramp.
+        start: (2, s, 1 + k) y and ẏ, and k changes of them.
+        out: (N, s, 1 + k) y, and its changes.
+    """
+    r, H, C, K = equations
+    at, held = soft
+    h = steps[0] / steps[1]
+    s, m = start.shape[1], len(at)
+    n = s - m
+    y, v = start[0].copy(), start[1].copy()
+    out[0] = y
+    for k in range(len(r) - 1):
+        for step in range(steps[1]):
+            f = (step + 0.5) / steps[1]
+            middle = y + 0.5 * h * v
+            C_now = (1.0 - f) * C[k] + f * C[k + 1]
+            K_now = (1.0 - f) * K[k] + f * K[k + 1]
+            S = (1.0 - f) * H[k] + f * H[k + 1] + 0.5 * h * C_now + 0.25 * h * h * K_now
+            b = -(C_now @ v) - K_now @ middle
+            b[:, 0] -= (1.0 - f) * r[k] + f * r[k + 1]
+            for i in range(m):
+                stiffness, play, damping, ramp = held[i]
+                link, motor = at[i], n + i
+                lag, rate = middle[motor] - middle[link], v[motor] - v[link]
+                side = 1.0 if lag[0] > 0.0 else -1.0
+                over = side * lag[0] - play
+                share = 1.0 if play == 0.0 else min(max(over / ramp, 0.0), 1.0)
+                push = stiffness * over + share * damping * side * rate[0]
+                if play > 0.0 and (over <= 0.0 or push <= 0.0):
+                    continue
+                torque = stiffness * lag + share * damping * rate
+                torque[0] = side * push
+                b[link] += torque
+                b[motor] -= torque
+                slope = 0.5 * h * share * damping + 0.25 * h * h * stiffness
+                S[link, link] += slope
+                S[motor, motor] += slope
+                S[link, motor] -= slope
+                S[motor, link] -= slope
+            a = np.linalg.solve(S, b)
+            y = middle + 0.5 * h * v + 0.5 * h * h * a
+            v = v + h * a
+        out[k + 1] = y

@@ -1,0 +1,87 @@
+"""The simulations of a case: one for each of its logs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.control.rollout.acting import Acting, LoggedEffort, ServoedCommand, told_joints
+from geodrake.control.rollout.driven_simulation import DrivenSimulation
+from geodrake.control.rollout.passages import Passage, moving_passages
+from geodrake.control.rollout.simulation import Simulation, allowed_steps
+from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.reduce import peak_speeds
+from geodrake.logs.temperatures import Temperatures
+from geodrake.model.carried_payloads import carrying
+from geodrake.model.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+
+_SIGN_WIDTH = 5e-3  # share of a joint's peak speed below which dry friction fades
+
+
+def chosen_passages(case: Case, horizon: float, most: int) -> list[Passage]:
+    """Passages that are simulated, spread evenly over all that moves.
+
+    Args:
+        case: Model and logs.
+        horizon: Length of each, s.
+        most: Most of them.
+
+    Raises:
+        LogError: No log moves for as long.
+    """
+    passages = moving_passages(case, horizon)
+    count = min(most, len(passages))
+    chosen = np.unique(np.linspace(0, len(passages) - 1, count).round().astype(int))
+    return [passages[k] for k in chosen.tolist()]
+
+
+class Simulations:
+    """Simulations of the model of a case, made when a log is first asked for.
+
+    Args:
+        case: Model and logs.
+        passages: What will be simulated.
+        commands: Whether servos close the loop.
+    """
+
+    def __init__(self, case: Case, passages: Sequence[Passage], *, commands: bool = False) -> None:
+        self._case, self._commands = case, commands
+        self._logs = {log.name: log for log in case.asked.logs}
+        self._prepared = {trajectory.name: trajectory for trajectory in case.trajectories}
+        self._steps = allowed_steps(passages)
+        self._fastest = np.maximum(peak_speeds(case.trajectories), 1e-3)
+        self._made: dict[str, Simulation | DrivenSimulation] = {}
+        self.sign_width = case.model.sign_widths(_SIGN_WIDTH * self._fastest)
+
+    def model(self, log: str) -> RobotModel:
+        """The model with what it carried in a log."""
+        return carrying(self._case.model, self._prepared[log].payloads)
+
+    def temperatures(self, log: str) -> Temperatures | None:
+        """Those of the joints in a log, if any are known."""
+        return self._prepared[log].temperatures
+
+    def __call__(self, log: str) -> Simulation | DrivenSimulation:
+        """The simulation of a log."""
+        if log not in self._made:
+            self._made[log] = self._make(log)
+        return self._made[log]
+
+    def _make(self, log: str) -> Simulation | DrivenSimulation:
+        loaded, warmth = self.model(log), self.temperatures(log)
+        servoed = self._commands and told_joints(loaded, self._logs[log]).any()
+        acting: Acting = LoggedEffort(len(loaded.joints))
+        if servoed:
+            acting = ServoedCommand(loaded, self._logs[log])
+        fastest, steps = self._fastest, self._steps
+        if loaded.transmission:
+            driving = loaded.driving(self.sign_width, log, warmth)
+            if driving is not None:
+                return DrivenSimulation(loaded, driving, acting, fastest=fastest, steps=steps)
+        return Simulation(
+            loaded, self.sign_width, log, warmth, acting=acting, fastest=fastest, steps=steps
+        )

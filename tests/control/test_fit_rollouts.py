@@ -1,0 +1,353 @@
+"""Fits of soft joints and play by rollouts; logs are of two masses, by scipy and by MuJoCo."""
+
+import dataclasses
+import json
+import time
+from functools import cache
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from typer.testing import CliRunner
+
+from geodrake import effects, load_model, save_model
+from geodrake.cli.app import app
+from geodrake.control.rollout import fit_rollouts
+from geodrake.control.rollout.fit_rollouts import better_model, held_out
+from geodrake.control.rollout.near_motion import NearMotion
+from geodrake.control.rollout.rollout_values import rollout_values
+from geodrake.control.rollout.simulations import Simulations, chosen_passages
+from geodrake.errors import LogError, ModelError
+from geodrake.identification.logs.case import open_case
+from geodrake.logs.files import write_log
+from geodrake.logs.motion import JointLog
+
+LENGTH, MASS, BODY = 0.4, 1.5, 0.04
+INERTIA, WEIGHT, ROTOR, FRICTION = BODY + MASS * LENGTH**2, MASS * LENGTH * 9.81, 0.15, 0.4
+STIFFNESS, DAMPING, GAP = 600.0, 1.5, 0.05
+URDF = f"""
+<robot name="pendulum">
+  <link name="base"/>
+  <link name="rod"><inertial><origin xyz="0 0 -{LENGTH}"/><mass value="{MASS}"/>
+    <inertia ixx="{BODY}" iyy="{BODY}" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="hinge" type="revolute">
+    <parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>
+    <limit lower="-9" upper="9" effort="99" velocity="99"/>
+  </joint>
+</robot>
+"""
+ARM = Path(__file__).parents[2] / "models" / "arm7.urdf"
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory):
+    path = tmp_path_factory.mktemp("pendulum") / "pendulum.urdf"
+    path.write_text(URDF)
+    return load_model(path)
+
+
+def having(model, rotor, friction, *more):
+    """A model with rotors and friction at all joints, and further effects."""
+    pairs = [(effects.RotorInertia(j), rotor) for j in model.joints]
+    pairs += [(effects.ViscousFriction(j), friction) for j in model.joints]
+    fitted = (effects.FittedEffect(e, np.array([value])) for e, value in (*pairs, *more))
+    return dataclasses.replace(model, effects=tuple(fitted))
+
+
+def springy(model, share, **shape):
+    """A pendulum with a spring of a share of the true compliance."""
+    spring = effects.JointElasticity("hinge", **shape), share / STIFFNESS
+    return having(model, ROTOR, FRICTION, spring)
+
+
+def loose(model, share):
+    return having(model, ROTOR, FRICTION, (effects.Backlash("hinge", share * GAP), 1.0))
+
+
+@cache
+def swung(seed, *, stiffness=STIFFNESS, gap=0.0, noise=0.0, seconds=18.0):
+    """A log of motor position and effort, of two masses with a spring beyond a gap, by scipy."""
+    rng = np.random.default_rng(seed)
+    rates, phases = rng.uniform(0.9, 1.1, 3) * [2.1, 5.3, 11.0], rng.uniform(0.0, 6.28, 3)
+
+    def effort(t):
+        return np.sin(np.multiply.outer(t, rates) + phases) @ [2.0, 2.0, 1.0]
+
+    def slope(t, x):
+        motor, speed, link, v = x
+        lag = motor - link
+        over = lag - np.clip(lag, -gap, gap)
+        torque = stiffness * over + (DAMPING * (speed - v) if over or not gap else 0.0)
+        pull = effort(t) - FRICTION * speed - torque
+        return [speed, pull / ROTOR, v, (torque - WEIGHT * np.sin(link)) / INERTIA]
+
+    instants = np.arange(0.0, seconds + 3.0, 4e-3)
+    span = instants[[0, -1]]
+    x = solve_ivp(slope, span, [0.5, 0.0, 0.5 - gap, 0.0], "LSODA", instants, rtol=1e-8).y
+    later = instants >= 3.0  # once it has swung in
+    position = x[0, later, None] + noise * rng.standard_normal((later.sum(), 1))
+    t = instants[later]
+    return JointLog(f"swung{seed}", ("hinge",), t, position, effort(t)[:, None])
+
+
+def compliance(found):
+    value, *_ = found.values
+    return STIFFNESS * value.after
+
+
+def never_worse(found):
+    """Whether held-out windows of the model that comes back depart no more than before."""
+    before, after = found.held_out
+    return not found.taken or after.relative <= before.relative
+
+
+@pytest.mark.parametrize("share", [0.8, pytest.param(1.25, marks=pytest.mark.thorough)])
+def test_a_stiffness_that_is_off_is_found(pendulum, share, tmp_path):
+    found = fit_rollouts(springy(pendulum, share), [swung(0)])
+    assert found.taken
+    assert compliance(found) == pytest.approx(1.0, abs=0.02)
+    before, after = found.held_out
+    assert after.relative < before.relative
+    fitted = found.model.effects[-1]
+    assert fitted.parameters == pytest.approx(found.values[0].after)
+    assert fitted.deviations == pytest.approx(found.values[0].deviation)
+    save_model(found.model, tmp_path / "better.yaml")
+    again = load_model(tmp_path / "better.yaml").effects[-1]
+    assert again.effect == fitted.effect  # its damping, too
+    assert again.parameters == pytest.approx(fitted.parameters)
+    assert again.deviations == pytest.approx(fitted.deviations)
+
+
+def test_a_spring_in_noise_is_within_its_deviation(pendulum):
+    found = fit_rollouts(springy(pendulum, 0.8), [swung(1, noise=1e-4)])
+    value, _ = found.values
+    assert STIFFNESS * value.deviation < 0.1
+    assert abs(value.after - 1.0 / STIFFNESS) < 3.0 * value.deviation
+    assert never_worse(found)
+
+
+def test_a_right_model_stays_as_good(pendulum):
+    found = fit_rollouts(springy(pendulum, 1.0), [swung(2, noise=1e-4)])
+    assert never_worse(found)
+    assert compliance(found) == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.thorough  # test_a_right_model_stays_as_good
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3])
+@pytest.mark.parametrize("seed", range(3, 9))
+def test_no_seed_is_worse(pendulum, seed, noise):
+    log = swung(seed, noise=noise)
+    for share in (0.8, 1.0, 1.25):
+        found = fit_rollouts(springy(pendulum, share), [log])
+        assert never_worse(found)
+        assert abs(compliance(found) - 1.0) < max(0.03, 3.5 * STIFFNESS * found.values[0].deviation)
+
+
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.thorough) for k in range(1, 6))]
+)
+def test_a_gap_that_is_too_wide_is_found(pendulum, seed):
+    """Its sides are not those of the log, so that it is known less well."""
+    found = fit_rollouts(loose(pendulum, 1.3), [swung(seed, stiffness=2e3, gap=GAP)])
+    (value,) = found.values
+    assert abs(value.after / GAP - 1.0) < 0.15
+    assert abs(value.after - GAP) < 3.0 * value.deviation
+    assert never_worse(found)
+    if found.taken:
+        assert found.model.effects[-1].effect.half_width == value.after
+
+
+@cache
+def arm_log(stiffness, seed=1, seconds=14.0, step=4e-4):
+    """An arm of which joint 4 has a spring behind its motor, by MuJoCo; servos by hand."""
+    spec = mujoco.MjSpec.from_file(str(ARM))
+    spec.option.timestep = step
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    names = [joint.name for joint in spec.joints]
+    motor = spec.joint(names[3])  # the link turns by a second joint about the same axis
+    motor.parent.add_joint(name="bend", axis=motor.axis, pos=motor.pos)
+    compiled = mujoco.MjModel.from_xml_string(_with_rotors(spec))
+    bend = compiled.joint("bend")
+    compiled.jnt_stiffness[bend.id], compiled.dof_damping[bend.dofadr[0]] = stiffness, 2.0
+    data, rng = mujoco.MjData(compiled), np.random.default_rng(seed)
+    at = [compiled.joint(name).dofadr[0] for name in names]
+    rates, phases = rng.uniform(1.0, 7.5, (7, 5)), rng.uniform(0.0, 6.28, (7, 5))
+    sizes = 0.2 * rng.uniform(0.5, 1.0, (7, 5))
+    kp = np.array([3e3, 3e3, 1.5e3, 1.5e3, 400.0, 400.0, 200.0])
+    middle, rows = np.array([0.3, 0.6, 0.1, 1.2, 0.2, 0.5, 0.0]), []
+
+    def told(t):
+        angle = rates * t + phases
+        position = middle + (sizes * np.sin(angle)).sum(1)
+        return position, (sizes * rates * np.cos(angle)).sum(1)
+
+    data.qpos[at], data.qvel[at] = told(0.0)
+    for k in range(round(seconds / step)):
+        q, v = told(k * step)
+        u = data.qfrc_bias[at] + kp * (q - data.qpos[at]) + 0.05 * kp * (v - data.qvel[at])
+        if k % 10 == 0:
+            rows.append([k * step, *data.qpos[at], *data.qvel[at], *u])
+        data.qfrc_applied[at] = u
+        mujoco.mj_step(compiled, data)
+    t, position, velocity, effort = np.split(np.array(rows)[125:], [1, 8, 15], axis=1)
+    return JointLog("arm", tuple(names), t[:, 0], position, effort, velocity)
+
+
+def _with_rotors(spec):
+    for joint in spec.joints:
+        if joint.name != "bend":
+            joint.armature = 0.3
+        joint.limited = 0
+    spec.compile()
+    return spec.to_xml()
+
+
+def soft_arm(share):
+    model = load_model(ARM)
+    joint = model.joints[3]
+    return having(model, 0.3, 0.0, (effects.JointElasticity(joint), share / 2000.0))
+
+
+def near_motion(model, log, most=2):
+    """Windows of a log, and how they are simulated near their motion."""
+    case = open_case(model, [log], candidates=False)
+    passages = chosen_passages(case, 0.4, most)
+    simulations = Simulations(case, passages)
+    simulation = simulations(log.name)
+    law = simulation.law
+    for passage in passages:
+        near = NearMotion.of(model, law, passage, simulations.sign_width, None)
+        yield passage, simulation, near, law.soft.couplings(law.mu)
+
+
+def test_near_the_motion_is_as_in_the_diagram():
+    model = soft_arm(0.8)
+    for passage, simulation, near, couplings in near_motion(model, arm_log(2000.0)):
+        exact = simulation.positions(passage) - passage.segment.position
+        found, _ = near.departure(model.effects, couplings)
+        assert np.sqrt(np.mean((found - exact) ** 2)) < 0.12 * np.sqrt(np.mean(exact**2))
+
+
+def test_slopes_with_the_start_are_those_of_its_equations(pendulum):
+    """For a pendulum s is 2: link and motor."""
+    model = springy(pendulum, 0.8)
+    *_, (_, _, near, couplings) = near_motion(model, swung(0))
+    plain, none = near.departure(model.effects, couplings)
+    found, slopes = near.departure(model.effects, couplings, slopes=True)
+    assert none.shape[2] == 0
+    np.testing.assert_allclose(found, plain, atol=1e-12)
+    still = dataclasses.replace(near, rest=np.zeros_like(near.rest))
+    for k, start in enumerate(np.eye(4).reshape(4, 2, 2)):
+        np.testing.assert_allclose(slopes[:, 0, k], moved(still, couplings, start), atol=2e-3)
+
+
+def moved(near, couplings, start):
+    """(N,) departure of the motor from a start of link and motor, by scipy's integrator."""
+    (coupling,) = couplings
+    t = near.period * np.arange(len(near.rest))
+
+    def at(values, instant):
+        k = min(int(instant / near.period), len(t) - 2)
+        f = instant / near.period - k
+        return (1.0 - f) * values[k] + f * values[k + 1]
+
+    def slope(instant, x):
+        y, v = x[:2], x[2:]
+        torque = coupling.stiffness * (y[1] - y[0]) + coupling.damping * (v[1] - v[0])
+        b = np.array([torque, -torque]) - at(near.rest, instant)
+        b -= at(near.damping, instant) @ v + at(near.stiffness, instant) @ y
+        return np.concatenate([v, np.linalg.solve(at(near.inertia, instant), b)])
+
+    span = (0.0, t[-1])
+    return solve_ivp(slope, span, start.ravel(), "DOP853", t, rtol=1e-10, atol=1e-13).y[1]
+
+
+def test_an_arm_takes_seconds():
+    """One soft joint among seven: found from 20 % off, in less than 10 s of processor time."""
+    model, log = soft_arm(0.8), arm_log(2000.0)
+    begun = time.process_time()
+    found = fit_rollouts(model, [log])
+    assert time.process_time() - begun < 20.0  # twice, for a machine that does much else
+    value = found.values[0]
+    assert 2000.0 * value.after == pytest.approx(1.0, abs=0.03)
+    assert found.taken
+    assert never_worse(found)
+
+
+def test_what_cannot_be_fitted_is_said(pendulum):
+    with pytest.raises(ModelError, match="no soft joint and no play"):
+        fit_rollouts(having(pendulum, ROTOR, FRICTION), [swung(0)])
+    with pytest.raises(LogError, match="windows to fit and"):
+        fit_rollouts(springy(pendulum, 0.8), [swung(0)], most=3)
+
+
+@pytest.fixture(scope="module")
+def files(pendulum, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("command")
+    save_model(springy(pendulum, 0.8), folder / "soft.yaml")
+    save_model(having(pendulum, ROTOR, FRICTION), folder / "stiff.yaml")
+    write_log(swung(0), folder / "log.csv")
+    return folder
+
+
+class TestCommand:
+    def run(self, *words):
+        return CliRunner().invoke(app, [str(word) for word in words])
+
+    def test_fits_and_saves(self, files):
+        done = self.run(
+            "rollout", files / "soft.yaml", files / "log.csv", "--fit", "--quiet",
+            "--save", files / "better.yaml", "--json", files / "fit.json",
+            "--report", files / "fit.html", "--series", files / "fit.csv",
+        )  # fmt: skip
+        assert done.exit_code == 0, done.output
+        assert "held out" in done.output
+        found = json.loads((files / "fit.json").read_text())
+        assert found["taken"]
+        value = found["values"][0]
+        assert (value["effect"], value["joint"]) == ("joint_elasticity", "hinge")
+        assert STIFFNESS * value["after"] == pytest.approx(1.0, abs=0.03)
+        held = found["held_out"]
+        assert held["after"]["relative"] < held["before"]["relative"]
+        saved = load_model(files / "better.yaml").effects[-1]
+        assert saved.parameters == pytest.approx(value["after"])
+        assert "What was fitted" in (files / "fit.html").read_text()
+
+    @pytest.mark.parametrize(
+        ("words", "says"),
+        [
+            ("stiff.yaml log.csv --fit", "no soft joint and no play"),
+            ("soft.yaml log.csv --save new.yaml", "Without --fit"),
+            ("soft.yaml log.csv --fit --commands", "do not go together"),
+            ("soft.yaml log.csv --fit --before stiff.yaml", "do not go together"),
+            ("soft.yaml log.csv --fit --windows 2", "windows to fit and"),
+        ],
+    )
+    def test_refuses_in_a_line(self, files, monkeypatch, words, says):
+        monkeypatch.chdir(files)
+        done = self.run("rollout", *words.split(), "--quiet")
+        assert done.exit_code == 2
+        assert says in done.output
+        assert not (files / "new.yaml").exists()
+
+
+def test_blocks_and_logs_are_held_out_whole():
+    assert held_out(["a"] * 8).tolist() == [False, False, True, True] * 2
+    assert held_out(["a", "a", "b", "c", "c"]).tolist() == [False, False, True, False, False]
+
+
+def test_what_is_known_of_other_parameters_stays(pendulum):
+    """As for a compliance that is given: nothing of it goes with the others any more."""
+    model = springy(pendulum, 0.8)
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((13, 13))
+    model = dataclasses.replace(model, information=root @ root.T + np.eye(13))
+    values = rollout_values(model)
+    better = better_model(model, values, np.array([2e-3, 0.1]), np.array([1e-4, 0.02]))
+    np.testing.assert_array_equal(better.information[:12, :12], model.information[:12, :12])
+    np.testing.assert_array_equal(better.information[12, :12], 0.0)
+    assert better.information[12, 12] == pytest.approx(1e8)
+    assert np.linalg.eigvalsh(better.information).min() > 0.0
+    assert better.effects[-1].effect.damping == 0.1
