@@ -1,0 +1,115 @@
+"""Evidence of a change in one robot: every hypothesis, as a step and a ramp, on every day.
+
+With z ~ N(0, s² 𝟙), what logs say for a change f(t) D z is the ratio of marginal likelihoods
+
+    log E = ½ gᵀ (S + s⁻² 𝟙)⁻¹ g − ½ log det(𝟙 + s² S),   S = Dᵀ (Q − Cᵀ N⁻¹ C) D,
+
+with Q = Σ f² M_t, C = Σ f L_tᵀ M_t and N of the robot's own parameters, all of cumulative sums over
+days. A mean of such ratios over hypotheses, kinds, days and scales s has the expectation 1 where
+nothing changed. By Markov's inequality it is above 1/α with a probability of at most α, whatever
+the number of hypotheses and however alike they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from geodrake.boundary.showing import Short
+from geodrake.fleet.hypotheses import ChangeHypothesis
+from geodrake.fleet.profiles import KINDS, Profiles
+from geodrake.fleet.robot_fit import RobotFit
+
+Array = NDArray[np.float64]
+
+SCALES = (0.1, 0.3, 1.0, 3.0)
+"""Sizes s of changes, over the usual one of their hypothesis, that are thought of."""
+
+
+@dataclass(frozen=True, eq=False)
+class ChangeEvidence(Short):
+    """What logs of a robot say for a change.
+
+    Attributes:
+        profiles: The steps and ramps that there may be.
+        ratio: For each of them, (h, K) logarithms of ratios of each hypothesis and day, means over
+            sizes; −∞ for a hypothesis that is not of that kind.
+        prior: (h, K) logarithms of their prior probabilities, which sum to 1.
+    """
+
+    profiles: tuple[Profiles, ...]
+    ratio: tuple[Array, ...]
+    prior: tuple[Array, ...]
+
+    @property
+    def total(self) -> float:
+        """Logarithm of the mean ratio, whose exponential is an E-value."""
+        return float(logsumexp(self._joint))
+
+    def posterior(self) -> tuple[Array, ...]:
+        """For each kind, (h, K) probabilities, given that there is one change."""
+        sizes = np.cumsum([each.size for each in self.ratio])[:-1]
+        shares = np.exp(self._joint - self.total)
+        parts = np.split(shares, sizes)
+        return tuple(p.reshape(r.shape) for p, r in zip(parts, self.ratio, strict=True))
+
+    @property
+    def _joint(self) -> Array:
+        pairs = zip(self.ratio, self.prior, strict=True)
+        return np.concatenate([(ratio + prior).ravel() for ratio, prior in pairs])
+
+
+def calc_change_evidence(
+    fit: RobotFit, days: Array, hypotheses: Sequence[ChangeHypothesis], scale: Array
+) -> ChangeEvidence:
+    """What a robot's logs say for each change.
+
+    Args:
+        fit: Its own parameters, with all changes that were found before.
+        days: (T,) days of its logs.
+        hypotheses: What may change.
+        scale: (p,) what a share of each column is to the robot.
+    """
+    usable = np.unique(days).size > 1
+    profiles = tuple(Profiles.of(kind, days) for kind in KINDS) if usable else ()
+    factors = [scale[:, None] * h.factor for h in hypotheses]
+    linked = fit.seen @ np.hstack(factors)
+    right = fit.score @ np.hstack(factors)
+    ends = np.cumsum([0, *(f.shape[1] for f in factors)])
+    parts = [slice(a, b) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
+    own = [np.einsum("pd,tpq,qe->tde", f, fit.information, f, optimize=True) for f in factors]
+    ratios, priors = [], []
+    for each in profiles:
+        cross, side = each.sums(linked), each.sums(right)
+        flat = cross.transpose(1, 0, 2).reshape(cross.shape[1], -1)
+        solved = fit.solve(flat).reshape(cross.shape[1], *cross[:, 0].shape).transpose(1, 0, 2)
+        ratio = np.full((len(hypotheses), len(each.first)), -np.inf)
+        prior = ratio.copy()
+        for h, (hypothesis, part) in enumerate(zip(hypotheses, parts, strict=True)):
+            if each.kind not in hypothesis.kinds:
+                continue
+            seen = np.swapaxes(cross[..., part], 1, 2) @ solved[..., part]
+            ratio[h] = calc_log_ratio(each.squares(own[h]) - seen, side[:, part])
+            prior[h] = -np.log(len(hypotheses) * len(hypothesis.kinds) * len(each.first))
+        ratios.append(ratio)
+        priors.append(prior)
+    return ChangeEvidence(profiles, tuple(ratios), tuple(priors))
+
+
+def calc_log_ratio(information: Array, score: Array) -> Array:
+    """(K,) logarithms of mean ratios of marginal likelihoods over the sizes that are thought of.
+
+    Args:
+        information: (K, d, d) what is known of z, with all else let go.
+        score: (K, d) slopes of the log-likelihood at z = 0.
+    """
+    values, vectors = np.linalg.eigh(information)
+    values = np.maximum(values, 0.0)
+    along = np.einsum("kde,kd->ke", vectors, score) ** 2
+    squares = np.square(SCALES)[:, None, None]
+    gain = squares * along / (1.0 + squares * values) - np.log1p(squares * values)
+    return np.asarray(logsumexp(0.5 * gain.sum(axis=2), axis=0) - np.log(len(SCALES)))

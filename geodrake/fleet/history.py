@@ -1,0 +1,116 @@
+"""What the logs of one robot say: a normal matrix a log, over the same columns in all logs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.boundary.arguments import instance, real_array
+from geodrake.boundary.showing import Short
+from geodrake.errors import ArgumentError
+
+Array = NDArray[np.float64]
+
+_SYMMETRIC = 1e-6  # share of the largest entry by which a normal matrix may differ from its mirror
+
+
+@dataclass(frozen=True, eq=False)
+class RobotHistory(Short):
+    """Weighted normal equations of a robot's logs, in the order of time.
+
+    Attributes:
+        robot: The robot's name.
+        days: (T,) when each log was recorded, days, ascending.
+        information: (T, p, p) weighted normal matrices Aᵀ W A.
+        right: (T, p) right sides Aᵀ W b.
+        temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
+    """
+
+    robot: str
+    days: Array
+    information: Array
+    right: Array
+    temperature: Array
+
+    def __post_init__(self) -> None:
+        """Checks that arrays fit each other."""
+        instance(self.robot, "robot", str)
+        sizes: dict[str, tuple[int, ...]] = {}
+        real_array(self.days, "days", ("T",), sizes)
+        real_array(self.information, "information", ("T", "p", "p"), sizes)
+        real_array(self.right, "right", ("T", "p"), sizes)
+        real_array(self.temperature, "temperature", ("T",), sizes, finite=False)
+        if not len(self.days) or (np.diff(self.days) < 0.0).any():
+            raise ArgumentError(
+                f"The logs of {self.robot} must be at least one, in the order of their days.",
+                advice="Sort them by date.",
+                robot=self.robot,
+            )
+
+
+def weighted_history(
+    robot: str,
+    days: ArrayLike,
+    grams: ArrayLike,
+    weights: ArrayLike,
+    *,
+    temperature: ArrayLike | None = None,
+) -> RobotHistory:
+    """The history of a robot, of normal matrices of its logs and joints.
+
+    Args:
+        robot: The robot's name.
+        days: (T,) when each log was recorded, days, in any order.
+        grams: (T, n, p + 1, p + 1) matrices [A | b]ᵀ[A | b] of each log and joint over the same p
+            columns, in units of the efforts and columns, not divided by the number of rows.
+        weights: (T, n) what a row is worth: the share of samples that are independent, over the
+            variance of the noise, 1/(N·m)² or 1/N²; 0 where a joint's rows are not to be used.
+        temperature: (T,) mean temperature of each log, °C; NaN or None where it is not known.
+
+    Raises:
+        ArgumentError: Shapes do not fit, values are not finite, or a matrix is not symmetric.
+    """
+    sizes: dict[str, tuple[int, ...]] = {}
+    days = real_array(days, "days", ("T",), sizes)
+    weights = real_array(weights, "weights", ("T", "n"), sizes)
+    grams = real_array(grams, "grams", ("T", "n", "p", "p"), sizes)
+    mirrored = np.abs(grams - np.swapaxes(grams, 2, 3)).max(initial=0.0)
+    if (weights < 0.0).any() or mirrored > _SYMMETRIC * np.abs(grams).max(initial=0.0):
+        raise ArgumentError(
+            f"The logs of {robot} have a negative weight, or a normal matrix that is not "
+            "symmetric.",
+            advice="Weights are shares over variances; matrices are [A | b]ᵀ[A | b].",
+            robot=robot,
+        )
+    warm = np.full(len(days), np.nan) if temperature is None else temperature
+    warm = real_array(warm, "temperature", ("T",), sizes, finite=False)
+    order = np.argsort(days, kind="stable")
+    total = np.einsum("tj,tjab->tab", weights, grams)[order]
+    return RobotHistory(robot, days[order], total[:, :-1, :-1], total[:, :-1, -1], warm[order])
+
+
+def with_gains(grams: ArrayLike, reference: ArrayLike) -> Array:
+    """Normal matrices with a further column for the gain of every joint's effort.
+
+    The column of joint j is what a reference model says of the effort there, and zero at the other
+    joints, so that its parameter is ε where the logged effort is 1 + ε times that of the model.
+
+    Args:
+        grams: (T, n, p + 1, p + 1) matrices [A | b]ᵀ[A | b] of each log and joint.
+        reference: (p,) parameters of the model, such as those that all robots of the type share.
+
+    Returns:
+        (T, n, p + n + 1, p + n + 1) matrices over the p columns, n gains and b.
+
+    Raises:
+        ArgumentError: Shapes do not fit, or values are not finite.
+    """
+    grams = real_array(grams, "grams", ("T", "n", "p", "p"))
+    p, n = grams.shape[-1] - 1, grams.shape[1]
+    reference = real_array(reference, "reference", (p,))
+    wider = np.zeros((n, p + 1, p + n + 1))
+    wider[:, :p, :p], wider[:, p, -1] = np.eye(p), 1.0
+    wider[np.arange(n), :p, p + np.arange(n)] = reference
+    return np.asarray(np.swapaxes(wider, 1, 2) @ grams @ wider)

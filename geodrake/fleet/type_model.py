@@ -1,0 +1,300 @@
+"""What robots of a type share, how they differ, and how the logs of each scatter: learnt at once.
+
+    x_rt = μ + D_σ Σ_k s_k F_k w_rk + D_r (c_t ∘ (1 + a_r)) + D_r Σ_k τ_k F_k u_rtk + changes
+
+μ is common, w a robot's own, c the course of all robots with each one's response 1 + a, u a log's
+own. D scales relative columns by the value of the type or the robot. Scales s, τ and that of a are
+those of the largest restricted likelihood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.arguments import instance, instances, integer, real_array
+from geodrake.boundary.showing import Short
+from geodrake.errors import ArgumentError
+from geodrake.fleet.columns import TypeColumns
+from geodrake.fleet.course import Course
+from geodrake.fleet.history import RobotHistory
+from geodrake.fleet.marginals import calc_marginal
+from geodrake.fleet.robot_fit import RobotFit
+
+Array = NDArray[np.float64]
+
+_START_DEVIATION, _START_SCATTER, _START_RESPONSE = 0.1, 0.03, 0.2
+_WEAK = 10.0  # scale of spreads in the prior of what all share
+_LEAST = 1e-8  # scale that is none
+_FAR = 3.0  # factor between a robot's friction and the type's beyond which it is no scale
+
+
+@dataclass(frozen=True, eq=False)
+class TypeModel(Short):
+    """What is known of a type of robots.
+
+    Attributes:
+        columns: Its columns.
+        mean: (p,) parameters μ that all share.
+        covariance: (p, p) covariance of μ.
+        deviations: (K,) scale s of each spread, from robot to robot.
+        scatter: (K,) scale τ of each spread, from log to log of one robot.
+        response: Scale of a, by which robots follow the common course more or less.
+        course: What all do together.
+        own: (R, p) parameters of every robot, without the course and changes.
+    """
+
+    columns: TypeColumns
+    mean: Array
+    covariance: Array
+    deviations: Array
+    scatter: Array
+    response: float
+    course: Course
+    own: Array
+
+    def scale(self, robot: int) -> Array:
+        """(p,) what a share of each column is to a robot: its own value, for relative columns."""
+        typical = _typical(self)
+        own = np.clip(np.abs(self.own[robot]), typical / _FAR, _FAR * typical)
+        return np.where(self.columns.relative, own, 1.0)
+
+    def fit(self, robot: int, history: RobotHistory, changes: Array | None = None) -> RobotFit:
+        """A robot's own parameters by its logs.
+
+        θ has a part for every spread, one for the response to the course, and one for changes.
+
+        Args:
+            robot: Its number.
+            history: Its logs.
+            changes: (T, p, m) further parameters of its own, each N(0, 1); None if there are none.
+        """
+        scale = self.scale(robot)
+        factor = np.hstack([t * s.factor for t, s in zip(self.scatter, self._spreads, strict=True)])
+        M, m = calc_marginal(history.information, history.right, scale[:, None] * factor)
+        together = self.together(robot, history)
+        mean = self.mean + together
+        parts = [
+            np.broadcast_to(part, (len(mean), *part.shape)) for part in self.deviation_factors()
+        ]
+        parts.append(self.response * self._spread_out(together))
+        if changes is not None:
+            parts.append(changes)
+        design = np.concatenate(parts, axis=2)
+        return RobotFit(M, m - np.einsum("tpq,tq->tp", M, mean), design)
+
+    def deviation_factors(self) -> list[Array]:
+        """(p, r) factor of each spread between robots, in the parameters' units."""
+        typical = np.where(self.columns.relative, _typical(self), 1.0)[:, None]
+        return [
+            s * typical * spread.factor
+            for s, spread in zip(self.deviations, self._spreads, strict=True)
+        ]
+
+    def together(self, robot: int, history: RobotHistory) -> Array:
+        """(T, p) what the common course adds to a robot's parameters at its logs."""
+        values = np.zeros((len(history.days), len(self.mean)))
+        values[:, self.columns.course] = self.course.of(history)
+        return np.asarray(values * self.scale(robot))
+
+    @property
+    def _spreads(self) -> tuple:  # type: ignore[type-arg]
+        return self.columns.spreads
+
+    def _spread_out(self, together: Array) -> Array:
+        """(T, p, q) the course of each column as a column of its own."""
+        at = np.flatnonzero(self.columns.course)
+        found = np.zeros((*together.shape, len(at)))
+        found[:, at, np.arange(len(at))] = together[:, at]
+        return found
+
+
+def learn_type(
+    histories: Sequence[RobotHistory],
+    columns: TypeColumns,
+    *,
+    changes: Sequence[Array] | None = None,
+    start: TypeModel | None = None,
+    rounds: int = 20,
+) -> TypeModel:
+    """What robots of a type share, and how they differ, by the logs of all.
+
+    Args:
+        histories: One for each robot, over the same p columns.
+        columns: What the columns are.
+        changes: (T, p, m) of each robot: changes that were found in it, as further parameters.
+        start: Where to begin: what was learnt before.
+        rounds: Steps of the iteration.
+
+    Raises:
+        ArgumentError: There is no robot, or one has other columns.
+    """
+    histories = instances(histories, "histories", RobotHistory)
+    instance(columns, "columns", TypeColumns)
+    integer(rounds, "rounds", lower=1)
+    if not histories or any(h.right.shape[1:] != columns.prior.shape for h in histories):
+        raise ArgumentError(
+            f"Each robot of a type must have its {len(columns.prior)} columns, and there must be a "
+            "robot."
+        )
+    if changes is not None and len(changes) != len(histories):
+        raise ArgumentError(f"{len(histories)} robots have {len(changes)} arrays of changes.")
+    found = _begin(histories, columns) if start is None else start
+    for _ in range(rounds):
+        found = _improved(found, histories, changes)
+    return found
+
+
+def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
+    """A robot's parameters (p,) without course and changes, and their covariance (p, p).
+
+    Args:
+        model: What is known of its type.
+        fit: Its fit.
+    """
+    factor = np.hstack(model.deviation_factors())
+    part = slice(0, factor.shape[1])
+    covariance = factor @ fit.covariance[part, part] @ factor.T
+    return model.mean + factor @ fit.theta[part], covariance
+
+
+def _begin(histories: Sequence[RobotHistory], columns: TypeColumns) -> TypeModel:
+    """Pooled least squares, with the prior where logs say nothing."""
+    K, p = len(columns.spreads), len(columns.prior)
+    information = sum((h.information.sum(axis=0) for h in histories), np.zeros((p, p)))
+    right = sum((h.right.sum(axis=0) for h in histories), np.zeros(p))
+    free = columns.free
+    side = right - information @ columns.prior
+    mean, seen = columns.prior.copy(), information[np.ix_(free, free)]
+    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(seen), 1e-300))
+    mean[free] += unit * np.linalg.lstsq(seen * unit[:, None] * unit, unit * side[free], 1e-9)[0]
+    return TypeModel(
+        columns,
+        mean,
+        np.zeros((p, p)),
+        np.full(K, _START_DEVIATION),
+        np.full(K, _START_SCATTER),
+        _START_RESPONSE,
+        Course.begin(histories, int(columns.course.sum())),
+        np.tile(mean, (len(histories), 1)),
+    )
+
+
+def _typical(model: TypeModel) -> Array:
+    """(p,) size of each column's common value; one of nothing is a thousandth of the largest."""
+    size = np.abs(model.mean)
+    largest = size[model.columns.relative].max(initial=0.0)
+    return np.maximum(size, 1e-3 * largest if largest else 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Told:
+    """What one robot tells of all that is learnt.
+
+    Attributes:
+        own: (p,) its own parameters.
+        seen: (p, p) what it knows of μ.
+        side: (p,) by which μ should be larger, times that.
+        links: (n, p) how its θ goes with μ.
+        spread: (2, K + 1) squares of θ for each spread and the response, and their expectations
+            for a known μ.
+        scattered: (2, K) the same of its logs' scatter.
+        course: (T, q, q) and (T, q): what it says of shares of the course.
+    """
+
+    own: Array
+    seen: Array
+    side: Array
+    links: Array
+    spread: Array
+    scattered: Array
+    course: tuple[Array, Array]
+
+
+def _told(model: TypeModel, robot: int, history: RobotHistory, changes: Array | None) -> _Told:
+    fit, scale = model.fit(robot, history, changes), model.scale(robot)
+    linked = fit.seen.sum(axis=0)
+    links = fit.solve(linked)
+    columns = model.columns
+    factors = [scale[:, None] * spread.factor for spread in columns.spreads]
+    scattered = [[np.sum((fit.score @ f) ** 2) for f in factors], [fit.expected(f) for f in factors]]
+    squares = np.stack([fit.theta**2, 1.0 - np.diagonal(fit.covariance)])
+    starts = np.concatenate([[0], np.cumsum(_sizes(columns))])
+    share, at = scale[columns.course], columns.course
+    part = fit.information[:, at][:, :, at] * share[:, None] * share
+    return _Told(
+        own_parameters(model, fit)[0],
+        fit.information.sum(axis=0) - linked.T @ links,
+        fit.score.sum(axis=0),
+        links,
+        np.add.reduceat(squares[:, : starts[-1]], starts[:-1], axis=1),
+        np.array(scattered),
+        (part, fit.score[:, at] * share),
+    )
+
+
+def _sizes(columns: TypeColumns) -> list[int]:
+    """Parameters of each spread, and of the response to the course."""
+    return [s.factor.shape[1] for s in columns.spreads] + [int(columns.course.sum())]
+
+
+def _improved(
+    model: TypeModel, histories: Sequence[RobotHistory], changes: Sequence[Array] | None
+) -> TypeModel:
+    """One step of all that is learnt.
+
+    Scales go by the minorization of the restricted likelihood: what scores are over what they
+    would be, as a root. From log to log it is the median over robots, as a robot that changed is
+    none of the usual.
+    """
+    told = [
+        _told(model, r, history, None if changes is None else changes[r])
+        for r, history in enumerate(histories)
+    ]
+    free = model.columns.free
+    typical = np.where(model.columns.relative, _typical(model), 1.0)[:, None]
+    weak = sum(((typical * s.factor) @ (typical * s.factor).T for s in model.columns.spreads), 0.0)
+    precision = np.linalg.pinv(_WEAK**2 * np.asarray(weak)[np.ix_(free, free)], hermitian=True)
+    seen = np.sum([each.seen for each in told], axis=0)[np.ix_(free, free)] + precision
+    side = np.sum([each.side for each in told], axis=0)[free]
+    covariance = np.zeros_like(model.covariance)
+    covariance[np.ix_(free, free)] = _inverse(seen)
+    mean = model.mean.copy()
+    pull = precision @ (model.columns.prior - mean)[free]
+    mean[free] += covariance[np.ix_(free, free)] @ (side + pull)
+    spread = _spread_ratio(model.columns, told, covariance)
+    scattered = np.median([each.scattered[0] / np.maximum(each.scattered[1], 1e-300) for each in told], axis=0)
+    course = model.course.improved(
+        histories, [each.course[0] for each in told], [each.course[1] for each in told]
+    )
+    return replace(
+        model,
+        mean=mean,
+        covariance=covariance,
+        deviations=np.maximum(model.deviations * spread[:-1] ** 0.25, _LEAST),
+        scatter=np.maximum(model.scatter * scattered**0.25, _LEAST),
+        response=max(model.response * float(spread[-1]) ** 0.25, _LEAST),
+        course=course,
+        own=np.array([each.own for each in told]),
+    )
+
+
+def _spread_ratio(columns: TypeColumns, told: Sequence[_Told], covariance: Array) -> Array:
+    """(K + 1,) squares of θ over their expectations, of all robots; μ is not known but learnt."""
+    sizes = _sizes(columns)
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    squares, expected = np.sum([each.spread for each in told], axis=0)
+    for each in told:
+        links = each.links[: starts[-1]]
+        taken = np.einsum("na,ab,nb->n", links, covariance, links)
+        expected = expected - np.add.reduceat(taken, starts[:-1])
+    return np.asarray(squares / np.maximum(expected, 1e-300))
+
+
+def _inverse(matrix: Array) -> Array:
+    """The inverse of a positive definite matrix of columns in several units."""
+    unit = 1.0 / np.sqrt(np.diagonal(matrix))
+    return np.linalg.inv(matrix * unit[:, None] * unit) * unit[:, None] * unit
