@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -12,7 +11,7 @@ from scipy.signal import savgol_filter
 
 from fleets.draws import FleetDraw, type_model
 from fleets.simulation import RATE, FleetLog, robot_logs
-from geodrake.fleet.columns import TypeColumns, body_spread, column_spreads
+from geodrake.fleet.columns import Spread, TypeColumns, body_spread, column_spreads
 from geodrake.fleet.hypotheses import ChangeHypothesis, body_change, column_change
 from geodrake.identification.logs.evidence import effective_samples_of_each
 from geodrake.robot import inverse_dynamics_regressor
@@ -105,8 +104,9 @@ def type_columns(kind: str) -> TypeColumns:
         np.arange(p) < p - n,
         relative,
         relative.copy(),
+        n,
         (
-            body_spread("bodies", model.phi, p, matrix=base.matrix),
+            *_body_spreads(kind, p),
             *column_spreads(names, np.concatenate(list(at.values())).tolist(), p),
         ),
     )
@@ -134,13 +134,11 @@ def type_hypotheses(kind: str, mass: float = 1.0) -> list[ChangeHypothesis]:
     return found
 
 
-def reference(digests: Sequence[RobotDigests], columns: int) -> Array:
-    """(columns,) pooled least squares of all robots of a type, which gains refer to."""
-    total = sum(
-        (np.einsum("tj,tjab->ab", each.weights, each.grams) for each in digests),
-        np.zeros((columns + 1, columns + 1)),
-    )
-    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(total), 1e-300))
-    scaled = total * unit[:, None] * unit
-    x = np.linalg.lstsq(scaled[:-1, :-1], scaled[:-1, -1], 1e-10)[0]
-    return np.asarray(x * unit[:-1] / unit[-1])
+def _body_spreads(kind: str, count: int) -> list[Spread]:
+    """How each body differs."""
+    model, found = type_model(kind), []
+    for k, body in enumerate(model.bodies):
+        phi = np.full_like(model.phi, np.nan)
+        phi[k] = model.phi[k]
+        found.append(body_spread(str(body), phi, count, matrix=type_base(kind).matrix))
+    return found

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
-from geodrake.fleet.change_evidence import SCALES, ChangeEvidence, calc_change_evidence
-from geodrake.fleet.history import RobotHistory
+from geodrake.fleet.change_evidence import ChangeEvidence, calc_change_evidence
+from geodrake.fleet.history import LogEquations, RobotHistory
 from geodrake.fleet.hypotheses import ChangeHypothesis
 from geodrake.fleet.profiles import Profiles
-from geodrake.fleet.type_model import TypeModel
+from geodrake.fleet.robot_fit import RobotFit
+from geodrake.fleet.type_model import TypeModel, logs_at
 
 Array = NDArray[np.float64]
 
@@ -27,6 +28,8 @@ _MOST_CHANGES = 6
 _MOST_EXCHANGES = 4
 _WITHIN = 0.95  # probability of an interval of days
 _TINY = 1e-300
+_WIDE = 30.0  # scale of changes that were found, over the usual one
+_REFITS = 2  # of a robot, until its gains and odd logs are settled
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,21 @@ class RobotChange(Short):
     false_alarm_probability: float
 
 
+@dataclass(frozen=True, eq=False)
+class SearchState(Short):
+    """A robot's logs, as they look with some changes.
+
+    Attributes:
+        logs: Their normal equations, with gains.
+        odd: (T, K) how odd they are.
+        fit: The robot's own parameters.
+    """
+
+    logs: LogEquations
+    odd: Array
+    fit: RobotFit
+
+
 @dataclass(frozen=True)
 class ChangePlace:
     """A change in the space of all: hypothesis, kind and day, by their numbers.
@@ -111,21 +129,42 @@ class RobotSearch(Short):
     history: RobotHistory
     hypotheses: Sequence[ChangeHypothesis]
 
-    def evidence(self, places: Sequence[ChangePlace]) -> ChangeEvidence:
-        """What logs say for a further change beside some."""
-        fit = self.model.fit(self.robot, self.history, self.design(places))
+    def state(self, places: Sequence[ChangePlace]) -> SearchState:
+        """The logs with some changes: gains refer to the parameters of the day, and odd logs count
+        less."""
+        changes, odd = self.design(places), self.model.odd[self.robot]
+        reference = self.model.own[self.robot]
+        for _ in range(_REFITS):
+            logs = logs_at(self.history, self.model.columns, reference)
+            fit = self.model.fit(self.robot, logs, changes, odd)
+            odd = self.model.oddness(self.robot, logs, fit, odd)
+            reference = self.model.parameters(self.robot, logs, fit)
+        logs = logs_at(self.history, self.model.columns, reference)
+        return SearchState(logs, odd, self.model.fit(self.robot, logs, changes, odd))
+
+    def evidence(self, state: SearchState) -> ChangeEvidence:
+        """What logs say for a further change beside those of a state."""
         scale = self.model.scale(self.robot)
-        return calc_change_evidence(fit, self.history.days, self.hypotheses, scale)
+        return calc_change_evidence(state.fit, self.history.days, self.hypotheses, scale)
+
+    def instead(self, state: SearchState, others: Sequence[ChangePlace]) -> ChangeEvidence:
+        """What logs say for a change beside some of a state's, where logs are as odd as in it."""
+        fit = self.model.fit(self.robot, state.logs, self.design(others), state.odd)
+        return self.evidence(SearchState(state.logs, state.odd, fit))
 
     def design(self, places: Sequence[ChangePlace]) -> Array | None:
-        """(T, p, m) parameters of some changes, of the largest size that is thought of."""
-        scale, days = self.model.scale(self.robot), self.history.days
-        parts = []
-        for place in places:
-            values = Profiles(place.kind, np.array([place.first]), days).values[0]
-            factor = SCALES[-1] * scale[:, None] * self.hypotheses[place.hypothesis].factor
-            parts.append(values[:, None, None] * factor)
+        """(T, p, m) parameters of some changes, of sizes that are hardly limited."""
+        parts = [
+            self._values(place)[:, None, None] * self._factor(place) for place in places
+        ]
         return np.concatenate(parts, axis=2) if parts else None
+
+    def _values(self, place: ChangePlace) -> Array:
+        return Profiles(place.kind, np.array([place.first]), self.history.days).values[0]
+
+    def _factor(self, place: ChangePlace) -> Array:
+        scale = self.model.scale(self.robot)[:, None]
+        return np.asarray(_WIDE * scale * self.hypotheses[place.hypothesis].factor)
 
     def find(self, level: float) -> list[ChangePlace]:
         """Changes that hardly come by chance, in the order in which they were found.
@@ -136,40 +175,43 @@ class RobotSearch(Short):
         places: list[ChangePlace] = []
         least = -np.log(level)
         while len(places) < _MOST_CHANGES:
-            evidence = self.evidence(places)
+            evidence = self.evidence(self.state(places))
             if not evidence.profiles or evidence.total < least:
                 break
-            places.append(best_place(evidence))
-            places = self._exchanged(places, least)
+            added = self._exchanged([*places, best_place(evidence)], least)
+            if len(added) <= len(places):
+                break  # what was added made another one needless, and would again
+            places = added
         return places
 
     def _exchanged(self, places: list[ChangePlace], least: float) -> list[ChangePlace]:
         """The same number of changes, or fewer, each the best beside the others."""
         for _ in range(_MOST_EXCHANGES):
             before = list(places)
-            for at in range(len(places) - 1, -1, -1) if len(places) > 1 else ():
+            for at in range(len(places) - 1, -1, -1):
                 others = places[:at] + places[at + 1 :]
-                evidence = self.evidence(others)
-                best = [] if evidence.total < least else [best_place(evidence)]
-                places = places[:at] + best + places[at + 1 :]
+                if len(places) > 1 and self.evidence(self.state(others)).total < least:
+                    places = others
+                    continue
+                best = best_place(self.instead(self.state(places), others))
+                places = others if best in others else [*places[:at], best, *places[at + 1 :]]
             if places == before:
                 break
         return places
 
     def told(self, places: Sequence[ChangePlace]) -> tuple[RobotChange, ...]:
         """What there is to say of some changes."""
-        fit = self.model.fit(self.robot, self.history, self.design(places))
-        end, found = fit.design.shape[2], []
+        state = self.state(places)
+        end, found = state.fit.design.shape[2], []
         for at in range(len(places) - 1, -1, -1):
-            place = places[at]
-            hypothesis = self.hypotheses[place.hypothesis]
-            evidence = self.evidence([*places[:at], *places[at + 1 :]])
-            factor = SCALES[-1] * self.model.scale(self.robot)[:, None] * hypothesis.factor
+            place, others = places[at], [*places[:at], *places[at + 1 :]]
+            hypothesis, factor = self.hypotheses[place.hypothesis], self._factor(place)
+            evidence = self.instead(state, others)
             part = slice(end - factor.shape[1], end)
             end = part.start
-            variance = np.einsum("pd,de,pe->p", factor, fit.covariance[part, part], factor)
-            size = factor @ fit.theta[part]
-            shares = kind_shares(evidence)
+            variance = np.einsum("pd,de,pe->p", factor, state.fit.covariance[part, part], factor)
+            size, shares = factor @ state.fit.theta[part], kind_shares(evidence)
+            chance = np.exp(min(0.0, -self.evidence(self.state(others)).total))
             found.append(
                 RobotChange(
                     self.history.robot,
@@ -183,7 +225,7 @@ class RobotSearch(Short):
                     size / self.model.scale(self.robot),
                     shares[place.hypothesis, place.kind],
                     self._rivals(shares, place),
-                    float(np.exp(min(0.0, -evidence.total))),
+                    float(chance),
                 )
             )
         return tuple(found[::-1])

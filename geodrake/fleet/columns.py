@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.boundary.arguments import instance, instances, real_array
+from geodrake.boundary.arguments import instance, instances, integer, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, pullback_metric
@@ -46,6 +46,7 @@ class TypeColumns(Short):
         relative: (p,) whether differences are shares of the value itself, as those of friction are.
         course: (p,) whether all robots may change together from day to day, as friction does with
             the season; such columns are relative.
+        gains: Number of the last columns, which are gains of the joints' efforts.
         spreads: How robots differ from each other, and logs of one robot from each other.
     """
 
@@ -53,6 +54,7 @@ class TypeColumns(Short):
     free: Mask
     relative: Mask
     course: Mask
+    gains: int
     spreads: tuple[Spread, ...]
 
     def __post_init__(self) -> None:
@@ -66,6 +68,7 @@ class TypeColumns(Short):
                 f"free, relative, course and the factors of spreads must have {size[0]} rows, as "
                 "the prior has, and the first three must be booleans."
             )
+        integer(self.gains, "gains", lower=0, upper=size[0])
         if not spreads or (masks[2] & ~masks[1]).any():
             raise ArgumentError(
                 "There must be a spread, and columns with a common course must be relative."

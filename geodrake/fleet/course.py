@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
-from geodrake.fleet.history import RobotHistory
+from geodrake.fleet.history import LogEquations, RobotHistory
 
 Array = NDArray[np.float64]
 
@@ -17,6 +17,7 @@ LEAST_ROBOTS = 5
 """Robots of a day below which it is not told what all do together; neighbouring days are."""
 
 _WIDE = 1.0  # deviation of a course before logs are seen: friction may double
+_FLAT = 1e-12  # share of information that is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,61 +49,66 @@ class Course(Short):
         days = days[robots >= LEAST_ROBOTS]
         warm = np.concatenate([history.temperature for history in histories])
         known = warm[np.isfinite(warm)]
-        return cls(
-            days,
-            np.zeros((len(days), columns)),
-            np.zeros(columns),
-            float(known.mean()) if len(known) else 0.0,
-        )
+        reference = float(known.mean()) if len(known) else 0.0
+        return cls(days, np.zeros((len(days), columns)), np.zeros(columns), reference)
 
-    def of(self, history: RobotHistory) -> Array:
+    def of(self, logs: LogEquations) -> Array:
         """(T, q) shares at a robot's logs; between days with too few robots it is linear."""
-        values = self.warmer(history)[:, None] * self.slope
+        values = self._warmer(logs)[:, None] * self.slope
         if len(self.days):
-            at = np.floor(history.days)
+            at = np.floor(logs.days)
             values = values + np.stack([np.interp(at, self.days, c) for c in self.values.T], -1)
         return np.asarray(values)
 
-    def warmer(self, history: RobotHistory) -> Array:
-        """(T,) degrees above the reference; 0 where the temperature is not known."""
-        return np.nan_to_num(history.temperature - self.reference)
-
     def improved(
-        self, histories: Sequence[RobotHistory], information: Sequence[Array], right: Sequence[Array]
+        self, logs: Sequence[LogEquations], information: Sequence[Array], right: Sequence[Array]
     ) -> Course:
         """The course after a step towards what logs say.
 
         Args:
-            histories: All robots of a type.
+            logs: Those of every robot of a type.
             information: (T, q, q) of each robot: what its logs say of shares.
             right: (T, q) of each robot: its right sides, less what the course explains.
         """
-        q = len(self.slope)
-        slope, warm = np.zeros(q), [self.warmer(history) for history in histories]
+        warm = [self._warmer(each) for each in logs]
         if any(each.any() for each in warm):
-            pairs = list(zip(warm, information, strict=True))
-            seen = sum((np.einsum("t,tab->ab", w**2, info) for w, info in pairs), np.zeros((q, q)))
-            side = sum((w @ r for w, r in zip(warm, right, strict=True)), np.zeros(q))
-            slope = np.linalg.solve(seen + 1e-12 * (np.trace(seen) + 1.0) * np.eye(q), side)
+            slope = _slope(warm, information, right)
             right = [
-                r - w[:, None] * np.einsum("tab,b->ta", info, slope)
+                r - w[:, None] * (info @ slope)
                 for w, info, r in zip(warm, information, right, strict=True)
             ]
-        D = len(self.days)
-        seen, side = np.zeros((D, q, q)), np.zeros((D, q))
-        for history, info, rest in zip(histories, information, right, strict=True):
-            at = np.searchsorted(self.days, np.floor(history.days))
-            known = (at < D) & (self.days[np.minimum(at, D - 1)] == np.floor(history.days)) if D else (
-                np.zeros(len(at), bool)
-            )
+            with_slope = replace(self, slope=self.slope + slope)
+        else:
+            with_slope = self
+        return with_slope._day_by_day(logs, information, right)
+
+    def _day_by_day(
+        self, logs: Sequence[LogEquations], information: Sequence[Array], right: Sequence[Array]
+    ) -> Course:
+        D, q = self.values.shape
+        if not D:
+            return self
+        seen, side = np.tile(np.eye(q) / _WIDE**2, (D, 1, 1)), -self.values / _WIDE**2
+        for each, info, rest in zip(logs, information, right, strict=True):
+            day = np.floor(each.days)
+            at = np.minimum(np.searchsorted(self.days, day), D - 1)
+            known = self.days[at] == day
             np.add.at(seen, at[known], info[known])
             np.add.at(side, at[known], rest[known])
-        weak = np.eye(q) / _WIDE**2
-        step = np.linalg.solve(seen + weak, (side - self.values / _WIDE**2)[..., None])[..., 0]
-        values = self.values + step
-        return Course(
-            self.days,
-            values - values.mean(axis=0) if D else values,
-            self.slope + slope,
-            self.reference,
-        )
+        values = self.values + np.linalg.solve(seen, side[..., None])[..., 0]
+        return replace(self, values=values - values.mean(axis=0))
+
+    def _warmer(self, logs: LogEquations) -> Array:
+        """(T,) degrees above the reference; 0 where the temperature is not known."""
+        return np.nan_to_num(logs.temperature - self.reference)
+
+
+def _slope(warm: Sequence[Array], information: Sequence[Array], right: Sequence[Array]) -> Array:
+    """(q,) what a degree more adds, by all logs."""
+    q = right[0].shape[1]
+    seen, side = np.zeros((q, q)), np.zeros(q)
+    for w, info, rest in zip(warm, information, right, strict=True):
+        seen += np.einsum("t,tab->ab", w**2, info)
+        side += w @ rest
+    seen[np.arange(q), np.arange(q)] += _FLAT * np.trace(seen) + np.finfo(float).tiny
+    return np.asarray(np.linalg.solve(seen, side))

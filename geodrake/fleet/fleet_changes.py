@@ -78,4 +78,5 @@ def find_changes(
 def _design(search: RobotSearch, places: Sequence[ChangePlace]) -> Array:
     """(T, p, m) parameters of the changes of a robot, of which there may be none."""
     found = search.design(places)
-    return np.zeros((*search.history.right.shape, 0)) if found is None else found
+    shape = (len(search.history.days), len(search.model.mean), 0)
+    return np.zeros(shape) if found is None else found

@@ -18,20 +18,18 @@ _SYMMETRIC = 1e-6  # share of the largest entry by which a normal matrix may dif
 
 @dataclass(frozen=True, eq=False)
 class RobotHistory(Short):
-    """Weighted normal equations of a robot's logs, in the order of time.
+    """Weighted normal matrices of a robot's logs, in the order of time.
 
     Attributes:
         robot: The robot's name.
         days: (T,) when each log was recorded, days, ascending.
-        information: (T, p, p) weighted normal matrices Aᵀ W A.
-        right: (T, p) right sides Aᵀ W b.
+        grams: (T, n, p + 1, p + 1) weighted matrices [A | b]ᵀ W [A | b] of each log and joint.
         temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
     """
 
     robot: str
     days: Array
-    information: Array
-    right: Array
+    grams: Array
     temperature: Array
 
     def __post_init__(self) -> None:
@@ -39,8 +37,7 @@ class RobotHistory(Short):
         instance(self.robot, "robot", str)
         sizes: dict[str, tuple[int, ...]] = {}
         real_array(self.days, "days", ("T",), sizes)
-        real_array(self.information, "information", ("T", "p", "p"), sizes)
-        real_array(self.right, "right", ("T", "p"), sizes)
+        real_array(self.grams, "grams", ("T", "n", "p", "p"), sizes)
         real_array(self.temperature, "temperature", ("T",), sizes, finite=False)
         if not len(self.days) or (np.diff(self.days) < 0.0).any():
             raise ArgumentError(
@@ -48,6 +45,48 @@ class RobotHistory(Short):
                 advice="Sort them by date.",
                 robot=self.robot,
             )
+
+    def with_gains(self, reference: ArrayLike) -> LogEquations:
+        """Normal equations with a further column for the gain of every joint's effort.
+
+        The column of joint j is what a reference says of the effort there, and zero at the other
+        joints, so that its parameter is ε where the logged effort is 1 + ε times that.
+
+        Args:
+            reference: (p,) or (T, p) parameters: those of the robot, as far as they are known.
+
+        Raises:
+            ArgumentError: Shapes do not fit, or values are not finite.
+        """
+        T, n, p = self.grams.shape[:2] + (self.grams.shape[3] - 1,)
+        reference = np.broadcast_to(real_array(reference, "reference", ("...", p)), (T, p))
+        total = self.grams.sum(axis=1)
+        along = np.einsum("tjab,tb->tja", self.grams[..., :p], reference)
+        squares = np.einsum("tja,ta->tj", along[..., :p], reference)
+        information, right = np.zeros((T, p + n, p + n)), np.zeros((T, p + n))
+        information[:, :p, :p], right[:, :p] = total[:, :p, :p], total[:, :p, p]
+        information[:, p:, :p] = along[..., :p]
+        information[:, :p, p:] = np.swapaxes(along[..., :p], 1, 2)
+        gains = p + np.arange(n)
+        information[:, gains, gains], right[:, p:] = squares, along[..., p]
+        return LogEquations(self.days, information, right, self.temperature)
+
+
+@dataclass(frozen=True, eq=False)
+class LogEquations(Short):
+    """Normal equations of a robot's logs.
+
+    Attributes:
+        days: (T,) days of the logs.
+        information: (T, p, p) weighted normal matrices Aᵀ W A.
+        right: (T, p) right sides Aᵀ W b.
+        temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
+    """
+
+    days: Array
+    information: Array
+    right: Array
+    temperature: Array
 
 
 def weighted_history(
@@ -87,30 +126,5 @@ def weighted_history(
     warm = np.full(len(days), np.nan) if temperature is None else temperature
     warm = real_array(warm, "temperature", ("T",), sizes, finite=False)
     order = np.argsort(days, kind="stable")
-    total = np.einsum("tj,tjab->tab", weights, grams)[order]
-    return RobotHistory(robot, days[order], total[:, :-1, :-1], total[:, :-1, -1], warm[order])
-
-
-def with_gains(grams: ArrayLike, reference: ArrayLike) -> Array:
-    """Normal matrices with a further column for the gain of every joint's effort.
-
-    The column of joint j is what a reference model says of the effort there, and zero at the other
-    joints, so that its parameter is ε where the logged effort is 1 + ε times that of the model.
-
-    Args:
-        grams: (T, n, p + 1, p + 1) matrices [A | b]ᵀ[A | b] of each log and joint.
-        reference: (p,) parameters of the model, such as those that all robots of the type share.
-
-    Returns:
-        (T, n, p + n + 1, p + n + 1) matrices over the p columns, n gains and b.
-
-    Raises:
-        ArgumentError: Shapes do not fit, or values are not finite.
-    """
-    grams = real_array(grams, "grams", ("T", "n", "p", "p"))
-    p, n = grams.shape[-1] - 1, grams.shape[1]
-    reference = real_array(reference, "reference", (p,))
-    wider = np.zeros((n, p + 1, p + n + 1))
-    wider[:, :p, :p], wider[:, p, -1] = np.eye(p), 1.0
-    wider[np.arange(n), :p, p + np.arange(n)] = reference
-    return np.asarray(np.swapaxes(wider, 1, 2) @ grams @ wider)
+    weighted = (weights[..., None, None] * grams)[order]
+    return RobotHistory(robot, days[order], weighted, warm[order])

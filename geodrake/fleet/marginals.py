@@ -16,15 +16,14 @@ def calc_marginal(information: Array, right: Array, factor: Array) -> tuple[Arra
     Args:
         information: (..., p, p) normal matrices H.
         right: (..., p) right sides s.
-        factor: (p, r) factor F of the scatter's covariance.
+        factor: (p, r) or (..., p, r) factor F of the scatter's covariance.
 
     Returns:
         (..., p, p) matrices M, and (..., p) right sides m.
     """
     seen = information @ factor
-    inner = np.swapaxes(seen, -1, -2) @ factor
-    inner[..., np.arange(factor.shape[1]), np.arange(factor.shape[1])] += 1.0
-    both = np.concatenate([seen, (right @ factor)[..., None, :]], axis=-2)
+    inner = np.swapaxes(seen, -1, -2) @ factor + np.eye(factor.shape[-1])
+    both = np.concatenate([seen, right[..., None, :] @ factor], axis=-2)
     half = np.linalg.solve(np.linalg.cholesky(inner), np.swapaxes(both, -1, -2))
     left, side = half[..., :-1], half[..., -1]
     shared = np.swapaxes(left, -1, -2)

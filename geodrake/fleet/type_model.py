@@ -1,10 +1,10 @@
 """What robots of a type share, how they differ, and how the logs of each scatter: learnt at once.
 
-    x_rt = μ + D_σ Σ_k s_k F_k w_rk + D_r (c_t ∘ (1 + a_r)) + D_r Σ_k τ_k F_k u_rtk + changes
+    x_rt = μ + D_σ Σ_k s_k F_k w_rk + D_r (c_t ∘ (1 + a_r)) + D_r Σ_k τ_rtk F_k u_rtk + changes
 
 μ is common, w a robot's own, c the course of all robots with each one's response 1 + a, u a log's
 own. D scales relative columns by the value of the type or the robot. Scales s, τ and that of a are
-those of the largest restricted likelihood.
+those of the largest restricted likelihood; logs that scatter more than others have a larger τ.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import instance, instances, integer, real_array
+from geodrake.boundary.arguments import instance, instances, integer
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.fleet.columns import TypeColumns
 from geodrake.fleet.course import Course
-from geodrake.fleet.history import RobotHistory
+from geodrake.fleet.history import LogEquations, RobotHistory
 from geodrake.fleet.marginals import calc_marginal
 from geodrake.fleet.robot_fit import RobotFit
 
@@ -30,6 +30,7 @@ _START_DEVIATION, _START_SCATTER, _START_RESPONSE = 0.1, 0.03, 0.2
 _WEAK = 10.0  # scale of spreads in the prior of what all share
 _LEAST = 1e-8  # scale that is none
 _FAR = 3.0  # factor between a robot's friction and the type's beyond which it is no scale
+_USUAL = 4.0  # squared deviation, in its expectation, up to which a log is none that is odd
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +46,7 @@ class TypeModel(Short):
         response: Scale of a, by which robots follow the common course more or less.
         course: What all do together.
         own: (R, p) parameters of every robot, without the course and changes.
+        odd: (T, K) of every robot: what τ² of each of its logs has beyond that of the type.
     """
 
     columns: TypeColumns
@@ -55,6 +57,7 @@ class TypeModel(Short):
     response: float
     course: Course
     own: Array
+    odd: tuple[Array, ...]
 
     def scale(self, robot: int) -> Array:
         """(p,) what a share of each column is to a robot: its own value, for relative columns."""
@@ -62,20 +65,25 @@ class TypeModel(Short):
         own = np.clip(np.abs(self.own[robot]), typical / _FAR, _FAR * typical)
         return np.where(self.columns.relative, own, 1.0)
 
-    def fit(self, robot: int, history: RobotHistory, changes: Array | None = None) -> RobotFit:
+    def fit(
+        self, robot: int, logs: LogEquations, changes: Array | None = None, odd: Array | None = None
+    ) -> RobotFit:
         """A robot's own parameters by its logs.
 
         θ has a part for every spread, one for the response to the course, and one for changes.
 
         Args:
             robot: Its number.
-            history: Its logs.
+            logs: Its logs.
             changes: (T, p, m) further parameters of its own, each N(0, 1); None if there are none.
+            odd: (T, K) what τ² has beyond that of the type; None for what was learnt.
         """
-        scale = self.scale(robot)
-        factor = np.hstack([t * s.factor for t, s in zip(self.scatter, self._spreads, strict=True)])
-        M, m = calc_marginal(history.information, history.right, scale[:, None] * factor)
-        together = self.together(robot, history)
+        odd = self.odd[robot] if odd is None else odd
+        scale, sizes = self.scale(robot), _sizes(self.columns)[:-1]
+        factor = scale[:, None] * np.hstack([s.factor for s in self.columns.spreads])
+        scales = np.repeat(np.sqrt(self.scatter**2 + odd), sizes, axis=1)
+        M, m = calc_marginal(logs.information, logs.right, scales[:, None] * factor)
+        together = self.together(robot, logs)
         mean = self.mean + together
         parts = [
             np.broadcast_to(part, (len(mean), *part.shape)) for part in self.deviation_factors()
@@ -84,25 +92,49 @@ class TypeModel(Short):
         if changes is not None:
             parts.append(changes)
         design = np.concatenate(parts, axis=2)
-        return RobotFit(M, m - np.einsum("tpq,tq->tp", M, mean), design)
+        return RobotFit(M, m - (M @ mean[..., None])[..., 0], design)
+
+    def oddness(self, robot: int, logs: LogEquations, fit: RobotFit, odd: Array) -> Array:
+        """(T, K) what τ² of logs that are odd in a fit has beyond that of the type.
+
+        A deviation counts as one of at most `_USUAL` times its expectation, squared.
+
+        Args:
+            robot: The robot's number.
+            logs: Its logs.
+            fit: A fit of them.
+            odd: (T, K) what was taken for that in the fit.
+        """
+        scale, found = self.scale(robot), np.zeros_like(odd)
+        for k, spread in enumerate(self.columns.spreads):
+            factor = scale[:, None] * spread.factor
+            seen = np.einsum("tpq,pr,qr->t", fit.information, factor, factor, optimize=True)
+            seen = np.maximum(seen / factor.shape[1], 1e-300)
+            squared = np.sum((fit.score @ factor) ** 2, axis=1) / factor.shape[1]
+            # Score and information know of what was odd before; these are without it.
+            before = 1.0 / seen - np.minimum(odd[:, k], (1.0 - _LEAST) / seen)
+            deviation = squared / seen**2
+            found[:, k] = np.maximum(deviation / _USUAL - before, 0.0)
+        return found
 
     def deviation_factors(self) -> list[Array]:
         """(p, r) factor of each spread between robots, in the parameters' units."""
         typical = np.where(self.columns.relative, _typical(self), 1.0)[:, None]
         return [
             s * typical * spread.factor
-            for s, spread in zip(self.deviations, self._spreads, strict=True)
+            for s, spread in zip(self.deviations, self.columns.spreads, strict=True)
         ]
 
-    def together(self, robot: int, history: RobotHistory) -> Array:
+    def together(self, robot: int, logs: LogEquations) -> Array:
         """(T, p) what the common course adds to a robot's parameters at its logs."""
-        values = np.zeros((len(history.days), len(self.mean)))
-        values[:, self.columns.course] = self.course.of(history)
+        values = np.zeros((len(logs.days), len(self.mean)))
+        values[:, self.columns.course] = self.course.of(logs)
         return np.asarray(values * self.scale(robot))
 
-    @property
-    def _spreads(self) -> tuple:  # type: ignore[type-arg]
-        return self.columns.spreads
+    def parameters(self, robot: int, logs: LogEquations, fit: RobotFit) -> Array:
+        """(T, p) a robot's parameters at its logs by a fit, without the logs' own scatter."""
+        own = np.einsum("tpn,n->tp", fit.design, fit.theta)
+        return np.asarray(self.mean + self.together(robot, logs) + own)
 
     def _spread_out(self, together: Array) -> Array:
         """(T, p, q) the course of each column as a column of its own."""
@@ -123,7 +155,7 @@ def learn_type(
     """What robots of a type share, and how they differ, by the logs of all.
 
     Args:
-        histories: One for each robot, over the same p columns.
+        histories: One for each robot, over the same columns, without those of gains.
         columns: What the columns are.
         changes: (T, p, m) of each robot: changes that were found in it, as further parameters.
         start: Where to begin: what was learnt before.
@@ -135,17 +167,44 @@ def learn_type(
     histories = instances(histories, "histories", RobotHistory)
     instance(columns, "columns", TypeColumns)
     integer(rounds, "rounds", lower=1)
-    if not histories or any(h.right.shape[1:] != columns.prior.shape for h in histories):
+    joints = {history.grams.shape[1:3] for history in histories}
+    wanted = len(columns.prior) - columns.gains + 1
+    if len(joints) != 1 or any(
+        size != wanted or columns.gains not in (0, n) for n, size in joints
+    ):
         raise ArgumentError(
-            f"Each robot of a type must have its {len(columns.prior)} columns, and there must be a "
-            "robot."
+            f"Each robot of a type must have the same joints and {wanted - 1} columns, and there "
+            "must be a robot.",
+            advice="Gains are columns of the type, not of the logs.",
         )
     if changes is not None and len(changes) != len(histories):
         raise ArgumentError(f"{len(histories)} robots have {len(changes)} arrays of changes.")
     found = _begin(histories, columns) if start is None else start
+    references = [_references(found, r, history) for r, history in enumerate(histories)]
     for _ in range(rounds):
-        found = _improved(found, histories, changes)
+        found, references = _improved(found, histories, references, changes)
     return found
+
+
+def logs_at(history: RobotHistory, columns: TypeColumns, reference: Array) -> LogEquations:
+    """A robot's logs with the gains of its type, if that has any.
+
+    Args:
+        history: Its logs.
+        columns: The columns of its type.
+        reference: (T, p) or (p,) parameters that gains refer to.
+    """
+    count = len(columns.prior) - columns.gains
+    logs = history.with_gains(reference[..., :count])
+    if columns.gains:
+        return logs
+    return replace(
+        logs, information=logs.information[:, :count, :count], right=logs.right[:, :count]
+    )
+
+
+def _references(model: TypeModel, robot: int, history: RobotHistory) -> Array:
+    return np.broadcast_to(model.own[robot], (len(history.days), len(model.mean)))
 
 
 def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
@@ -164,13 +223,15 @@ def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
 def _begin(histories: Sequence[RobotHistory], columns: TypeColumns) -> TypeModel:
     """Pooled least squares, with the prior where logs say nothing."""
     K, p = len(columns.spreads), len(columns.prior)
-    information = sum((h.information.sum(axis=0) for h in histories), np.zeros((p, p)))
-    right = sum((h.right.sum(axis=0) for h in histories), np.zeros(p))
-    free = columns.free
-    side = right - information @ columns.prior
-    mean, seen = columns.prior.copy(), information[np.ix_(free, free)]
+    count = p - columns.gains
+    total = np.sum([history.grams.sum(axis=(0, 1)) for history in histories], axis=0)
+    prior, free = columns.prior[:count], columns.free[:count]
+    side = total[:count, count] - total[:count, :count] @ prior
+    seen = total[:count, :count][np.ix_(free, free)]
     unit = 1.0 / np.sqrt(np.maximum(np.diagonal(seen), 1e-300))
-    mean[free] += unit * np.linalg.lstsq(seen * unit[:, None] * unit, unit * side[free], 1e-9)[0]
+    step = np.linalg.lstsq(seen * unit[:, None] * unit, unit * side[free], 1e-9)[0]
+    mean = columns.prior.copy()
+    mean[:count][free] += unit * step
     return TypeModel(
         columns,
         mean,
@@ -180,6 +241,7 @@ def _begin(histories: Sequence[RobotHistory], columns: TypeColumns) -> TypeModel
         _START_RESPONSE,
         Course.begin(histories, int(columns.course.sum())),
         np.tile(mean, (len(histories), 1)),
+        tuple(np.zeros((len(history.days), K)) for history in histories),
     )
 
 
@@ -203,6 +265,8 @@ class _Told:
             for a known μ.
         scattered: (2, K) the same of its logs' scatter.
         course: (T, q, q) and (T, q): what it says of shares of the course.
+        odd: (T, K) how odd its logs are.
+        parameters: (T, p) its parameters at its logs.
     """
 
     own: Array
@@ -212,10 +276,12 @@ class _Told:
     spread: Array
     scattered: Array
     course: tuple[Array, Array]
+    odd: Array
+    parameters: Array
 
 
-def _told(model: TypeModel, robot: int, history: RobotHistory, changes: Array | None) -> _Told:
-    fit, scale = model.fit(robot, history, changes), model.scale(robot)
+def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | None) -> _Told:
+    fit, scale = model.fit(robot, logs, changes), model.scale(robot)
     linked = fit.seen.sum(axis=0)
     links = fit.solve(linked)
     columns = model.columns
@@ -233,6 +299,8 @@ def _told(model: TypeModel, robot: int, history: RobotHistory, changes: Array | 
         np.add.reduceat(squares[:, : starts[-1]], starts[:-1], axis=1),
         np.array(scattered),
         (part, fit.score[:, at] * share),
+        model.oddness(robot, logs, fit, model.odd[robot]),
+        model.parameters(robot, logs, fit),
     )
 
 
@@ -242,17 +310,22 @@ def _sizes(columns: TypeColumns) -> list[int]:
 
 
 def _improved(
-    model: TypeModel, histories: Sequence[RobotHistory], changes: Sequence[Array] | None
-) -> TypeModel:
+    model: TypeModel,
+    histories: Sequence[RobotHistory],
+    references: Sequence[Array],
+    changes: Sequence[Array] | None,
+) -> tuple[TypeModel, list[Array]]:
     """One step of all that is learnt.
 
     Scales go by the minorization of the restricted likelihood: what scores are over what they
     would be, as a root. From log to log it is the median over robots, as a robot that changed is
     none of the usual.
     """
+    pairs = zip(histories, references, strict=True)
+    logs = [logs_at(history, model.columns, reference) for history, reference in pairs]
     told = [
-        _told(model, r, history, None if changes is None else changes[r])
-        for r, history in enumerate(histories)
+        _told(model, r, each, None if changes is None else changes[r])
+        for r, each in enumerate(logs)
     ]
     free = model.columns.free
     typical = np.where(model.columns.relative, _typical(model), 1.0)[:, None]
@@ -268,9 +341,9 @@ def _improved(
     spread = _spread_ratio(model.columns, told, covariance)
     scattered = np.median([each.scattered[0] / np.maximum(each.scattered[1], 1e-300) for each in told], axis=0)
     course = model.course.improved(
-        histories, [each.course[0] for each in told], [each.course[1] for each in told]
+        logs, [each.course[0] for each in told], [each.course[1] for each in told]
     )
-    return replace(
+    found = replace(
         model,
         mean=mean,
         covariance=covariance,
@@ -279,7 +352,9 @@ def _improved(
         response=max(model.response * float(spread[-1]) ** 0.25, _LEAST),
         course=course,
         own=np.array([each.own for each in told]),
+        odd=tuple(each.odd for each in told),
     )
+    return found, [each.parameters for each in told]
 
 
 def _spread_ratio(columns: TypeColumns, told: Sequence[_Told], covariance: Array) -> Array:
