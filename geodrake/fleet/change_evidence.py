@@ -30,6 +30,21 @@ SCALES = (0.1, 0.3, 1.0, 3.0)
 """Sizes s of changes, over the usual one of their hypothesis, that are thought of."""
 
 
+@dataclass(frozen=True)
+class ChangePlace:
+    """A change in the space of all: hypothesis, kind and day, by their numbers.
+
+    Attributes:
+        hypothesis: Number of the hypothesis.
+        kind: "step" or "ramp".
+        first: Log at which it begins.
+    """
+
+    hypothesis: int
+    kind: str
+    first: int
+
+
 @dataclass(frozen=True, eq=False)
 class ChangeEvidence(Short):
     """What logs of a robot say for a change.
@@ -56,6 +71,13 @@ class ChangeEvidence(Short):
         shares = np.exp(self._joint - self.total)
         parts = np.split(shares, sizes)
         return tuple(p.reshape(r.shape) for p, r in zip(parts, self.ratio, strict=True))
+
+    def joint(self, place: ChangePlace) -> float:
+        """Logarithm of one change's ratio times its prior probability."""
+        at = [each.kind for each in self.profiles].index(place.kind)
+        day = int(np.flatnonzero(self.profiles[at].first == place.first)[0])
+        chosen = place.hypothesis, day
+        return float(self.ratio[at][chosen] + self.prior[at][chosen])
 
     @property
     def _joint(self) -> Array:

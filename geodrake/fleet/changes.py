@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
-from geodrake.fleet.change_evidence import ChangeEvidence, calc_change_evidence
+from geodrake.fleet.change_evidence import ChangeEvidence, ChangePlace, calc_change_evidence
 from geodrake.fleet.history import LogEquations, RobotHistory
 from geodrake.fleet.hypotheses import ChangeHypothesis
 from geodrake.fleet.profiles import Profiles
 from geodrake.fleet.robot_fit import RobotFit
-from geodrake.fleet.type_model import TypeModel, logs_at
+from geodrake.fleet.type_model import TypeModel
 
 Array = NDArray[np.float64]
 
@@ -90,27 +90,14 @@ class SearchState(Short):
     Attributes:
         logs: Their normal equations, with gains.
         odd: (T, K) how odd they are.
+        cost: Logarithm of what their density loses by that.
         fit: The robot's own parameters.
     """
 
     logs: LogEquations
     odd: Array
+    cost: float
     fit: RobotFit
-
-
-@dataclass(frozen=True)
-class ChangePlace:
-    """A change in the space of all: hypothesis, kind and day, by their numbers.
-
-    Attributes:
-        hypothesis: Number of the hypothesis.
-        kind: "step" or "ramp".
-        first: Log at which it begins.
-    """
-
-    hypothesis: int
-    kind: str
-    first: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,26 +108,29 @@ class RobotSearch(Short):
         model: What is known of its type.
         robot: Its number.
         history: Its logs.
+        reference: (T, p) or (p,) parameters that gains refer to at first.
         hypotheses: What may have changed.
     """
 
     model: TypeModel
     robot: int
     history: RobotHistory
+    reference: Array
     hypotheses: Sequence[ChangeHypothesis]
 
     def state(self, places: Sequence[ChangePlace]) -> SearchState:
         """The logs with some changes: gains refer to the parameters of the day, and odd logs count
         less."""
         changes, odd = self.design(places), self.model.odd[self.robot]
-        reference = self.model.own[self.robot]
+        reference = self.reference
         for _ in range(_REFITS):
-            logs = logs_at(self.history, self.model.columns, reference)
+            logs = logs_at(self.history, self.model.columns.gains, reference)
             fit = self.model.fit(self.robot, logs, changes, odd)
-            odd = self.model.oddness(self.robot, logs, fit, odd)
+            odd, cost = self.model.oddness(self.robot, logs, fit, odd)
             reference = self.model.parameters(self.robot, logs, fit)
-        logs = logs_at(self.history, self.model.columns, reference)
-        return SearchState(logs, odd, self.model.fit(self.robot, logs, changes, odd))
+        logs = logs_at(self.history, self.model.columns.gains, reference)
+        fit = self.model.fit(self.robot, logs, changes, odd)
+        return SearchState(logs, odd, float(cost.sum()), fit)
 
     def evidence(self, state: SearchState) -> ChangeEvidence:
         """What logs say for a further change beside those of a state."""
@@ -150,7 +140,7 @@ class RobotSearch(Short):
     def instead(self, state: SearchState, others: Sequence[ChangePlace]) -> ChangeEvidence:
         """What logs say for a change beside some of a state's, where logs are as odd as in it."""
         fit = self.model.fit(self.robot, state.logs, self.design(others), state.odd)
-        return self.evidence(SearchState(state.logs, state.odd, fit))
+        return self.evidence(replace(state, fit=fit))
 
     def design(self, places: Sequence[ChangePlace]) -> Array | None:
         """(T, p, m) parameters of some changes, of sizes that are hardly limited."""
@@ -173,14 +163,13 @@ class RobotSearch(Short):
             level: Probability of a false alarm in the time of all logs.
         """
         places: list[ChangePlace] = []
-        least = -np.log(level)
         while len(places) < _MOST_CHANGES:
             evidence = self.evidence(self.state(places))
-            if not evidence.profiles or evidence.total < least:
+            if not evidence.profiles:
                 break
-            added = self._exchanged([*places, best_place(evidence)], least)
+            added = self._exchanged([*places, best_place(evidence)], -np.log(level))
             if len(added) <= len(places):
-                break  # what was added made another one needless, and would again
+                break  # it was too little, or made another one needless, and would again
             places = added
         return places
 
@@ -190,14 +179,27 @@ class RobotSearch(Short):
             before = list(places)
             for at in range(len(places) - 1, -1, -1):
                 others = places[:at] + places[at + 1 :]
-                if len(places) > 1 and self.evidence(self.state(others)).total < least:
+                state = self.state(places)
+                best = best_place(self.instead(state, others))
+                if best != places[at]:
+                    places = others if best in others else [*places[:at], best, *places[at + 1 :]]
+                if best in others or self.support(places, at) < least:
                     places = others
-                    continue
-                best = best_place(self.instead(self.state(places), others))
-                places = others if best in others else [*places[:at], best, *places[at + 1 :]]
             if places == before:
                 break
         return places
+
+    def support(self, places: Sequence[ChangePlace], at: int) -> float:
+        """Logarithm of the E-value of one of some changes, beside the others.
+
+        Either that of all changes that there may be, with logs that are odd without one; or that of
+        this very one, and what such logs lose without it.
+        """
+        others = [*places[:at], *places[at + 1 :]]
+        without = self.state(others)
+        evidence = self.evidence(without)
+        lost = without.cost - self.state(places).cost
+        return max(evidence.total, evidence.joint(places[at]) + lost)
 
     def told(self, places: Sequence[ChangePlace]) -> tuple[RobotChange, ...]:
         """What there is to say of some changes."""
@@ -211,7 +213,7 @@ class RobotSearch(Short):
             end = part.start
             variance = np.einsum("pd,de,pe->p", factor, state.fit.covariance[part, part], factor)
             size, shares = factor @ state.fit.theta[part], kind_shares(evidence)
-            chance = np.exp(min(0.0, -self.evidence(self.state(others)).total))
+            chance = np.exp(min(0.0, -self.support(places, at)))
             found.append(
                 RobotChange(
                     self.history.robot,
@@ -255,6 +257,19 @@ class RobotSearch(Short):
         return tuple(sorted(told, key=lambda rival: -rival.probability))
 
 
+def logs_at(history: RobotHistory, gains: int, reference: Array) -> LogEquations:
+    """A robot's logs over the columns of its type.
+
+    Args:
+        history: Its logs.
+        gains: Number of gains among the columns: one for each joint, or 0.
+        reference: (T, p) or (p,) parameters that gains refer to.
+    """
+    if not gains:
+        return history.equations()
+    return history.with_gains(reference[..., : history.grams.shape[-1] - 1])
+
+
 def kind_shares(evidence: ChangeEvidence) -> dict[tuple[int, str], float]:
     """Probability of each hypothesis and kind, over all days."""
     return {
@@ -269,7 +284,7 @@ def best_place(evidence: ChangeEvidence) -> ChangePlace:
     shares = kind_shares(evidence)
     hypothesis, kind = max(shares, key=lambda key: shares[key])
     at = [each.kind for each in evidence.profiles].index(kind)
-    day = int(evidence.posterior()[at][hypothesis].argmax())
+    day = int((evidence.ratio[at] + evidence.prior[at])[hypothesis].argmax())
     return ChangePlace(hypothesis, kind, int(evidence.profiles[at].first[day]))
 
 

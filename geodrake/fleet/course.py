@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
-from geodrake.fleet.history import LogEquations, RobotHistory
+from geodrake.fleet.history import LogEquations
 
 Array = NDArray[np.float64]
 
@@ -37,17 +37,17 @@ class Course(Short):
     reference: float
 
     @classmethod
-    def begin(cls, histories: Sequence[RobotHistory], columns: int) -> Course:
+    def begin(cls, logs: Sequence[LogEquations], columns: int) -> Course:
         """A course of zeros.
 
         Args:
-            histories: All robots of a type.
+            logs: Those of all robots of a type.
             columns: Number q of columns that may go together.
         """
-        each = [np.unique(np.floor(history.days)) for history in histories]
+        each = [np.unique(np.floor(robot.days)) for robot in logs]
         days, robots = np.unique(np.concatenate(each), return_counts=True)
         days = days[robots >= LEAST_ROBOTS]
-        warm = np.concatenate([history.temperature for history in histories])
+        warm = np.concatenate([robot.temperature for robot in logs])
         known = warm[np.isfinite(warm)]
         reference = float(known.mean()) if len(known) else 0.0
         return cls(days, np.zeros((len(days), columns)), np.zeros(columns), reference)

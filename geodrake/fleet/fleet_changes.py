@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geodrake.boundary.arguments import instances, integer, number
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
-from geodrake.fleet.changes import ChangePlace, RobotChange, RobotSearch, months
+from geodrake.fleet.change_evidence import ChangePlace
+from geodrake.fleet.changes import RobotChange, RobotSearch, logs_at, months
 from geodrake.fleet.columns import TypeColumns
-from geodrake.fleet.history import RobotHistory
+from geodrake.fleet.history import LogEquations, RobotHistory
 from geodrake.fleet.hypotheses import ChangeHypothesis
-from geodrake.fleet.type_model import Array, TypeModel, learn_type
+from geodrake.fleet.type_model import Array, TypeModel, learn_type, least_squares
+
+
+_FIRST, _LATER = 20, 6  # rounds of learning what robots share
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,18 +65,42 @@ def find_changes(
     integer(passes, "passes", lower=1)
     if any(len(h.factor) != len(columns.prior) for h in hypotheses) or not hypotheses:
         raise ArgumentError(f"Each hypothesis needs {len(columns.prior)} columns, and there must be one.")
-    model = learn_type(histories, columns)
-    places: list[list[ChangePlace]] = []
+    references: list[Array] = [_pooled(histories)] * len(histories)
+    logs, designs, model = _at(histories, columns, references), None, None
     for step in range(passes):
-        searches = [RobotSearch(model, r, each, hypotheses) for r, each in enumerate(histories)]
+        model = learn_type(
+            logs, columns, changes=designs, start=model, rounds=_LATER if step else _FIRST
+        )
+        searches = [
+            RobotSearch(model, r, each, reference, hypotheses)
+            for r, (each, reference) in enumerate(zip(histories, references, strict=True))
+        ]
         places = [
             search.find(min(1.0, false_alarms * months(search.history))) for search in searches
         ]
         if step < passes - 1:
+            states = [search.state(own) for search, own in zip(searches, places, strict=True)]
+            references = [
+                model.parameters(r, state.logs, state.fit) for r, state in enumerate(states)
+            ]
+            logs = _at(histories, columns, references)
             designs = [_design(search, own) for search, own in zip(searches, places, strict=True)]
-            model = learn_type(histories, columns, changes=designs, start=model, rounds=6)
+            model = replace(model, odd=tuple(state.odd for state in states))
     told = tuple(search.told(own) for search, own in zip(searches, places, strict=True))
     return FleetChanges(model, told, tuple(tuple(own) for own in places))
+
+
+def _pooled(histories: Sequence[RobotHistory]) -> Array:
+    """(p,) least squares of all robots, to which gains refer at first."""
+    total = np.sum([history.grams.sum(axis=(0, 1)) for history in histories], axis=0)
+    return least_squares(total[:-1, :-1], total[:-1, -1])
+
+
+def _at(
+    histories: Sequence[RobotHistory], columns: TypeColumns, references: Sequence[Array]
+) -> list[LogEquations]:
+    pairs = zip(histories, references, strict=True)
+    return [logs_at(history, columns.gains, reference) for history, reference in pairs]
 
 
 def _design(search: RobotSearch, places: Sequence[ChangePlace]) -> Array:

@@ -46,6 +46,11 @@ class RobotHistory(Short):
                 robot=self.robot,
             )
 
+    def equations(self) -> LogEquations:
+        """Normal equations of the p columns alone."""
+        total = self.grams.sum(axis=1)
+        return LogEquations(self.days, total[:, :-1, :-1], total[:, :-1, -1], self.temperature)
+
     def with_gains(self, reference: ArrayLike) -> LogEquations:
         """Normal equations with a further column for the gain of every joint's effort.
 

@@ -20,7 +20,7 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.fleet.columns import TypeColumns
 from geodrake.fleet.course import Course
-from geodrake.fleet.history import LogEquations, RobotHistory
+from geodrake.fleet.history import LogEquations
 from geodrake.fleet.marginals import calc_marginal
 from geodrake.fleet.robot_fit import RobotFit
 
@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 
 _START_DEVIATION, _START_SCATTER, _START_RESPONSE = 0.1, 0.03, 0.2
 _WEAK = 10.0  # scale of spreads in the prior of what all share
+_FLAT = 1e-9  # share of information that is none
 _LEAST = 1e-8  # scale that is none
 _FAR = 3.0  # factor between a robot's friction and the type's beyond which it is no scale
 _USUAL = 4.0  # squared deviation, in its expectation, up to which a log is none that is odd
@@ -94,18 +95,25 @@ class TypeModel(Short):
         design = np.concatenate(parts, axis=2)
         return RobotFit(M, m - (M @ mean[..., None])[..., 0], design)
 
-    def oddness(self, robot: int, logs: LogEquations, fit: RobotFit, odd: Array) -> Array:
-        """(T, K) what τ² of logs that are odd in a fit has beyond that of the type.
+    def oddness(
+        self, robot: int, logs: LogEquations, fit: RobotFit, odd: Array
+    ) -> tuple[Array, Array]:
+        """How odd logs are in a fit, and what that costs.
 
-        A deviation counts as one of at most `_USUAL` times its expectation, squared.
+        Deviations have the density exp(−½ z²) up to z² = `_USUAL` and (z²)^(−½ `_USUAL`) beyond,
+        as those of Student's distribution have. Such a log counts as one of a larger scatter.
 
         Args:
             robot: The robot's number.
             logs: Its logs.
             fit: A fit of them.
-            odd: (T, K) what was taken for that in the fit.
+            odd: (T, K) what was added to τ² in the fit.
+
+        Returns:
+            (T, K) what is to be added to τ², and (T,) minus the logarithm of what a log's density
+            loses by it, at the spread where that is most.
         """
-        scale, found = self.scale(robot), np.zeros_like(odd)
+        scale, found, cost = self.scale(robot), np.zeros_like(odd), np.zeros(len(odd))
         for k, spread in enumerate(self.columns.spreads):
             factor = scale[:, None] * spread.factor
             seen = np.einsum("tpq,pr,qr->t", fit.information, factor, factor, optimize=True)
@@ -113,9 +121,10 @@ class TypeModel(Short):
             squared = np.sum((fit.score @ factor) ** 2, axis=1) / factor.shape[1]
             # Score and information know of what was odd before; these are without it.
             before = 1.0 / seen - np.minimum(odd[:, k], (1.0 - _LEAST) / seen)
-            deviation = squared / seen**2
-            found[:, k] = np.maximum(deviation / _USUAL - before, 0.0)
-        return found
+            beyond = np.maximum(squared / seen**2 / (_USUAL * before), 1.0)
+            found[:, k] = (beyond - 1.0) * before
+            cost = np.maximum(cost, 0.5 * _USUAL * np.log(beyond))
+        return found, cost
 
     def deviation_factors(self) -> list[Array]:
         """(p, r) factor of each spread between robots, in the parameters' units."""
@@ -145,7 +154,7 @@ class TypeModel(Short):
 
 
 def learn_type(
-    histories: Sequence[RobotHistory],
+    logs: Sequence[LogEquations],
     columns: TypeColumns,
     *,
     changes: Sequence[Array] | None = None,
@@ -155,7 +164,7 @@ def learn_type(
     """What robots of a type share, and how they differ, by the logs of all.
 
     Args:
-        histories: One for each robot, over the same columns, without those of gains.
+        logs: Those of each robot, over the columns of the type.
         columns: What the columns are.
         changes: (T, p, m) of each robot: changes that were found in it, as further parameters.
         start: Where to begin: what was learnt before.
@@ -164,47 +173,20 @@ def learn_type(
     Raises:
         ArgumentError: There is no robot, or one has other columns.
     """
-    histories = instances(histories, "histories", RobotHistory)
+    logs = instances(logs, "logs", LogEquations)
     instance(columns, "columns", TypeColumns)
     integer(rounds, "rounds", lower=1)
-    joints = {history.grams.shape[1:3] for history in histories}
-    wanted = len(columns.prior) - columns.gains + 1
-    if len(joints) != 1 or any(
-        size != wanted or columns.gains not in (0, n) for n, size in joints
-    ):
+    if not logs or any(each.right.shape[1:] != columns.prior.shape for each in logs):
         raise ArgumentError(
-            f"Each robot of a type must have the same joints and {wanted - 1} columns, and there "
-            "must be a robot.",
-            advice="Gains are columns of the type, not of the logs.",
+            f"Each robot of a type must have its {len(columns.prior)} columns, and there must be a "
+            "robot."
         )
-    if changes is not None and len(changes) != len(histories):
-        raise ArgumentError(f"{len(histories)} robots have {len(changes)} arrays of changes.")
-    found = _begin(histories, columns) if start is None else start
-    references = [_references(found, r, history) for r, history in enumerate(histories)]
+    if changes is not None and len(changes) != len(logs):
+        raise ArgumentError(f"{len(logs)} robots have {len(changes)} arrays of changes.")
+    found = _begin(logs, columns) if start is None else start
     for _ in range(rounds):
-        found, references = _improved(found, histories, references, changes)
+        found = _improved(found, logs, changes)
     return found
-
-
-def logs_at(history: RobotHistory, columns: TypeColumns, reference: Array) -> LogEquations:
-    """A robot's logs with the gains of its type, if that has any.
-
-    Args:
-        history: Its logs.
-        columns: The columns of its type.
-        reference: (T, p) or (p,) parameters that gains refer to.
-    """
-    count = len(columns.prior) - columns.gains
-    logs = history.with_gains(reference[..., :count])
-    if columns.gains:
-        return logs
-    return replace(
-        logs, information=logs.information[:, :count, :count], right=logs.right[:, :count]
-    )
-
-
-def _references(model: TypeModel, robot: int, history: RobotHistory) -> Array:
-    return np.broadcast_to(model.own[robot], (len(history.days), len(model.mean)))
 
 
 def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
@@ -220,18 +202,15 @@ def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
     return model.mean + factor @ fit.theta[part], covariance
 
 
-def _begin(histories: Sequence[RobotHistory], columns: TypeColumns) -> TypeModel:
+def _begin(logs: Sequence[LogEquations], columns: TypeColumns) -> TypeModel:
     """Pooled least squares, with the prior where logs say nothing."""
-    K, p = len(columns.spreads), len(columns.prior)
-    count = p - columns.gains
-    total = np.sum([history.grams.sum(axis=(0, 1)) for history in histories], axis=0)
-    prior, free = columns.prior[:count], columns.free[:count]
-    side = total[:count, count] - total[:count, :count] @ prior
-    seen = total[:count, :count][np.ix_(free, free)]
-    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(seen), 1e-300))
-    step = np.linalg.lstsq(seen * unit[:, None] * unit, unit * side[free], 1e-9)[0]
+    K, p, free = len(columns.spreads), len(columns.prior), columns.free
+    information = np.sum([each.information.sum(axis=0) for each in logs], axis=0)
+    right = np.sum([each.right.sum(axis=0) for each in logs], axis=0)
     mean = columns.prior.copy()
-    mean[:count][free] += unit * step
+    mean[free] += least_squares(
+        information[np.ix_(free, free)], (right - information @ columns.prior)[free]
+    )
     return TypeModel(
         columns,
         mean,
@@ -239,9 +218,9 @@ def _begin(histories: Sequence[RobotHistory], columns: TypeColumns) -> TypeModel
         np.full(K, _START_DEVIATION),
         np.full(K, _START_SCATTER),
         _START_RESPONSE,
-        Course.begin(histories, int(columns.course.sum())),
-        np.tile(mean, (len(histories), 1)),
-        tuple(np.zeros((len(history.days), K)) for history in histories),
+        Course.begin(logs, int(columns.course.sum())),
+        np.tile(mean, (len(logs), 1)),
+        tuple(np.zeros((len(each.days), K)) for each in logs),
     )
 
 
@@ -266,7 +245,6 @@ class _Told:
         scattered: (2, K) the same of its logs' scatter.
         course: (T, q, q) and (T, q): what it says of shares of the course.
         odd: (T, K) how odd its logs are.
-        parameters: (T, p) its parameters at its logs.
     """
 
     own: Array
@@ -277,7 +255,6 @@ class _Told:
     scattered: Array
     course: tuple[Array, Array]
     odd: Array
-    parameters: Array
 
 
 def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | None) -> _Told:
@@ -299,8 +276,7 @@ def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | Non
         np.add.reduceat(squares[:, : starts[-1]], starts[:-1], axis=1),
         np.array(scattered),
         (part, fit.score[:, at] * share),
-        model.oddness(robot, logs, fit, model.odd[robot]),
-        model.parameters(robot, logs, fit),
+        model.oddness(robot, logs, fit, model.odd[robot])[0],
     )
 
 
@@ -310,19 +286,14 @@ def _sizes(columns: TypeColumns) -> list[int]:
 
 
 def _improved(
-    model: TypeModel,
-    histories: Sequence[RobotHistory],
-    references: Sequence[Array],
-    changes: Sequence[Array] | None,
-) -> tuple[TypeModel, list[Array]]:
+    model: TypeModel, logs: Sequence[LogEquations], changes: Sequence[Array] | None
+) -> TypeModel:
     """One step of all that is learnt.
 
     Scales go by the minorization of the restricted likelihood: what scores are over what they
     would be, as a root. From log to log it is the median over robots, as a robot that changed is
     none of the usual.
     """
-    pairs = zip(histories, references, strict=True)
-    logs = [logs_at(history, model.columns, reference) for history, reference in pairs]
     told = [
         _told(model, r, each, None if changes is None else changes[r])
         for r, each in enumerate(logs)
@@ -343,7 +314,7 @@ def _improved(
     course = model.course.improved(
         logs, [each.course[0] for each in told], [each.course[1] for each in told]
     )
-    found = replace(
+    return replace(
         model,
         mean=mean,
         covariance=covariance,
@@ -354,7 +325,6 @@ def _improved(
         own=np.array([each.own for each in told]),
         odd=tuple(each.odd for each in told),
     )
-    return found, [each.parameters for each in told]
 
 
 def _spread_ratio(columns: TypeColumns, told: Sequence[_Told], covariance: Array) -> Array:
@@ -367,6 +337,18 @@ def _spread_ratio(columns: TypeColumns, told: Sequence[_Told], covariance: Array
         taken = np.einsum("na,ab,nb->n", links, covariance, links)
         expected = expected - np.add.reduceat(taken, starts[:-1])
     return np.asarray(squares / np.maximum(expected, 1e-300))
+
+
+def least_squares(information: Array, right: Array) -> Array:
+    """The shortest (p,) solution of normal equations, in units of the columns' own sizes.
+
+    Args:
+        information: (p, p) normal matrix.
+        right: (p,) right side.
+    """
+    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+    scaled = information * unit[:, None] * unit
+    return np.asarray(unit * np.linalg.lstsq(scaled, unit * right, _FLAT)[0])
 
 
 def _inverse(matrix: Array) -> Array:
