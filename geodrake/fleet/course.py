@@ -55,7 +55,7 @@ class Course(Short):
     def of(self, logs: LogEquations) -> Array:
         """(T, q) shares at a robot's logs; between days with too few robots it is linear."""
         values = self._warmer(logs)[:, None] * self.slope
-        if len(self.days):
+        if self.values.size:
             at = np.floor(logs.days)
             values = values + np.stack([np.interp(at, self.days, c) for c in self.values.T], -1)
         return np.asarray(values)
@@ -86,7 +86,7 @@ class Course(Short):
         self, logs: Sequence[LogEquations], information: Sequence[Array], right: Sequence[Array]
     ) -> Course:
         D, q = self.values.shape
-        if not D:
+        if not self.values.size:
             return self
         seen, side = np.tile(np.eye(q) / _WIDE**2, (D, 1, 1)), -self.values / _WIDE**2
         for each, info, rest in zip(logs, information, right, strict=True):

@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 _START_DEVIATION, _START_SCATTER, _START_RESPONSE = 0.1, 0.03, 0.2
 _WEAK = 10.0  # scale of spreads in the prior of what all share
 _FLAT = 1e-9  # share of information that is none
+_TINY = 1e-12  # expectation below which nothing is expected
 _LEAST = 1e-8  # scale that is none
 _FAR = 3.0  # factor between a robot's friction and the type's beyond which it is no scale
 _USUAL = 4.0  # squared deviation, in its expectation, up to which a log is none that is odd
@@ -265,7 +266,6 @@ def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | Non
     factors = [scale[:, None] * spread.factor for spread in columns.spreads]
     scattered = [[np.sum((fit.score @ f) ** 2) for f in factors], [fit.expected(f) for f in factors]]
     squares = np.stack([fit.theta**2, 1.0 - np.diagonal(fit.covariance)])
-    starts = np.concatenate([[0], np.cumsum(_sizes(columns))])
     share, at = scale[columns.course], columns.course
     part = fit.information[:, at][:, :, at] * share[:, None] * share
     return _Told(
@@ -273,7 +273,7 @@ def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | Non
         fit.information.sum(axis=0) - linked.T @ links,
         fit.score.sum(axis=0),
         links,
-        np.add.reduceat(squares[:, : starts[-1]], starts[:-1], axis=1),
+        _parts(squares, columns),
         np.array(scattered),
         (part, fit.score[:, at] * share),
         model.oddness(robot, logs, fit, model.odd[robot])[0],
@@ -283,6 +283,13 @@ def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | Non
 def _sizes(columns: TypeColumns) -> list[int]:
     """Parameters of each spread, and of the response to the course."""
     return [s.factor.shape[1] for s in columns.spreads] + [int(columns.course.sum())]
+
+
+def _parts(values: Array, columns: TypeColumns) -> Array:
+    """(..., K + 1) sums of (..., n) over the parameters of each spread, and of the response."""
+    ends = np.cumsum([0, *_sizes(columns)])
+    sums = np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(values, axis=-1)], axis=-1)
+    return np.diff(sums[..., ends])
 
 
 def _improved(
@@ -329,14 +336,11 @@ def _improved(
 
 def _spread_ratio(columns: TypeColumns, told: Sequence[_Told], covariance: Array) -> Array:
     """(K + 1,) squares of θ over their expectations, of all robots; μ is not known but learnt."""
-    sizes = _sizes(columns)
-    starts = np.concatenate([[0], np.cumsum(sizes)])
     squares, expected = np.sum([each.spread for each in told], axis=0)
     for each in told:
-        links = each.links[: starts[-1]]
-        taken = np.einsum("na,ab,nb->n", links, covariance, links)
-        expected = expected - np.add.reduceat(taken, starts[:-1])
-    return np.asarray(squares / np.maximum(expected, 1e-300))
+        taken = np.einsum("na,ab,nb->n", each.links, covariance, each.links)
+        expected = expected - _parts(taken, columns)
+    return np.asarray(squares / np.maximum(expected, _TINY))
 
 
 def least_squares(information: Array, right: Array) -> Array:
