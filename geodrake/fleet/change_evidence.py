@@ -98,40 +98,50 @@ def calc_change_evidence(
     """
     usable = np.unique(days).size > 1
     profiles = tuple(Profiles.of(kind, days) for kind in KINDS) if usable else ()
-    factors = [scale[:, None] * h.factor for h in hypotheses]
-    linked = fit.seen @ np.hstack(factors)
-    right = fit.score @ np.hstack(factors)
-    ends = np.cumsum([0, *(f.shape[1] for f in factors)])
-    parts = [slice(a, b) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
-    own = [np.einsum("pd,tpq,qe->tde", f, fit.information, f, optimize=True) for f in factors]
-    ratios, priors = [], []
-    for each in profiles:
-        cross, side = each.sums(linked), each.sums(right)
-        flat = cross.transpose(1, 0, 2).reshape(cross.shape[1], -1)
-        solved = fit.solve(flat).reshape(cross.shape[1], *cross[:, 0].shape).transpose(1, 0, 2)
-        ratio = np.full((len(hypotheses), len(each.first)), -np.inf)
-        prior = ratio.copy()
-        for h, (hypothesis, part) in enumerate(zip(hypotheses, parts, strict=True)):
-            if each.kind not in hypothesis.kinds:
+    ratios = [np.full((len(hypotheses), len(each.first)), -np.inf) for each in profiles]
+    priors = [ratio.copy() for ratio in ratios]
+    sizes = np.array([h.factor.shape[1] for h in hypotheses])
+    for size in np.unique(sizes).tolist():
+        for each, ratio, prior in zip(profiles, ratios, priors, strict=True):
+            tried = [h for h in np.flatnonzero(sizes == size) if each.kind in hypotheses[h].kinds]
+            if not tried:
                 continue
-            seen = np.swapaxes(cross[..., part], 1, 2) @ solved[..., part]
-            ratio[h] = calc_log_ratio(each.squares(own[h]) - seen, side[:, part])
-            prior[h] = -np.log(len(hypotheses) * len(hypothesis.kinds) * len(each.first))
-        ratios.append(ratio)
-        priors.append(prior)
+            factor = scale[:, None] * np.hstack([hypotheses[h].factor for h in tried])
+            ratio[tried] = _ratios(fit, each, factor, size)
+            kinds = np.array([len(hypotheses[h].kinds) for h in tried])
+            prior[tried] = -np.log(len(hypotheses) * len(each.first) * kinds)[:, None]
     return ChangeEvidence(profiles, tuple(ratios), tuple(priors))
 
 
+def _ratios(fit: RobotFit, profiles: Profiles, factor: Array, size: int) -> Array:
+    """(h, K) logarithms of ratios of hypotheses (p, h · size) that have as many columns each."""
+    count, T = factor.shape[1] // size, len(profiles.days)
+    cross, side = profiles.sums(fit.seen @ factor), profiles.sums(fit.score @ factor)
+    K, n = cross.shape[:2]
+    solved = fit.solve(cross.transpose(1, 0, 2).reshape(n, -1)).reshape(n, K, -1)
+    blocks = cross.reshape(K, n, count, size).transpose(0, 2, 3, 1)
+    seen = blocks @ solved.transpose(1, 0, 2).reshape(K, n, count, size).transpose(0, 2, 1, 3)
+    along = (fit.information @ factor).reshape(T, -1, count, size).transpose(0, 2, 1, 3)
+    each = factor.reshape(-1, count, size).transpose(1, 2, 0)
+    information = profiles.squares(each @ along) - seen
+    return calc_log_ratio(information, side.reshape(K, count, size)).T
+
+
 def calc_log_ratio(information: Array, score: Array) -> Array:
-    """(K,) logarithms of mean ratios of marginal likelihoods over the sizes that are thought of.
+    """(...) logarithms of mean ratios of marginal likelihoods over the sizes that are thought of.
 
     Args:
-        information: (K, d, d) what is known of z, with all else let go.
-        score: (K, d) slopes of the log-likelihood at z = 0.
+        information: (..., d, d) what is known of z, with all else let go.
+        score: (..., d) slopes of the log-likelihood at z = 0.
     """
-    values, vectors = np.linalg.eigh(information)
+    if score.shape[-1] == 1:
+        values, along = information[..., 0], score**2
+    else:
+        values, vectors = np.linalg.eigh(information)
+        along = np.einsum("...de,...d->...e", vectors, score) ** 2
     values = np.maximum(values, 0.0)
-    along = np.einsum("kde,kd->ke", vectors, score) ** 2
-    squares = np.square(SCALES)[:, None, None]
-    gain = squares * along / (1.0 + squares * values) - np.log1p(squares * values)
-    return np.asarray(logsumexp(0.5 * gain.sum(axis=2), axis=0) - np.log(len(SCALES)))
+    gains = [
+        0.5 * (s**2 * along / (1.0 + s**2 * values) - np.log1p(s**2 * values)).sum(axis=-1)
+        for s in SCALES
+    ]
+    return np.asarray(np.logaddexp.reduce(gains, axis=0) - np.log(len(SCALES)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,10 +117,16 @@ class RobotSearch(Short):
     history: RobotHistory
     reference: Array
     hypotheses: Sequence[ChangeHypothesis]
+    _states: dict[tuple[ChangePlace, ...], SearchState] = field(default_factory=dict, init=False)
 
     def state(self, places: Sequence[ChangePlace]) -> SearchState:
         """The logs with some changes: gains refer to the parameters of the day, and odd logs count
         less."""
+        if tuple(places) not in self._states:
+            self._states[tuple(places)] = self._settled(places)
+        return self._states[tuple(places)]
+
+    def _settled(self, places: Sequence[ChangePlace]) -> SearchState:
         changes, odd = self.design(places), self.model.odd[self.robot]
         reference = self.reference
         for _ in range(_REFITS):

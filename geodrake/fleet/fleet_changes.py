@@ -18,7 +18,7 @@ from geodrake.fleet.hypotheses import ChangeHypothesis
 from geodrake.fleet.type_model import Array, TypeModel, learn_type, least_squares
 
 
-_FIRST, _LATER = 20, 6  # rounds of learning what robots share
+_FIRST, _LATER = 12, 4  # rounds of learning what robots share
 
 
 @dataclass(frozen=True, eq=False)

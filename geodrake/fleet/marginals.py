@@ -22,9 +22,11 @@ def calc_marginal(information: Array, right: Array, factor: Array) -> tuple[Arra
         (..., p, p) matrices M, and (..., p) right sides m.
     """
     seen = information @ factor
-    inner = np.swapaxes(seen, -1, -2) @ factor + np.eye(factor.shape[-1])
+    inner = np.swapaxes(seen, -1, -2) @ factor
+    inner[..., np.arange(inner.shape[-1]), np.arange(inner.shape[-1])] += 1.0
     both = np.concatenate([seen, right[..., None, :] @ factor], axis=-2)
-    half = np.linalg.solve(np.linalg.cholesky(inner), np.swapaxes(both, -1, -2))
-    left, side = half[..., :-1], half[..., -1]
-    shared = np.swapaxes(left, -1, -2)
-    return information - shared @ left, right - (shared @ side[..., None])[..., 0]
+    solved = np.linalg.solve(inner, np.swapaxes(both, -1, -2))
+    taken = seen @ solved
+    marginal = information - taken[..., :-1]
+    # What rounding makes of a symmetric matrix.
+    return 0.5 * (marginal + np.swapaxes(marginal, -1, -2)), right - taken[..., -1]

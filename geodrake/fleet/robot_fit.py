@@ -35,7 +35,7 @@ class RobotFit(Short):
 
     @cached_property
     def _factor(self) -> tuple[Array, bool]:
-        normal = np.einsum("tnp,tpm->nm", self.seen, self.design, optimize=True)
+        normal = (self.seen @ self.design).sum(axis=0)
         found: tuple[Array, bool] = cho_factor(normal + np.eye(len(normal)), lower=True)
         return found
 
@@ -58,13 +58,18 @@ class RobotFit(Short):
         """(T, p) what is left of every log's right side, rest_t − M_t L_t θ."""
         return np.asarray(self.rest - np.einsum("tnp,n->tp", self.seen, self.theta))
 
-    def expected(self, factor: Array) -> float:
-        """Σ_t of the expectation of ‖Fᵀ score_t‖², if the model is right.
+    def squares(self, factor: Array) -> tuple[Array, Array, Array]:
+        """How large scores are along some directions.
 
         Args:
-            factor: (p, r) F.
+            factor: (p, r) directions F.
+
+        Returns:
+            (T, r) squares of Fᵀ score_t; (T, r) diagonals of Fᵀ M_t F; and (r,) the sums over logs
+            of what the first are expected to be, if the model is right.
         """
-        own = np.einsum("tpq,pr,qr->", self.information, factor, factor, optimize=True)
-        part = self.seen @ factor
-        part = part.transpose(1, 0, 2).reshape(part.shape[1], -1)
-        return float(own - np.sum(part * self.solve(part)))
+        own = np.einsum("pr,tpr->tr", factor, self.information @ factor)
+        part = (self.seen @ factor).transpose(1, 0, 2)
+        flat = part.reshape(len(part), -1)
+        fitted = np.sum((flat * self.solve(flat)).reshape(part.shape), axis=(0, 1))
+        return (self.score @ factor) ** 2, own, own.sum(axis=0) - fitted

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +83,7 @@ class TypeModel(Short):
         """
         odd = self.odd[robot] if odd is None else odd
         scale, sizes = self.scale(robot), _sizes(self.columns)[:-1]
-        factor = scale[:, None] * np.hstack([s.factor for s in self.columns.spreads])
+        factor = scale[:, None] * self._factor
         scales = np.repeat(np.sqrt(self.scatter**2 + odd), sizes, axis=1)
         M, m = calc_marginal(logs.information, logs.right, scales[:, None] * factor)
         together = self.together(robot, logs)
@@ -114,18 +115,19 @@ class TypeModel(Short):
             (T, K) what is to be added to τ², and (T,) minus the logarithm of what a log's density
             loses by it, at the spread where that is most.
         """
-        scale, found, cost = self.scale(robot), np.zeros_like(odd), np.zeros(len(odd))
-        for k, spread in enumerate(self.columns.spreads):
-            factor = scale[:, None] * spread.factor
-            seen = np.einsum("tpq,pr,qr->t", fit.information, factor, factor, optimize=True)
-            seen = np.maximum(seen / factor.shape[1], 1e-300)
-            squared = np.sum((fit.score @ factor) ** 2, axis=1) / factor.shape[1]
-            # Score and information know of what was odd before; these are without it.
-            before = 1.0 / seen - np.minimum(odd[:, k], (1.0 - _LEAST) / seen)
-            beyond = np.maximum(squared / seen**2 / (_USUAL * before), 1.0)
-            found[:, k] = (beyond - 1.0) * before
-            cost = np.maximum(cost, 0.5 * _USUAL * np.log(beyond))
-        return found, cost
+        squares, seen, _ = fit.squares(self.scale(robot)[:, None] * self._factor)
+        count = np.array(_sizes(self.columns)[:-1])
+        seen = np.maximum(_parts(seen, self.columns)[:, :-1] / count, 1e-300)
+        squared = _parts(squares, self.columns)[:, :-1] / count
+        # Scores and information know of what was odd before; these are without it.
+        before = 1.0 / seen - np.minimum(odd, (1.0 - _LEAST) / seen)
+        beyond = np.maximum(squared / seen**2 / (_USUAL * before), 1.0)
+        return (beyond - 1.0) * before, 0.5 * _USUAL * np.log(beyond).max(axis=1)
+
+    @cached_property
+    def _factor(self) -> Array:
+        """(p, r) factors of all spreads."""
+        return np.hstack([spread.factor for spread in self.columns.spreads])
 
     def deviation_factors(self) -> list[Array]:
         """(p, r) factor of each spread between robots, in the parameters' units."""
@@ -160,7 +162,7 @@ def learn_type(
     *,
     changes: Sequence[Array] | None = None,
     start: TypeModel | None = None,
-    rounds: int = 20,
+    rounds: int = 12,
 ) -> TypeModel:
     """What robots of a type share, and how they differ, by the logs of all.
 
@@ -263,8 +265,8 @@ def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | Non
     linked = fit.seen.sum(axis=0)
     links = fit.solve(linked)
     columns = model.columns
-    factors = [scale[:, None] * spread.factor for spread in columns.spreads]
-    scattered = [[np.sum((fit.score @ f) ** 2) for f in factors], [fit.expected(f) for f in factors]]
+    scores, _, expected = fit.squares(scale[:, None] * model._factor)
+    scattered = np.stack([scores.sum(axis=0), expected])
     squares = np.stack([fit.theta**2, 1.0 - np.diagonal(fit.covariance)])
     share, at = scale[columns.course], columns.course
     part = fit.information[:, at][:, :, at] * share[:, None] * share
@@ -274,7 +276,7 @@ def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | Non
         fit.score.sum(axis=0),
         links,
         _parts(squares, columns),
-        np.array(scattered),
+        _parts(scattered, columns)[:, :-1],
         (part, fit.score[:, at] * share),
         model.oddness(robot, logs, fit, model.odd[robot])[0],
     )
@@ -288,7 +290,10 @@ def _sizes(columns: TypeColumns) -> list[int]:
 def _parts(values: Array, columns: TypeColumns) -> Array:
     """(..., K + 1) sums of (..., n) over the parameters of each spread, and of the response."""
     ends = np.cumsum([0, *_sizes(columns)])
-    sums = np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(values, axis=-1)], axis=-1)
+    sums = np.zeros((*values.shape[:-1], ends[-1] + 1))
+    kept = values[..., : ends[-1]]
+    np.cumsum(kept, axis=-1, out=sums[..., 1 : kept.shape[-1] + 1])
+    sums[..., kept.shape[-1] + 1 :] = sums[..., kept.shape[-1], None]
     return np.diff(sums[..., ends])
 
 
@@ -297,8 +302,8 @@ def _improved(
 ) -> TypeModel:
     """One step of all that is learnt.
 
-    Scales go by the minorization of the restricted likelihood: what scores are over what they
-    would be, as a root. From log to log it is the median over robots, as a robot that changed is
+    Squared scales go by what squares of scores are over what they would be, whose fixed point is
+    the largest restricted likelihood. From log to log it is the median over robots, as a robot that changed is
     none of the usual.
     """
     told = [
@@ -325,9 +330,9 @@ def _improved(
         model,
         mean=mean,
         covariance=covariance,
-        deviations=np.maximum(model.deviations * spread[:-1] ** 0.25, _LEAST),
-        scatter=np.maximum(model.scatter * scattered**0.25, _LEAST),
-        response=max(model.response * float(spread[-1]) ** 0.25, _LEAST),
+        deviations=np.maximum(model.deviations * np.sqrt(spread[:-1]), _LEAST),
+        scatter=np.maximum(model.scatter * np.sqrt(scattered), _LEAST),
+        response=max(model.response * float(np.sqrt(spread[-1])), _LEAST),
         course=course,
         own=np.array([each.own for each in told]),
         odd=tuple(each.odd for each in told),

@@ -125,7 +125,7 @@ def test_common_model_and_deviations_are_those_of_one_dense_fit():
 def test_scales_are_learnt():
     rng = np.random.default_rng(5)
     logs = [robot(rng, logs=12, rows=40).history().equations() for _ in range(40)]
-    found = learn_type(logs, columns(), rounds=60)
+    found = learn_type(logs, columns(), rounds=20)
     np.testing.assert_allclose(found.deviations, 0.1, rtol=0.3)
     np.testing.assert_allclose(found.scatter, 0.03, rtol=0.35)
     np.testing.assert_allclose(found.mean, MEAN, atol=4 * np.sqrt(0.01 / 40))
@@ -135,7 +135,7 @@ def test_levels_cover_what_logs_have():
     rng = np.random.default_rng(6)
     rows = [robot(rng, logs=10) for _ in range(12)]
     logs = [each.history().equations() for each in rows]
-    found, errors = learn_type(logs, columns(), rounds=30), []
+    found, errors = learn_type(logs, columns(), rounds=15), []
     for r, each in enumerate(logs):
         levels = parameter_levels(found, r, each, found.fit(r, each), [2, 3])
         assert levels.shown.all()
