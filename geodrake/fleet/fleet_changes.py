@@ -29,11 +29,13 @@ class FleetChanges(Short):
         model: What they share, and how they differ.
         changes: Of every robot, those that were found.
         places: The same by numbers, for further fits.
+        references: (T, p) of every robot, parameters that its gains referred to.
     """
 
     model: TypeModel
     changes: tuple[tuple[RobotChange, ...], ...]
     places: tuple[tuple[ChangePlace, ...], ...]
+    references: tuple[Array, ...]
 
 
 def find_changes(
@@ -87,7 +89,7 @@ def find_changes(
             designs = [_design(search, own) for search, own in zip(searches, places, strict=True)]
             model = replace(model, odd=tuple(state.odd for state in states))
     told = tuple(search.told(own) for search, own in zip(searches, places, strict=True))
-    return FleetChanges(model, told, tuple(tuple(own) for own in places))
+    return FleetChanges(model, told, tuple(tuple(own) for own in places), tuple(references))
 
 
 def _pooled(histories: Sequence[RobotHistory]) -> Array:
