@@ -26,7 +26,7 @@ from geodrake.fleet.robot_fit import RobotFit
 
 Array = NDArray[np.float64]
 
-SCALES = (0.1, 0.3, 1.0, 3.0)
+SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Sizes s of changes, over the usual one of their hypothesis, that are thought of."""
 
 

@@ -170,14 +170,26 @@ class RobotSearch(Short):
         """
         places: list[ChangePlace] = []
         while len(places) < _MOST_CHANGES:
-            evidence = self.evidence(self.state(places))
-            if not evidence.profiles:
-                break
-            added = self._exchanged([*places, best_place(evidence)], -np.log(level))
-            if len(added) <= len(places):
+            tried = sorted(self._candidates(places), key=lambda each: self.state(each).cost)
+            added = (self._exchanged(each, -np.log(level)) for each in tried)
+            better = next((each for each in added if len(each) > len(places)), None)
+            if better is None:
                 break  # it was too little, or made another one needless, and would again
-            places = added
+            places = better
         return places
+
+    def _candidates(self, places: list[ChangePlace]) -> list[list[ChangePlace]]:
+        """One change more: the best where odd logs count less, and where all count the same.
+
+        Logs after a large change are odd as long as it is not known: the first may miss what it is.
+        A single log that is odd misleads the second.
+        """
+        state = self.state(places)
+        equal = np.zeros_like(state.odd)
+        fit = self.model.fit(self.robot, state.logs, self.design(places), equal)
+        every = [self.evidence(state), self.evidence(replace(state, fit=fit))]
+        found = dict.fromkeys(best_place(each) for each in every if each.profiles)
+        return [[*places, place] for place in found if place not in places]
 
     def _exchanged(self, places: list[ChangePlace], least: float) -> list[ChangePlace]:
         """The same number of changes, or fewer, each the best beside the others."""

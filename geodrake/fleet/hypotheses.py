@@ -11,7 +11,7 @@ from geodrake.boundary.arguments import instance, instances, integer, positive, 
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.fleet.profiles import KINDS
-from geodrake.inertia import PARAMETERS_PER_BODY, is_physical, pullback_metric
+from geodrake.inertia import PARAMETERS_PER_BODY, from_mass_com_inertia, is_physical, pullback_metric
 
 Array = NDArray[np.float64]
 
@@ -80,13 +80,14 @@ def body_change(
     count: int,
     *,
     mass: float,
+    radius: float = 0.1,
     matrix: ArrayLike | None = None,
     kinds: tuple[str, ...] = ("step",),
 ) -> ChangeHypothesis:
     """The ten parameters of a body change, as by a payload.
 
-    z is measured in the geometric distance at a body of the same shape and place and of a mass
-    that a payload may have, so that the prior depends on no frame and no unit.
+    z is measured in the geometric distance at a ball of the size and mass of a usual payload, at
+    the body's centre of mass, so that the prior depends on no frame and no unit.
 
     Args:
         effect: Name of the effect.
@@ -95,6 +96,7 @@ def body_change(
         phi: (nb, 10) physical inertial parameters of the bodies that all robots share.
         count: Number p of all columns; those of the bodies are the first.
         mass: Mass of a usual payload, kg.
+        radius: Its radius, and about how far it is from the body's centre of mass, m.
         matrix: (n_B, 10 nb) base parameters B, if these are the columns; None for ten a body.
         kinds: "step", "ramp" or both.
 
@@ -104,9 +106,11 @@ def body_change(
     phi = real_array(phi, "phi", ("nb", PARAMETERS_PER_BODY))
     integer(body, "body", lower=0, upper=len(phi) - 1)
     positive(mass, "mass")
+    positive(radius, "radius")
     if not is_physical(phi[body]):
         raise ArgumentError(f"The body {where} is not physical, so that there is no distance.")
-    usual = phi[body] * (mass / phi[body, 0])
+    com = phi[body, 1:4] / phi[body, 0]
+    usual = from_mass_com_inertia(mass, com, 0.4 * mass * radius**2 * np.eye(3))
     root = np.linalg.cholesky(np.linalg.inv(pullback_metric(usual)))
     columns = np.zeros((phi.size, PARAMETERS_PER_BODY))
     columns[10 * body : 10 * body + 10] = root
