@@ -24,6 +24,7 @@ LAYERS = (
     "model",
     "identification",
     "diagnosis",
+    "fleet",
     "excitation",
     "control",
     "report",

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from geodrake.fleet.changes import MONTH, RobotChange
-from geodrake.fleet.profiles import RAMP, STEP
-
 from fleets.digesting import BOTH, COULOMB, LOAD, SCALE, VISCOUS
 from fleets.draws import GAIN, PAYLOAD, STICKIER, WEAR, FleetDraw, HiddenChange, type_model
+from geodrake.fleet.changes import MONTH, RobotChange
+from geodrake.fleet.profiles import RAMP, STEP
 
 FAMILIES: Mapping[str, tuple[str, ...]] = {
     WEAR: (BOTH, COULOMB, VISCOUS),
@@ -108,7 +107,9 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         same = [row for row in changed if row["hidden"] == what]
         table[what] = {
             "found": _share(sum(row["found"] for row in same), len(same)),
-            "or among rivals": _share(sum(row["found"] or row["in rivals"] for row in same), len(same)),
+            "or among rivals": _share(
+                sum(row["found"] or row["in rivals"] for row in same), len(same)
+            ),
             "of": len(same),
         }
     return table

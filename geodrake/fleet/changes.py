@@ -120,8 +120,7 @@ class RobotSearch(Short):
     _states: dict[tuple[ChangePlace, ...], SearchState] = field(default_factory=dict, init=False)
 
     def state(self, places: Sequence[ChangePlace]) -> SearchState:
-        """The logs with some changes: gains refer to the parameters of the day, and odd logs count
-        less."""
+        """The logs with some changes, where gains refer to the parameters of the day."""
         if tuple(places) not in self._states:
             self._states[tuple(places)] = self._settled(places)
         return self._states[tuple(places)]
@@ -150,9 +149,7 @@ class RobotSearch(Short):
 
     def design(self, places: Sequence[ChangePlace]) -> Array | None:
         """(T, p, m) parameters of some changes, of sizes that are hardly limited."""
-        parts = [
-            self._values(place)[:, None, None] * self._factor(place) for place in places
-        ]
+        parts = [self._values(place)[:, None, None] * self._factor(place) for place in places]
         return np.concatenate(parts, axis=2) if parts else None
 
     def _values(self, place: ChangePlace) -> Array:

@@ -198,7 +198,12 @@ def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
     Args:
         model: What is known of its type.
         fit: Its fit.
+
+    Raises:
+        ArgumentError: They are something else.
     """
+    instance(model, "model", TypeModel)
+    instance(fit, "fit", RobotFit)
     factor = np.hstack(model.deviation_factors())
     part = slice(0, factor.shape[1])
     covariance = factor @ fit.covariance[part, part] @ factor.T
@@ -303,8 +308,8 @@ def _improved(
     """One step of all that is learnt.
 
     Squared scales go by what squares of scores are over what they would be, whose fixed point is
-    the largest restricted likelihood. From log to log it is the median over robots, as a robot that changed is
-    none of the usual.
+    the largest restricted likelihood. From log to log it is the median over robots, as a robot
+    that changed is none of the usual.
     """
     told = [
         _told(model, r, each, None if changes is None else changes[r])
@@ -322,7 +327,9 @@ def _improved(
     pull = precision @ (model.columns.prior - mean)[free]
     mean[free] += covariance[np.ix_(free, free)] @ (side + pull)
     spread = _spread_ratio(model.columns, told, covariance)
-    scattered = np.median([each.scattered[0] / np.maximum(each.scattered[1], 1e-300) for each in told], axis=0)
+    scattered = np.median(
+        [each.scattered[0] / np.maximum(each.scattered[1], 1e-300) for each in told], axis=0
+    )
     course = model.course.improved(
         logs, [each.course[0] for each in told], [each.course[1] for each in told]
     )

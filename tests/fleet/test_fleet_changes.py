@@ -70,8 +70,9 @@ def test_an_odd_log_is_no_change():
 
 def test_two_changes_of_one_robot():
     both = {
-        3: lambda t: np.array([0.0, 0.0, 0.3, 0.0]) * (t >= 6)
-        + np.array([0.2, -0.3, 0.0, 0.0]) * (t >= 13)
+        3: lambda t: (
+            np.array([0.0, 0.0, 0.3, 0.0]) * (t >= 6) + np.array([0.2, -0.3, 0.0, 0.0]) * (t >= 13)
+        )
     }
     found = find_changes(fleet(4, 8, both), columns(), hypotheses(), passes=2)
     told = sorted(found.changes[3], key=lambda change: change.day)
