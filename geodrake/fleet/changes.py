@@ -143,7 +143,12 @@ class RobotSearch(Short):
         return calc_change_evidence(state.fit, self.history.days, self.hypotheses, scale)
 
     def instead(self, state: SearchState, others: Sequence[ChangePlace]) -> ChangeEvidence:
-        """What logs say for a change beside some of a state's, where logs are as odd as in it."""
+        """What logs say for a change beside some of a state's, where logs are as odd as in it.
+
+        Args:
+            state: The logs with all changes.
+            others: Those of the changes that stay.
+        """
         fit = self.model.fit(self.robot, state.logs, self.design(others), state.odd)
         return self.evidence(replace(state, fit=fit))
 
@@ -209,6 +214,10 @@ class RobotSearch(Short):
 
         Either that of all changes that there may be, with logs that are odd without one; or that of
         this very one, and what such logs lose without it.
+
+        Args:
+            places: The changes.
+            at: Which of them.
         """
         others = [*places[:at], *places[at + 1 :]]
         without = self.state(others)
