@@ -1,5 +1,7 @@
 """Changes are found where they are, and hardly ever where nothing changed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fleet_data import P, columns, hypotheses, robot
@@ -48,6 +50,18 @@ def test_a_season_is_of_all_and_of_no_single_robot(found):
     assert np.corrcoef(course, wave)[0, 1] > 0.98
     alone = [each.equations() for each in fleet(1, 10, {}, SEASON)]
     assert (learn_type(alone, columns()).scatter[1:] > 3.0 * found.model.scatter[1:]).all()
+
+
+def test_temperatures_tell_halls_apart():
+    """Friction goes with each hall's own temperature, which no common course could say."""
+    rng, histories = np.random.default_rng(7), []
+    for r in range(12):
+        wave = (1.0 if r % 2 else -1.0) * SEASON
+        made = robot(rng, together=wave).history(f"robot {r}")
+        histories.append(replace(made, temperature=20.0 + 10.0 * wave))
+    found = find_changes(histories, columns(course=True), hypotheses(), passes=1)
+    np.testing.assert_allclose(found.model.course.slope, 0.1, rtol=0.15)
+    assert not any(found.changes)
 
 
 @pytest.mark.parametrize("level", [0.3])
