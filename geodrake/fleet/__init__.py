@@ -1,19 +1,28 @@
-"""Many logs of many robots: digests, which say in a small file what a log does."""
+"""Fleets of robots: what a type shares, how each robot differs, and what changed since when.
 
+A log comes as a digest: a small file of normal matrices of its joints, over columns that all logs
+of a model share. All else is array in, array out (`RobotHistory`): scales and common parameters by
+`learn_type`, changes by `find_changes`, parameters over time by `parameter_levels`.
+"""
+
+from geodrake.fleet.changes import ChangeRival, RobotChange
+from geodrake.fleet.columns import Spread, TypeColumns, body_spread, column_spreads
 from geodrake.fleet.digest import Digest, DigestedLog, JointDigest, merge
 from geodrake.fleet.digest_dataset import digest_dataset
 from geodrake.fleet.digest_file import digest_content, read_digest
 from geodrake.fleet.digest_folder import DigestRow, DigestRun, digest_files, digest_logs
+from geodrake.fleet.fleet_changes import FleetChanges, find_changes
+from geodrake.fleet.history import LogEquations, RobotHistory, weighted_history
+from geodrake.fleet.hypotheses import ChangeHypothesis, body_change, column_change
+from geodrake.fleet.levels import ParameterLevels, parameter_levels
 from geodrake.fleet.making import LogFacts, Wanted, make_digest, make_settings
 from geodrake.fleet.model_hash import model_hash
-from geodrake.fleet.settings import (
-    DigestColumn,
-    DigestEffect,
-    DigestSettings,
-    read_settings,
-)
+from geodrake.fleet.settings import DigestColumn, DigestEffect, DigestSettings, read_settings
+from geodrake.fleet.type_model import TypeModel, learn_type, own_parameters
 
 __all__ = [
+    "ChangeHypothesis",
+    "ChangeRival",
     "Digest",
     "DigestColumn",
     "DigestEffect",
@@ -21,17 +30,34 @@ __all__ = [
     "DigestRun",
     "DigestSettings",
     "DigestedLog",
+    "FleetChanges",
     "JointDigest",
+    "LogEquations",
     "LogFacts",
+    "ParameterLevels",
+    "RobotChange",
+    "RobotHistory",
+    "Spread",
+    "TypeColumns",
+    "TypeModel",
     "Wanted",
+    "body_change",
+    "body_spread",
+    "column_change",
+    "column_spreads",
     "digest_content",
     "digest_dataset",
     "digest_files",
     "digest_logs",
+    "find_changes",
+    "learn_type",
     "make_digest",
     "make_settings",
     "merge",
     "model_hash",
+    "own_parameters",
+    "parameter_levels",
     "read_digest",
     "read_settings",
+    "weighted_history",
 ]
