@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 _START_DEVIATION, _START_SCATTER, _START_RESPONSE = 0.1, 0.03, 0.2
 _WEAK = 10.0  # scale of spreads in the prior of what all share
 _FLAT = 1e-9  # share of information that is none
-_TINY = 1e-12  # expectation below which nothing is expected
+_SEEN = 1e-3  # deviations of a robot that tell of a scale
 _LEAST = 1e-8  # scale that is none
 _FAR = 3.0  # factor between a robot's friction and the type's beyond which it is no scale
 _USUAL = 4.0  # squared deviation, in its expectation, up to which a log is none that is odd
@@ -263,6 +263,7 @@ class _RobotTells:
             for a known μ.
         scattered: (2, K) the same of its logs' scatter.
         course: (T, q, q) and (T, q): what it says of shares of the course.
+        response: (q,) by how much it follows the course more.
         odd: (T, K) how odd its logs are.
     """
 
@@ -273,6 +274,7 @@ class _RobotTells:
     spread: Array
     scattered: Array
     course: tuple[Array, Array]
+    response: Array
     odd: Array
 
 
@@ -294,6 +296,7 @@ def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | Non
         _parts(squares, columns),
         _parts(scattered, columns)[:, :-1],
         (part, fit.score[:, at] * share),
+        model.response * fit.theta[sum(_sizes(columns)[:-1]) : sum(_sizes(columns))],
         model.oddness(robot, logs, fit, model.odd[robot])[0],
     )
 
@@ -344,6 +347,7 @@ def _improved(
     course = model.course.improved(
         logs, [each.course[0] for each in told], [each.course[1] for each in told]
     )
+    course = course.stronger(np.mean([each.response for each in told], axis=0))
     return replace(
         model,
         mean=mean,
@@ -359,11 +363,16 @@ def _improved(
 
 def _spread_ratio(columns: TypeColumns, told: Sequence[_RobotTells], covariance: Array) -> Array:
     """(K + 1,) squares of θ over their expectations, of all robots; μ is not known but learnt."""
-    squares, expected = np.sum([each.spread for each in told], axis=0)
-    for each in told:
+    squares, expected = np.stack([each.spread for each in told], axis=1)
+    for robot, each in enumerate(told):
         taken = np.einsum("na,ab,nb->n", each.links, covariance, each.links)
-        expected = expected - _parts(taken, columns)
-    return np.asarray(squares / np.maximum(expected, _TINY))
+        expected[robot] -= _parts(taken, columns)
+    # A little as expected beside them: where nothing is seen yet, scales stay.
+    squares, expected = squares + _SEEN, np.maximum(expected, 0.0) + _SEEN
+    ratio = squares.sum(axis=0) / expected.sum(axis=0)
+    # Friction that changed in a robot is none of its response to a season.
+    ratio[-1] = np.median(squares[:, -1] / expected[:, -1])
+    return np.asarray(ratio)
 
 
 def least_squares(information: Array, right: Array) -> Array:
