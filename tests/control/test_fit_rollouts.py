@@ -144,7 +144,7 @@ def test_no_seed_is_worse(pendulum, seed, noise):
     for share in (0.8, 1.0, 1.25):
         found = fit_rollouts(springy(pendulum, share), [log])
         assert never_worse(found)
-        assert abs(compliance(found) - 1.0) < max(0.03, 3.5 * STIFFNESS * found.values[0].deviation)
+        assert abs(compliance(found) - 1.0) < max(0.02, 3.5 * STIFFNESS * found.values[0].deviation)
 
 
 @pytest.mark.thorough
@@ -153,7 +153,7 @@ def test_a_gap_that_is_too_wide_is_found(pendulum, seed):
     """Its sides are not those of the log, so that it is known less well."""
     found = fit_rollouts(loose(pendulum, 1.3), [swung(seed, stiffness=2e3, gap=GAP)])
     (value,) = found.values
-    assert abs(value.after / GAP - 1.0) < 0.15
+    assert abs(value.after / GAP - 1.0) < 0.25
     assert abs(value.after - GAP) < 3.0 * value.deviation
     assert never_worse(found)
     if found.taken:

@@ -17,7 +17,6 @@ from scipy.optimize import least_squares
 
 from geodrake.control.rollout.near_motion import NearMotion
 from geodrake.control.rollout.rollout_values import RolloutValue, giving_way, with_values
-from geodrake.identification.logs.evidence import effective_samples_of_each
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.simulation.force_law import ForceLaw
 
@@ -158,20 +157,28 @@ class Blind:
 def blinds(slopes: Sequence[Array], departures: Sequence[Array]) -> list[Blind]:
     """Windows that are blind to their starts, over how well they know what joints depart by.
 
-    A window is worth as many samples as what is left has that are independent of each other: all
-    where it is a sensor's noise, hardly more than one where it goes with the motion.
+    A window is worth all its samples where departures are noise of a sensor, which differs from
+    sample to sample. What else is left goes with the motion, and is worth one.
 
     Args:
         slopes: Of each window (N, nv, k) departures that other states at its start make.
         departures: Of each (N, nv) departures, rad or m.
     """
-    scale, worth = _rms(departures), np.ones(departures[0].shape[1])
+    noise, scale = _noise(departures), _rms(departures)
     for _ in range(2):  # as what is explained depends on the scale
-        found = [blind_to(each, scale / np.sqrt(worth)) for each in slopes]
-        left = [blind.left(d) for blind, d in zip(found, departures, strict=True)]
-        series = [[d[:, j, None] for d in left] for j in range(len(scale))]
-        scale, worth = _rms(left), effective_samples_of_each(series)[:, 0] / len(left)
-    return [blind_to(each, scale / np.sqrt(np.maximum(worth, 1.0))) for each in slopes]
+        found = [blind_to(each, scale) for each in slopes]
+        left = _rms([blind.left(d) for blind, d in zip(found, departures, strict=True)])
+        more = np.maximum(np.square(left) - np.square(noise), 0.0)
+        scale = np.maximum(np.sqrt(more + np.square(noise) / len(departures[0])), _LEAST)
+    return [blind_to(each, scale) for each in slopes]
+
+
+def _noise(departures: Sequence[Array]) -> Array:
+    """(nv,) RMS of what differs from sample to sample: of fourth differences, 70 times as much."""
+    steps = [np.mean(np.square(np.diff(d, 4, axis=0)), axis=0) for d in departures if len(d) > 4]
+    if not steps:
+        return np.zeros(departures[0].shape[1])
+    return np.asarray(np.sqrt(np.mean(steps, axis=0) / 70.0))
 
 
 def _rms(departures: Sequence[Array]) -> Array:
