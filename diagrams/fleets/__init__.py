@@ -1,0 +1,1 @@
+"""Simulated fleets whose robots change, by formulas of their own, and what is found in them."""

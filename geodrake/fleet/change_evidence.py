@@ -1,0 +1,147 @@
+"""Evidence of a change in one robot: every hypothesis, as a step and a ramp, on every day.
+
+With z ~ N(0, s² 𝟙), what logs say for a change f(t) D z is the ratio of marginal likelihoods
+
+    log E = ½ gᵀ (S + s⁻² 𝟙)⁻¹ g − ½ log det(𝟙 + s² S),   S = Dᵀ (Q − Cᵀ N⁻¹ C) D,
+
+with Q = Σ f² M_t, C = Σ f L_tᵀ M_t and N of the robot's own parameters, all of cumulative sums over
+days. A mean of such ratios over hypotheses, kinds, days and scales s has the expectation 1 where
+nothing changed. By Markov's inequality it is above 1/α with a probability of at most α, whatever
+the number of hypotheses and however alike they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from geodrake.boundary.showing import Short
+from geodrake.fleet.hypotheses import ChangeHypothesis
+from geodrake.fleet.profiles import KINDS, Profiles
+from geodrake.fleet.robot_fit import RobotFit
+
+Array = NDArray[np.float64]
+
+SCALES = (0.1, 0.3, 1.0, 3.0)
+"""Sizes s of changes, over the usual one of their hypothesis, that are thought of."""
+
+
+@dataclass(frozen=True)
+class ChangePlace:
+    """A change in the space of all: hypothesis, kind and day, by their numbers.
+
+    Attributes:
+        hypothesis: Number of the hypothesis.
+        kind: "step" or "ramp".
+        first: Log at which it begins.
+    """
+
+    hypothesis: int
+    kind: str
+    first: int
+
+
+@dataclass(frozen=True, eq=False)
+class ChangeEvidence(Short):
+    """What logs of a robot say for a change.
+
+    Attributes:
+        profiles: The steps and ramps that there may be.
+        ratio: For each of them, (h, K) logarithms of ratios of each hypothesis and day, means over
+            sizes; −∞ for a hypothesis that is not of that kind.
+        prior: (h, K) logarithms of their prior probabilities, which sum to 1.
+    """
+
+    profiles: tuple[Profiles, ...]
+    ratio: tuple[Array, ...]
+    prior: tuple[Array, ...]
+
+    @property
+    def total(self) -> float:
+        """Logarithm of the mean ratio, whose exponential is an E-value."""
+        return float(logsumexp(self._joint))
+
+    def posterior(self) -> tuple[Array, ...]:
+        """For each kind, (h, K) probabilities, given that there is one change."""
+        sizes = np.cumsum([each.size for each in self.ratio])[:-1]
+        shares = np.exp(self._joint - self.total)
+        parts = np.split(shares, sizes)
+        return tuple(p.reshape(r.shape) for p, r in zip(parts, self.ratio, strict=True))
+
+    def joint(self, place: ChangePlace) -> float:
+        """Logarithm of one change's ratio times its prior probability."""
+        at = [each.kind for each in self.profiles].index(place.kind)
+        day = int(np.flatnonzero(self.profiles[at].first == place.first)[0])
+        chosen = place.hypothesis, day
+        return float(self.ratio[at][chosen] + self.prior[at][chosen])
+
+    @property
+    def _joint(self) -> Array:
+        pairs = zip(self.ratio, self.prior, strict=True)
+        return np.concatenate([(ratio + prior).ravel() for ratio, prior in pairs])
+
+
+def calc_change_evidence(
+    fit: RobotFit, days: Array, hypotheses: Sequence[ChangeHypothesis], scale: Array
+) -> ChangeEvidence:
+    """What a robot's logs say for each change.
+
+    Args:
+        fit: Its own parameters, with all changes that were found before.
+        days: (T,) days of its logs.
+        hypotheses: What may change.
+        scale: (p,) what a share of each column is to the robot.
+    """
+    usable = np.unique(days).size > 1
+    profiles = tuple(Profiles.of(kind, days) for kind in KINDS) if usable else ()
+    ratios = [np.full((len(hypotheses), len(each.first)), -np.inf) for each in profiles]
+    priors = [ratio.copy() for ratio in ratios]
+    sizes = np.array([h.factor.shape[1] for h in hypotheses])
+    for size in np.unique(sizes).tolist():
+        for each, ratio, prior in zip(profiles, ratios, priors, strict=True):
+            tried = [h for h in np.flatnonzero(sizes == size) if each.kind in hypotheses[h].kinds]
+            if not tried:
+                continue
+            factor = scale[:, None] * np.hstack([hypotheses[h].factor for h in tried])
+            ratio[tried] = _ratios(fit, each, factor, size)
+            kinds = np.array([len(hypotheses[h].kinds) for h in tried])
+            prior[tried] = -np.log(len(hypotheses) * len(each.first) * kinds)[:, None]
+    return ChangeEvidence(profiles, tuple(ratios), tuple(priors))
+
+
+def _ratios(fit: RobotFit, profiles: Profiles, factor: Array, size: int) -> Array:
+    """(h, K) logarithms of ratios of hypotheses (p, h · size) that have as many columns each."""
+    count, T = factor.shape[1] // size, len(profiles.days)
+    cross, side = profiles.sums(fit.seen @ factor), profiles.sums(fit.score @ factor)
+    K, n = cross.shape[:2]
+    solved = fit.solve(cross.transpose(1, 0, 2).reshape(n, -1)).reshape(n, K, -1)
+    blocks = cross.reshape(K, n, count, size).transpose(0, 2, 3, 1)
+    seen = blocks @ solved.transpose(1, 0, 2).reshape(K, n, count, size).transpose(0, 2, 1, 3)
+    along = (fit.information @ factor).reshape(T, -1, count, size).transpose(0, 2, 1, 3)
+    each = factor.reshape(-1, count, size).transpose(1, 2, 0)
+    information = profiles.squares(each @ along) - seen
+    return calc_log_ratio(information, side.reshape(K, count, size)).T
+
+
+def calc_log_ratio(information: Array, score: Array) -> Array:
+    """(...) logarithms of mean ratios of marginal likelihoods over the sizes that are thought of.
+
+    Args:
+        information: (..., d, d) what is known of z, with all else let go.
+        score: (..., d) slopes of the log-likelihood at z = 0.
+    """
+    if score.shape[-1] == 1:
+        values, along = information[..., 0], score**2
+    else:
+        values, vectors = np.linalg.eigh(information)
+        along = np.einsum("...de,...d->...e", vectors, score) ** 2
+    values = np.maximum(values, 0.0)
+    gains = [
+        0.5 * (s**2 * along / (1.0 + s**2 * values) - np.log1p(s**2 * values)).sum(axis=-1)
+        for s in SCALES
+    ]
+    return np.asarray(np.logaddexp.reduce(gains, axis=0) - np.log(len(SCALES)))

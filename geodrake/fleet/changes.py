@@ -1,0 +1,299 @@
+"""Changes of one robot: found one after another, exchanged for better ones, with their rivals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.showing import Short
+from geodrake.fleet.change_evidence import ChangeEvidence, ChangePlace, calc_change_evidence
+from geodrake.fleet.history import LogEquations, RobotHistory
+from geodrake.fleet.hypotheses import ChangeHypothesis
+from geodrake.fleet.profiles import Profiles
+from geodrake.fleet.robot_fit import RobotFit
+from geodrake.fleet.type_model import TypeModel
+
+Array = NDArray[np.float64]
+
+MONTH = 30.0
+"""Days."""
+
+RIVAL = 0.05
+"""Least probability of a rival that is told."""
+
+_MOST_CHANGES = 6
+_MOST_EXCHANGES = 4
+_WITHIN = 0.95  # probability of an interval of days
+_TINY = 1e-300
+_WIDE = 30.0  # scale of changes that were found, over the usual one
+_REFITS = 2  # of a robot, until its gains and odd logs are settled
+
+
+@dataclass(frozen=True)
+class ChangeRival:
+    """What may have changed in the place of a finding.
+
+    Attributes:
+        effect: Name of the effect.
+        where: Joint or body.
+        kind: "step" or "ramp".
+        probability: Its probability.
+    """
+
+    effect: str
+    where: str
+    kind: str
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class RobotChange(Short):
+    """A change of a robot.
+
+    Attributes:
+        robot: Name of the robot.
+        effect: Name of the effect that changed.
+        where: Its joint or body.
+        kind: "step", or "ramp" for what goes on changing.
+        day: First day after the step, or on which the ramp begins.
+        interval: Days within which that is with a probability of 95 %.
+        size: (p,) change of the robot's parameters; of a ramp up to the last log.
+        deviation: (p,) its standard deviation.
+        share: (p,) the size in shares of the robot's own values, for relative columns.
+        probability: Probability of the effect, joint and kind, given that something changed.
+        rivals: What else it may be, most probable first.
+        false_alarm_probability: At most by what chance logs of a robot in which nothing more
+            changed say so much for a change.
+    """
+
+    robot: str
+    effect: str
+    where: str
+    kind: str
+    day: float
+    interval: tuple[float, float]
+    size: Array
+    deviation: Array
+    share: Array
+    probability: float
+    rivals: tuple[ChangeRival, ...]
+    false_alarm_probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class SearchState(Short):
+    """A robot's logs, as they look with some changes.
+
+    Attributes:
+        logs: Their normal equations, with gains.
+        odd: (T, K) how odd they are.
+        cost: Logarithm of what their density loses by that.
+        fit: The robot's own parameters.
+    """
+
+    logs: LogEquations
+    odd: Array
+    cost: float
+    fit: RobotFit
+
+
+@dataclass(frozen=True, eq=False)
+class RobotSearch(Short):
+    """One robot's logs, and what may have changed in it.
+
+    Attributes:
+        model: What is known of its type.
+        robot: Its number.
+        history: Its logs.
+        reference: (T, p) or (p,) parameters that gains refer to at first.
+        hypotheses: What may have changed.
+    """
+
+    model: TypeModel
+    robot: int
+    history: RobotHistory
+    reference: Array
+    hypotheses: Sequence[ChangeHypothesis]
+    _states: dict[tuple[ChangePlace, ...], SearchState] = field(default_factory=dict, init=False)
+
+    def state(self, places: Sequence[ChangePlace]) -> SearchState:
+        """The logs with some changes: gains refer to the parameters of the day, and odd logs count
+        less."""
+        if tuple(places) not in self._states:
+            self._states[tuple(places)] = self._settled(places)
+        return self._states[tuple(places)]
+
+    def _settled(self, places: Sequence[ChangePlace]) -> SearchState:
+        changes, odd = self.design(places), self.model.odd[self.robot]
+        reference = self.reference
+        for _ in range(_REFITS):
+            logs = logs_at(self.history, self.model.columns.gains, reference)
+            fit = self.model.fit(self.robot, logs, changes, odd)
+            odd, cost = self.model.oddness(self.robot, logs, fit, odd)
+            reference = self.model.parameters(self.robot, logs, fit)
+        logs = logs_at(self.history, self.model.columns.gains, reference)
+        fit = self.model.fit(self.robot, logs, changes, odd)
+        return SearchState(logs, odd, float(cost.sum()), fit)
+
+    def evidence(self, state: SearchState) -> ChangeEvidence:
+        """What logs say for a further change beside those of a state."""
+        scale = self.model.scale(self.robot)
+        return calc_change_evidence(state.fit, self.history.days, self.hypotheses, scale)
+
+    def instead(self, state: SearchState, others: Sequence[ChangePlace]) -> ChangeEvidence:
+        """What logs say for a change beside some of a state's, where logs are as odd as in it."""
+        fit = self.model.fit(self.robot, state.logs, self.design(others), state.odd)
+        return self.evidence(replace(state, fit=fit))
+
+    def design(self, places: Sequence[ChangePlace]) -> Array | None:
+        """(T, p, m) parameters of some changes, of sizes that are hardly limited."""
+        parts = [
+            self._values(place)[:, None, None] * self._factor(place) for place in places
+        ]
+        return np.concatenate(parts, axis=2) if parts else None
+
+    def _values(self, place: ChangePlace) -> Array:
+        return Profiles(place.kind, np.array([place.first]), self.history.days).values[0]
+
+    def _factor(self, place: ChangePlace) -> Array:
+        scale = self.model.scale(self.robot)[:, None]
+        return np.asarray(_WIDE * scale * self.hypotheses[place.hypothesis].factor)
+
+    def find(self, level: float) -> list[ChangePlace]:
+        """Changes that hardly come by chance, in the order in which they were found.
+
+        Args:
+            level: Probability of a false alarm in the time of all logs.
+        """
+        places: list[ChangePlace] = []
+        while len(places) < _MOST_CHANGES:
+            evidence = self.evidence(self.state(places))
+            if not evidence.profiles:
+                break
+            added = self._exchanged([*places, best_place(evidence)], -np.log(level))
+            if len(added) <= len(places):
+                break  # it was too little, or made another one needless, and would again
+            places = added
+        return places
+
+    def _exchanged(self, places: list[ChangePlace], least: float) -> list[ChangePlace]:
+        """The same number of changes, or fewer, each the best beside the others."""
+        for _ in range(_MOST_EXCHANGES):
+            before = list(places)
+            for at in range(len(places) - 1, -1, -1):
+                others = places[:at] + places[at + 1 :]
+                state = self.state(places)
+                best = best_place(self.instead(state, others))
+                if best != places[at]:
+                    places = others if best in others else [*places[:at], best, *places[at + 1 :]]
+                if best in others or self.support(places, at) < least:
+                    places = others
+            if places == before:
+                break
+        return places
+
+    def support(self, places: Sequence[ChangePlace], at: int) -> float:
+        """Logarithm of the E-value of one of some changes, beside the others.
+
+        Either that of all changes that there may be, with logs that are odd without one; or that of
+        this very one, and what such logs lose without it.
+        """
+        others = [*places[:at], *places[at + 1 :]]
+        without = self.state(others)
+        evidence = self.evidence(without)
+        lost = without.cost - self.state(places).cost
+        return max(evidence.total, evidence.joint(places[at]) + lost)
+
+    def told(self, places: Sequence[ChangePlace]) -> tuple[RobotChange, ...]:
+        """What there is to say of some changes."""
+        state = self.state(places)
+        end, found = state.fit.design.shape[2], []
+        for at in range(len(places) - 1, -1, -1):
+            place, others = places[at], [*places[:at], *places[at + 1 :]]
+            hypothesis, factor = self.hypotheses[place.hypothesis], self._factor(place)
+            evidence = self.instead(state, others)
+            part = slice(end - factor.shape[1], end)
+            end = part.start
+            variance = np.einsum("pd,de,pe->p", factor, state.fit.covariance[part, part], factor)
+            size, shares = factor @ state.fit.theta[part], kind_shares(evidence)
+            chance = np.exp(min(0.0, -self.support(places, at)))
+            found.append(
+                RobotChange(
+                    self.history.robot,
+                    hypothesis.effect,
+                    hypothesis.where,
+                    place.kind,
+                    float(self.history.days[place.first]),
+                    self._interval(evidence, place),
+                    size,
+                    np.sqrt(variance),
+                    size / self.model.scale(self.robot),
+                    shares[place.hypothesis, place.kind],
+                    self._rivals(shares, place),
+                    float(chance),
+                )
+            )
+        return tuple(found[::-1])
+
+    def _interval(self, evidence: ChangeEvidence, place: ChangePlace) -> tuple[float, float]:
+        """Shortest days around that of a finding that hold the probability of an interval."""
+        kinds = [each.kind for each in evidence.profiles]
+        profiles = evidence.profiles[kinds.index(place.kind)]
+        share = evidence.posterior()[kinds.index(place.kind)][place.hypothesis]
+        share = share / max(share.sum(), _TINY)
+        low = high = int(np.flatnonzero(profiles.first == place.first)[0])
+        while share[low : high + 1].sum() < _WITHIN and (low > 0 or high < len(share) - 1):
+            before = share[low - 1] if low > 0 else -1.0
+            after = share[high + 1] if high < len(share) - 1 else -1.0
+            low, high = (low - 1, high) if before > after else (low, high + 1)
+        days = self.history.days[profiles.first]
+        return float(days[low]), float(days[high])
+
+    def _rivals(
+        self, shares: dict[tuple[int, str], float], place: ChangePlace
+    ) -> tuple[ChangeRival, ...]:
+        told = [
+            ChangeRival(self.hypotheses[h].effect, self.hypotheses[h].where, kind, share)
+            for (h, kind), share in shares.items()
+            if share >= RIVAL and (h, kind) != (place.hypothesis, place.kind)
+        ]
+        return tuple(sorted(told, key=lambda rival: -rival.probability))
+
+
+def logs_at(history: RobotHistory, gains: int, reference: Array) -> LogEquations:
+    """A robot's logs over the columns of its type.
+
+    Args:
+        history: Its logs.
+        gains: Number of gains among the columns: one for each joint, or 0.
+        reference: (T, p) or (p,) parameters that gains refer to.
+    """
+    if not gains:
+        return history.equations()
+    return history.with_gains(reference[..., : history.grams.shape[-1] - 1])
+
+
+def kind_shares(evidence: ChangeEvidence) -> dict[tuple[int, str], float]:
+    """Probability of each hypothesis and kind, over all days."""
+    return {
+        (h, profiles.kind): float(share)
+        for profiles, posterior in zip(evidence.profiles, evidence.posterior(), strict=True)
+        for h, share in enumerate(posterior.sum(axis=1))
+    }
+
+
+def best_place(evidence: ChangeEvidence) -> ChangePlace:
+    """The most probable hypothesis and kind over all days, on its most probable day."""
+    shares = kind_shares(evidence)
+    hypothesis, kind = max(shares, key=lambda key: shares[key])
+    at = [each.kind for each in evidence.profiles].index(kind)
+    day = int((evidence.ratio[at] + evidence.prior[at])[hypothesis].argmax())
+    return ChangePlace(hypothesis, kind, int(evidence.profiles[at].first[day]))
+
+
+def months(history: RobotHistory) -> float:
+    """Months of a robot's logs; a day more than from the first to the last."""
+    return float(history.days[-1] - history.days[0] + 1.0) / MONTH

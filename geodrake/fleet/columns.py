@@ -1,0 +1,124 @@
+"""What the columns of a type of robot are to a fleet: what differs, scatters, and goes together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.boundary.arguments import instance, instances, integer, real_array
+from geodrake.boundary.showing import Short
+from geodrake.errors import ArgumentError
+from geodrake.inertia import PARAMETERS_PER_BODY, pullback_metric
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Spread(Short):
+    """A way in which parameters differ: F w, with w ~ N(0, s² 𝟙) and a scale s that is learnt.
+
+    Attributes:
+        name: What it is, in words.
+        factor: (p, r) F; rows of relative columns are shares of the parameters' own values.
+    """
+
+    name: str
+    factor: Array
+
+    def __post_init__(self) -> None:
+        """Checks both."""
+        instance(self.name, "name", str)
+        real_array(self.factor, "factor", ("p", "r"))
+
+
+@dataclass(frozen=True, eq=False)
+class TypeColumns(Short):
+    """The p columns of all robots of a type.
+
+    Attributes:
+        prior: (p,) parameters before any log: those of the model file; 0 for gains and for effects
+            that it does not have.
+        free: (p,) whether the type's common value is learnt; gains have none but 0.
+        relative: (p,) whether differences are shares of the value itself, as those of friction are.
+        course: (p,) whether all robots may change together from day to day, as friction does with
+            the season; such columns are relative.
+        gains: Number of the last columns, which are gains of the joints' efforts.
+        spreads: How robots differ from each other, and logs of one robot from each other.
+    """
+
+    prior: Array
+    free: Mask
+    relative: Mask
+    course: Mask
+    gains: int
+    spreads: tuple[Spread, ...]
+
+    def __post_init__(self) -> None:
+        """Checks that all fit each other."""
+        size = real_array(self.prior, "prior", ("p",)).shape
+        spreads = instances(self.spreads, "spreads", Spread)
+        masks = [np.asarray(mask) for mask in (self.free, self.relative, self.course)]
+        wrong = any(mask.shape != size or mask.dtype != bool for mask in masks)
+        if wrong or any(len(each.factor) != size[0] for each in spreads):
+            raise ArgumentError(
+                f"free, relative, course and the factors of spreads must have {size[0]} rows, as "
+                "the prior has, and the first three must be booleans."
+            )
+        integer(self.gains, "gains", lower=0, upper=size[0])
+        if not spreads or (masks[2] & ~masks[1]).any():
+            raise ArgumentError(
+                "There must be a spread, and columns with a common course must be relative."
+            )
+
+
+def body_spread(
+    name: str, phi: ArrayLike, columns: int, *, matrix: ArrayLike | None = None
+) -> Spread:
+    """Differences of bodies, in the geometric distance at common ones.
+
+    With w ~ N(0, s² 𝟙), the difference of every body has the prior exp(−d² / (2 s²)) of the
+    pullback distance d at φ ([Lee2019] Eq. (3.3.33)), seen through base parameters if a matrix is
+    given.
+
+    Args:
+        name: What it is, in words.
+        phi: (nb, 10) physical inertial parameters, those of the bodies that differ not at all set
+            to NaN.
+        columns: Number p of all columns; those of the bodies are the first.
+        matrix: (n_B, 10 nb) base parameters B, if these are the columns; None for ten a body.
+
+    Raises:
+        ArgumentError: Shapes do not fit, or a body is not physical.
+    """
+    phi = real_array(phi, "phi", ("nb", PARAMETERS_PER_BODY), finite=False)
+    shown = np.flatnonzero(~np.isnan(phi).any(axis=1))
+    roots = np.linalg.cholesky(np.linalg.inv(pullback_metric(phi[shown])))
+    factor = np.zeros((phi.size, 10 * len(shown)))
+    for place, (body, root) in enumerate(zip(shown.tolist(), roots, strict=True)):
+        factor[10 * body : 10 * body + 10, 10 * place : 10 * place + 10] = root
+    if matrix is not None:
+        B = real_array(matrix, "matrix", ("n", phi.size))
+        # A factor of the same covariance, with no more columns than rows.
+        factor = np.linalg.qr((B @ factor).T, mode="r").T
+    whole = np.zeros((columns, factor.shape[1]))
+    whole[: len(factor)] = factor
+    return Spread(name, whole)
+
+
+def column_spreads(names: Sequence[str], columns: Sequence[int], count: int) -> tuple[Spread, ...]:
+    """A spread for each of some columns alone, in its own unit or share.
+
+    Args:
+        names: Name of each column.
+        columns: Index of each.
+        count: Number p of all columns.
+    """
+    unit = np.eye(count)
+    return tuple(
+        Spread(name, unit[:, [at]])
+        for name, at in zip(instances(names, "names", str), columns, strict=True)
+    )

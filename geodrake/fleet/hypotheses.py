@@ -1,0 +1,117 @@
+"""What may change in a robot: columns that are let go from some day on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.boundary.arguments import instance, instances, integer, positive, real_array
+from geodrake.boundary.showing import Short
+from geodrake.errors import ArgumentError
+from geodrake.fleet.profiles import KINDS
+from geodrake.inertia import PARAMETERS_PER_BODY, is_physical, pullback_metric
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ChangeHypothesis(Short):
+    """A change of parameters D z, with z ~ N(0, s² 𝟙) for several s.
+
+    Attributes:
+        effect: Name of the effect, or of several in one word.
+        where: Joint or body.
+        factor: (p, d) D; rows of relative columns are shares of the robot's own values.
+        kinds: "step", "ramp" or both.
+    """
+
+    effect: str
+    where: str
+    factor: Array
+    kinds: tuple[str, ...] = KINDS
+
+    def __post_init__(self) -> None:
+        """Checks all."""
+        instance(self.effect, "effect", str)
+        instance(self.where, "where", str)
+        real_array(self.factor, "factor", ("p", "d"))
+        kinds = instances(self.kinds, "kinds", str)
+        if not kinds or any(kind not in KINDS for kind in kinds):
+            raise ArgumentError(f"kinds must be of {' and '.join(KINDS)}; they are {kinds}.")
+
+
+def column_change(
+    effect: str,
+    where: str,
+    columns: ArrayLike,
+    count: int,
+    *,
+    size: float = 1.0,
+    kinds: tuple[str, ...] = KINDS,
+) -> ChangeHypothesis:
+    """Some columns change, each by itself.
+
+    Args:
+        effect: Name of the effect.
+        where: Its joint.
+        columns: (d,) indices of its columns.
+        count: Number p of all columns.
+        size: Scale of a change for s = 1: a share, for relative columns, else in their unit.
+        kinds: "step", "ramp" or both.
+
+    Raises:
+        ArgumentError: There is no such column.
+    """
+    at = np.atleast_1d(real_array(columns, "columns")).ravel()
+    integer(count, "count", lower=1)
+    positive(size, "size")
+    if not len(at) or (at != np.round(at)).any() or at.min() < 0 or at.max() >= count:
+        raise ArgumentError(f"columns must be indices from 0 to {count - 1}; they are {at}.")
+    return ChangeHypothesis(effect, where, size * np.eye(count)[:, at.astype(int)], kinds)
+
+
+def body_change(
+    effect: str,
+    where: str,
+    body: int,
+    phi: ArrayLike,
+    count: int,
+    *,
+    mass: float,
+    matrix: ArrayLike | None = None,
+    kinds: tuple[str, ...] = ("step",),
+) -> ChangeHypothesis:
+    """The ten parameters of a body change, as by a payload.
+
+    z is measured in the geometric distance at a body of the same shape and place and of a mass
+    that a payload may have, so that the prior depends on no frame and no unit.
+
+    Args:
+        effect: Name of the effect.
+        where: The body's name.
+        body: Its index.
+        phi: (nb, 10) physical inertial parameters of the bodies that all robots share.
+        count: Number p of all columns; those of the bodies are the first.
+        mass: Mass of a usual payload, kg.
+        matrix: (n_B, 10 nb) base parameters B, if these are the columns; None for ten a body.
+        kinds: "step", "ramp" or both.
+
+    Raises:
+        ArgumentError: Shapes do not fit, or the body is not physical.
+    """
+    phi = real_array(phi, "phi", ("nb", PARAMETERS_PER_BODY))
+    integer(body, "body", lower=0, upper=len(phi) - 1)
+    positive(mass, "mass")
+    if not is_physical(phi[body]):
+        raise ArgumentError(f"The body {where} is not physical, so that there is no distance.")
+    usual = phi[body] * (mass / phi[body, 0])
+    root = np.linalg.cholesky(np.linalg.inv(pullback_metric(usual)))
+    columns = np.zeros((phi.size, PARAMETERS_PER_BODY))
+    columns[10 * body : 10 * body + 10] = root
+    if matrix is not None:
+        columns = real_array(matrix, "matrix", ("n", phi.size)) @ columns
+    factor = np.zeros((count, PARAMETERS_PER_BODY))
+    factor[: len(columns)] = columns
+    return ChangeHypothesis(effect, where, factor, kinds)

@@ -1,0 +1,96 @@
+"""How changes go with time: steps that stay, and ramps that go on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.showing import Short
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+STEP, RAMP = "step", "ramp"
+KINDS = (STEP, RAMP)
+
+
+@dataclass(frozen=True, eq=False)
+class Profiles(Short):
+    """The steps or ramps that may begin at any of a robot's logs.
+
+    A step is 0 before the log and 1 from it on. A ramp is 0 up to the log and then rises in
+    proportion to the days, to 1 at the last log.
+
+    Attributes:
+        kind: "step" or "ramp".
+        first: (K,) log at which each begins.
+        days: (T,) days of the logs.
+    """
+
+    kind: str
+    first: Indices
+    days: Array
+
+    @classmethod
+    def of(cls, kind: str, days: Array) -> Profiles:
+        """All that the days of a robot's logs can show.
+
+        Args:
+            kind: "step" or "ramp".
+            days: (T,) days of the logs, ascending.
+        """
+        starts = np.unique(days, return_index=True)[1]  # logs of one day are not told apart
+        return cls(kind, starts[1:] if kind == STEP else starts[:-1], days)
+
+    @property
+    def values(self) -> Array:
+        """(K, T) values."""
+        after = np.arange(len(self.days)) >= self.first[:, None]
+        if self.kind == STEP:
+            return after.astype(float)
+        begun = self.days[self.first][:, None]
+        return np.asarray(after * (self.days - begun) / (self.days[-1] - begun))
+
+    def sums(self, per_log: Array) -> Array:
+        """(K, ...) sums Σ_t f_k(t) X_t, of cumulative sums.
+
+        Args:
+            per_log: (T, ...) X.
+        """
+        if self.kind == STEP:
+            return _from(per_log)[self.first]
+        begun, span = self._ramp(per_log)
+        moments = _from(_times(self.days, per_log))[self.first]
+        return np.asarray((moments - begun * _from(per_log)[self.first]) / span)
+
+    def squares(self, per_log: Array) -> Array:
+        """(K, ...) sums Σ_t f_k(t)² X_t, of cumulative sums.
+
+        Args:
+            per_log: (T, ...) X.
+        """
+        if self.kind == STEP:
+            return self.sums(per_log)
+        begun, span = self._ramp(per_log)
+        first = _times(self.days, per_log)
+        zeroth, first, second = (
+            _from(each)[self.first] for each in (per_log, first, _times(self.days, first))
+        )
+        return np.asarray((second - 2.0 * begun * first + begun**2 * zeroth) / span**2)
+
+    def _ramp(self, per_log: Array) -> tuple[Array, Array]:
+        """Days at which ramps begin, and how long they last, shaped to go with X."""
+        shape = (-1, *(1,) * (per_log.ndim - 1))
+        begun = self.days[self.first]
+        return begun.reshape(shape), (self.days[-1] - begun).reshape(shape)
+
+
+def _from(per_log: Array) -> Array:
+    """(T, ...) sums over each log and all later ones."""
+    return np.cumsum(per_log[::-1], axis=0)[::-1]
+
+
+def _times(days: Array, per_log: Array) -> Array:
+    return np.asarray(days.reshape(-1, *(1,) * (per_log.ndim - 1)) * per_log)

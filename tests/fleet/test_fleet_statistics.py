@@ -1,0 +1,170 @@
+"""Sums over logs give what the rows themselves would."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fleet_data import MEAN, NOISE, P, columns, hypotheses, robot
+from scipy.linalg import block_diag
+from scipy.stats import multivariate_normal
+
+from geodrake.errors import ArgumentError
+from geodrake.fleet.change_evidence import SCALES, calc_change_evidence
+from geodrake.fleet.columns import Spread, body_spread
+from geodrake.fleet.history import weighted_history
+from geodrake.fleet.levels import parameter_levels
+from geodrake.fleet.marginals import calc_marginal
+from geodrake.fleet.profiles import KINDS, Profiles
+from geodrake.fleet.type_model import TypeModel, learn_type, own_parameters
+from geodrake.inertia import pullback_distance
+from geodrake.fleet.course import Course
+
+
+def made(logs, **more):
+    """A type that is known, with logs of some robots."""
+    known = {
+        "mean": MEAN.copy(),
+        "covariance": np.zeros((P, P)),
+        "deviations": np.array([0.2, 0.1, 0.3]),
+        "scatter": np.array([0.05, 0.02, 0.04]),
+        "response": 0.2,
+        "course": Course.begin(logs, 0),
+        "own": np.tile(MEAN, (len(logs), 1)),
+        "odd": tuple(np.zeros((len(each.days), 3)) for each in logs),
+    }
+    return TypeModel(columns(), **{**known, **more})
+
+
+def spread_covariance(scales):
+    """Covariance of parameters, from the docstrings' model."""
+    unit = np.array([1.0, 1.0, *MEAN[2:]])
+    return np.diag((np.repeat(scales, [2, 1, 1]) * unit) ** 2)
+
+
+def dense(model, A):
+    """Covariance of all rows b of a robot, whose log t has rows A_t."""
+    own, scatter = spread_covariance(model.deviations), spread_covariance(model.scatter)
+    stacked = A.reshape(-1, P)
+    each = block_diag(*[a @ scatter @ a.T for a in A])
+    return stacked @ own @ stacked.T + each + NOISE**2 * np.eye(len(stacked))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_cumulative_sums_are_those_of_profiles(kind):
+    rng = np.random.default_rng(1)
+    days = np.sort(rng.choice(40, 12, replace=False)).astype(float)
+    days[4] = days[3]  # two logs on one day
+    each, X = Profiles.of(kind, days), rng.normal(size=(12, 2, 3))
+    values = each.values
+    assert values.shape == (10, 12)
+    np.testing.assert_allclose(each.sums(X), np.einsum("kt,tab->kab", values, X), atol=1e-9)
+    np.testing.assert_allclose(each.squares(X), np.einsum("kt,tab->kab", values**2, X), atol=1e-9)
+
+
+def test_marginals_are_those_of_rows():
+    rng = np.random.default_rng(2)
+    A, b, F = rng.normal(size=(6, P)), rng.normal(size=6), rng.normal(size=(P, 2))
+    V = NOISE**2 * np.eye(6) + A @ F @ F.T @ A.T
+    M, m = calc_marginal(A.T @ A / NOISE**2, A.T @ b / NOISE**2, F)
+    np.testing.assert_allclose(M, A.T @ np.linalg.solve(V, A))
+    np.testing.assert_allclose(m, A.T @ np.linalg.solve(V, b))
+
+
+def test_evidence_is_the_ratio_of_likelihoods_of_rows():
+    rows = robot(np.random.default_rng(3), logs=6, rows=8)
+    history = rows.history()
+    logs = history.equations()
+    model = made([logs])
+    evidence = calc_change_evidence(
+        model.fit(0, logs), history.days, hypotheses(), model.scale(0)
+    )
+    V, b = dense(model, rows.A), rows.b.ravel()
+    mean = rows.A.reshape(-1, P) @ MEAN
+    before = multivariate_normal(mean, V).logpdf(b)
+    for profiles, ratio in zip(evidence.profiles, evidence.ratio, strict=True):
+        for h, hypothesis in enumerate(hypotheses()):
+            if profiles.kind not in hypothesis.kinds:
+                assert np.isneginf(ratio[h]).all()
+                continue
+            D = np.array([1.0, 1.0, *MEAN[2:]])[:, None] * hypothesis.factor
+            for k, values in enumerate(profiles.values):
+                X = (values[:, None, None] * (rows.A @ D)).reshape(len(b), -1)
+                after = [multivariate_normal(mean, V + s**2 * X @ X.T).logpdf(b) for s in SCALES]
+                expected = np.log(np.mean(np.exp(np.array(after) - before)))
+                assert ratio[h, k] == pytest.approx(expected, abs=1e-7)
+    assert np.exp(np.concatenate([p.ravel() for p in evidence.prior])).sum() == pytest.approx(1.0)
+
+
+def test_common_model_and_deviations_are_those_of_one_dense_fit():
+    rng = np.random.default_rng(4)
+    rows = [robot(rng, logs=4, rows=8) for _ in range(3)]
+    logs = [each.history().equations() for each in rows]
+    model = made(logs)
+    for _ in range(30):  # scales are held, so that the rest settles
+        found = learn_type(logs, columns(), start=model, rounds=1)
+        model = replace(model, mean=found.mean)
+    # Generalized least squares of all rows at once.
+    covariances = [dense(model, each.A) for each in rows]
+    stacked = [each.A.reshape(-1, P) for each in rows]
+    weak = np.linalg.inv(100.0 * np.diag(np.array([1.0, 1.0, *MEAN[2:]]) ** 2))
+    seen = weak + sum(a.T @ np.linalg.solve(V, a) for a, V in zip(stacked, covariances, strict=True))
+    side = weak @ columns().prior + sum(
+        a.T @ np.linalg.solve(V, each.b.ravel())
+        for a, V, each in zip(stacked, covariances, rows, strict=True)
+    )
+    np.testing.assert_allclose(found.mean, np.linalg.solve(seen, side), rtol=2e-3)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(seen), rtol=0.05, atol=1e-6)
+    own, covariance = own_parameters(model, model.fit(1, logs[1]))
+    prior, V = spread_covariance(model.deviations), covariances[1]
+    gain = prior @ stacked[1].T @ np.linalg.inv(V)
+    expected = model.mean + gain @ (rows[1].b.ravel() - stacked[1] @ model.mean)
+    np.testing.assert_allclose(own, expected, rtol=2e-3)
+    np.testing.assert_allclose(covariance, prior - gain @ stacked[1] @ prior, rtol=0.05, atol=1e-6)
+
+
+def test_scales_are_learnt():
+    rng = np.random.default_rng(5)
+    logs = [robot(rng, logs=12, rows=40).history().equations() for _ in range(40)]
+    found = learn_type(logs, columns(), rounds=20)
+    np.testing.assert_allclose(found.deviations, 0.1, rtol=0.3)
+    np.testing.assert_allclose(found.scatter, 0.03, rtol=0.35)
+    np.testing.assert_allclose(found.mean, MEAN, atol=4 * np.sqrt(0.01 / 40))
+
+
+def test_levels_cover_what_logs_have():
+    rng = np.random.default_rng(6)
+    rows = [robot(rng, logs=10) for _ in range(12)]
+    logs = [each.history().equations() for each in rows]
+    found, errors = learn_type(logs, columns(), rounds=15), []
+    for r, each in enumerate(logs):
+        levels = parameter_levels(found, r, each, found.fit(r, each), [2, 3])
+        assert levels.shown.all()
+        assert (levels.with_scatter > levels.deviation).all()
+        errors.append((levels.values - levels.values.mean(axis=0)) / levels.with_scatter)
+    inside = np.mean(np.abs(np.array(errors)) < 1.96)
+    assert 0.92 < inside <= 0.995
+    with pytest.raises(ArgumentError, match="bodies"):
+        parameter_levels(found, 0, logs[0], found.fit(0, logs[0]), [1])
+
+
+def test_bodies_spread_by_their_geometric_distance():
+    phi = np.array([[2.0, 0.1, 0.0, 0.2, 0.09, 0.1, 0.05, 0.001, 0.002, -0.01]])
+    spread = body_spread("arm", phi, 12)
+    assert not spread.factor[10:].any()
+    step = 1e-3 * spread.factor[:10] @ np.ones(10)
+    distance = pullback_distance(phi[0] + step, phi[0], phi[0])
+    assert distance == pytest.approx(1e-3 * np.sqrt(10.0))
+    B = np.random.default_rng(7).normal(size=(4, 10))
+    seen = body_spread("arm", phi, 4, matrix=B).factor
+    np.testing.assert_allclose(seen @ seen.T, B @ spread.factor[:10] @ spread.factor[:10].T @ B.T)
+
+
+def test_wrong_histories_are_refused():
+    grams, weights = np.tile(np.eye(3), (2, 1, 1, 1)), np.ones((2, 1))
+    assert weighted_history("a", [3.0, 1.0], grams, weights).days.tolist() == [1.0, 3.0]
+    with pytest.raises(ArgumentError, match="negative weight"):
+        weighted_history("a", [1.0, 2.0], grams, -weights)
+    with pytest.raises(ArgumentError, match="not symmetric|negative"):
+        weighted_history("a", [1.0, 2.0], np.triu(np.ones((2, 1, 3, 3))), weights)
+    with pytest.raises(ArgumentError, match="free, relative"):
+        replace(columns(), spreads=(Spread("short", np.eye(2)),))
