@@ -1,9 +1,20 @@
-"""Many logs of many robots: digests, which say in a small file what a log does."""
+"""Many logs of many robots: digests of them, and which robot changed, where, since when."""
 
 from geodrake.fleet.digest import Digest, DigestedLog, JointDigest, merge
 from geodrake.fleet.digest_dataset import digest_dataset
 from geodrake.fleet.digest_file import digest_content, read_digest
 from geodrake.fleet.digest_folder import DigestRow, DigestRun, digest_files, digest_logs
+from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType, read_fleet
+from geodrake.fleet.fleet_result import (
+    ChangedParameter,
+    FailedLog,
+    FleetFinding,
+    FleetResult,
+    OwnParameter,
+    ParameterHistory,
+    RobotResult,
+)
+from geodrake.fleet.fleet_run import FleetWork, run_fleet
 from geodrake.fleet.making import LogFacts, Wanted, make_digest, make_settings
 from geodrake.fleet.model_hash import model_hash
 from geodrake.fleet.settings import (
@@ -14,6 +25,7 @@ from geodrake.fleet.settings import (
 )
 
 __all__ = [
+    "ChangedParameter",
     "Digest",
     "DigestColumn",
     "DigestEffect",
@@ -21,8 +33,18 @@ __all__ = [
     "DigestRun",
     "DigestSettings",
     "DigestedLog",
+    "FailedLog",
+    "Fleet",
+    "FleetFinding",
+    "FleetResult",
+    "FleetRobot",
+    "FleetType",
+    "FleetWork",
     "JointDigest",
     "LogFacts",
+    "OwnParameter",
+    "ParameterHistory",
+    "RobotResult",
     "Wanted",
     "digest_content",
     "digest_dataset",
@@ -33,5 +55,7 @@ __all__ = [
     "merge",
     "model_hash",
     "read_digest",
+    "read_fleet",
     "read_settings",
+    "run_fleet",
 ]
