@@ -16,22 +16,28 @@ from typer.testing import CliRunner
 from geodrake.cli.app import app
 from geodrake.logs.files import write_log
 
-TWO = (HEAVY, STICKY)
+STEADY = "first"
+THREE = (STEADY, HEAVY, STICKY)
 
 
 @pytest.fixture(scope="module")
 def there(tmp_path_factory):
     """A fleet whose digests are made."""
     folder = tmp_path_factory.mktemp("fleet")
-    write_fleet(folder, robots=TWO)
-    assert CliRunner().invoke(app, ["fleet", str(folder / "fleet.yaml"), *"-q --workers 0".split()]).exit_code == 0
+    write_fleet(folder, robots=THREE)
+    assert (
+        CliRunner()
+        .invoke(app, ["fleet", str(folder / "fleet.yaml"), *"-q --workers 0".split()])
+        .exit_code
+        == 0
+    )
     return folder
 
 
 @pytest.fixture
 def folder(there, tmp_path, monkeypatch):
     shutil.copytree(there, tmp_path, dirs_exist_ok=True)
-    write_file(tmp_path, TWO)
+    write_file(tmp_path, THREE)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -44,14 +50,14 @@ def fleet(words="", file="fleet.yaml"):
 def test_findings_are_said_and_written(folder):
     code, out, err = fleet("--json new.json")
     assert (code, err) == (0, "")
-    assert "2 of 2 robots changed." in out
+    assert "2 of 3 robots changed." in out
     assert "payload" in out
     text = Path("new.json").read_text(encoding="utf-8")
     assert text == Path("results/fleet.json").read_text(encoding="utf-8")
     numbers = json.loads(text)
-    assert numbers["counts"] == {"changed": 2, "steady": 0, "no logs": 0}
+    assert numbers["counts"] == {"changed": 2, "steady": 1, "no logs": 0}
     rows = parquet.read_table("results/findings.parquet").to_pylist()
-    assert {row["robot"] for row in rows} == set(TWO)
+    assert {row["robot"] for row in rows} == {HEAVY, STICKY}
     assert {str(row["since"].date()) for row in rows} == {date_of(FROM)}
     for finding in numbers["findings"]:
         own = [row for row in rows if row["robot"] == finding["robot"]]
@@ -59,7 +65,7 @@ def test_findings_are_said_and_written(folder):
             name: each["change"] for name, each in finding["parameters"].items()
         }
     times = parquet.read_table("results/parameters.parquet").to_pylist()
-    assert len(times) == 2 * LOGS * len(numbers["robots"][0]["parameters"])
+    assert len(times) == 3 * LOGS * len(numbers["robots"][0]["parameters"])
     assert parquet.read_table("results/failed_logs.parquet").num_rows == 0
 
 
@@ -77,6 +83,7 @@ def test_a_finding_is_new_once(folder):
     numbers = json.loads(Path("results/fleet.json").read_text(encoding="utf-8"))
     assert {robot["robot"]: robot["logs"] for robot in numbers["robots"]} == {
         HEAVY: LOGS + 1,
+        STEADY: LOGS,
         STICKY: LOGS,
     }
 
@@ -106,7 +113,7 @@ def test_a_watch_takes_in_logs_as_they_come(folder):
     finally:
         end.cancel()
         run.terminate()
-        run.wait()
+        run.communicate()
     assert run.returncode == 128 + 15
 
 
