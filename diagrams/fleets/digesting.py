@@ -128,9 +128,7 @@ def type_hypotheses(kind: str, mass: float = 1.0) -> list[ChangeHypothesis]:
             column_change(SCALE, joint, [p - n + j], p, size=0.1, kinds=("step",)),
         ]
     for k, body in enumerate(model.bodies):
-        found.append(
-            body_change(LOAD, str(body), k, model.phi, p, mass=mass, matrix=base.matrix)
-        )
+        found.append(body_change(LOAD, str(body), k, model.phi, p, mass=mass, matrix=base.matrix))
     return found
 
 

@@ -147,7 +147,9 @@ def own_robot(draw: FleetDraw) -> OwnRobot:
 def _typical_efforts(kind: str) -> Array:
     """(n,) efforts by which friction is sized, N·m: the same for all robots of a type."""
     rng, engine = np.random.default_rng(1), type_engine(kind)
-    q = rng.uniform(np.maximum(engine.low, -1.5), np.minimum(engine.high, 1.5), (200, len(engine.low)))
+    q = rng.uniform(
+        np.maximum(engine.low, -1.5), np.minimum(engine.high, 1.5), (200, len(engine.low))
+    )
     v, a = rng.normal(size=(2, *q.shape))
     strongest = {
         joint.get("name"): float(joint.find("limit").get("effort"))  # type: ignore[union-attr,arg-type]

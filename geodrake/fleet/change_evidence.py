@@ -26,7 +26,7 @@ from geodrake.fleet.robot_fit import RobotFit
 
 Array = NDArray[np.float64]
 
-SCALES = (0.1, 0.3, 1.0, 3.0)
+SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Sizes s of changes, over the usual one of their hypothesis, that are thought of."""
 
 
@@ -103,7 +103,8 @@ def calc_change_evidence(
     sizes = np.array([h.factor.shape[1] for h in hypotheses])
     for size in np.unique(sizes).tolist():
         for each, ratio, prior in zip(profiles, ratios, priors, strict=True):
-            tried = [h for h in np.flatnonzero(sizes == size) if each.kind in hypotheses[h].kinds]
+            same = np.flatnonzero(sizes == size).tolist()
+            tried = [h for h in same if each.kind in hypotheses[h].kinds]
             if not tried:
                 continue
             factor = scale[:, None] * np.hstack([hypotheses[h].factor for h in tried])

@@ -120,8 +120,7 @@ class RobotSearch(Short):
     _states: dict[tuple[ChangePlace, ...], SearchState] = field(default_factory=dict, init=False)
 
     def state(self, places: Sequence[ChangePlace]) -> SearchState:
-        """The logs with some changes: gains refer to the parameters of the day, and odd logs count
-        less."""
+        """The logs with some changes, where gains refer to the parameters of the day."""
         if tuple(places) not in self._states:
             self._states[tuple(places)] = self._settled(places)
         return self._states[tuple(places)]
@@ -144,15 +143,18 @@ class RobotSearch(Short):
         return calc_change_evidence(state.fit, self.history.days, self.hypotheses, scale)
 
     def instead(self, state: SearchState, others: Sequence[ChangePlace]) -> ChangeEvidence:
-        """What logs say for a change beside some of a state's, where logs are as odd as in it."""
+        """What logs say for a change beside some of a state's, where logs are as odd as in it.
+
+        Args:
+            state: The logs with all changes.
+            others: Those of the changes that stay.
+        """
         fit = self.model.fit(self.robot, state.logs, self.design(others), state.odd)
         return self.evidence(replace(state, fit=fit))
 
     def design(self, places: Sequence[ChangePlace]) -> Array | None:
         """(T, p, m) parameters of some changes, of sizes that are hardly limited."""
-        parts = [
-            self._values(place)[:, None, None] * self._factor(place) for place in places
-        ]
+        parts = [self._values(place)[:, None, None] * self._factor(place) for place in places]
         return np.concatenate(parts, axis=2) if parts else None
 
     def _values(self, place: ChangePlace) -> Array:
@@ -170,14 +172,26 @@ class RobotSearch(Short):
         """
         places: list[ChangePlace] = []
         while len(places) < _MOST_CHANGES:
-            evidence = self.evidence(self.state(places))
-            if not evidence.profiles:
-                break
-            added = self._exchanged([*places, best_place(evidence)], -np.log(level))
-            if len(added) <= len(places):
+            tried = sorted(self._candidates(places), key=lambda each: self.state(each).cost)
+            added = (self._exchanged(each, -np.log(level)) for each in tried)
+            better = next((each for each in added if len(each) > len(places)), None)
+            if better is None:
                 break  # it was too little, or made another one needless, and would again
-            places = added
+            places = better
         return places
+
+    def _candidates(self, places: list[ChangePlace]) -> list[list[ChangePlace]]:
+        """One change more: the best where odd logs count less, and where all count the same.
+
+        Logs after a large change are odd as long as it is not known: the first may miss what it is.
+        A single log that is odd misleads the second.
+        """
+        state = self.state(places)
+        equal = np.zeros_like(state.odd)
+        fit = self.model.fit(self.robot, state.logs, self.design(places), equal)
+        every = [self.evidence(state), self.evidence(replace(state, fit=fit))]
+        found = dict.fromkeys(best_place(each) for each in every if each.profiles)
+        return [[*places, place] for place in found if place not in places]
 
     def _exchanged(self, places: list[ChangePlace], least: float) -> list[ChangePlace]:
         """The same number of changes, or fewer, each the best beside the others."""
@@ -200,6 +214,10 @@ class RobotSearch(Short):
 
         Either that of all changes that there may be, with logs that are odd without one; or that of
         this very one, and what such logs lose without it.
+
+        Args:
+            places: The changes.
+            at: Which of them.
         """
         others = [*places[:at], *places[at + 1 :]]
         without = self.state(others)

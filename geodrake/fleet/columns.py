@@ -8,13 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.boundary.arguments import instance, instances, integer, real_array
+from geodrake.boundary.arguments import instance, instances, integer, integers, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, pullback_metric
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+MOST_COLUMNS = 5_000
+"""Most columns of a type."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +99,8 @@ def body_spread(
     """
     phi = real_array(phi, "phi", ("nb", PARAMETERS_PER_BODY), finite=False)
     shown = np.flatnonzero(~np.isnan(phi).any(axis=1))
+    if not len(shown):
+        raise ArgumentError("There must be a body that differs.")
     roots = np.linalg.cholesky(np.linalg.inv(pullback_metric(phi[shown])))
     factor = np.zeros((phi.size, 10 * len(shown)))
     for place, (body, root) in enumerate(zip(shown.tolist(), roots, strict=True)):
@@ -103,7 +108,9 @@ def body_spread(
     if matrix is not None:
         B = real_array(matrix, "matrix", ("n", phi.size))
         # A factor of the same covariance, with no more columns than rows.
-        factor = np.linalg.qr((B @ factor).T, mode="r").T
+        factor = np.asarray(np.linalg.qr((B @ factor).T, mode="r")).T
+    if integer(columns, "columns", upper=MOST_COLUMNS) < len(factor):
+        raise ArgumentError(f"columns must be at least the {len(factor)} of the bodies.")
     whole = np.zeros((columns, factor.shape[1]))
     whole[: len(factor)] = factor
     return Spread(name, whole)
@@ -117,8 +124,11 @@ def column_spreads(names: Sequence[str], columns: Sequence[int], count: int) -> 
         columns: Index of each.
         count: Number p of all columns.
     """
-    unit = np.eye(count)
-    return tuple(
-        Spread(name, unit[:, [at]])
-        for name, at in zip(instances(names, "names", str), columns, strict=True)
+    names, unit = (
+        instances(names, "names", str),
+        np.eye(integer(count, "count", lower=1, upper=MOST_COLUMNS)),
     )
+    at = integers(columns, "columns", lower=0, upper=count - 1)
+    if len(at) != len(names):
+        raise ArgumentError(f"{len(names)} names cannot be those of {len(at)} columns.")
+    return tuple(Spread(name, unit[:, [each]]) for name, each in zip(names, at, strict=True))

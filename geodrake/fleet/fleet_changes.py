@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geodrake.boundary.arguments import instances, integer, number
+from geodrake.boundary.arguments import instance, instances, integer, number
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.fleet.change_evidence import ChangePlace
@@ -16,7 +16,6 @@ from geodrake.fleet.columns import TypeColumns
 from geodrake.fleet.history import LogEquations, RobotHistory
 from geodrake.fleet.hypotheses import ChangeHypothesis
 from geodrake.fleet.type_model import Array, TypeModel, learn_type, least_squares
-
 
 _FIRST, _LATER = 12, 4  # rounds of learning what robots share
 
@@ -29,11 +28,13 @@ class FleetChanges(Short):
         model: What they share, and how they differ.
         changes: Of every robot, those that were found.
         places: The same by numbers, for further fits.
+        references: (T, p) of every robot, parameters that its gains referred to.
     """
 
     model: TypeModel
     changes: tuple[tuple[RobotChange, ...], ...]
     places: tuple[tuple[ChangePlace, ...], ...]
+    references: tuple[Array, ...]
 
 
 def find_changes(
@@ -61,33 +62,56 @@ def find_changes(
     """
     histories = instances(histories, "histories", RobotHistory)
     hypotheses = instances(hypotheses, "hypotheses", ChangeHypothesis)
+    instance(columns, "columns", TypeColumns)
     number(false_alarms, "false_alarms", lower=0.0, upper=1.0, strict=True)
     integer(passes, "passes", lower=1)
     if any(len(h.factor) != len(columns.prior) for h in hypotheses) or not hypotheses:
-        raise ArgumentError(f"Each hypothesis needs {len(columns.prior)} columns, and there must be one.")
-    references: list[Array] = [_pooled(histories)] * len(histories)
-    logs, designs, model = _at(histories, columns, references), None, None
-    for step in range(passes):
-        model = learn_type(
-            logs, columns, changes=designs, start=model, rounds=_LATER if step else _FIRST
+        raise ArgumentError(
+            f"Each hypothesis needs {len(columns.prior)} columns, and there must be one."
         )
-        searches = [
-            RobotSearch(model, r, each, reference, hypotheses)
-            for r, (each, reference) in enumerate(zip(histories, references, strict=True))
-        ]
-        places = [
-            search.find(min(1.0, false_alarms * months(search.history))) for search in searches
-        ]
-        if step < passes - 1:
-            states = [search.state(own) for search, own in zip(searches, places, strict=True)]
-            references = [
-                model.parameters(r, state.logs, state.fit) for r, state in enumerate(states)
-            ]
-            logs = _at(histories, columns, references)
-            designs = [_design(search, own) for search, own in zip(searches, places, strict=True)]
-            model = replace(model, odd=tuple(state.odd for state in states))
-    told = tuple(search.told(own) for search, own in zip(searches, places, strict=True))
-    return FleetChanges(model, told, tuple(tuple(own) for own in places))
+    _check_shapes(histories, columns)
+    references: list[Array] = [_pooled(histories)] * len(histories)
+    model = learn_type(_at(histories, columns, references), columns, rounds=_FIRST)
+    found = _search_all(model, histories, references, hypotheses, false_alarms)
+    for _ in range(passes - 1):
+        states = [search.state(own) for search, own in found]
+        references = [model.parameters(r, state.logs, state.fit) for r, state in enumerate(states)]
+        model = learn_type(
+            _at(histories, columns, references),
+            columns,
+            changes=[_design(search, own) for search, own in found],
+            start=replace(model, odd=tuple(state.odd for state in states)),
+            rounds=_LATER,
+        )
+        found = _search_all(model, histories, references, hypotheses, false_alarms)
+    told = tuple(search.told(own) for search, own in found)
+    return FleetChanges(model, told, tuple(tuple(own) for _, own in found), tuple(references))
+
+
+def _search_all(
+    model: TypeModel,
+    histories: Sequence[RobotHistory],
+    references: Sequence[Array],
+    hypotheses: Sequence[ChangeHypothesis],
+    false_alarms: float,
+) -> list[tuple[RobotSearch, list[ChangePlace]]]:
+    """What is found in each robot."""
+    found = []
+    for r, (history, reference) in enumerate(zip(histories, references, strict=True)):
+        search = RobotSearch(model, r, history, reference, hypotheses)
+        found.append((search, search.find(min(1.0, false_alarms * months(history)))))
+    return found
+
+
+def _check_shapes(histories: Sequence[RobotHistory], columns: TypeColumns) -> None:
+    joints = {history.grams.shape[1:3] for history in histories}
+    wanted = len(columns.prior) - columns.gains
+    if len(joints) != 1 or any(p != wanted + 1 or columns.gains not in (0, n) for n, p in joints):
+        raise ArgumentError(
+            f"Robots of a type must have the same joints and {wanted} columns, and there must be a "
+            f"robot; they have (joints, columns) {sorted((n, p - 1) for n, p in joints)}.",
+            advice="Gains are columns of the type, one a joint, and not of the logs.",
+        )
 
 
 def _pooled(histories: Sequence[RobotHistory]) -> Array:

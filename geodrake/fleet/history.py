@@ -63,7 +63,7 @@ class RobotHistory(Short):
         Raises:
             ArgumentError: Shapes do not fit, or values are not finite.
         """
-        T, n, p = self.grams.shape[:2] + (self.grams.shape[3] - 1,)
+        T, n, p = (*self.grams.shape[:2], self.grams.shape[3] - 1)
         reference = np.broadcast_to(real_array(reference, "reference", ("...", p)), (T, p))
         total = self.grams.sum(axis=1)
         along = np.einsum("tjab,tb->tja", self.grams[..., :p], reference)
@@ -121,10 +121,15 @@ def weighted_history(
     weights = real_array(weights, "weights", ("T", "n"), sizes)
     grams = real_array(grams, "grams", ("T", "n", "p", "p"), sizes)
     mirrored = np.abs(grams - np.swapaxes(grams, 2, 3)).max(initial=0.0)
-    if (weights < 0.0).any() or mirrored > _SYMMETRIC * np.abs(grams).max(initial=0.0):
+    squares = np.diagonal(grams, axis1=2, axis2=3)
+    if (
+        (weights < 0.0).any()
+        or (squares < 0.0).any()
+        or mirrored > _SYMMETRIC * np.abs(grams).max(initial=0.0)
+    ):
         raise ArgumentError(
-            f"The logs of {robot} have a negative weight, or a normal matrix that is not "
-            "symmetric.",
+            f"The logs of {robot} have a negative weight or square, or a normal matrix that is "
+            "not symmetric.",
             advice="Weights are shares over variances; matrices are [A | b]ᵀ[A | b].",
             robot=robot,
         )

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.boundary.arguments import instance, instances, integer, positive, real_array
+from geodrake.boundary.arguments import instance, instances, integer, integers, positive, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
-from geodrake.fleet.profiles import KINDS
-from geodrake.inertia import PARAMETERS_PER_BODY, is_physical, pullback_metric
+from geodrake.fleet.columns import MOST_COLUMNS
+from geodrake.fleet.profiles import KINDS, STEP
+from geodrake.inertia import (
+    PARAMETERS_PER_BODY,
+    from_mass_com_inertia,
+    is_physical,
+    pullback_metric,
+)
 
 Array = NDArray[np.float64]
 
@@ -45,7 +52,7 @@ class ChangeHypothesis(Short):
 def column_change(
     effect: str,
     where: str,
-    columns: ArrayLike,
+    columns: Sequence[int],
     count: int,
     *,
     size: float = 1.0,
@@ -64,12 +71,12 @@ def column_change(
     Raises:
         ArgumentError: There is no such column.
     """
-    at = np.atleast_1d(real_array(columns, "columns")).ravel()
-    integer(count, "count", lower=1)
+    integer(count, "count", lower=1, upper=MOST_COLUMNS)
+    at = integers(columns, "columns", lower=0, upper=count - 1)
     positive(size, "size")
-    if not len(at) or (at != np.round(at)).any() or at.min() < 0 or at.max() >= count:
-        raise ArgumentError(f"columns must be indices from 0 to {count - 1}; they are {at}.")
-    return ChangeHypothesis(effect, where, size * np.eye(count)[:, at.astype(int)], kinds)
+    if not at:
+        raise ArgumentError("A change needs at least one column.")
+    return ChangeHypothesis(effect, where, size * np.eye(count)[:, list(at)], kinds)
 
 
 def body_change(
@@ -80,13 +87,13 @@ def body_change(
     count: int,
     *,
     mass: float,
+    radius: float = 0.1,
     matrix: ArrayLike | None = None,
-    kinds: tuple[str, ...] = ("step",),
 ) -> ChangeHypothesis:
-    """The ten parameters of a body change, as by a payload.
+    """The ten parameters of a body change from one day to the next, as by a payload.
 
-    z is measured in the geometric distance at a body of the same shape and place and of a mass
-    that a payload may have, so that the prior depends on no frame and no unit.
+    z is measured in the geometric distance at a ball of the size and mass of a usual payload, at
+    the body's centre of mass, so that the prior depends on no frame and no unit.
 
     Args:
         effect: Name of the effect.
@@ -95,8 +102,8 @@ def body_change(
         phi: (nb, 10) physical inertial parameters of the bodies that all robots share.
         count: Number p of all columns; those of the bodies are the first.
         mass: Mass of a usual payload, kg.
+        radius: Its radius, and about how far it is from the body's centre of mass, m.
         matrix: (n_B, 10 nb) base parameters B, if these are the columns; None for ten a body.
-        kinds: "step", "ramp" or both.
 
     Raises:
         ArgumentError: Shapes do not fit, or the body is not physical.
@@ -104,14 +111,18 @@ def body_change(
     phi = real_array(phi, "phi", ("nb", PARAMETERS_PER_BODY))
     integer(body, "body", lower=0, upper=len(phi) - 1)
     positive(mass, "mass")
+    positive(radius, "radius")
     if not is_physical(phi[body]):
         raise ArgumentError(f"The body {where} is not physical, so that there is no distance.")
-    usual = phi[body] * (mass / phi[body, 0])
+    com = phi[body, 1:4] / phi[body, 0]
+    usual = from_mass_com_inertia(mass, com, 0.4 * mass * radius**2 * np.eye(3))
     root = np.linalg.cholesky(np.linalg.inv(pullback_metric(usual)))
     columns = np.zeros((phi.size, PARAMETERS_PER_BODY))
     columns[10 * body : 10 * body + 10] = root
     if matrix is not None:
         columns = real_array(matrix, "matrix", ("n", phi.size)) @ columns
+    if integer(count, "count", upper=MOST_COLUMNS) < len(columns):
+        raise ArgumentError(f"count must be at least the {len(columns)} columns of the bodies.")
     factor = np.zeros((count, PARAMETERS_PER_BODY))
     factor[: len(columns)] = columns
-    return ChangeHypothesis(effect, where, factor, kinds)
+    return ChangeHypothesis(effect, where, factor, (STEP,))

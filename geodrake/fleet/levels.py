@@ -66,10 +66,12 @@ def parameter_levels(
     instance(logs, "logs", LogEquations)
     instance(fit, "fit", RobotFit)
     integer(robot, "robot", lower=0, upper=len(model.own) - 1)
-    at = np.array(integers(columns, "columns", lower=0, upper=len(model.mean) - 1))
+    at = np.array(integers(columns, "columns", lower=0, upper=len(model.mean) - 1), np.intp)
     others = np.setdiff1d(np.arange(len(model.mean)), at)
     touch = [spread.factor[at].any() for spread in model.columns.spreads]
-    joined = [s.name for s in model.columns.spreads if s.factor[at].any() and s.factor[others].any()]
+    joined = [
+        s.name for s in model.columns.spreads if s.factor[at].any() and s.factor[others].any()
+    ]
     if not len(at) or joined:
         raise ArgumentError(
             f"Levels need at least one column, and each by itself; {joined} join them with others."
@@ -104,5 +106,7 @@ def parameter_levels(
 
 def _variances(model: TypeModel, at: NDArray[np.intp]) -> Array:
     """(c,) variances of parameters between robots of the type."""
-    total = sum((np.square(f[at]).sum(axis=1) for f in model.deviation_factors()), np.zeros(len(at)))
+    total = sum(
+        (np.square(f[at]).sum(axis=1) for f in model.deviation_factors()), np.zeros(len(at))
+    )
     return np.maximum(total, np.finfo(float).tiny ** 0.5)

@@ -19,7 +19,7 @@ from geodrake.fleet.digest_dataset import model_of_digests
 from geodrake.fleet.hypotheses import ChangeHypothesis, body_change, column_change
 from geodrake.fleet.profiles import STEP
 from geodrake.fleet.settings import DigestSettings
-from geodrake.inertia import is_physical, pullback_metric
+from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -108,15 +108,11 @@ def type_layout(
     for body, name in enumerate(model.bodies):
         phi = model.total_phi
         if is_physical(phi[body]):
-            B = settings.base_matrix
-            roots[len(hypotheses)] = _root(phi[body] * (mass / phi[body, 0]))
-            hypotheses.append(body_change(Payload.name, name, body, phi, p, mass=mass, matrix=B))
+            B, given = settings.base_matrix, (Payload.name, name, body, phi)
+            part = slice(PARAMETERS_PER_BODY * body, PARAMETERS_PER_BODY * (body + 1))
+            roots[len(hypotheses)] = body_change(*given, phi.size, mass=mass).factor[part]
+            hypotheses.append(body_change(*given, p, mass=mass, matrix=B))
     return TypeLayout(kept, parameters, columns, tuple(hypotheses), roots)
-
-
-def _root(phi: Array) -> Array:
-    """(10, 10) inertial parameters of the coordinates that `body_change` has."""
-    return np.linalg.cholesky(np.linalg.inv(pullback_metric(phi[None])))[0]
 
 
 def _model_values(model: RobotModel, settings: DigestSettings) -> dict[int, tuple[float, bool]]:

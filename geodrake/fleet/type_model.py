@@ -138,13 +138,24 @@ class TypeModel(Short):
         ]
 
     def together(self, robot: int, logs: LogEquations) -> Array:
-        """(T, p) what the common course adds to a robot's parameters at its logs."""
+        """(T, p) what the common course adds to a robot's parameters at its logs.
+
+        Args:
+            robot: Its number.
+            logs: Its logs.
+        """
         values = np.zeros((len(logs.days), len(self.mean)))
         values[:, self.columns.course] = self.course.of(logs)
         return np.asarray(values * self.scale(robot))
 
     def parameters(self, robot: int, logs: LogEquations, fit: RobotFit) -> Array:
-        """(T, p) a robot's parameters at its logs by a fit, without the logs' own scatter."""
+        """(T, p) a robot's parameters at its logs by a fit, without the logs' own scatter.
+
+        Args:
+            robot: Its number.
+            logs: Its logs.
+            fit: The fit.
+        """
         own = np.einsum("tpn,n->tp", fit.design, fit.theta)
         return np.asarray(self.mean + self.together(robot, logs) + own)
 
@@ -198,7 +209,12 @@ def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
     Args:
         model: What is known of its type.
         fit: Its fit.
+
+    Raises:
+        ArgumentError: They are something else.
     """
+    instance(model, "model", TypeModel)
+    instance(fit, "fit", RobotFit)
     factor = np.hstack(model.deviation_factors())
     part = slice(0, factor.shape[1])
     covariance = factor @ fit.covariance[part, part] @ factor.T
@@ -235,7 +251,7 @@ def _typical(model: TypeModel) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _Told:
+class _RobotTells:
     """What one robot tells of all that is learnt.
 
     Attributes:
@@ -260,7 +276,7 @@ class _Told:
     odd: Array
 
 
-def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | None) -> _Told:
+def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | None) -> _RobotTells:
     fit, scale = model.fit(robot, logs, changes), model.scale(robot)
     linked = fit.seen.sum(axis=0)
     links = fit.solve(linked)
@@ -270,7 +286,7 @@ def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | Non
     squares = np.stack([fit.theta**2, 1.0 - np.diagonal(fit.covariance)])
     share, at = scale[columns.course], columns.course
     part = fit.information[:, at][:, :, at] * share[:, None] * share
-    return _Told(
+    return _RobotTells(
         own_parameters(model, fit)[0],
         fit.information.sum(axis=0) - linked.T @ links,
         fit.score.sum(axis=0),
@@ -303,8 +319,8 @@ def _improved(
     """One step of all that is learnt.
 
     Squared scales go by what squares of scores are over what they would be, whose fixed point is
-    the largest restricted likelihood. From log to log it is the median over robots, as a robot that changed is
-    none of the usual.
+    the largest restricted likelihood. From log to log it is the median over robots, as a robot
+    that changed is none of the usual.
     """
     told = [
         _told(model, r, each, None if changes is None else changes[r])
@@ -322,7 +338,9 @@ def _improved(
     pull = precision @ (model.columns.prior - mean)[free]
     mean[free] += covariance[np.ix_(free, free)] @ (side + pull)
     spread = _spread_ratio(model.columns, told, covariance)
-    scattered = np.median([each.scattered[0] / np.maximum(each.scattered[1], 1e-300) for each in told], axis=0)
+    scattered = np.median(
+        [each.scattered[0] / np.maximum(each.scattered[1], 1e-300) for each in told], axis=0
+    )
     course = model.course.improved(
         logs, [each.course[0] for each in told], [each.course[1] for each in told]
     )
@@ -339,7 +357,7 @@ def _improved(
     )
 
 
-def _spread_ratio(columns: TypeColumns, told: Sequence[_Told], covariance: Array) -> Array:
+def _spread_ratio(columns: TypeColumns, told: Sequence[_RobotTells], covariance: Array) -> Array:
     """(K + 1,) squares of θ over their expectations, of all robots; μ is not known but learnt."""
     squares, expected = np.sum([each.spread for each in told], axis=0)
     for each in told:

@@ -25,12 +25,8 @@ def there(tmp_path_factory):
     """A fleet whose digests are made."""
     folder = tmp_path_factory.mktemp("fleet")
     write_fleet(folder, robots=THREE)
-    assert (
-        CliRunner()
-        .invoke(app, ["fleet", str(folder / "fleet.yaml"), *"-q --workers 0".split()])
-        .exit_code
-        == 0
-    )
+    words = ["fleet", str(folder / "fleet.yaml"), "-q", "--workers", "0"]
+    assert CliRunner().invoke(app, words).exit_code == 0
     return folder
 
 

@@ -21,6 +21,7 @@ APART = "computed_torque_or_passivity"
 LONG = {  # whose parts are tested elsewhere, too
     "ambidex_sandbags",
     "criteria_worth",
+    "fleet_study",
     "hidden_effects",
     "iiwa_excitation",
     "long_log",
@@ -99,6 +100,12 @@ def finds_servos(table):
     assert table["summary"]["departure over that of the true model, median"] < 1.2
 
 
+def finds_changes_of_a_fleet(table):
+    """All of what few robots of one type hide, and nothing where there is nothing."""
+    assert table["summary"]["found"] == 1.0
+    assert table["summary"]["robots with nothing that are named"] == 0
+
+
 def orders_laws_as_the_source(table):
     """Tracking: the natural law best, then the Euclidean one, then none."""
     rows = table.get("summary", table["rows"])
@@ -140,6 +147,7 @@ SHOWS = {
     "scara_excitation": orders_normalizations_as_the_source,
     "wam_adaptation": orders_laws_as_the_source,
     "wam_payload": orders_laws_as_the_source,
+    "fleet_study": finds_changes_of_a_fleet,
     "hidden_effects": reaches_its_bars,
     "servo_gains": finds_servos,
     "digest_speed": digests_are_small_and_merge,

@@ -11,13 +11,13 @@ from scipy.stats import multivariate_normal
 from geodrake.errors import ArgumentError
 from geodrake.fleet.change_evidence import SCALES, calc_change_evidence
 from geodrake.fleet.columns import Spread, body_spread
+from geodrake.fleet.course import Course
 from geodrake.fleet.history import weighted_history
 from geodrake.fleet.levels import parameter_levels
 from geodrake.fleet.marginals import calc_marginal
 from geodrake.fleet.profiles import KINDS, Profiles
 from geodrake.fleet.type_model import TypeModel, learn_type, own_parameters
 from geodrake.inertia import pullback_distance
-from geodrake.fleet.course import Course
 
 
 def made(logs, **more):
@@ -75,9 +75,7 @@ def test_evidence_is_the_ratio_of_likelihoods_of_rows():
     history = rows.history()
     logs = history.equations()
     model = made([logs])
-    evidence = calc_change_evidence(
-        model.fit(0, logs), history.days, hypotheses(), model.scale(0)
-    )
+    evidence = calc_change_evidence(model.fit(0, logs), history.days, hypotheses(), model.scale(0))
     V, b = dense(model, rows.A), rows.b.ravel()
     mean = rows.A.reshape(-1, P) @ MEAN
     before = multivariate_normal(mean, V).logpdf(b)
@@ -107,7 +105,9 @@ def test_common_model_and_deviations_are_those_of_one_dense_fit():
     covariances = [dense(model, each.A) for each in rows]
     stacked = [each.A.reshape(-1, P) for each in rows]
     weak = np.linalg.inv(100.0 * np.diag(np.array([1.0, 1.0, *MEAN[2:]]) ** 2))
-    seen = weak + sum(a.T @ np.linalg.solve(V, a) for a, V in zip(stacked, covariances, strict=True))
+    seen = weak + sum(
+        a.T @ np.linalg.solve(V, a) for a, V in zip(stacked, covariances, strict=True)
+    )
     side = weak @ columns().prior + sum(
         a.T @ np.linalg.solve(V, each.b.ravel())
         for a, V, each in zip(stacked, covariances, rows, strict=True)
@@ -164,7 +164,7 @@ def test_wrong_histories_are_refused():
     assert weighted_history("a", [3.0, 1.0], grams, weights).days.tolist() == [1.0, 3.0]
     with pytest.raises(ArgumentError, match="negative weight"):
         weighted_history("a", [1.0, 2.0], grams, -weights)
-    with pytest.raises(ArgumentError, match="not symmetric|negative"):
+    with pytest.raises(ArgumentError, match="not symmetric"):
         weighted_history("a", [1.0, 2.0], np.triu(np.ones((2, 1, 3, 3))), weights)
     with pytest.raises(ArgumentError, match="free, relative"):
         replace(columns(), spreads=(Spread("short", np.eye(2)),))

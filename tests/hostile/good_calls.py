@@ -19,7 +19,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 import geodrake
 import geodrake.control.export_proof
-from geodrake import effects, inertia
+from geodrake import effects, fleet, inertia
 from geodrake.control.adaptation import (
     AdaptationLaw,
     FunctionSet,
@@ -82,6 +82,7 @@ MODULES = (
     "control.rollout",
     "control.systems",
     "diagnosis.drafting",
+    "fleet",
     "identification.models",
     "inertia.body_distances",
     "inertia.ellipsoids",
@@ -194,6 +195,16 @@ NO_DOOR = {
             "fleet.DigestSettings",
             "fleet.DigestedLog",
             "fleet.JointDigest",
+            "fleet.ChangedParameter",
+            "fleet.FailedLog",
+            "fleet.Fleet",
+            "fleet.FleetFinding",
+            "fleet.FleetResult",
+            "fleet.FleetRobot",
+            "fleet.FleetType",
+            "fleet.OwnParameter",
+            "fleet.ParameterHistory",
+            "fleet.RobotResult",
             "excitation.ExcitationTrajectory",
             "excitation.IdentifiableParameters",
             "identifiability.LogIdentifiability",
@@ -202,6 +213,12 @@ NO_DOOR = {
             "excitation.Separation",
             "excitation.Target",
             "export.Export",
+            "fleet.ChangeRival",
+            "fleet.FleetChanges",
+            "fleet.LogEquations",
+            "fleet.ParameterLevels",
+            "fleet.RobotChange",
+            "fleet.TypeModel",
             "identification.Certificate",
             "identification.FitResult",
             "identification.IdentificationResult",
@@ -381,7 +398,9 @@ def good_calls():
         _identification,
         _excitation,
         _diagnosis,
+        _digests,
         _fleet,
+        _fleet_files,
         _files,
     ):
         found.update(part(t))
@@ -1656,7 +1675,7 @@ def _diagnosis(t):
     )
 
 
-def _fleet(t):
+def _digests(t):
     m = geodrake.fleet
     facts = {"content": Free("0" * 64), "files": (PENDULUM,), "date": 1.7e9, "payloads": ()}
     settings = m.make_settings(t.model, t.log)
@@ -1705,6 +1724,122 @@ def _fleet(t):
             infinite=True,
         ),
     )
+
+
+def _fleet(t):
+    """Two robots of one joint with two columns, one of friction, and the joint's gain."""
+    m = fleet
+    rng = np.random.default_rng(0)
+    rows = rng.normal(size=(2, 4, 1, 9, 3))
+    rows[..., 2] = rows[..., :2].sum(axis=-1) + 0.01 * rows[..., 2]
+    grams = np.swapaxes(rows, -1, -2) @ rows
+    given = {"days": np.arange(4.0), "weights": np.full((4, 1), 1e4)}
+    robots = tuple(m.weighted_history(f"robot {k}", grams=grams[k], **given) for k in range(2))
+    relative = np.array([False, True, False])
+    spreads = m.column_spreads(("body", "dry", "gain"), (0, 1, 2), 3)
+    masks = {"free": ~np.eye(3, dtype=bool)[2], "relative": relative, "course": relative}
+    columns = m.TypeColumns(np.array([1.0, 1.0, 0.0]), gains=1, spreads=spreads, **masks)
+    logs = tuple(robot.with_gains(np.ones(2)) for robot in robots)
+    model = m.learn_type(logs, columns, rounds=2)
+    fit = model.fit(0, logs[0])
+    change = m.column_change("dry", "elbow", [1], 3)
+    names = {
+        "ChangeHypothesis": {
+            "effect": Free("dry"),
+            "where": Free("elbow"),
+            "factor": np.ones((3, 1)),
+        },
+        "RobotHistory": {
+            "robot": Free("a"),
+            "days": np.arange(4.0),
+            "grams": grams[0],
+            "temperature": np.ones(4),
+        },
+        "Spread": {"name": Free("dry"), "factor": np.ones((3, 1))},
+        "TypeColumns": {
+            "prior": columns.prior,
+            "gains": 1,
+            "spreads": spreads,
+            **masks,
+        },
+        "body_change": {
+            "effect": Free("payload"),
+            "where": Free("arm"),
+            "body": 0,
+            "phi": t.phi,
+            "count": 25,
+            "mass": 1.0,
+            "radius": 0.1,
+            "matrix": np.ones((4, 20)),
+        },
+        "body_spread": {
+            "name": Free("arm"),
+            "phi": t.phi,
+            "columns": 25,
+            "matrix": np.eye(20),
+        },
+        "column_change": {
+            "effect": Free("dry"),
+            "where": Free("elbow"),
+            "columns": (1,),
+            "count": 3,
+            "size": 0.5,
+        },
+        "column_spreads": {"names": ("a", "b"), "columns": (0, 2), "count": 3},
+        "find_changes": {
+            "histories": robots,
+            "columns": columns,
+            "hypotheses": (change,),
+            "false_alarms": 0.1,
+            "passes": 1,
+        },
+        "learn_type": {"logs": logs, "columns": columns, "rounds": 1},
+        "own_parameters": {"model": model, "fit": fit},
+        "parameter_levels": {
+            "model": model,
+            "robot": 0,
+            "logs": logs[0],
+            "fit": fit,
+            "columns": (1,),
+        },
+        "weighted_history": {"robot": Free("a"), "grams": grams[0], **given},
+    }
+    allows = {
+        "body_spread": {"phi": ("NaN at one place",)},
+        "RobotHistory": {"temperature": ("NaN at one place",)},
+        "weighted_history": {"temperature": ("nothing",)},
+    }
+    for name, arguments in names.items():
+        yield (
+            f"fleet.{name}",
+            Call(
+                getattr(m, name),
+                arguments,
+                allows=allows.get(name, {}),
+                infinite=name in ("weighted_history", "RobotHistory"),  # unknown temperatures
+                trusted=("free", "relative", "course"),
+            ),
+        )
+
+
+def _fleet_files(t):
+    m, path = fleet, folder() / "fleet.yaml"
+    write_log(t.log, folder() / "of_robot.csv")
+    path.write_text(
+        f"to: fleet\ntypes: {{arm: {{model: '{PENDULUM}'}}}}\n"
+        "robots: [{name: a, logs: of_robot.csv}]\n",
+        encoding="utf-8",
+    )
+    yield "fleet.read_fleet", Call(m.read_fleet, {"path": path}, infinite=True)
+    yield (
+        "fleet.FleetWork",
+        Call(
+            m.FleetWork,
+            {"workers": 0, "scheduler": Free("tcp://127.0.0.1:8786"), "false_alarms": 0.01},
+        ),
+    )
+    given = {"fleet": m.read_fleet(path), "work": m.FleetWork(workers=0)}
+    yield "fleet.run_fleet", Call(m.run_fleet, given, slow=True, infinite=True)
 
 
 def _files(t):

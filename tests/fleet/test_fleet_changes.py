@@ -1,0 +1,108 @@
+"""Changes are found where they are, and hardly ever where nothing changed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fleet_data import P, columns, hypotheses, robot
+
+from geodrake.errors import ArgumentError
+from geodrake.fleet.changes import RobotSearch
+from geodrake.fleet.fleet_changes import find_changes
+from geodrake.fleet.type_model import learn_type
+
+STEP = {2: lambda t: np.array([0.0, 0.0, 0.25, 0.0]) * (t >= 12)}
+RAMP = {5: lambda t: np.array([0.0, 0.0, 0.0, 0.04]) * max(0, t - 10)}
+LOAD = {7: lambda t: np.array([0.2, -0.3, 0.0, 0.0]) * (t < 6)}
+SEASON = 0.3 * np.sin(np.arange(20) / 6.0)
+
+
+def fleet(seed, robots, changes, together=0.0):
+    rng = np.random.default_rng(seed)
+    made = [robot(rng, change=changes.get(r), together=together) for r in range(robots)]
+    return [each.history(f"robot {r}") for r, each in enumerate(made)]
+
+
+@pytest.fixture(scope="module")
+def found():
+    changes = {**STEP, **RAMP, **LOAD}
+    return find_changes(fleet(1, 10, changes, SEASON), columns(course=True), hypotheses())
+
+
+def test_changes_are_told_with_day_effect_and_kind(found):
+    told = {r: each for r, each in enumerate(found.changes) if each}
+    assert set(told) == {2, 5, 7}
+    (step,), (ramp,), (load,) = told[2], told[5], told[7]
+    assert (step.robot, step.where, step.kind, step.day) == ("robot 2", "elbow", "step", 12.0)
+    assert "dry" in {step.effect, *(rival.effect for rival in step.rivals)}
+    assert step.share[2] == pytest.approx(0.25, abs=4 * step.deviation[2] / 0.5)
+    assert ramp.kind == "ramp" and abs(ramp.day - 10.0) <= 2.0
+    assert ramp.interval[0] <= ramp.day <= ramp.interval[1]
+    assert ramp.share[3] == pytest.approx(0.36, abs=0.08)
+    assert (load.effect, load.kind, load.day) == ("load", "step", 6.0)
+    np.testing.assert_allclose(load.size[:2], [-0.4, -0.3], rtol=0.3)  # shares of its own
+    assert all(each.false_alarm_probability < 1e-4 for each in (step, ramp, load))
+
+
+def test_a_season_is_of_all_and_of_no_single_robot(found):
+    (course,) = {tuple(found.model.course.values[:, 0])}
+    wave = SEASON - SEASON.mean()
+    assert np.corrcoef(course, wave)[0, 1] > 0.98
+    alone = [each.equations() for each in fleet(1, 10, {}, SEASON)]
+    assert (learn_type(alone, columns()).scatter[1:] > 3.0 * found.model.scatter[1:]).all()
+
+
+def test_temperatures_tell_halls_apart():
+    """Friction goes with each hall's own temperature, which no common course could say."""
+    rng, histories = np.random.default_rng(7), []
+    for r in range(12):
+        wave = (1.0 if r % 2 else -1.0) * SEASON
+        made = robot(rng, together=wave).history(f"robot {r}")
+        histories.append(replace(made, temperature=20.0 + 10.0 * wave))
+    found = find_changes(histories, columns(course=True), hypotheses(), passes=1)
+    np.testing.assert_allclose(found.model.course.slope, 0.1, rtol=0.15)
+    assert not any(found.changes)
+
+
+@pytest.mark.parametrize("level", [0.3])
+def test_alarms_are_no_more_than_asked_for(level):
+    """By Markov's inequality they are fewer; with scales that are learnt, not known."""
+    histories = fleet(2, 150, {})
+    model = learn_type([each.equations() for each in histories], columns())
+    alarms = 0
+    for r, each in enumerate(histories):
+        search = RobotSearch(model, r, each, model.mean, hypotheses())
+        alarms += bool(search.find(level))
+    assert alarms <= level * len(histories)
+
+
+def test_an_odd_log_is_no_change():
+    odd = {0: lambda t: np.array([0.0, 0.0, 0.5, 0.0]) * (t == 9)}
+    found = find_changes(fleet(3, 8, odd), columns(), hypotheses(), passes=1)
+    assert not any(found.changes)
+
+
+def test_two_changes_of_one_robot():
+    both = {
+        3: lambda t: (
+            np.array([0.0, 0.0, 0.3, 0.0]) * (t >= 6) + np.array([0.2, -0.3, 0.0, 0.0]) * (t >= 13)
+        )
+    }
+    found = find_changes(fleet(4, 8, both), columns(), hypotheses(), passes=2)
+    told = sorted(found.changes[3], key=lambda change: change.day)
+    assert [(change.where, change.day) for change in told] == [("elbow", 6.0), ("hand", 13.0)]
+    assert sum(map(bool, found.changes)) == 1
+
+
+def test_one_log_tells_no_change():
+    rng = np.random.default_rng(5)
+    histories = [robot(rng, logs=1).history() for _ in range(3)]
+    assert not any(find_changes(histories, columns(), hypotheses(), passes=1).changes)
+
+
+def test_wrong_calls_are_refused():
+    histories = fleet(6, 2, {})
+    with pytest.raises(ArgumentError, match=f"{P} columns"):
+        find_changes(histories, columns(), [])
+    with pytest.raises(ArgumentError, match="false_alarms"):
+        find_changes(histories, columns(), hypotheses(), false_alarms=0.0)
