@@ -15,6 +15,7 @@ from geodrake.fleet.fleet_result import (
     ParameterHistory,
     RobotResult,
 )
+from geodrake.fleet.profiles import STEP
 from geodrake.fleet.robot_logs import DAY
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.fleet_tables import (
@@ -133,12 +134,12 @@ def _glance_tables(robots: Sequence[RobotResult]) -> tuple[Table, ...]:
             (
                 Cell(robot.robot),
                 Cell(robot.state),
-                *(_place_cell(robot, place) for place in places),
                 _body_cell(robot, places),
+                *(_place_cell(robot, place) for place in places),
             )
             for robot in own
         )
-        tables.append(Table(("robot", "state", *places, "bodies"), rows, words=2, title=kind))
+        tables.append(Table(("robot", "state", "bodies", *places), rows, words=3, title=kind))
     return tuple(tables)
 
 
@@ -208,7 +209,7 @@ def _panel(robot: RobotResult, place: str, days: Array) -> Panel:
     shades = tuple(
         Shade(
             LEVEL.key,
-            *(float((end - robot.dates[0]) / DAY) for end in finding.interval),
+            *_begins(finding, robot.dates),
             f"{change_label(finding)} of {finding.where} since {since_words(finding)}",
         )
         for finding in seen
@@ -222,6 +223,14 @@ def _panel(robot: RobotResult, place: str, days: Array) -> Panel:
         shades,
         "changed" if own else "",
     )
+
+
+def _begins(finding: FleetFinding, dates: Array) -> tuple[float, float]:
+    """Days between which a change began: a step after the log before the first that shows it."""
+    low, high = finding.interval
+    if finding.kind == STEP:
+        low = max(dates[dates < low], default=low)
+    return float((low - dates[0]) / DAY), float((high - dates[0]) / DAY)
 
 
 def _plot(history: ParameterHistory, changes: Sequence[FleetFinding], dates: Array) -> Plot:

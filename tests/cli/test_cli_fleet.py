@@ -1,6 +1,7 @@
 """`geodrake fleet`: what is said and written, and exit codes that a cron job understands."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -63,6 +64,24 @@ def test_findings_are_said_and_written(folder):
     times = parquet.read_table("results/parameters.parquet").to_pylist()
     assert len(times) == 3 * LOGS * len(numbers["robots"][0]["parameters"])
     assert parquet.read_table("results/failed_logs.parquet").num_rows == 0
+
+
+def test_the_page_has_robots_joints_and_changes(folder):
+    code, out, _ = fleet("--report page.html")
+    assert code == 0
+    assert "Saved the report: page.html" in out
+    page = Path("page.html").read_text(encoding="utf-8")
+    assert "2 of 3 robots changed." in page
+    for section in ("The fleet at a glance", "What changed", *(HEAVY, STICKY)):
+        assert f"<h2>{section}</h2>" in page
+    assert f"<h2>{STEADY}</h2>" not in page
+    charts = [json.loads(each) for each in re.findall(r"json\">(.*?)</script>", page)]
+    assert [chart["unit"] for chart in charts] == ["days"] * 2
+    first = charts[1]["panels"][0]  # the joint that changed comes first
+    assert first["title"] == "elbow"
+    (shade,) = first["shades"]
+    assert shade[1:] == [FROM - 1, FROM]  # after the log before, up to the first that shows it
+    assert len(first["plots"]) == 4
 
 
 def test_a_finding_is_new_once(folder):
