@@ -49,6 +49,10 @@ class DigestError(GeodrakeError):
     """A digest or its settings cannot be read, or do not fit others."""
 
 
+class FleetError(GeodrakeError):
+    """A fleet file cannot be read, or what it names cannot be used together."""
+
+
 class OutputError(GeodrakeError):
     """A result cannot be written where it was asked for."""
 

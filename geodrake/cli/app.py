@@ -17,6 +17,7 @@ from geodrake.cli.check_options import CheckOptions
 from geodrake.cli.digest_options import DigestOptions
 from geodrake.cli.excitation_options import ExciteOptions, IdentifiableOptions
 from geodrake.cli.export_options import ExportOptions
+from geodrake.cli.fleet_options import FleetOptions
 from geodrake.cli.options import (
     AddOptions,
     DemoOptions,
@@ -213,6 +214,15 @@ def digest(options: DigestOptions) -> None:
     from geodrake.cli.digest import run_digest
 
     run_digest(options)
+
+
+@app.command()
+@taking(FleetOptions)
+def fleet(options: FleetOptions) -> None:
+    """Which robots of a fleet changed, at which joint, by which effect, since when."""
+    from geodrake.cli.fleet import run_fleet_command
+
+    run_fleet_command(options)
 
 
 @app.command()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,6 +11,16 @@ import numpy as np
 
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
+
+DATED_BY = ("file", "stamps")
+"""Words in the place of what a date in a path is like."""
+
+_DIRECTIVES = {
+    **{f"%{letter}": r"\d{2}" for letter in "mdHMSy"},
+    "%Y": r"\d{4}",
+    "%j": r"\d{3}",
+    "%%": "%",
+}
 
 _EARLIEST, _LATEST = 9e8, 4.2e9  # s since 1970 at which a robot may have been logged
 
@@ -56,3 +67,44 @@ def date_of_log(
     if given is not None:
         return given, "option"
     return max(path.stat().st_mtime for path in files), "file"
+
+
+def check_date_pattern(pattern: str) -> None:
+    """Refuse what no date in a path can be like.
+
+    Raises:
+        ArgumentError: It lacks the year or the day, or has directives that are not known.
+    """
+    parts = re.findall(r"%.?", pattern)
+    days = {"%j"} <= set(parts) or {"%m", "%d"} <= set(parts)
+    if not days or not {"%Y", "%y"} & set(parts) or set(parts) - set(_DIRECTIVES):
+        raise ArgumentError(
+            f"dates are {pattern!r}, which is like no date.",
+            advice=f"Write %Y-%m-%d, or with others of {', '.join(_DIRECTIVES)}; or one of "
+            f"{', '.join(DATED_BY)}.",
+        )
+
+
+def date_in_path(path: str, pattern: str) -> float:
+    """The s since 1970 of the last date in a path, in UTC.
+
+    Args:
+        path: The path or address of a log.
+        pattern: What the date is like, such as `%Y-%m-%d_%H%M`.
+
+    Raises:
+        ArgumentError: There is none.
+    """
+    parts = re.split(r"(%.)", pattern)
+    like = "".join(_DIRECTIVES.get(part, re.escape(part)) for part in parts)
+    for found in reversed(re.findall(like, path)):
+        try:
+            instant = datetime.strptime(found, pattern).replace(tzinfo=UTC)
+        except ValueError:  # such as the 30th of February
+            continue
+        if _EARLIEST < (seconds := instant.timestamp()) < _LATEST:
+            return seconds
+    raise ArgumentError(
+        f"The path {path} has no date like {pattern}.",
+        advice="Correct `dates` of the robot, or the name of the log.",
+    )

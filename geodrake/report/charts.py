@@ -117,6 +117,7 @@ class Chart:
         axis: What the axis is, with its unit.
         dots: Whether samples are dots, not joined by lines.
         parts: What the panels are of.
+        unit: Unit of the axis.
     """
 
     name: str
@@ -127,6 +128,7 @@ class Chart:
     axis: str = "time in the log, s"
     dots: bool = False
     parts: str = "Joints"
+    unit: str = "s"
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -145,6 +147,7 @@ class Chart:
         numbers = {
             "ends": self.ends,
             "axis": self.axis,
+            "unit": self.unit,
             "dots": self.dots,
             "spans": [(printable(name), *numbers) for name, *numbers in self.spans],
             "stages": [

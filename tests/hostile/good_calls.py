@@ -195,6 +195,16 @@ NO_DOOR = {
             "fleet.DigestSettings",
             "fleet.DigestedLog",
             "fleet.JointDigest",
+            "fleet.ChangedParameter",
+            "fleet.FailedLog",
+            "fleet.Fleet",
+            "fleet.FleetFinding",
+            "fleet.FleetResult",
+            "fleet.FleetRobot",
+            "fleet.FleetType",
+            "fleet.OwnParameter",
+            "fleet.ParameterHistory",
+            "fleet.RobotResult",
             "excitation.ExcitationTrajectory",
             "excitation.IdentifiableParameters",
             "identifiability.LogIdentifiability",
@@ -392,6 +402,7 @@ def good_calls():
         _diagnosis,
         _digests,
         _fleet,
+        _fleet_files,
         _files,
     ):
         found.update(part(t))
@@ -1686,7 +1697,7 @@ def _diagnosis(t):
 
 
 def _digests(t):
-    m = fleet
+    m = geodrake.fleet
     facts = {"content": Free("0" * 64), "files": (PENDULUM,), "date": 1.7e9, "payloads": ()}
     settings = m.make_settings(t.model, t.log)
     digest = m.make_digest(t.model, t.log, settings, m.LogFacts("0" * 64, (PENDULUM,)))
@@ -1830,6 +1841,26 @@ def _fleet(t):
                 trusted=("free", "relative", "course"),
             ),
         )
+
+
+def _fleet_files(t):
+    m, path = fleet, folder() / "fleet.yaml"
+    write_log(t.log, folder() / "of_robot.csv")
+    path.write_text(
+        f"to: fleet\ntypes: {{arm: {{model: '{PENDULUM}'}}}}\n"
+        "robots: [{name: a, logs: of_robot.csv}]\n",
+        encoding="utf-8",
+    )
+    yield "fleet.read_fleet", Call(m.read_fleet, {"path": path}, infinite=True)
+    yield (
+        "fleet.FleetWork",
+        Call(
+            m.FleetWork,
+            {"workers": 0, "scheduler": Free("tcp://127.0.0.1:8786"), "false_alarms": 0.01},
+        ),
+    )
+    given = {"fleet": m.read_fleet(path), "work": m.FleetWork(workers=0)}
+    yield "fleet.run_fleet", Call(m.run_fleet, given, slow=True, infinite=True)
 
 
 def _files(t):

@@ -25,6 +25,12 @@ def rows(command, option, values, *says, **settings):
         yield Row(name, f"{command} {option} {value}", says, **settings)
 
 
+def fleet(folder):
+    """A fleet file of one robot beside the log."""
+    said = "to: new\ntypes: {arm: {model: robot.urdf}}\nrobots: [{name: a, logs: log.csv}]\n"
+    (folder / "fleet.yaml").write_text(said, encoding="utf-8")
+
+
 ROWS = [
     Row("no such effect", "add friction robot.urdf log.csv", ("no effect 'friction'",)),
     Row("all is well", "compare robot.urdf log.csv --json new.json", code=0, writes=("new.json",)),
@@ -69,6 +75,26 @@ DIGEST = [
         lambda folder: (folder / "log.json").symlink_to("log.csv"),
     ),
 ]
+
+FLEET = [
+    *rows("fleet fleet.yaml", "--workers", ("-1", *HUGE), "workers", make=fleet),
+    *rows("fleet fleet.yaml", "--workers", NO_INTEGERS, "'--workers'"),
+    *rows("fleet fleet.yaml", "--every", ODD, "--every", make=fleet),
+    *rows("fleet fleet.yaml", "--every", NO_FLOATS, "'--every'"),
+    *rows(
+        "fleet fleet.yaml",
+        "--false-alarms",
+        ("nan", "inf", "-1", "0", "1", "1e300"),
+        "false_alarms",
+        make=fleet,
+    ),
+    *rows("fleet fleet.yaml", "--json", ("fleet.yaml", "robot.urdf"), "--json", make=fleet),
+    Row("fleet of no file", "fleet none.yaml", ("none.yaml",)),
+    Row("fleet of a log", "fleet log.csv", ("log.csv",)),
+    Row("fleet of nothing", "fleet", ("FLEET.yaml",)),
+    Row("fleet of a model", "fleet robot.urdf", ("robot.urdf",)),
+]
+
 
 LOG_OPTIONS = [
     *chain.from_iterable(
@@ -202,7 +228,7 @@ def test_row(row, tmp_path, monkeypatch):
 
 
 @pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", [*CHECK, *DIGEST, *LOG_OPTIONS], ids=str)
+@pytest.mark.parametrize("row", [*CHECK, *DIGEST, *FLEET, *LOG_OPTIONS], ids=str)
 def test_options_of_commands_on_logs(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 

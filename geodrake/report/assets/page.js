@@ -364,7 +364,7 @@
       if (at == null || u.cursor.left < 0) return;
       const time = u.data[0][at];
       const span = this.data.spans.find(([, , last, shift]) => time <= last + shift + 1e-6);
-      readout.append(`${(time - (span ? span[3] : 0)).toFixed(3)} s`);
+      readout.append(`${(time - (span ? span[3] : 0)).toFixed(3)} ${this.data.unit}`);
       keys.forEach((key, k) => {
         const value = u.data[k + 1][at];
         if (!shown.has(key) || value == null) return;

@@ -1,0 +1,281 @@
+"""The digests of a fleet's logs: each made once, by whoever has time, wherever the log is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from geodrake.boundary.showing import Short
+from geodrake.errors import DigestError, FleetError, GeodrakeError, OutputError
+from geodrake.fleet.digest_folder import FAILED, digest_logs
+from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
+from geodrake.fleet.log_dates import date_in_path
+from geodrake.fleet.log_places import IN_THIS_PROCESS, LogPlace, find_logs, local_log, protocol_of
+from geodrake.fleet.log_records import LogRecord, read_records, said_of, to_digest, write_record
+from geodrake.fleet.settings import DigestSettings, read_settings
+from geodrake.fleet.type_source import own_model, type_source
+from geodrake.fleet.workers import Workers
+from geodrake.model.robot_model import RobotModel
+
+Activity = Callable[[str, float | None], None]
+"""Called with what is going on, and the share of it that is done."""
+
+DIGESTS = "digests"
+"""Name of the folder of a type's digests."""
+
+_KILLED = (
+    "The workers that read it died, three one after the other: there may not be memory enough."
+)
+
+
+@dataclass(frozen=True)
+class LogTask(Short):
+    """A log to be digested.
+
+    Attributes:
+        kind: Type of its robot.
+        robot: Its robot.
+        place: Where the log is.
+        folder: Folder of the type.
+    """
+
+    kind: FleetType
+    robot: FleetRobot
+    place: LogPlace
+    folder: Path
+
+
+@dataclass(frozen=True, eq=False)
+class FleetDigests(Short):
+    """What is known of the logs of a fleet.
+
+    Attributes:
+        records: Robot -> records of its logs that have digests, by date.
+        failed: Logs that have none, each with its reason.
+        settings: Type -> settings of its digests; None if none of its logs can be used.
+        made: How many logs were digested.
+    """
+
+    records: dict[str, tuple[LogRecord, ...]]
+    failed: tuple[LogRecord, ...]
+    settings: dict[str, DigestSettings | None]
+    made: int
+
+
+def check_places(fleet: Fleet, *, local: bool) -> None:
+    """Refuse what no worker could do, before any work.
+
+    Args:
+        fleet: The fleet.
+        local: Whether all is done in this process.
+
+    Raises:
+        FleetError: Logs are in the memory of this process, and others are to read them.
+        GeodrakeError: A model cannot be read.
+    """
+    for robot in fleet.robots:
+        for pattern in robot.logs:
+            if protocol_of(pattern) == IN_THIS_PROCESS and not local:
+                raise FleetError(
+                    f"Logs {pattern} of {robot.name} are in the memory of this process, which no "
+                    "other one sees.",
+                    advice="Read them in this process: --workers 0.",
+                )
+    for kind in fleet.types.values():
+        model = type_source(kind).model
+        for robot in fleet.of_type(kind.name):
+            if robot.model is not None:
+                _check_same_robot(robot, own_model(kind, robot.model), model)
+
+
+def _check_same_robot(robot: FleetRobot, own: RobotModel, of_type: RobotModel) -> None:
+    """Refuse a robot whose model is of another kind of robot than its type.
+
+    Raises:
+        FleetError: It has other joints or bodies.
+    """
+    for what in ("joints", "bodies"):
+        ours, theirs = getattr(own, what), getattr(of_type, what)
+        if ours != theirs:
+            raise FleetError(
+                f"The model of robot {robot.name!r} has the {what} {', '.join(ours)}, and its type "
+                f"{robot.type!r} has {', '.join(theirs)}.",
+                advice="Robots of a type have the same joints: give it a type of its own.",
+            )
+
+
+def find_tasks(fleet: Fleet) -> tuple[list[LogTask], dict[str, dict[str, LogRecord]]]:
+    """Logs that are to be digested, in the order of the fleet file; and what is known of others.
+
+    Args:
+        fleet: The fleet.
+
+    Raises:
+        FleetError: A pattern finds nothing and never did, or two find the same log.
+    """
+    tasks, known, owners = [], {}, dict[str, str]()
+    for robot in fleet.robots:
+        folder = fleet.folder / robot.type
+        records = read_records(folder, robot)
+        places: dict[str, LogPlace] = {}
+        for pattern in robot.logs:
+            found = find_logs(pattern)
+            if not found and not records:
+                raise FleetError(
+                    f"The pattern {pattern!r} of robot {robot.name!r} matches nothing.",
+                    advice="Check the path; paths are beside the fleet file.",
+                )
+            places.update((place.address, place) for place in found)
+        for address in (*places, *records):
+            if owners.setdefault(address, robot.name) != robot.name:
+                raise FleetError(
+                    f"Log {address} is of robot {owners[address]!r} and of {robot.name!r}.",
+                    advice="Correct their patterns: a log is of one robot.",
+                )
+        new = to_digest(list(places.values()), records, folder / DIGESTS)
+        for place in new:
+            records.pop(place.address, None)
+        tasks += [LogTask(fleet.types[robot.type], robot, place, folder) for place in new]
+        known[robot.name] = {
+            address: record
+            for address, record in records.items()
+            if (folder / DIGESTS / record.digest).is_file()
+        }
+    return tasks, known
+
+
+def digest_fleet(
+    fleet: Fleet,
+    tasks: Sequence[LogTask],
+    known: dict[str, dict[str, LogRecord]],
+    team: Workers,
+    told: Activity = lambda words, share: None,
+) -> FleetDigests:
+    """Digest logs; what is there stays.
+
+    Args:
+        fleet: The fleet.
+        tasks: Logs without a digest.
+        known: Robot -> address -> record of the others.
+        team: Who does it.
+        told: Called with what is going on.
+
+    Raises:
+        DigestError: Digests are there of another model, version or other settings.
+        OutputError: Nothing more can be written; what was written stays.
+    """
+    failed: dict[tuple[str, str], LogRecord] = {}
+    made = 0
+
+    def take(task: LogTask, record: LogRecord) -> None:
+        nonlocal made
+        if record.digest:
+            write_record(task.folder, record)
+            known[record.robot][record.address] = record
+            made += 1
+        else:
+            failed[record.robot, record.address] = record
+
+    rest = _choose_settings(fleet, tasks, take, told)
+    for done in team.each(digest_task, rest):
+        task = rest[done.at]
+        take(task, done.result or _failure(task, _KILLED))
+        share = (made + len(failed)) / len(tasks)
+        told(f"Digested {task.place.name} of {task.robot.name}", share)
+    order = {robot.name: at for at, robot in enumerate(fleet.robots)}
+    return FleetDigests(
+        {name: tuple(sorted(own.values(), key=_by_date)) for name, own in known.items()},
+        tuple(sorted(failed.values(), key=lambda each: (order[each.robot], each.address))),
+        {name: read_settings(fleet.folder / name / DIGESTS) for name in fleet.types},
+        made,
+    )
+
+
+def _choose_settings(
+    fleet: Fleet,
+    tasks: Sequence[LogTask],
+    take: Callable[[LogTask, LogRecord], None],
+    told: Activity,
+) -> list[LogTask]:
+    """Digest the first log of each type that can be used, which chooses settings; the others."""
+    rest: list[LogTask] = []
+    for kind in fleet.types.values():
+        folder = fleet.folder / kind.name
+        make_folders(folder / DIGESTS)
+        own = [task for task in tasks if task.kind is kind]
+        while own and read_settings(folder / DIGESTS) is None:
+            told(f"Choosing settings of {kind.name}", None)
+            take(own[0], digest_task(own.pop(0)))
+        rest += own
+    return rest
+
+
+def digest_task(task: LogTask) -> LogRecord:
+    """Digest a log, wherever this runs.
+
+    Args:
+        task: The log.
+
+    Raises:
+        DigestError: The settings that are there do not fit.
+        OutputError: The digest cannot be written.
+    """
+    source, folder = type_source(task.kind), task.folder / DIGESTS
+    if not folder.is_dir():
+        raise OutputError(
+            f"A worker does not find the folder {folder}.",
+            advice="Give a folder that all workers share.",
+        )
+    try:
+        date = _date(task)
+        with local_log(task.place) as path:
+            payloads = {path: task.robot.payloads}
+            run = digest_logs(
+                source.model, [path], folder, wanted=source.wanted, date=date, payloads=payloads
+            )
+    except (OutputError, FleetError, DigestError):  # which are not of this log alone
+        raise
+    except GeodrakeError as error:
+        return _failure(task, str(error))
+    (row,) = run.rows
+    if row.status == FAILED or row.digest is None or row.about is None:
+        return _failure(task, row.reason.replace(str(path), task.place.address))
+    if task.robot.dates == "stamps" and row.about.date_from != "stamps":
+        return _failure(task, "Its time stamps are no dates, as `dates: stamps` wants them.")
+    robot, place = task.robot, task.place
+    # What files say of dates may be newer than a digest of the same bytes is.
+    when = row.about.date if row.about.date_from == "stamps" or date is None else date
+    return LogRecord(robot.name, place.address, place.stamp, said_of(robot), row.digest.name, when)
+
+
+def _date(task: LogTask) -> float | None:
+    """When a log was recorded, if its stamps do not say it; None for when its file was changed."""
+    if task.robot.dates not in ("file", "stamps"):
+        return date_in_path(task.place.address, task.robot.dates)
+    return task.place.changed if protocol_of(task.place.address) else None
+
+
+def _failure(task: LogTask, reason: str) -> LogRecord:
+    place, robot = task.place, task.robot
+    return LogRecord(robot.name, place.address, place.stamp, said_of(robot), reason=reason)
+
+
+def _by_date(record: LogRecord) -> tuple[float, str]:
+    return record.date, record.address
+
+
+def make_folders(path: Path) -> None:
+    """Make a folder and those above it.
+
+    Raises:
+        OutputError: It cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise OutputError(
+            f"The folder {path} cannot be made: {getattr(error, 'strerror', error)}.",
+            advice="Choose another folder as `to` of the fleet file.",
+            path=path,
+        ) from error

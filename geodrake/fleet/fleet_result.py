@@ -1,0 +1,185 @@
+"""What was found in a fleet: which robot changed, at which joint, by what, since when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.showing import Short
+from geodrake.fleet.changes import ChangeRival
+from geodrake.fleet.type_layout import FleetParameter
+
+Array = NDArray[np.float64]
+
+CHANGED, STEADY, UNKNOWN = "changed", "steady", "no logs"
+"""What can be said of a robot."""
+
+
+@dataclass(frozen=True)
+class ChangedParameter:
+    """By how much a parameter changed.
+
+    Attributes:
+        name: Its name.
+        unit: Its unit; empty for shares.
+        size: Change; of a ramp up to the last log.
+        deviation: Its standard deviation.
+        share: The change as a share of the robot's own value; NaN where there is no such.
+    """
+
+    name: str
+    unit: str
+    size: float
+    deviation: float
+    share: float
+
+
+@dataclass(frozen=True)
+class FleetFinding(Short):
+    """A change of a robot.
+
+    Attributes:
+        robot: Name of the robot.
+        effect: Name of the effect that changed, or of several, joined by `+`.
+        where: Its joint or body.
+        kind: "step", or "ramp" for what goes on changing.
+        date: First log after the step, or at which the ramp begins, s since 1970.
+        interval: When that is with a probability of 95 %, s since 1970.
+        parameters: What changed by how much.
+        probability: Probability of effect, place and kind, given that something changed.
+        rivals: What else it may be, most probable first.
+        false_alarm_probability: At most by what chance logs of a robot in which nothing more
+            changed say so much for a change.
+    """
+
+    robot: str
+    effect: str
+    where: str
+    kind: str
+    date: float
+    interval: tuple[float, float]
+    parameters: tuple[ChangedParameter, ...]
+    probability: float
+    rivals: tuple[ChangeRival, ...]
+    false_alarm_probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterHistory(Short):
+    """A parameter of a robot over time.
+
+    Attributes:
+        parameter: What it is.
+        values: (T,) values as each log has them, in its unit.
+        deviations: (T,) their standard deviations, with what logs scatter beyond noise.
+        shown: (T,) whether the log says more of it than that the robot is one of the type.
+    """
+
+    parameter: FleetParameter
+    values: Array
+    deviations: Array
+    shown: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class OwnParameter:
+    """A parameter of a robot without its changes, beside those of others.
+
+    Attributes:
+        parameter: What it is.
+        value: Value of the robot.
+        deviation: Its standard deviation.
+        common: What robots of the type share.
+        spread: By how much they differ, one standard deviation.
+        of_model: What the robot's model file says, or its type's; NaN where that says nothing.
+    """
+
+    parameter: FleetParameter
+    value: float
+    deviation: float
+    common: float
+    spread: float
+    of_model: float
+
+    @property
+    def apart(self) -> float:
+        """Spreads by which the robot is off what others have."""
+        return (self.value - self.common) / self.spread if self.spread > 0.0 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class RobotResult(Short):
+    """What was found in one robot.
+
+    Attributes:
+        robot: Its name.
+        type: Its type.
+        logs: Number of logs.
+        dates: (T,) when these were recorded, s since 1970; neighbours together if they are many.
+        findings: What changed, the surest first.
+        histories: Its parameters over time.
+        own: Its parameters beside those of others.
+    """
+
+    robot: str
+    type: str
+    logs: int
+    dates: Array
+    findings: tuple[FleetFinding, ...] = ()
+    histories: tuple[ParameterHistory, ...] = ()
+    own: tuple[OwnParameter, ...] = ()
+
+    @property
+    def state(self) -> str:
+        """`changed`, `steady`, or `no logs`."""
+        if not self.logs:
+            return UNKNOWN
+        return CHANGED if self.findings else STEADY
+
+    @property
+    def farthest(self) -> OwnParameter | None:
+        """The parameter that is farthest from those of others."""
+        return max(self.own, key=lambda each: abs(each.apart), default=None)
+
+
+@dataclass(frozen=True)
+class FailedLog(Short):
+    """A log that could not be used.
+
+    Attributes:
+        robot: Its robot.
+        log: Its path or address.
+        reason: Why.
+    """
+
+    robot: str
+    log: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class FleetResult(Short):
+    """What was found in a fleet.
+
+    Attributes:
+        robots: The robots, worst first.
+        failed: Logs that could not be used.
+        false_alarms: At most how many robots in which nothing changed are named, a robot-month.
+        settings: Type -> hash of the settings of its digests.
+    """
+
+    robots: tuple[RobotResult, ...]
+    failed: tuple[FailedLog, ...]
+    false_alarms: float
+    settings: dict[str, str]
+
+    @property
+    def findings(self) -> tuple[FleetFinding, ...]:
+        """Findings of all robots, worst first."""
+        return tuple(finding for robot in self.robots for finding in robot.findings)
+
+    def count(self, state: str) -> int:
+        """How many robots are in a state."""
+        return sum(robot.state == state for robot in self.robots)

@@ -1,0 +1,229 @@
+"""A fleet from its file to its findings: digests, histories, and the statistics of each type."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.arguments import instance, integer, number
+from geodrake.boundary.showing import Short
+from geodrake.fleet.digest_run import (
+    DIGESTS,
+    Activity,
+    FleetDigests,
+    check_places,
+    digest_fleet,
+    find_tasks,
+    make_folders,
+)
+from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
+from geodrake.fleet.fleet_result import FailedLog, FleetResult, RobotResult
+from geodrake.fleet.log_records import LogRecord
+from geodrake.fleet.robot_logs import RobotLogs, robot_logs
+from geodrake.fleet.settings import DigestSettings
+from geodrake.fleet.type_findings import type_findings
+from geodrake.fleet.type_layout import TypeLayout, type_layout
+from geodrake.fleet.type_source import own_model, type_source, with_joint_effects
+from geodrake.fleet.workers import workers
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FleetWork(Short):
+    """Who works, and how careful findings are.
+
+    Attributes:
+        workers: Processes of this machine, or 0 for this one; None for one on each core.
+        scheduler: Address of a scheduler of the user's own; None for processes of this machine.
+        false_alarms: At most how many robots in which nothing changed are named, a robot-month.
+
+    Raises:
+        ArgumentError: One is not what it must be.
+    """
+
+    workers: int | None = None
+    scheduler: str | None = None
+    false_alarms: float = 0.01
+
+    def __post_init__(self) -> None:
+        if self.workers is not None:
+            integer(self.workers, "workers", lower=0, upper=10_000)
+        if self.scheduler is not None:
+            instance(self.scheduler, "scheduler", str)
+        number(self.false_alarms, "false_alarms", lower=0.0, upper=1.0, strict=True)
+
+
+def run_fleet(
+    fleet: Fleet,
+    work: FleetWork | None = None,
+    *,
+    told: Activity = lambda words, share: None,
+    said: Activity = lambda words, share: None,
+) -> tuple[FleetResult, FleetDigests]:
+    """Digest the logs of a fleet, and tell which robots changed.
+
+    Args:
+        fleet: The fleet.
+        work: Who works, and how careful findings are.
+        told: Called with what is going on.
+        said: Called with what is worth a line that stays.
+
+    Returns:
+        What was found, which is the same however often the run was stopped; and what became of the
+        logs in this run.
+
+    Raises:
+        FleetError: Logs, models or the scheduler cannot be used as the file says.
+        DigestError: There are digests of another model, version, or other settings.
+        OutputError: The folder cannot be written to.
+    """
+    work = instance(work or FleetWork(), "work", FleetWork)
+    digests = take_in_logs(fleet, work, told=told, said=said)
+    return fleet_result(fleet, digests, work.false_alarms, told), digests
+
+
+def take_in_logs(
+    fleet: Fleet,
+    work: FleetWork,
+    *,
+    told: Activity = lambda words, share: None,
+    said: Activity = lambda words, share: None,
+) -> FleetDigests:
+    """Digest the logs of a fleet that have no digest.
+
+    Args:
+        fleet: The fleet.
+        work: Who works.
+        told: Called with what is going on.
+        said: Called with what is worth a line that stays.
+
+    Raises:
+        GeodrakeError: As of `run_fleet`.
+    """
+    instance(fleet, "fleet", Fleet)
+    check_places(fleet, local=work.workers == 0 and work.scheduler is None)
+    told("Looking for logs", None)
+    tasks, known = find_tasks(fleet)
+    make_folders(fleet.folder)
+    with workers(
+        len(tasks),
+        count=work.workers,
+        scheduler=work.scheduler,
+        told=lambda words: said(words, None),
+    ) as team:
+        return digest_fleet(fleet, tasks, known, team, told)
+
+
+def fleet_result(
+    fleet: Fleet, digests: FleetDigests, false_alarms: float, told: Activity
+) -> FleetResult:
+    """Findings from digests.
+
+    Args:
+        fleet: The fleet.
+        digests: What is known of its logs.
+        false_alarms: At most how many robots in which nothing changed are named, a robot-month.
+        told: Called with what is going on.
+
+    Raises:
+        DigestError: A digest is damaged.
+    """
+    failed = [FailedLog(each.robot, each.address, each.reason) for each in digests.failed]
+    robots: list[RobotResult] = []
+    for kind in fleet.types.values():
+        settings = digests.settings[kind.name]
+        own = fleet.of_type(kind.name)
+        records = {}
+        for robot in own:
+            records[robot.name], twice = _once(digests.records.get(robot.name, ()))
+            failed += twice
+        with_logs = [robot for robot in own if records[robot.name] and settings is not None]
+        if settings is not None and with_logs:
+            told(f"Looking for changes in {kind.name}", None)
+            robots += _of_type(fleet, with_logs, records, settings, false_alarms=false_alarms)
+        robots += [
+            RobotResult(robot.name, kind.name, 0, np.zeros(0))
+            for robot in own
+            if robot not in with_logs
+        ]
+    hashes = {name: each.hash for name, each in digests.settings.items() if each is not None}
+    return FleetResult(tuple(sorted(robots, key=_badness)), tuple(failed), false_alarms, hashes)
+
+
+def _once(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[FailedLog]]:
+    """Logs of a robot, those of the same bytes once; and the others."""
+    seen: dict[str, str] = {}
+    kept, twice = [], []
+    for record in records:
+        if record.digest in seen:
+            reason = f"It holds the same as {seen[record.digest]}, and counts once."
+            twice.append(FailedLog(record.robot, record.address, reason))
+        else:
+            seen[record.digest] = record.address
+            kept.append(record)
+    return kept, twice
+
+
+def _of_type(
+    fleet: Fleet,
+    robots: Sequence[FleetRobot],
+    records: dict[str, list[LogRecord]],
+    settings: DigestSettings,
+    *,
+    false_alarms: float,
+) -> list[RobotResult]:
+    """Findings in the robots of a type that have logs."""
+    kind = fleet.types[robots[0].type]
+    model = type_source(kind).model
+    plain = type_layout(model, settings, np.ones(len(settings.joints)), payload=kind.payload)
+    folder = fleet.folder / kind.name / DIGESTS
+    logs = [
+        robot_logs(robot.name, records[robot.name], folder, settings, plain.kept)
+        for robot in robots
+    ]
+    layout = type_layout(model, settings, _efforts(logs), payload=kind.payload)
+    models = {
+        robot.name: _own_values(kind, robot, layout, settings)
+        for robot in robots
+        if robot.model is not None
+    }
+    return type_findings(kind.name, logs, layout, models, false_alarms=false_alarms)
+
+
+def _efforts(logs: Sequence[RobotLogs]) -> Array:
+    """(n,) usual sizes of efforts of all robots, N·m or N; those of joints at rest are 1."""
+    efforts = np.sqrt(np.mean([each.effort**2 for each in logs], axis=0))
+    return np.where(efforts > 0.0, efforts, 1.0)
+
+
+def _own_values(
+    kind: FleetType, robot: FleetRobot, layout: TypeLayout, settings: DigestSettings
+) -> Array:
+    """(p,) what a robot's own model says of the columns; NaN where it has no such effect."""
+    own, source = own_model(kind, robot.model or kind.model), type_source(kind)
+    added = {type(fitted.effect) for fitted in source.model.effects}
+    full = with_joint_effects(own, [each for each in added if each.places == "joint"])
+    values = {
+        (f.effect.name, ", ".join(f.effect.where), parameter.name): float(x)
+        for f in full.effects
+        for parameter, x in zip(f.effect.parameters, f.parameters, strict=True)
+    }
+    found = np.array(
+        [values.get((each.effect, each.where, each.name), np.nan) for each in layout.parameters]
+    )
+    bodies = len(settings.independent)
+    found[:bodies] = settings.base_matrix @ own.total_phi.ravel()
+    return found
+
+
+def _badness(robot: RobotResult) -> tuple[int, float, float, str]:
+    """Robots with findings, the surest first; then those without logs; then the others."""
+    if robot.findings:
+        return 0, robot.findings[0].false_alarm_probability, 0.0, robot.robot
+    farthest = robot.farthest
+    apart = 0.0 if farthest is None else -abs(farthest.apart)
+    return (2 if robot.logs else 1), 0.0, apart, robot.robot

@@ -1,0 +1,153 @@
+"""Where logs of a fleet are: files of this machine, or addresses that fsspec knows."""
+
+from __future__ import annotations
+
+import fnmatch
+import glob
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from geodrake.boundary.optional_packages import optional_package
+from geodrake.errors import FleetError, LogError
+
+IN_THIS_PROCESS = "memory"
+"""Protocol whose files other processes do not see."""
+
+
+@dataclass(frozen=True)
+class LogPlace:
+    """A log of which nothing is read yet.
+
+    Attributes:
+        address: Its absolute path, or its address.
+        stamp: Its size and when it was changed: another one is another log.
+        changed: When it was changed, s since 1970; None where nobody knows.
+    """
+
+    address: str
+    stamp: str
+    changed: float | None
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return self.address.rstrip("/").rpartition("/")[2]
+
+
+def protocol_of(pattern: str) -> str:
+    """`s3` of `s3://bucket/log.csv`; empty for a path."""
+    found = re.match(r"([\w+.-]+)://|([\w+.-]+)::", pattern)
+    return (found[1] or found[2]) if found else ""
+
+
+def absolute_pattern(pattern: str, base: Path) -> str:
+    """A pattern that means the same in every folder.
+
+    Args:
+        pattern: A path or an address, with wildcards.
+        base: The folder that paths are in.
+    """
+    return pattern if protocol_of(pattern) else str(base / Path(pattern).expanduser())
+
+
+def find_logs(pattern: str) -> tuple[LogPlace, ...]:
+    """What is there that a pattern fits, by name.
+
+    Args:
+        pattern: An absolute path or an address, with `*`, `?`, `[…]` and `**`.
+
+    Raises:
+        FleetError: The place cannot be looked into.
+    """
+    try:
+        if not protocol_of(pattern):
+            # Unlike pathlib's, this finds no hidden files, such as those that are being copied.
+            return tuple(map(_place, sorted(glob.glob(pattern, recursive=True))))  # noqa: PTH207
+        fs, path = _file_system(pattern)
+        found = sorted(fs.glob(path)) if glob.has_magic(path) else [path]
+        found = [each for each in found if glob.has_magic(path) or fs.exists(each)]
+        return tuple(_remote_place(fs, each) for each in found)
+    except FleetError:
+        raise
+    except Exception as error:  # each kind of place has errors of its own
+        raise FleetError(
+            f"Logs {pattern!r} cannot be looked for: {_words(error)}.",
+            advice="Check the address, and what gives access to it.",
+        ) from error
+
+
+def fits(address: str, pattern: str) -> bool:
+    """Whether a pattern would find an address, if the log were there.
+
+    Args:
+        address: An absolute path, or an address.
+        pattern: One with wildcards.
+    """
+    plain = [re.sub(r"^[\w+.-]+://", "", each).strip("/") for each in (address, pattern)]
+    parts = [r"(?:[^/]+/)*" if part == "**" else f"{_part(part)}/" for part in plain[1].split("/")]
+    return re.fullmatch("".join(parts), f"{plain[0]}/") is not None
+
+
+def _part(pattern: str) -> str:
+    """Regular expression of a part between slashes, which wildcards do not cross."""
+    if not glob.has_magic(pattern):
+        return re.escape(pattern)
+    inside = fnmatch.translate(pattern).removeprefix("(?s:").removesuffix(r")\Z")
+    return inside.replace(".*", "[^/]*")
+
+
+@contextmanager
+def local_log(place: LogPlace) -> Iterator[Path]:
+    """The log as a file of this machine, under its own name: itself, or a copy.
+
+    Args:
+        place: Where it is.
+
+    Raises:
+        LogError: It cannot be copied.
+    """
+    if not protocol_of(place.address):
+        yield Path(place.address)
+        return
+    with TemporaryDirectory(prefix="geodrake") as folder:
+        copy = Path(folder) / place.name
+        try:
+            fs, path = _file_system(place.address)
+            fs.get(path, str(copy), recursive=fs.isdir(path))
+        except Exception as error:  # each kind of place has errors of its own
+            raise LogError(
+                f"Log {place.address} cannot be read: {_words(error)}.",
+                advice="Check the address, and what gives access to it.",
+            ) from error
+        yield copy
+
+
+def _place(path: str) -> LogPlace:
+    status = Path(path).stat()
+    return LogPlace(path, f"{status.st_size} {status.st_mtime_ns}", status.st_mtime)
+
+
+def _file_system(address: str) -> tuple[Any, str]:
+    """What fsspec knows of an address: its file system, and the path there."""
+    core = optional_package("fsspec.core", "fleet", f"logs at {address}", FleetError)
+    return core.url_to_fs(address)
+
+
+def _remote_place(fs: Any, path: str) -> LogPlace:
+    said = fs.info(path)
+    try:
+        changed = float(fs.modified(path).timestamp())
+    except (NotImplementedError, AttributeError, KeyError, TypeError, OSError):
+        changed = None
+    mark = said.get("ETag") or said.get("etag") or said.get("md5Hash") or changed
+    return LogPlace(fs.unstrip_protocol(path), f"{said.get('size')} {mark}", changed)
+
+
+def _words(error: Exception) -> str:
+    text = " ".join(str(error).split())[:200].rstrip(".")
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

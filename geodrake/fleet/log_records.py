@@ -1,0 +1,151 @@
+"""What a fleet remembers of each log: one small file, so that nothing is read a second time.
+
+A record holds where the log was, its stamp, and which digest is of it. It stays when the log is
+deleted, as its digest does: a fleet's history is that of its digests.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+from geodrake.boundary.whole_files import write_whole
+from geodrake.errors import OutputError
+from geodrake.fleet.fleet_file import FleetRobot
+from geodrake.fleet.log_places import LogPlace, fits
+from geodrake.fleet.model_hash import text_hash
+
+_FOLDER = "logs"
+_LETTERS = 24  # of a file's name
+_NAME = 40  # letters of a robot's name in that of its folder
+
+
+@dataclass(frozen=True)
+class LogRecord:
+    """What became of a log of a robot.
+
+    Attributes:
+        robot: Name of the robot.
+        address: Where the log was.
+        stamp: Its size and when it was changed.
+        said: Hash of what the fleet file says of it: how it is dated, and what the robot carried.
+        digest: Name of its digest's file; empty if there is none.
+        date: When it began, s since 1970; 0 if nobody knows.
+        reason: Why there is no digest.
+    """
+
+    robot: str
+    address: str
+    stamp: str
+    said: str
+    digest: str = ""
+    date: float = 0.0
+    reason: str = ""
+
+
+def record_file(folder: Path, robot: str, address: str) -> Path:
+    """Where the record of a log is.
+
+    Args:
+        folder: Folder of the robot's type.
+        robot: Name of the robot.
+        address: Where the log is.
+    """
+    return robot_folder(folder, robot) / f"{text_hash(address)[:_LETTERS]}.json"
+
+
+def robot_folder(folder: Path, robot: str) -> Path:
+    """Where the records of a robot's logs are: a name that any file system takes.
+
+    Args:
+        folder: Folder of the robot's type.
+        robot: Name of the robot.
+    """
+    plain = re.sub(r"[^\w-]", "_", robot, flags=re.ASCII)[:_NAME]
+    return folder / _FOLDER / f"{plain}-{text_hash(robot)[:8]}"
+
+
+def said_of(robot: FleetRobot) -> str:
+    """Hash of what the fleet file says of a robot's logs."""
+    return text_hash((robot.dates, robot.payloads))[:_LETTERS]
+
+
+def write_record(folder: Path, record: LogRecord) -> None:
+    """Write a record.
+
+    Args:
+        folder: Folder of the robot's type.
+        record: The record.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    path = record_file(folder, record.robot, record.address)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"Folder {path.parent} cannot be made: {error.strerror}.",
+            advice="Check the folder of the fleet; what is there stays.",
+            path=path,
+        ) from error
+    write_whole(path, json.dumps(asdict(record), indent=1) + "\n")
+
+
+def read_records(folder: Path, robot: FleetRobot) -> dict[str, LogRecord]:
+    """Address -> record of a robot's logs that have a digest, of those that its patterns fit.
+
+    One that is damaged, or was said otherwise, is none: its log is looked at again.
+
+    Args:
+        folder: Folder of the robot's type.
+        robot: The robot.
+    """
+    try:
+        files = sorted(robot_folder(folder, robot.name).glob("*.json"))
+    except OSError:
+        return {}
+    found = (_read(file) for file in files)
+    said = said_of(robot)
+    return {
+        record.address: record
+        for record in found
+        if record is not None
+        and record.robot == robot.name
+        and record.said == said
+        and any(fits(record.address, pattern) for pattern in robot.logs)
+    }
+
+
+def _read(path: Path) -> LogRecord | None:
+    try:
+        said = json.loads(path.read_text(encoding="utf-8"))
+        types = {f.name: float if f.name == "date" else str for f in fields(LogRecord)}
+        values = {name: said[name] for name in types}
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    if not all(isinstance(value, types[name]) for name, value in values.items()):
+        return None
+    return LogRecord(**values)
+
+
+def to_digest(
+    places: Sequence[LogPlace], known: Mapping[str, LogRecord], folder: Path
+) -> list[LogPlace]:
+    """Logs whose digest is not known to be there.
+
+    Args:
+        places: The logs.
+        known: Records by address.
+        folder: Folder of the digests.
+    """
+    return [
+        place
+        for place in places
+        if place.address not in known
+        or known[place.address].stamp != place.stamp
+        or not (folder / known[place.address].digest).is_file()
+    ]

@@ -1,0 +1,179 @@
+"""Who does many equal pieces of work: this process, processes of this machine, or a cluster.
+
+Processes and clusters are those of Dask. What a worker that dies had begun is begun again by
+another one, and a piece of work that kills three of them is given up.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any, Generic, Protocol, TypeVar
+
+from geodrake.boundary.optional_packages import optional_package
+from geodrake.errors import FleetError
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_AHEAD = 4  # pieces of work for each thread that the scheduler knows of
+_SECONDS = 20.0  # until a scheduler, and a worker of it, must have answered
+_FEW = 4  # pieces of work for which no process is started
+
+
+@dataclass(frozen=True)
+class Done(Generic[R]):
+    """What became of a piece of work.
+
+    Attributes:
+        at: Its number.
+        result: What came out; None if it killed its workers.
+    """
+
+    at: int
+    result: R | None
+
+
+class Workers(Protocol):
+    """What does pieces of work."""
+
+    def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[Done[R]]:
+        """The results, as they come.
+
+        Args:
+            work: A function that other processes can import.
+            pieces: Its arguments.
+        """
+
+
+class InThisProcess:
+    """Does one after the other."""
+
+    def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[Done[R]]:
+        """The results, in order.
+
+        Args:
+            work: A function.
+            pieces: Its arguments.
+        """
+        for at, piece in enumerate(pieces):
+            yield Done(at, work(piece))
+
+
+@dataclass(frozen=True)
+class OfDask:
+    """Does them on the workers of a scheduler.
+
+    Attributes:
+        client: Dask's client.
+    """
+
+    client: Any
+
+    def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[Done[R]]:
+        """The results, as they come; what is not begun is given up if one raises.
+
+        Args:
+            work: A function that other processes can import.
+            pieces: Its arguments.
+        """
+        dask: Any = optional_package("distributed", "fleet", "workers", FleetError)
+        most = _AHEAD * max(1, sum(self.client.nthreads().values()))
+        todo, futures = iter(enumerate(pieces)), {}
+        done = dask.as_completed()
+
+        def begin() -> None:
+            for at, piece in todo:
+                future = self.client.submit(work, piece, pure=False)
+                futures[future.key] = at
+                done.add(future)
+                return
+
+        try:
+            for _ in range(most):
+                begin()
+            for future in done:
+                at = futures.pop(future.key)
+                try:
+                    yield Done(at, future.result())
+                except dask.KilledWorker:
+                    yield Done(at, None)
+                begin()
+        finally:
+            self.client.cancel(list(done.futures))
+
+
+@contextmanager
+def workers(
+    pieces: int,
+    *,
+    count: int | None = None,
+    scheduler: str | None = None,
+    told: Callable[[str], None] = lambda words: None,
+) -> Iterator[Workers]:
+    """Those who do some pieces of work.
+
+    Args:
+        pieces: How many there are: for a few no process is started.
+        count: Processes of this machine, or 0 for this one; None for one on each core, and for
+            this one where Dask is not installed.
+        scheduler: Address of a scheduler of the user's own, such as `tcp://10.0.0.5:8786`.
+        told: Called with where the dashboard is.
+
+    Yields:
+        What does them.
+
+    Raises:
+        FleetError: The scheduler does not answer, has no worker, or Dask is not installed.
+    """
+    if scheduler is None:
+        if count is None:
+            count = len(os.sched_getaffinity(0)) if find_spec("distributed") else 0
+        if count == 0 or pieces == 0 or (pieces <= _FEW and count > 1):
+            yield InThisProcess()
+            return
+    dask: Any = optional_package("distributed", "fleet", "workers", FleetError)
+    with ExitStack() as stack:
+        if scheduler is None:
+            client = stack.enter_context(_local(dask, count or 1, stack))
+        else:
+            client = stack.enter_context(_remote(dask, scheduler))
+        told(f"Dashboard of the workers: {client.dashboard_link}")
+        yield OfDask(client)
+
+
+def _local(dask: Any, count: int, stack: ExitStack) -> Any:
+    """A client of processes of this machine, which end with the stack."""
+    cluster = dask.LocalCluster(
+        n_workers=count,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address="127.0.0.1:0",
+        silence_logs=logging.CRITICAL,
+    )
+    return dask.Client(stack.enter_context(cluster))
+
+
+def _remote(dask: Any, scheduler: str) -> Any:
+    """A client of a cluster of the user's own."""
+    try:
+        client = dask.Client(scheduler, timeout=_SECONDS)
+    except (OSError, ValueError, TimeoutError, RuntimeError, ImportError) as error:
+        words = " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
+        raise FleetError(
+            f"The scheduler {scheduler} cannot be reached: {words}.",
+            advice="Check its address, such as tcp://10.0.0.5:8786; or leave --scheduler out.",
+        ) from error
+    try:
+        client.wait_for_workers(1, timeout=_SECONDS)
+    except TimeoutError as error:
+        client.close()
+        raise FleetError(
+            f"The scheduler {scheduler} has no workers.",
+            advice=f"Start some: dask worker {scheduler}",
+        ) from error
+    return client

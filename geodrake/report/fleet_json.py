@@ -1,0 +1,253 @@
+"""What was found in a fleet as plain numbers, for JSON, for Parquet, and a line at a time.
+
+Numbers have six significant digits, of themselves or of their deviation: more would be rounding,
+which differs from one machine to another, and files of one result are to be the same.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from geodrake.boundary.escaping import json_text
+from geodrake.boundary.optional_packages import optional_package
+from geodrake.boundary.whole_files import Content
+from geodrake.errors import FleetError
+from geodrake.fleet.fleet_result import (
+    CHANGED,
+    STEADY,
+    UNKNOWN,
+    FleetFinding,
+    FleetResult,
+    OwnParameter,
+    ParameterHistory,
+    RobotResult,
+)
+from geodrake.fleet.log_dates import date_text
+from geodrake.fleet.type_layout import FleetParameter
+from geodrake.report.json_output import number_or
+
+_DIGITS = 6
+_LEAST_CHANCE = 1e-12  # what is less likely is told as this
+_NO_SHARE = "it is no share of anything"
+_NOT_SAID = "the model does not say it"
+
+
+def rounded(value: float, deviation: float = 0.0) -> float:
+    """A value to six digits of itself or of its deviation, whichever is larger.
+
+    Args:
+        value: The value.
+        deviation: Its standard deviation in the same unit; 0 if it has none.
+    """
+    largest = max(abs(value), abs(deviation) if math.isfinite(deviation) else 0.0)
+    if not math.isfinite(value) or largest == 0.0:
+        return value
+    decimals = _DIGITS - 1 - math.floor(math.log10(largest))
+    # Of numbers with few digits before the point, rounding by decimals is that of their text.
+    return round(value, decimals) + 0.0
+
+
+def fleet_dict(result: FleetResult) -> dict[str, Any]:
+    """A result: robots worst first, each with its findings, its parameters, and logs that failed.
+
+    Args:
+        result: What was found.
+    """
+    return {
+        "false_alarms": result.false_alarms,
+        "counts": {state: result.count(state) for state in (CHANGED, STEADY, UNKNOWN)},
+        "findings": [finding_dict(finding) for finding in result.findings],
+        "robots": [_robot(robot) for robot in result.robots],
+        "failed": [vars(failed) for failed in result.failed],
+        "settings": dict(result.settings),
+    }
+
+
+def finding_dict(finding: FleetFinding) -> dict[str, Any]:
+    """A finding.
+
+    Args:
+        finding: What was found.
+    """
+    chance = max(finding.false_alarm_probability, _LEAST_CHANCE)
+    return {
+        "robot": finding.robot,
+        "effect": finding.effect,
+        "where": finding.where,
+        "kind": finding.kind,
+        "since": date_text(finding.date),
+        "interval": [date_text(end) for end in finding.interval],
+        "parameters": {
+            each.name: {
+                "change": rounded(each.size, each.deviation),
+                "deviation": rounded(each.deviation),
+                "unit": each.unit,
+                "share": number_or(rounded(each.share), _NO_SHARE),
+            }
+            for each in finding.parameters
+        },
+        "probability": rounded(finding.probability, 1.0),
+        "rivals": [
+            {**vars(rival), "probability": rounded(rival.probability, 1.0)}
+            for rival in finding.rivals
+        ],
+        "false_alarm_probability": rounded(chance),
+    }
+
+
+def finding_line(finding: FleetFinding) -> str:
+    """A finding as one line of JSON.
+
+    Args:
+        finding: What was found.
+    """
+    said = finding_dict(finding)
+    for own in said["parameters"].values():
+        own["share"] = own["share"] if isinstance(own["share"], float) else None
+    return json_text(json.dumps({"finding": said}, ensure_ascii=False, allow_nan=False))
+
+
+def _robot(robot: RobotResult) -> dict[str, Any]:
+    return {
+        "robot": robot.robot,
+        "type": robot.type,
+        "state": robot.state,
+        "logs": robot.logs,
+        "dates": [date_text(date) for date in robot.dates.tolist()],
+        "findings": [finding_dict(finding) for finding in robot.findings],
+        "parameters": [_history(history) for history in robot.histories],
+        "beside_others": [_own(own) for own in robot.own],
+    }
+
+
+def _named(parameter: FleetParameter) -> dict[str, str]:
+    return dict(vars(parameter))
+
+
+def _history(history: ParameterHistory) -> dict[str, Any]:
+    pairs = list(zip(history.values.tolist(), history.deviations.tolist(), strict=True))
+    return {
+        **_named(history.parameter),
+        "values": [rounded(value, deviation) for value, deviation in pairs],
+        "deviations": [rounded(deviation) for _, deviation in pairs],
+        "shown": history.shown.tolist(),
+    }
+
+
+def _own(own: OwnParameter) -> dict[str, Any]:
+    return {
+        **_named(own.parameter),
+        "value": rounded(own.value, own.deviation),
+        "deviation": rounded(own.deviation),
+        "common": rounded(own.common, own.spread),
+        "spread": rounded(own.spread),
+        "apart": rounded(own.apart, 1.0),
+        "of_model": number_or(rounded(own.of_model, own.spread), _NOT_SAID),
+    }
+
+
+def parquet_contents(result: FleetResult, folder: Path) -> Mapping[Path, Content]:
+    """File -> content of three tables: `findings`, `parameters` over time, and `failed_logs`.
+
+    Args:
+        result: What was found.
+        folder: Where they go.
+
+    Raises:
+        FleetError: Pyarrow is not installed.
+    """
+    arrow = optional_package("pyarrow", "fleet", "tables in Parquet", FleetError)
+    parquet = optional_package("pyarrow.parquet", "fleet", "tables in Parquet", FleetError)
+    text, real, flag = arrow.string(), arrow.float64(), arrow.bool_()
+    instant = arrow.timestamp("s", tz="UTC")
+    kinds = {
+        **dict.fromkeys(("since", "earliest", "latest", "date"), instant),
+        **dict.fromkeys(
+            ("change", "deviation", "share", "probability", "false_alarm_probability", "value"),
+            real,
+        ),
+        "shown": flag,
+    }
+    tables = {
+        "findings": (_FINDINGS, _finding_rows(result)),
+        "parameters": (_PARAMETERS, _parameter_rows(result)),
+        "failed_logs": (_FAILED, [vars(failed) for failed in result.failed]),
+    }
+    return {
+        folder / f"{name}.parquet": partial(
+            parquet.write_table,
+            arrow.Table.from_pylist(
+                rows, schema=arrow.schema([(c, kinds.get(c, text)) for c in columns])
+            ),
+        )
+        for name, (columns, rows) in tables.items()
+    }
+
+
+_FINDINGS = (
+    *("robot", "type", "effect", "where", "kind", "since", "earliest", "latest", "parameter"),
+    *("unit", "change", "deviation", "share", "probability", "false_alarm_probability"),
+)
+_PARAMETERS = (
+    *("robot", "type", "effect", "where", "parameter", "unit", "date", "value", "deviation"),
+    "shown",
+)
+_FAILED = ("robot", "log", "reason")
+
+
+def _finding_rows(result: FleetResult) -> list[dict[str, Any]]:
+    """A row for each parameter of each finding."""
+    return [
+        {
+            "robot": finding.robot,
+            "type": robot.type,
+            "effect": finding.effect,
+            "where": finding.where,
+            "kind": finding.kind,
+            "since": round(finding.date),
+            "earliest": round(finding.interval[0]),
+            "latest": round(finding.interval[1]),
+            "parameter": each.name,
+            "unit": each.unit,
+            "change": rounded(each.size, each.deviation),
+            "deviation": rounded(each.deviation),
+            "share": rounded(each.share) if math.isfinite(each.share) else None,
+            "probability": rounded(finding.probability, 1.0),
+            "false_alarm_probability": rounded(max(finding.false_alarm_probability, _LEAST_CHANCE)),
+        }
+        for robot in result.robots
+        for finding in robot.findings
+        for each in finding.parameters
+    ]
+
+
+def _parameter_rows(result: FleetResult) -> list[dict[str, Any]]:
+    """A row for each parameter of effects and each time of each robot."""
+    return [
+        {
+            "robot": robot.robot,
+            "type": robot.type,
+            "effect": history.parameter.effect,
+            "where": history.parameter.where,
+            "parameter": history.parameter.name,
+            "unit": history.parameter.unit,
+            "date": round(date),
+            "value": rounded(value, deviation),
+            "deviation": rounded(deviation),
+            "shown": shown,
+        }
+        for robot in result.robots
+        for history in robot.histories
+        for date, value, deviation, shown in zip(
+            robot.dates.tolist(),
+            history.values.tolist(),
+            history.deviations.tolist(),
+            history.shown.tolist(),
+            strict=True,
+        )
+    ]

@@ -1,0 +1,352 @@
+"""A small fleet from its file to its findings: stopped, started again, and with what is wrong."""
+
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import fsspec
+import numpy as np
+import psutil
+import pytest
+from small_fleet import (
+    DRY,
+    FROM,
+    HEAVY,
+    MASS,
+    PENDULUM,
+    ROBOTS,
+    SHARE,
+    STICKY,
+    date_of,
+    write_file,
+    write_fleet,
+)
+
+from geodrake.errors import DigestError, FleetError, OutputError
+from geodrake.fleet import FleetWork, read_fleet, run_fleet
+from geodrake.fleet.log_dates import date_text
+from geodrake.fleet.log_places import find_logs, fits
+from geodrake.fleet.robot_logs import DAY, MOST_TIMES, time_cells
+from geodrake.report.fleet_json import fleet_dict
+from geodrake.report.json_output import to_json
+
+HERE = FleetWork(workers=0)
+FEW = (ROBOTS[0], HEAVY)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The logs of the fleet, which no test changes."""
+    here = tmp_path_factory.mktemp("fleet")
+    write_fleet(here)
+    return here
+
+
+@pytest.fixture(scope="module")
+def whole(folder):
+    """The whole fleet, looked at once."""
+    return run_fleet(read_fleet(folder / "fleet.yaml"), HERE)
+
+
+@pytest.fixture
+def own(folder, tmp_path):
+    """A folder of a test's own, with some of the logs."""
+
+    def make(robots=FEW, days=(0, 1)):
+        for name in robots:
+            (tmp_path / name).mkdir()
+            for day in days:
+                shutil.copy2(folder / name / f"{date_of(day)}.csv", tmp_path / name)
+        return write_file(tmp_path, robots)
+
+    return make
+
+
+def text_of(result):
+    return to_json(fleet_dict(result))
+
+
+def digests(folder):
+    """Digest -> what says that it was not made again."""
+    return {
+        path.name: (path.stat().st_ino, path.stat().st_mtime_ns)
+        for path in Path(folder).glob("**/digests/*.npz")
+    }
+
+
+def test_robots_that_change_are_named(whole):
+    result, seen = whole
+    assert (seen.made, seen.failed) == (32, ())
+    assert [robot.robot for robot in result.robots][:2] == [HEAVY, STICKY]
+    load, rise = result.findings
+    assert (load.robot, load.effect, load.where, load.kind) == (
+        *(HEAVY, "payload", "lower_link", "step"),
+    )
+    (mass, *_, hz) = load.parameters
+    assert abs(mass.size - MASS) < 4 * mass.deviation < 0.2
+    assert abs(hz.size + 0.4 * MASS) < 4 * hz.deviation < 0.02
+    assert (rise.robot, rise.effect, rise.where) == (STICKY, "coulomb_friction", "elbow")
+    (dry,) = rise.parameters
+    assert dry.share == pytest.approx(SHARE, abs=0.1)
+    for finding in (load, rise):
+        assert date_text(finding.date)[:10] == date_of(FROM)
+        assert finding.interval[0] <= finding.date <= finding.interval[1]
+        assert finding.false_alarm_probability < 1e-6
+    assert [robot.state for robot in result.robots] == ["changed"] * 2 + ["steady"] * 2
+
+
+def test_parameters_over_time_hold_the_truth(whole):
+    result, _ = whole
+    robot = next(robot for robot in result.robots if robot.robot == STICKY)
+    (course,) = (
+        each
+        for each in robot.histories
+        if (each.parameter.effect, each.parameter.where) == ("coulomb_friction", "elbow")
+    )
+    before, after = course.values[:FROM].mean(), course.values[FROM:].mean()
+    assert after / before == pytest.approx(1 + SHARE, abs=0.1)
+    assert before == pytest.approx(DRY[1], rel=0.2)
+    assert course.shown.all()
+    assert (course.deviations < 0.1 * course.values).all()
+    for each in robot.own:
+        assert each.deviation >= 0.0
+        assert np.isfinite([each.value, each.common, each.spread]).all()
+
+
+def test_what_is_there_is_not_made_again(folder, whole):
+    before = digests(folder)
+    result, seen = run_fleet(read_fleet(folder / "fleet.yaml"), HERE)
+    assert seen.made == 0
+    assert digests(folder) == before
+    assert len(before) == 32
+    assert text_of(result) == text_of(whole[0])
+
+
+def test_a_run_that_was_killed_goes_on(own, tmp_path):
+    path = own(FEW, range(4))
+    command = [sys.executable, "-m", "geodrake", "fleet", str(path), "--workers", "0", "-q"]
+    run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        until = time.monotonic() + 120.0
+        while len(digests(tmp_path)) < 3 and run.poll() is None and time.monotonic() < until:
+            time.sleep(0.002)
+    finally:
+        os.kill(run.pid, signal.SIGKILL)
+        run.wait()
+    left = digests(tmp_path)
+    assert len(left) >= 3
+    result, _ = run_fleet(read_fleet(path), HERE)
+    assert left.items() <= digests(tmp_path).items()  # none was made again
+    assert len(digests(tmp_path)) == 8
+    shutil.rmtree(tmp_path / "results")
+    undisturbed, seen = run_fleet(read_fleet(path), HERE)
+    assert seen.made == 8
+    assert text_of(undisturbed) == text_of(result)
+
+
+def test_workers_that_are_killed_are_replaced(own, tmp_path):
+    path, killed = own(FEW, range(4)), []
+
+    def kill_one(words, share=None):
+        children = psutil.Process().children(recursive=True)
+        processes = [p for p in children if any("spawn_main" in word for word in p.cmdline())]
+        if words.startswith("Digested") and processes and not killed:
+            killed.append(processes[0].pid)
+            os.kill(processes[0].pid, signal.SIGKILL)
+
+    lines = []
+    result, seen = run_fleet(
+        read_fleet(path), FleetWork(workers=1), told=kill_one, said=lambda w, x: lines.append(w)
+    )
+    assert len(killed) == 1
+    assert seen.made == 8
+    assert "http://127.0.0.1" in lines[0]
+    shutil.rmtree(tmp_path / "results")
+    assert text_of(run_fleet(read_fleet(path), HERE)[0]) == text_of(result)
+
+
+def test_logs_in_other_places_have_the_same_digests(folder, own, tmp_path):
+    path = own(FEW)
+    run_fleet(read_fleet(path), HERE)
+    memory = fsspec.filesystem("memory")
+    for name in FEW:
+        for day in (0, 1):
+            content = (folder / name / f"{date_of(day)}.csv").read_bytes()
+            memory.pipe(f"/fleet/{name}/{date_of(day)}.csv", content)
+    before = digests(tmp_path)
+    fleet = read_fleet(write_file(tmp_path, FEW, logs="memory://fleet/{}/*.csv"))
+    _, seen = run_fleet(fleet, HERE)
+    assert seen.made == 4  # they were read, and had their digests
+    assert digests(tmp_path) == before
+    assert run_fleet(fleet, HERE)[1].made == 0
+    with pytest.raises(FleetError, match="in the memory of this process"):
+        run_fleet(fleet, FleetWork(workers=2))
+
+
+def test_a_log_that_fails_is_a_row(own, tmp_path):
+    path = own()
+    (tmp_path / HEAVY / "2026-05-09.csv").write_text("time,x\n1,2\n", encoding="utf-8")
+    (tmp_path / HEAVY / "undated.csv").write_text("time,x\n1,2\n", encoding="utf-8")
+    shutil.copy(tmp_path / HEAVY / f"{date_of(0)}.csv", tmp_path / HEAVY / "2026-05-10.csv")
+    result, seen = run_fleet(read_fleet(path), HERE)
+    assert seen.made == 5
+    reasons = {Path(failed.log).name: failed.reason for failed in result.failed}
+    assert "position" in reasons["2026-05-09.csv"]
+    assert "no date like %Y-%m-%d" in reasons["undated.csv"]
+    assert "the same as" in reasons["2026-05-10.csv"]
+    assert {robot.robot: robot.logs for robot in result.robots} == dict.fromkeys(FEW, 2)
+
+
+def test_what_was_digested_stays_when_its_log_is_deleted(own, tmp_path):
+    path = own()
+    text = text_of(run_fleet(read_fleet(path), HERE)[0])
+    for name in FEW:
+        shutil.rmtree(tmp_path / name)
+    result, seen = run_fleet(read_fleet(path), HERE)
+    assert seen.made == 0
+    assert text_of(result) == text
+
+
+def test_a_full_disk_is_said_and_nothing_is_lost(own, tmp_path):
+    path = own()
+    run_fleet(read_fleet(path), HERE)
+    before = digests(tmp_path)
+    log = tmp_path / HEAVY / f"{date_of(0)}.csv"
+    text = log.read_text(encoding="utf-8")
+    (tmp_path / HEAVY / "2026-05-11.csv").write_text(
+        "\n".join(text.splitlines()[:-3]) + "\n", encoding="utf-8"
+    )
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))
+    try:
+        with pytest.raises(OutputError):
+            run_fleet(read_fleet(path), HERE)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert digests(tmp_path) == before
+    assert run_fleet(read_fleet(path), HERE)[1].made == 1
+
+
+def test_digests_of_something_else_are_refused(own, tmp_path):
+    path = own()
+    run_fleet(read_fleet(path), HERE)
+    before = digests(tmp_path)
+    (tmp_path / FEW[0] / f"{date_of(0)}.csv").touch()  # is looked at again
+    said = tmp_path / "results" / "pendulum" / "digests" / "digest_settings.json"
+    text = said.read_text(encoding="utf-8")
+    said.write_text(text.replace('"version": "', '"version": "0.0.'), encoding="utf-8")
+    with pytest.raises(DigestError, match=r"of geodrake 0\.0\."):
+        run_fleet(read_fleet(path), HERE)
+    said.write_text(text, encoding="utf-8")
+    other = PENDULUM.read_text(encoding="utf-8").replace('<mass value="1.0"', '<mass value="1.1"')
+    (tmp_path / "other.urdf").write_text(other.replace("0.5235", "0.6"), encoding="utf-8")
+    file = path.read_text(encoding="utf-8").replace(str(PENDULUM), "other.urdf")
+    path.write_text(file, encoding="utf-8")
+    with pytest.raises(DigestError, match=r"another model than other\.urdf"):
+        run_fleet(read_fleet(path), HERE)
+    assert digests(tmp_path) == before
+
+
+def test_a_robot_is_of_its_type(own, tmp_path):
+    path = own()
+    other = PENDULUM.read_text(encoding="utf-8").replace("elbow", "knee")
+    (tmp_path / "other.urdf").write_text(other, encoding="utf-8")
+    fleet = read_fleet(path)
+    first, *rest = fleet.robots
+    fleet = replace(fleet, robots=(replace(first, model=tmp_path / "other.urdf"), *rest))
+    with pytest.raises(FleetError, match="joints shoulder, knee, and its type 'pendulum' has"):
+        run_fleet(fleet, HERE)
+
+
+def test_a_scheduler_that_does_not_answer_is_said(own, monkeypatch):
+    monkeypatch.setattr("geodrake.fleet.workers._SECONDS", 0.5)
+    with pytest.raises(FleetError, match=r"tcp://127\.0\.0\.1:9 cannot be reached"):
+        run_fleet(read_fleet(own()), FleetWork(scheduler="tcp://127.0.0.1:9"))
+
+
+TYPES = "types:\n  arm: {model: arm.urdf}\n"
+ROBOT = "robots:\n- {name: a, logs: 'a/*.csv'}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "is empty"),
+        ("- 1", "no table of keys"),
+        ("to: [", "no YAML"),
+        (f"{TYPES}{ROBOT}", "`to` is None"),
+        (f"to: x\n{ROBOT}", "`types` is None"),
+        (f"to: x\n{TYPES}", "`robots` is None"),
+        (f"to: x\n{TYPES}{ROBOT}more: 1\n", "has the key 'more'"),
+        (f"to: x\n{TYPES}{ROBOT}- {{name: a, logs: b}}\n", "robot 'a' is there twice"),
+        (f"to: x\n{TYPES}  arm: {{model: b.urdf}}\n{ROBOT}", "'arm' is there twice, again in"),
+        (f"to: x\n{TYPES}  leg: {{model: b.urdf}}\n{ROBOT}", "is of type '', which is none"),
+        (f"to: x\n{TYPES}robots:\n- {{name: a, type: leg, logs: b}}\n", "of type 'leg', which"),
+        (f"to: x\n{TYPES}robots:\n- {{name: a}}\n", "logs of robot 'a' is None"),
+        (f"to: x\n{TYPES}robots:\n- {{name: a, logs: []}}\n", "robot 'a' has no logs"),
+        (f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, dates: soon}}\n", "like no date"),
+        (f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, dates: '%Y'}}\n", "like no date"),
+        (f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, log: c}}\n", "has the key 'log'"),
+        ("to: x\ntypes:\n  ../a: {model: m}\n" + ROBOT, "a name that no folder can have"),
+        ("to: x\ntypes:\n  a: {model: m, blocks: 1}\n" + ROBOT, "blocks must be"),
+        ("to: x\ntypes:\n  a: {model: m, bandwidth: -1}\n" + ROBOT, "bandwidth must be"),
+        ("to: x\ntypes:\n  a: {model: m, payload: 0}\n" + ROBOT, "payload of type 'a' must be"),
+        ("to: x\ntypes:\n  a: {model: m, floating: 3}\n" + ROBOT, "neither true nor false"),
+        (
+            f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, payloads: [{{body: h, mass: -1}}]}}\n",
+            "mass of -1 kg",
+        ),
+    ],
+)
+def test_fleet_files_that_are_wrong(text, says, tmp_path):
+    path = tmp_path / "fleet.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(FleetError) as caught:
+        read_fleet(path)
+    assert says in str(caught.value)
+
+
+def test_a_pattern_that_matches_nothing_is_named(tmp_path):
+    path = write_file(tmp_path, ROBOTS[:1])
+    with pytest.raises(FleetError, match=r"first/\*\.csv' of robot 'first' matches nothing"):
+        run_fleet(read_fleet(path), HERE)
+    assert not list((tmp_path / "results").glob("*"))
+
+
+def test_a_log_is_of_one_robot(own, tmp_path):
+    fleet = read_fleet(own())
+    first, second = fleet.robots
+    with pytest.raises(FleetError, match=f"is of robot 'first' and of '{HEAVY}'"):
+        run_fleet(replace(fleet, robots=(first, replace(second, logs=first.logs))), HERE)
+
+
+def test_patterns_fit_what_they_find(tmp_path):
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    for name in ("1.csv", "a/2.csv", "a/b/3.csv", "a/b/4.txt", "a/.5.csv"):
+        (tmp_path / name).write_text("", encoding="utf-8")
+    every = [str(path) for path in tmp_path.rglob("*.*")]
+    for pattern in ("*.csv", "a/*.csv", "**/*.csv", "a/b/[0-3].*", "a/?/4.txt"):
+        whole = f"{tmp_path}/{pattern}"
+        found = {place.address for place in find_logs(whole)}
+        fitting = {address for address in every if fits(address, whole)}
+        assert found
+        assert found == fitting - {f"{tmp_path}/a/.5.csv"}
+
+
+def test_many_logs_are_few_times():
+    rng = np.random.default_rng(1)
+    dates = 1.7e9 + np.sort(rng.uniform(0.0, 400 * DAY, 5000))
+    cells = time_cells(dates)
+    assert cells[0] == 0
+    assert (np.diff(cells) >= 0).all()
+    assert (np.diff(cells) <= 1).all()
+    assert MOST_TIMES / 2 < cells[-1] + 1 <= MOST_TIMES
+    more = time_cells(np.append(dates, dates[-1] + 1.0))
+    assert (more[:-1] == cells).all()
+    assert (time_cells(dates[:MOST_TIMES]) == np.arange(MOST_TIMES)).all()
