@@ -84,6 +84,7 @@ def test_the_page_has_robots_joints_and_changes(folder):
     assert len(first["plots"]) == 4
 
 
+@pytest.mark.thorough
 def test_a_finding_is_new_once(folder):
     code, out, _ = fleet("--once")
     assert code == 3

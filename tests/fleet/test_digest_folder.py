@@ -197,6 +197,7 @@ def test_a_folder_that_cannot_be_is_refused_before_the_work(model, made, tmp_pat
         digested(model, [], tmp_path / "digests")
 
 
+@pytest.mark.thorough
 def test_another_process_makes_the_same_bytes(made, tmp_path):
     arguments = (str(PENDULUM), [str(made / f"log_{k}.csv") for k in (1, 2)], str(tmp_path / "x"))
     process = multiprocessing.get_context("spawn").Process(target=digest_apart, args=arguments)

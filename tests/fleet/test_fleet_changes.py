@@ -64,6 +64,7 @@ def test_temperatures_tell_halls_apart():
     assert not any(found.changes)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("level", [0.3])
 def test_alarms_are_no_more_than_asked_for(level):
     """By Markov's inequality they are fewer; with scales that are learnt, not known."""
