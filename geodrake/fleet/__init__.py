@@ -11,7 +11,8 @@ from geodrake.fleet.fleet_changes import FleetChanges, find_changes
 from geodrake.fleet.history import LogEquations, RobotHistory, weighted_history
 from geodrake.fleet.hypotheses import ChangeHypothesis, body_change, column_change
 from geodrake.fleet.levels import ParameterLevels, parameter_levels
-from geodrake.fleet.type_model import TypeModel, learn_type, own_parameters
+from geodrake.fleet.type_learning import learn_type
+from geodrake.fleet.type_model import TypeModel, own_parameters
 
 __all__ = [
     "ChangeHypothesis",
