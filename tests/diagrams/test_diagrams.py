@@ -21,6 +21,7 @@ APART = "computed_torque_or_passivity"
 LONG = {  # whose parts are tested elsewhere, too
     "ambidex_sandbags",
     "criteria_worth",
+    "fleet_speed",
     "fleet_study",
     "hidden_effects",
     "iiwa_excitation",

@@ -14,6 +14,7 @@ import fsspec
 import numpy as np
 import psutil
 import pytest
+from distributed import LocalCluster
 from small_fleet import (
     DRY,
     FROM,
@@ -269,6 +270,19 @@ def test_a_scheduler_that_does_not_answer_is_said(own, monkeypatch):
     monkeypatch.setattr("geodrake.fleet.workers._SECONDS", 0.5)
     with pytest.raises(FleetError, match=r"tcp://127\.0\.0\.1:9 cannot be reached"):
         run_fleet(read_fleet(own()), FleetWork(scheduler="tcp://127.0.0.1:9"))
+
+
+@pytest.mark.thorough
+def test_workers_of_another_scheduler_do_the_same(own, tmp_path):
+    path = own(FEW, range(4))
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0"
+    ) as cluster:
+        there = FleetWork(scheduler=cluster.scheduler_address)
+        result, seen = run_fleet(read_fleet(path), there)
+    assert seen.made == 8
+    shutil.rmtree(tmp_path / "results")
+    assert text_of(run_fleet(read_fleet(path), HERE)[0]) == text_of(result)
 
 
 TYPES = "types:\n  arm: {model: arm.urdf}\n"

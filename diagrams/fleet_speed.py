@@ -1,0 +1,143 @@
+"""What a run of `geodrake fleet` costs: time with one and two workers, memory with ever more logs.
+
+Logs are made by the arm's own model. Times are those of a clock, from the start of the workers on;
+memory is the most that Python holds while digests become findings.
+
+    OMP_NUM_THREADS=1 python diagrams/fleet_speed.py --json fleet_speed.json --figures figures
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+import tracemalloc
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from digest_speed import MODELS, swinging
+from matplotlib.figure import Figure
+
+from geodrake.fleet import FleetWork, read_fleet, run_fleet
+from geodrake.logs.files import write_log
+from geodrake.model import load_model
+from geodrake.report import style
+
+RATE = 200.0  # Hz
+FIRST = 1.78e9  # s since 1970
+DAY = 86400.0
+
+
+@dataclass(frozen=True)
+class RunCost:
+    """What a run took.
+
+    Attributes:
+        robots: Robots of one type.
+        logs: Logs of each.
+        workers: Processes that digest.
+        seconds: Time of a clock until findings are there, s.
+        again: The same when digests are there, s.
+        memory: Most memory while digests become findings, MB.
+    """
+
+    robots: int
+    logs: int
+    workers: int
+    seconds: float
+    again: float
+    memory: float
+
+
+def write_logs(folder: Path, name: str, *, logs: int, seconds: float, seed: int) -> Path:
+    """The logs and the file of a fleet.
+
+    Args:
+        folder: Where they go.
+        name: Name of the model.
+        logs: Logs of each of three robots.
+        seconds: Length of a log, s.
+        seed: Of motions and noise.
+    """
+    path = MODELS / f"{name}.urdf"
+    model, robots = load_model(path), [f"robot_{k}" for k in range(3)]
+    for k, robot in enumerate(robots):
+        (folder / robot).mkdir(parents=True)
+        for day in range(logs):
+            log = swinging(model, RATE, seconds, 1.0, seed + 1000 * k + day)
+            write_log(
+                log, folder / robot / f"{time.strftime('%F', time.gmtime(FIRST + day * DAY))}.csv"
+            )
+    listed = [{"name": each, "logs": f"{each}/*.csv", "dates": "%Y-%m-%d"} for each in robots]
+    said = {"to": "results", "types": {"arm": {"model": str(path)}}, "robots": listed}
+    (folder / "fleet.yaml").write_text(json.dumps(said), encoding="utf-8")
+    return folder / "fleet.yaml"
+
+
+def measure(path: Path, logs: int, workers: int) -> RunCost:
+    """One run, and one more of what it left.
+
+    Args:
+        path: File of the fleet, whose digests are not made.
+        logs: Logs of each robot.
+        workers: Processes that digest.
+    """
+    fleet, work = read_fleet(path), FleetWork(workers=workers)
+    begin = time.monotonic()
+    run_fleet(fleet, work)
+    middle = time.monotonic()
+    run_fleet(fleet, work)
+    end = time.monotonic()
+    tracemalloc.start()
+    run_fleet(fleet, work)
+    memory = tracemalloc.get_traced_memory()[1] / 1e6
+    tracemalloc.stop()
+    return RunCost(len(fleet.robots), logs, workers, middle - begin, end - middle, memory)
+
+
+def cost_figure(costs: Sequence[RunCost]) -> Figure:
+    """Time and memory of each run."""
+    figure = style.new_figure(1.2 + 0.4 * len(costs))
+    labels = [f"{cost.logs} logs, {cost.workers} workers" for cost in costs]
+    for ax, name, unit in zip(
+        figure.subplots(1, 2), ("seconds", "memory"), ("s", "MB"), strict=True
+    ):
+        style.polish(ax, grid="x")
+        values = [getattr(cost, name) for cost in costs]
+        bars = ax.barh(labels, values, color=style.AFTER, height=0.6)
+        ax.bar_label(bars, [f"{value:.3g} {unit}" for value in values], padding=4, **style.plain())
+        ax.invert_yaxis()
+        ax.margins(x=0.3)
+        ax.set_title(f"{name}, {unit}", loc="left", **style.plain(fontweight="bold"))
+    return figure
+
+
+def main() -> None:
+    """Measures, prints, and writes what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="few short logs of two joints")
+    parser.add_argument("--seed", type=int, default=0, help="of the motions and the noise")
+    parser.add_argument("--json", type=Path, help="file for the numbers")
+    parser.add_argument("--figures", type=Path, help="folder for the figure")
+    options = parser.parse_args()
+    name, seconds = ("double_pendulum", 4.0) if options.quick else ("arm7", 12.0)
+    cases = [(4, 0), (16, 0)] if options.quick else [(10, 1), (10, 2), (50, 1), (50, 2), (100, 2)]
+    costs = []
+    for logs, workers in cases:
+        with tempfile.TemporaryDirectory() as folder:
+            path = write_logs(Path(folder), name, logs=logs, seconds=seconds, seed=options.seed)
+            costs.append(measure(path, logs, workers))
+            print(costs[-1], flush=True)
+    table = [asdict(cost) for cost in costs]
+    if options.json:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+        options.json.write_text(json.dumps(table, indent=2) + "\n")
+    if options.figures:
+        options.figures.mkdir(parents=True, exist_ok=True)
+        cost_figure(costs).savefig(options.figures / "fleet_speed.png")
+
+
+if __name__ == "__main__":
+    main()
