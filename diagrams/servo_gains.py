@@ -7,6 +7,8 @@ what it names, how often true values lie inside the intervals (two standard devi
 values are off, and how long it takes.
 
     python diagrams/servo_gains.py --json servo_gains.json
+
+With `--integral`, the same servos have an integral, too.
 """
 
 from __future__ import annotations
@@ -71,10 +73,12 @@ def main() -> None:
     """Run from the command line."""
     parser = make_parser(__doc__ or "")
     parser.add_argument("--logs", type=positive_number, default=40, help="(%(default)s)")
+    parser.add_argument("--integral", action="store_true", help="servos have an integral")
     options = parser.parse_args()
-    draws = servo_draws(options.logs, options.seed)
+    draws = servo_draws(options.logs, options.seed, integral=options.integral)
     if options.quick:
-        draws = [ServoDraw("double_pendulum", "mujoco", False, 0, options.seed, duration=6.0)]
+        quick = {"duration": 6.0, "integral": options.integral}
+        draws = [ServoDraw("double_pendulum", "mujoco", False, 0, options.seed, **quick)]
     rows = run_draws(parser, options, run_draw, draws)
     table = summary(rows)
     columns = {"figure": "", "value": ".3g", "inside": ".0%", "off by, median": ".1%", "of": ""}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -37,6 +37,7 @@ class ServoDraw:
         number: Of the log.
         seed: Of the study.
         duration: Length of the log, s.
+        integral: Whether the servos have an integral, too.
     """
 
     robot: str
@@ -45,6 +46,7 @@ class ServoDraw:
     number: int
     seed: int
     duration: float = 40.0
+    integral: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,8 @@ def make_servo_log(draw: ServoDraw) -> ServoLog:
 
     Stiffness makes a servo follow within 15 to 40 rad/s of bandwidth; damping is 0.4 to 1 of what
     is critical. Friction is 5 to 30 % of the efforts' deviation, the armature 10 to 50 % of the
-    inertia that the joint moves, the delay 0 to 12 ms.
+    inertia that the joint moves, the delay 0 to 12 ms, and the integral, if there is one, has a
+    time kp / ki of 0.3 to 2 s.
     """
     words = f"{draw.robot} {draw.engine} {draw.knows_rate}"
     rng = np.random.default_rng([draw.seed, draw.number, crc32(words.encode())])
@@ -107,8 +110,11 @@ def make_servo_log(draw: ServoDraw) -> ServoLog:
         coulomb=efforts * rng.uniform(0.05, 0.3, n),
         armature=armature,
         limit=np.full(n, 1e6),
+        integral=np.zeros(n),
     )
     command = command + _shaking(time, n, rng)
+    if draw.integral:
+        servos = replace(servos, integral=stiffness / rng.uniform(0.3, 2.0, n))
     q, _, torques = simulated(draw.engine, file.text, servos, command)
     rows = slice(round(_SETTLED / STEP), None, round(_EVERY / STEP))
     measured = (q + _NOISE * rng.normal(size=q.shape))[rows]

@@ -107,9 +107,13 @@ def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
             for effect, value in zip(true, values.tolist(), strict=True)
         ),
         effort_signals=tuple(
-            EffortSignal(joint, "command", kp, damping=kd, delay=servos.delay)
-            for joint, kp, kd in zip(
-                joints, servos.stiffness.tolist(), damping.tolist(), strict=True
+            EffortSignal(joint, "command", kp, damping=kd, delay=servos.delay, integral=ki)
+            for joint, kp, kd, ki in zip(
+                joints,
+                servos.stiffness.tolist(),
+                damping.tolist(),
+                servos.integral.tolist(),
+                strict=True,
             )
         ),
     )
@@ -127,7 +131,7 @@ def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
 
 
 def _gains(made: ServoLog, model: RobotModel) -> list[dict[str, Any]]:
-    """Stiffness and damping, beside the truth."""
+    """Stiffness, damping, and the integral where there or found one, beside the truth."""
     rows = []
     for signal in model.effort_signals:
         at = made.log.joints.index(signal.joint)
@@ -137,6 +141,11 @@ def _gains(made: ServoLog, model: RobotModel) -> list[dict[str, Any]]:
             damping = float(made.servos.damping[at])
             spread = float(np.hypot(signal.damping_deviation, signal.uncertainty * signal.damping))
             rows.append(_row("kd", signal.joint, signal.damping, spread, damping))
+        integral = float(made.servos.integral[at])
+        if integral or signal.integral:
+            rough = signal.uncertainty * signal.integral
+            spread = float(np.hypot(signal.integral_deviation, rough))
+            rows.append(_row("ki", signal.joint, signal.integral, spread, integral))
     return rows
 
 

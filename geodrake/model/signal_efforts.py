@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 
 from geodrake.logs.motion import JointLog
 from geodrake.model.effort_signal import COMMAND, EffortSignal, signal_of
+from geodrake.model.servo_integrals import constant_beside_friction, error_integral
 
 Array = NDArray[np.float64]
 
 
-def in_efforts(log: JointLog, signals: Sequence[EffortSignal]) -> JointLog:
+def in_efforts(
+    log: JointLog, signals: Sequence[EffortSignal], needed: Array | None = None
+) -> JointLog:
     """The log with efforts, N·m or N, at the joints that have a signal in the place of theirs.
 
     How well the gains are known becomes the log's `effort_uncertainty` at these joints.
@@ -22,6 +25,8 @@ def in_efforts(log: JointLog, signals: Sequence[EffortSignal]) -> JointLog:
     Args:
         log: What was measured; joints without one stay as they are.
         signals: What makes efforts of it.
+        needed: (N, n) efforts that a model needs, N·m or N, by whose mean integrals of servos
+            begin; at 0 if None.
     """
     effort, uncertainty = log.effort.copy(), log.gain_deviations.copy()
     kinds = dict(log.effort_kinds)
@@ -30,7 +35,8 @@ def in_efforts(log: JointLog, signals: Sequence[EffortSignal]) -> JointLog:
         if signal is None or signal.kind != kind_of(log, joint):
             continue
         if signal.kind == COMMAND:
-            effort[:, at] = servo_effort(log, at, signal)
+            wanted = None if needed is None else needed[:, at]
+            effort[:, at] = servo_effort(log, at, signal, wanted)
         else:
             effort[:, at] *= signal.gain
             kinds.pop(joint, None)
@@ -57,19 +63,45 @@ def kind_of(log: JointLog, joint: str) -> str:
     return log.effort_kinds.get(joint, "effort")
 
 
-def servo_effort(log: JointLog, at: int, signal: EffortSignal) -> Array:
+def servo_effort(
+    log: JointLog, at: int, signal: EffortSignal, needed: Array | None = None
+) -> Array:
     """(N,) effort of a servo, N·m or N, by the command of a log.
 
     Args:
         log: The log.
         at: Which of its joints.
         signal: Its gains.
+        needed: (N,) effort that a model needs, by whose mean an integral begins; at 0 if None.
     """
-    command, rate = delayed_command(log, at, signal.delay)
-    effort = signal.gain * (command - log.position[:, at])
-    if signal.damping:
-        effort += signal.damping * (rate - _velocity(log, at))
+    error, rate = _behind(log, at, signal)
+    effort = signal.gain * error + (signal.damping * rate if signal.damping else 0.0)
+    if signal.integral:
+        effort += signal.integral * error_integral(log.time, error)
+        if needed is not None:
+            effort += constant_beside_friction(needed - effort, _velocity(log, at))
     return np.clip(effort, -signal.limit, signal.limit)
+
+
+def integral_effort(log: JointLog, at: int, signal: EffortSignal) -> Array:
+    """(N,) what the integral of a servo makes of its effort, N·m or N, by the efforts of a log.
+
+    Args:
+        log: The log, with efforts.
+        at: Which of its joints.
+        signal: Its gains.
+    """
+    error, rate = _behind(log, at, signal)
+    effort = signal.integral * error_integral(log.time, error)
+    left = log.effort[:, at] - signal.gain * error - signal.damping * rate - effort
+    inside = np.isfinite(left) & (np.abs(log.effort[:, at]) < signal.limit)
+    return np.asarray(effort + (left[inside].mean() if inside.any() else 0.0))
+
+
+def _behind(log: JointLog, at: int, signal: EffortSignal) -> tuple[Array, Array]:
+    """(N,) by how much a joint is behind its late command, and how fast that grows."""
+    command, rate = delayed_command(log, at, signal.delay)
+    return command - log.position[:, at], rate - _velocity(log, at)
 
 
 def delayed_command(log: JointLog, at: int, delay: float) -> tuple[Array, Array]:
