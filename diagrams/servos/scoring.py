@@ -13,7 +13,7 @@ from geodrake.control.rollout import command_rollout, commanded_motions
 from geodrake.diagnosis import Explanation, explain
 from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.model import EffortSignal, RobotModel
-from servos.draws import ServoDraw, ServoLog, make_servo_log, servo_model
+from servos.draws import ServoDraw, ServoLog, limited_model, make_servo_log, servo_model
 
 ARMATURE = "rotor_inertia"
 HIDDEN = {
@@ -31,6 +31,8 @@ _SIDES = 2.0  # standard deviations of an interval
 def score_servo(draw: ServoDraw) -> dict[str, Any]:
     """A row of the table."""
     made, model = make_servo_log(draw), servo_model(draw.robot)
+    if draw.limited:
+        model = limited_model(draw.robot, made.log.joints, made.servos.limit)
     began = time.process_time()
     found = explain(model, [made.log])
     seconds = time.process_time() - began
@@ -40,6 +42,8 @@ def score_servo(draw: ServoDraw) -> dict[str, Any]:
         "samples": len(made.log),
         "seconds": seconds,
         "verdict": found.verdict,
+        "at limit": np.mean(np.abs(made.torques) >= made.servos.limit, axis=0).tolist(),
+        "limits found": [bool(np.isfinite(s.limit)) for s in found.model.effort_signals],
         "steps": [[step.effect, list(step.where)] for step in found.steps],
         "extra": sorted({s.effect for s in found.steps} - {*HIDDEN, "effort_delay"}),
         "nrms": [found.start.nrms, found.refitted.nrms, found.end.nrms],
@@ -107,12 +111,15 @@ def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
             for effect, value in zip(true, values.tolist(), strict=True)
         ),
         effort_signals=tuple(
-            EffortSignal(joint, "command", kp, damping=kd, delay=servos.delay, integral=ki)
-            for joint, kp, kd, ki in zip(
+            EffortSignal(
+                joint, "command", kp, damping=kd, delay=servos.delay, integral=ki, limit=limit
+            )
+            for joint, kp, kd, ki, limit in zip(
                 joints,
                 servos.stiffness.tolist(),
                 damping.tolist(),
                 servos.integral.tolist(),
+                servos.limit.tolist(),
                 strict=True,
             )
         ),

@@ -10,9 +10,15 @@ from numpy.typing import NDArray
 
 from geodrake.logs.motion import JointLog
 from geodrake.model.effort_signal import COMMAND, EffortSignal, signal_of
-from geodrake.model.servo_integrals import constant_beside_friction, error_integral
+from geodrake.model.servo_integrals import (
+    constant_beside_friction,
+    error_integral,
+    limited_integral,
+)
 
 Array = NDArray[np.float64]
+
+_ROUNDS = 10  # of where an integral is held, and what it begins with
 
 
 def in_efforts(
@@ -74,13 +80,8 @@ def servo_effort(
         signal: Its gains.
         needed: (N,) effort that a model needs, by whose mean an integral begins; at 0 if None.
     """
-    error, rate = _behind(log, at, signal)
-    effort = signal.gain * error + (signal.damping * rate if signal.damping else 0.0)
-    if signal.integral:
-        effort += signal.integral * error_integral(log.time, error)
-        if needed is not None:
-            effort += constant_beside_friction(needed - effort, _velocity(log, at))
-    return np.clip(effort, -signal.limit, signal.limit)
+    plain, summed = _parts(log, at, signal, needed)
+    return np.clip(plain + summed, -signal.limit, signal.limit)
 
 
 def integral_effort(log: JointLog, at: int, signal: EffortSignal) -> Array:
@@ -91,11 +92,31 @@ def integral_effort(log: JointLog, at: int, signal: EffortSignal) -> Array:
         at: Which of its joints.
         signal: Its gains.
     """
+    return _parts(log, at, signal, log.effort[:, at])[1]
+
+
+def _parts(
+    log: JointLog, at: int, signal: EffortSignal, needed: Array | None
+) -> tuple[Array, Array]:
+    """(N,) efforts of a servo without its integral, and of that; before the limit is taken.
+
+    What the integral begins with follows from efforts within the limit, and where it is held from
+    what it begins with.
+    """
     error, rate = _behind(log, at, signal)
-    effort = signal.integral * error_integral(log.time, error)
-    left = log.effort[:, at] - signal.gain * error - signal.damping * rate - effort
-    inside = np.isfinite(left) & (np.abs(log.effort[:, at]) < signal.limit)
-    return np.asarray(effort + (left[inside].mean() if inside.any() else 0.0))
+    plain = signal.gain * error + (signal.damping * rate if signal.damping else 0.0)
+    if not signal.integral:
+        return plain, np.zeros(len(plain))
+    summed, began = signal.integral * error_integral(log.time, error), 0.0
+    for _ in range(_ROUNDS if np.isfinite(signal.limit) else 1):
+        if needed is not None:
+            inside = np.abs(plain + summed + began) < signal.limit
+            left = np.where(inside, needed - plain - summed, np.nan)
+            began = constant_beside_friction(left, _velocity(log, at))
+        if np.isfinite(signal.limit):
+            start = plain + began, signal.integral, signal.limit
+            summed = signal.integral * limited_integral(log.time, error, *start)
+    return plain, summed + began
 
 
 def _behind(log: JointLog, at: int, signal: EffortSignal) -> tuple[Array, Array]:

@@ -17,12 +17,15 @@ only if windows of the log that the fit did not see are predicted better than fr
 An integral that goes on since before the log has left an effort w where a stretch begins, of which
 nobody knows; without an integral w would be a constant effort. A servo therefore has an integral
 only if windows that a fit did not see are predicted better with ki than with such a constant alone.
+
+A servo whose joint has a limit of effort saturates in the simulation, its integral held, where such
+windows are predicted better for it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -41,7 +44,7 @@ from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.regressor import inverse_dynamics
 
 Array = NDArray[np.float64]
-Servo = tuple[float, float, float, float, float, float, float, float]
+Servo = tuple[float, float, float, float, float, float, float, float, float]
 
 PARAMETERS = ("stiffness", "rate", "damping", "coulomb", "armature", "delay", "integral")
 """kp, kr, d, F, I, δ and ki; of joints that turn in N·m/rad, N·m·s/rad (twice), N·m, kg·m², s and
@@ -76,6 +79,7 @@ class ServoFit:
         moved: Deviation of the measured positions, rad or m.
         integral: The last of `PARAMETERS`; 0 for a servo without an integral.
         integral_deviation: Its standard deviation.
+        limit: Effort at which the servo saturates; infinite where the motion shows none.
     """
 
     parameters: Array
@@ -85,6 +89,7 @@ class ServoFit:
     moved: float
     integral: float = 0.0
     integral_deviation: float = 0.0
+    limit: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,11 +100,13 @@ class JointMotions:
         rows: Per stretch (N, 8) b, M, K, D, and smooth q, q̇, q̈, and the command.
         positions: Per stretch (N,) positions as logged, rad or m.
         periods: Per stretch the time between rows, s.
+        limit: Largest effort of the servo, N·m or N.
     """
 
     rows: tuple[Array, ...]
     positions: tuple[Array, ...]
     periods: tuple[float, ...]
+    limit: float = np.inf
 
     def simulated(
         self, parameters: Array, *, step: float = _STEP, slopes: bool = False
@@ -118,7 +125,7 @@ class JointMotions:
         ki, *began = more or (0.0, *np.zeros(len(self.rows)))
         stretches = zip(self.rows, self.periods, began, strict=True)
         for k, (rows, period, w) in enumerate(stretches):
-            servo: Servo = (kp, kr, d, F, armature, delay, ki, w)
+            servo: Servo = (kp, kr, d, F, armature, delay, ki, w, self.limit)
             steps = max(1, int(np.ceil(period / step)))
             x = np.empty(len(rows))
             own = min(count, len(PARAMETERS) + 1)
@@ -246,12 +253,15 @@ def _read(time: Array, values: Array, instants: Array) -> Array:
     return np.interp(instants, time[known], values[known])
 
 
-def fit_servo(motions: JointMotions, signal: EffortSignal) -> ServoFit | None:
+def fit_servo(
+    motions: JointMotions, signal: EffortSignal, limit: float = np.inf
+) -> ServoFit | None:
     """The servo that moves a joint as it was measured to.
 
     Args:
         motions: The joint.
         signal: The servo by a linear fit, at which the search begins.
+        limit: Largest effort of the joint, N·m or N, which the servo may or may not keep.
 
     Returns:
         The servo; None if windows that the fit did not see are predicted no better than from where
@@ -261,18 +271,17 @@ def fit_servo(motions: JointMotions, signal: EffortSignal) -> ServoFit | None:
     friction, inertia = 0.1 * np.std(rows[:, 0]), 0.2 * np.mean(rows[:, 1])
     damping = 0.05 * stiffness
     start = np.array([stiffness, signal.damping, damping, friction, inertia, signal.delay])
-    scale = np.maximum(start, [0.0, 0.02 * stiffness, 0.0, 1e-3, 1e-4, 0.01])
     tested, every = motions.tested, np.ones(len(rows), bool)
-    begun = _best(motions, _starts(start), scale, ~tested, step=_COARSE_STEP)
-    half = _best(motions, [begun], scale, ~tested)
-    integral = _integral(motions, (start, half), scale, signal.integral)
-    began = (
-        start
-        if integral is None or not signal.integral
-        else _with_integral(motions, start, signal.integral)
-    )
-    if integral is not None:
-        half, scale = integral
+    half, scale = _by_half(motions, start, signal.integral)
+    held = replace(motions, limit=limit)
+    if any((held.residual(each) != motions.residual(each)).any() for each in (start, half)):
+        other, sizes = _by_half(held, start, signal.integral)
+        residuals = motions.residual(half), held.residual(other)
+        if motions.gain_of(*residuals, tested) >= PENALTY:
+            motions, half, scale = held, other, sizes
+    summed = len(half) > _INTEGRAL
+    told = signal.integral if summed else 0.0
+    began = _with_integral(motions, start, told) if told else start
     if not _rms(motions, half, tested) < _rms(motions, began, tested):
         return None
     best = _best(motions, [half], scale, every)
@@ -282,7 +291,7 @@ def fit_servo(motions: JointMotions, signal: EffortSignal) -> ServoFit | None:
         best = bare
     if not _rms(motions, best, every) < _rms(motions, began, every):
         return None
-    deviations, summed = _deviations(motions, best, scale), len(best) > _INTEGRAL
+    deviations = _deviations(motions, best, scale)
     return ServoFit(
         best[:_PLAIN],
         deviations[:_PLAIN],
@@ -291,7 +300,22 @@ def fit_servo(motions: JointMotions, signal: EffortSignal) -> ServoFit | None:
         float(np.std(motions.measured)),
         float(best[_INTEGRAL]) if summed else 0.0,
         float(deviations[_INTEGRAL]) if summed else 0.0,
+        motions.limit,
     )
+
+
+def _by_half(motions: JointMotions, start: Array, told: float) -> tuple[Array, Array]:
+    """A servo by the windows that a test does not need, and sizes of its parameters (p,).
+
+    Args:
+        motions: The joint.
+        start: (6,) where searches begin.
+        told: The integral gain by a linear fit; 0 if it has none.
+    """
+    scale = np.maximum(start, [0.0, 0.02 * start[0], 0.0, 1e-3, 1e-4, 0.01])
+    begun = _best(motions, _starts(start), scale, ~motions.tested, step=_COARSE_STEP)
+    half = _best(motions, [begun], scale, ~motions.tested)
+    return _integral(motions, (start, half), scale, told) or (half, scale)
 
 
 def _with_integral(motions: JointMotions, servo: Array, integral: float) -> Array:
@@ -468,12 +492,12 @@ def calc_servo_motion(
         rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
         period: Time between rows, s.
         steps: Of the simulation between two rows.
-        servo: kp, kr, d, F, I, δ, ki and w.
+        servo: kp, kr, d, F, I, δ, ki, w and the largest effort.
         out: (N,) positions, and (N, p) their slopes with the first six of the servo's numbers, or
             all eight; (0, p) if those are not asked for.
     """
     positions, slopes = out
-    kp, kr, d, F, armature, delay, ki, w = servo
+    kp, kr, d, F, armature, delay, ki, w, limit = servo
     dt = period / steps
     x, v, z, before, rise_before = rows[0, 4], rows[0, 5], 0.0, rows[0, 7], 0.0
     X, V, Z, change = np.zeros(8), np.zeros(8), np.zeros(8), np.zeros(8)
@@ -485,32 +509,51 @@ def calc_servo_motion(
             f = (s + 1.0) / steps
             b, M, K, D, q, qd, qdd = calc_bodies_between(rows, k, f)
             c, rise = calc_command_before(rows, k + f - delay / period, period)
-            pull = kp * (c - x) + kr * (c - before) / dt - b - K * (x - q) + D * qd + M * qdd
-            pull += (M + armature) * v / dt + ki * (z + (c - x) * dt) + w
-            stiff = (M + armature) / dt + (K + kp + ki * dt) * dt + D + d + kr
-            way = 1.0 if pull > F else -1.0 if pull < -F else 0.0
-            now = (pull - way * F) / stiff if way != 0.0 else 0.0
+            drive = kp * (c - x) + kr * (c - before) / dt + ki * (z + (c - x) * dt) + w
+            rest = (M + armature) * v / dt - b - K * (x - q) + D * qd + M * qdd
+            heavy, reach = (M + armature) / dt + K * dt + D + d, kp + ki * dt
+            now, way = calc_velocity_after(drive + rest, heavy + reach * dt + kr, F)
+            effort, gives = drive - (reach * dt + kr) * now, 1.0
+            if effort > limit or effort < -limit:
+                gives, bound = 0.0, limit if effort > 0.0 else -limit
+                now, way = calc_velocity_after(bound + rest, heavy, F)
+            stiff = heavy + gives * (reach * dt + kr)
+            grows = gives > 0.0 or effort * (c - x - now * dt) < 0.0
             if count > 0:
-                change[0] = c - x - now * dt
-                change[1] = (c - before) / dt - now
+                change[0] = gives * (c - x - now * dt)
+                change[1] = gives * ((c - before) / dt - now)
                 change[2] = -now
                 change[3] = -way
                 change[4] = (v - now) / dt
-                change[5] = -(kp + ki * dt) * rise - kr * (rise - rise_before) / dt
-                change[6] = z + (c - x - now * dt) * dt
-                change[7] = 1.0
+                change[5] = -gives * (reach * rise + kr * (rise - rise_before) / dt)
+                change[6] = gives * (z + (c - x - now * dt) * dt)
+                change[7] = gives
                 for i in range(count):
-                    change[i] += (M + armature) / dt * V[i] - (K + kp + ki * dt) * X[i] + ki * Z[i]
+                    change[i] += (M + armature) / dt * V[i] - (K + gives * reach) * X[i]
+                    change[i] += gives * ki * Z[i]
                     V[i] = change[i] / stiff if way != 0.0 else 0.0
                     X[i] += dt * V[i]
-                    Z[i] -= dt * X[i]
-                Z[5] -= dt * rise
+                    Z[i] -= dt * X[i] if grows else 0.0
+                Z[5] -= dt * rise if grows else 0.0
             v, before, rise_before = now, c, rise
             x += dt * v
-            z += dt * (c - x)
+            z += dt * (c - x) if grows else 0.0
         positions[k + 1] = x
         if count > 0:
             slopes[k + 1] = X[:count]
+
+
+@compiled
+def calc_velocity_after(pull: float, stiff: float, F: float) -> tuple[float, float]:
+    """The velocity after an implicit step, and its direction; 0 and 0 of a joint that sticks.
+
+    Args:
+        pull: What moves the joint at rest, N·m or N.
+        stiff: How much of it a velocity takes away, N·m·s/rad or N·s/m.
+        F: Dry friction, N·m or N.
+    """
+    way = 1.0 if pull > F else -1.0 if pull < -F else 0.0
+    return ((pull - way * F) / stiff if way != 0.0 else 0.0), way
 
 
 @compiled

@@ -40,6 +40,7 @@ from geodrake.identification.logs.servo_fit import (
 )
 from geodrake.logs.filtering import HIGHEST_BANDWIDTH
 from geodrake.logs.folds import validation_blocks
+from geodrake.logs.learnable import check_saturation
 from geodrake.logs.motion import JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model.effort_signal import COMMAND, EffortSignal, signal_of
@@ -70,7 +71,7 @@ def with_efforts(
 
     Raises:
         LogError: Something else stands for the efforts of a joint in one log than in another or in
-            the model, or there is nothing at all.
+            the model, or there is nothing at all, or a servo is at its limit nearly all the time.
     """
     if not logs:
         return model, [], []
@@ -87,10 +88,16 @@ def with_efforts(
 
 
 def _known_efforts(model: RobotModel, log: JointLog) -> JointLog:
-    """The log with efforts at joints of whose signals the model knows what makes efforts."""
+    """The log with efforts at joints of whose signals the model knows what makes efforts.
+
+    Raises:
+        LogError: A servo is at its limit nearly all the time.
+    """
     signals = model.effort_signals
     summed = any(each.integral and kind_of(log, each.joint) == COMMAND for each in signals)
-    return in_efforts(log, signals, _needed(model, log) if summed else None)
+    known = in_efforts(log, signals, _needed(model, log) if summed else None)
+    check_saturation(known)
+    return known
 
 
 def _needed(model: RobotModel, log: JointLog) -> Array:
@@ -165,9 +172,12 @@ def calibrated(
         signals = found.signals(model, kinds)
         bodies = replace(model, phi=found.gains.phi, effects=())
         motions = motions_of(bodies, logs, sharp, tuple(told))
-        by_joint = {model.joints[j]: motions[j] for j in told}
+        places = {model.joints[j]: j for j in told}
         return tuple(
-            _by_motion(by_joint[s.joint], s) if s.joint in by_joint else s for s in signals
+            s
+            if (j := places.get(s.joint)) is None
+            else _by_motion(motions[j], s, float(model.effort_limits[j]))
+            for s in signals
         )
 
     without, summed = settle(plain), settle(replace(plain, integral=True))
@@ -241,12 +251,18 @@ def _sharp(trajectories: Sequence[Trajectory]) -> float:
     return min(max(trajectories[0].bandwidths[1], _SHARP), highest)
 
 
-def _by_motion(motions: JointMotions, signal: EffortSignal) -> EffortSignal:
+def _by_motion(motions: JointMotions, signal: EffortSignal, limit: float) -> EffortSignal:
     """The servo of a joint by how it moves, if that is predicted better for it.
 
-    An integral counts only where windows of the motion ask for it.
+    An integral counts only where windows of the motion ask for it, and so does the limit of the
+    joint's effort.
+
+    Args:
+        motions: The joint.
+        signal: The servo by a linear fit.
+        limit: Largest effort of the joint, N·m or N.
     """
-    fit = fit_servo(motions, signal)
+    fit = fit_servo(motions, signal, limit if limit > 0.0 else np.inf)
     if fit is None:
         return replace(signal, integral=0.0, integral_deviation=0.0)
     share = np.hypot(signal.uncertainty, fit.deviations[0] / fit.parameters[0])
@@ -261,6 +277,7 @@ def _by_motion(motions: JointMotions, signal: EffortSignal) -> EffortSignal:
         delay=delay,
         integral=fit.integral,
         integral_deviation=fit.integral_deviation,
+        limit=fit.limit,
     )
 
 
