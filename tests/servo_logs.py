@@ -24,11 +24,12 @@ def command(time):
     return 0.9 * np.sin(1.1 * t) + 0.4 * np.sin(2.7 * t + 1.0) + 0.02 * np.sin(23.0 * t)
 
 
-def servo_log(*, integral=0.0, limit=np.inf, seconds=16.0):
+def servo_log(*, integral=0.0, limit=np.inf, seconds=16.0, feedback=False):
     """A position actuator with velocity feedback, armature, damping, friction.
 
     The integral, which holds still where the torque is at its limit, is summed up by hand. It
-    begins at 0, a second before the log.
+    begins at 0, a second before the log. Where there is a limit, damping is the joint's own unless
+    it is asked for as velocity feedback, within the limit.
     """
     spec = mujoco.MjSpec.from_string(PENDULUM)
     spec.option.timestep = 2.5e-4
@@ -36,7 +37,7 @@ def servo_log(*, integral=0.0, limit=np.inf, seconds=16.0):
     joint = spec.joints[0]
     joint.limited = 0
     kp, _, damping, coulomb, armature, late = TRUTH.tolist()
-    own = damping if np.isfinite(limit) else 1.0  # of the joint itself, beyond any limit
+    own = damping if np.isfinite(limit) and not feedback else 1.0  # of the joint itself
     size = np.zeros(np.shape(joint.damping))
     if size.ndim:
         size[0] = own

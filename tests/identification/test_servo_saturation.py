@@ -64,10 +64,13 @@ def test_simulation_is_that_of_position_servo(ki):
     assert np.abs(free.residual(parameters)).max() > 0.05 * size
 
 
-def test_slopes_are_finite_differences(tmp_path):
+@pytest.mark.parametrize("own", [False, True])
+def test_slopes_are_finite_differences(own, tmp_path):
     log = servo_log(integral=60.0, limit=7.0, seconds=5.0)
     motions = replace(alone(pendulum(tmp_path, 7.0), log), limit=7.0)
     at = np.array([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 50.0, 1.5])
+    if own:
+        motions = replace(motions, own=True)
     found, slopes = motions.simulated(at, slopes=True)
     assert np.abs(found - replace(motions, limit=np.inf).simulated(at)[0]).max() > 0.01
     for k, step in enumerate(np.diag(1e-7 * at)):
@@ -90,6 +93,18 @@ def test_gains_are_those_of_a_servo_at_its_limit(integral, limit, tmp_path):
     assert signal.integral == pytest.approx(integral, rel=0.05)
     at_limit = np.mean(np.abs(log.effort) >= limit)
     assert np.abs(log.effort).max() == limit and 0.05 < at_limit < 0.9
+
+
+def test_velocity_feedback_is_within_the_limit(tmp_path):
+    """As in MuJoCo's position actuators. A rate that comes late does the same for the joint."""
+    motions = alone(pendulum(tmp_path, 5.0), servo_log(limit=5.0, seconds=12.0, feedback=True))
+    fit = fit_servo(motions, EffortSignal("hinge", "command", 50.0), 5.0)
+    assert fit.limit == 5.0
+    assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.05)
+    assert sum(fit.parameters[1:3]) == pytest.approx(TRUTH[2], rel=0.1)
+    assert fit.own or fit.parameters[1] == pytest.approx(TRUTH[2] - 1.0, rel=0.1)
+    unlimited = fit_servo(motions, EffortSignal("hinge", "command", 50.0))
+    assert unlimited is None or fit.error < 0.2 * unlimited.error
 
 
 def test_a_limit_that_the_servo_does_not_keep_is_none(tmp_path):

@@ -19,7 +19,8 @@ nobody knows; without an integral w would be a constant effort. A servo therefor
 only if windows that a fit did not see are predicted better with ki than with such a constant alone.
 
 A servo whose joint has a limit of effort saturates in the simulation, its integral held, where such
-windows are predicted better for it.
+windows are predicted better for it. Damping d is the joint's, beyond the limit, or the servo's own,
+within: only a servo at its limit tells them apart.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.regressor import inverse_dynamics
 
 Array = NDArray[np.float64]
-Servo = tuple[float, float, float, float, float, float, float, float, float]
+Servo = tuple[float, float, float, float, float, float, float, float, float, float]
 
 PARAMETERS = ("stiffness", "rate", "damping", "coulomb", "armature", "delay", "integral")
 """kp, kr, d, F, I, δ and ki; of joints that turn in N·m/rad, N·m·s/rad (twice), N·m, kg·m², s and
@@ -80,6 +81,7 @@ class ServoFit:
         integral: The last of `PARAMETERS`; 0 for a servo without an integral.
         integral_deviation: Its standard deviation.
         limit: Effort at which the servo saturates; infinite where the motion shows none.
+        own: Whether the servo makes the viscous damping, within its limit.
     """
 
     parameters: Array
@@ -90,6 +92,7 @@ class ServoFit:
     integral: float = 0.0
     integral_deviation: float = 0.0
     limit: float = np.inf
+    own: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +104,14 @@ class JointMotions:
         positions: Per stretch (N,) positions as logged, rad or m.
         periods: Per stretch the time between rows, s.
         limit: Largest effort of the servo, N·m or N.
+        own: Whether the servo makes the damping d, within its limit.
     """
 
     rows: tuple[Array, ...]
     positions: tuple[Array, ...]
     periods: tuple[float, ...]
     limit: float = np.inf
+    own: bool = False
 
     def simulated(
         self, parameters: Array, *, step: float = _STEP, slopes: bool = False
@@ -125,7 +130,7 @@ class JointMotions:
         ki, *began = more or (0.0, *np.zeros(len(self.rows)))
         stretches = zip(self.rows, self.periods, began, strict=True)
         for k, (rows, period, w) in enumerate(stretches):
-            servo: Servo = (kp, kr, d, F, armature, delay, ki, w, self.limit)
+            servo: Servo = (kp, kr, d, F, armature, delay, ki, w, self.limit, float(self.own))
             steps = max(1, int(np.ceil(period / step)))
             x = np.empty(len(rows))
             own = min(count, len(PARAMETERS) + 1)
@@ -275,10 +280,11 @@ def fit_servo(
     half, scale = _by_half(motions, start, signal.integral)
     held = replace(motions, limit=limit)
     if any((held.residual(each) != motions.residual(each)).any() for each in (start, half)):
-        other, sizes = _by_half(held, start, signal.integral)
-        residuals = motions.residual(half), held.residual(other)
-        if motions.gain_of(*residuals, tested) >= PENALTY:
-            motions, half, scale = held, other, sizes
+        for limited in (held, replace(held, own=True)):
+            other, sizes = _by_half(limited, start, signal.integral)
+            residuals = motions.residual(half), limited.residual(other)
+            if motions.gain_of(*residuals, tested) >= PENALTY:
+                motions, half, scale = limited, other, sizes
     summed = len(half) > _INTEGRAL
     told = signal.integral if summed else 0.0
     began = _with_integral(motions, start, told) if told else start
@@ -301,6 +307,7 @@ def fit_servo(
         float(best[_INTEGRAL]) if summed else 0.0,
         float(deviations[_INTEGRAL]) if summed else 0.0,
         motions.limit,
+        motions.own,
     )
 
 
@@ -492,12 +499,12 @@ def calc_servo_motion(
         rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
         period: Time between rows, s.
         steps: Of the simulation between two rows.
-        servo: kp, kr, d, F, I, δ, ki, w and the largest effort.
+        servo: kp, kr, d, F, I, δ, ki, w, the largest effort, and the share of d within it.
         out: (N,) positions, and (N, p) their slopes with the first six of the servo's numbers, or
             all eight; (0, p) if those are not asked for.
     """
     positions, slopes = out
-    kp, kr, d, F, armature, delay, ki, w, limit = servo
+    kp, kr, d, F, armature, delay, ki, w, limit, own = servo
     dt = period / steps
     x, v, z, before, rise_before = rows[0, 4], rows[0, 5], 0.0, rows[0, 7], 0.0
     X, V, Z, change = np.zeros(8), np.zeros(8), np.zeros(8), np.zeros(8)
@@ -511,18 +518,19 @@ def calc_servo_motion(
             c, rise = calc_command_before(rows, k + f - delay / period, period)
             drive = kp * (c - x) + kr * (c - before) / dt + ki * (z + (c - x) * dt) + w
             rest = (M + armature) * v / dt - b - K * (x - q) + D * qd + M * qdd
-            heavy, reach = (M + armature) / dt + K * dt + D + d, kp + ki * dt
-            now, way = calc_velocity_after(drive + rest, heavy + reach * dt + kr, F)
-            effort, gives = drive - (reach * dt + kr) * now, 1.0
+            heavy, reach = (M + armature) / dt + K * dt + D + (1.0 - own) * d, kp + ki * dt
+            soft, gives = reach * dt + kr + own * d, 1.0
+            now, way = calc_velocity_after(drive + rest, heavy + soft, F)
+            effort = drive - soft * now
             if effort > limit or effort < -limit:
                 gives, bound = 0.0, limit if effort > 0.0 else -limit
                 now, way = calc_velocity_after(bound + rest, heavy, F)
-            stiff = heavy + gives * (reach * dt + kr)
+            stiff = heavy + gives * soft
             grows = gives > 0.0 or effort * (c - x - now * dt) < 0.0
             if count > 0:
                 change[0] = gives * (c - x - now * dt)
                 change[1] = gives * ((c - before) / dt - now)
-                change[2] = -now
+                change[2] = -(1.0 - own + own * gives) * now
                 change[3] = -way
                 change[4] = (v - now) / dt
                 change[5] = -gives * (reach * rise + kr * (rise - rise_before) / dt)

@@ -277,7 +277,8 @@ def _by_motion(motions: JointMotions, signal: EffortSignal, limit: float) -> Eff
         delay=delay,
         integral=fit.integral,
         integral_deviation=fit.integral_deviation,
-        limit=fit.limit,
+        # A servo that damps the motion within its limit is at it for another error than this.
+        limit=np.inf if fit.own else fit.limit,
     )
 
 
@@ -408,8 +409,12 @@ class _Choice:
     def cost(self, gains: SignalGains) -> float:
         """Twice the negative log-likelihood of this choice with some bodies and gains."""
         seconds, phi = LONGEST_DELAY * self.delay / (_DELAYS - 1), gains.phi.ravel()
+        rows = {j: self.joint(j) for j in self.told}
+        # Where an integral holds a joint up, so little is left of the error that its sign may go.
+        if self.integral and any(each.least_squares_gain(phi) < 0.0 for each in rows.values()):
+            return np.inf
         return 2.0 * seconds / _USUAL_DELAY + sum(
-            self.joint(j).least_cost(phi, gains.worth[j]) + PENALTY * self.rate for j in self.told
+            each.least_cost(phi, gains.worth[j]) + PENALTY * self.rate for j, each in rows.items()
         )
 
     def joint(self, j: int) -> SignalRows:
