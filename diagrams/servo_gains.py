@@ -7,11 +7,15 @@ what it names, how often true values lie inside the intervals (two standard devi
 values are off, and how long it takes.
 
     python diagrams/servo_gains.py --json servo_gains.json
+
+With `--integral`, the same servos have an integral, too; with `--limited`, they are at the limit of
+their torque, which the model file states, for part of each log.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -71,10 +75,14 @@ def main() -> None:
     """Run from the command line."""
     parser = make_parser(__doc__ or "")
     parser.add_argument("--logs", type=positive_number, default=40, help="(%(default)s)")
+    parser.add_argument("--integral", action="store_true", help="servos have an integral")
+    parser.add_argument("--limited", action="store_true", help="torques have a limit")
     options = parser.parse_args()
-    draws = servo_draws(options.logs, options.seed)
+    kinds = {"integral": options.integral, "limited": options.limited}
+    draws = servo_draws(options.logs, options.seed, **kinds)
     if options.quick:
-        draws = [ServoDraw("double_pendulum", "mujoco", False, 0, options.seed, duration=6.0)]
+        first = ServoDraw("double_pendulum", "mujoco", False, 0, options.seed, duration=6.0)
+        draws = [replace(first, **kinds)]
     rows = run_draws(parser, options, run_draw, draws)
     table = summary(rows)
     columns = {"figure": "", "value": ".3g", "inside": ".0%", "off by, median": ".1%", "of": ""}

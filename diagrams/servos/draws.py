@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,6 +24,7 @@ PENDULUM = "pendulum"
 _EVERY = 0.004  # s, between rows of a log
 _SETTLED = 1.0  # s, after which a log begins
 _NOISE = 1e-5  # rad
+_LIMIT = 0.75  # of the largest torque
 _SHAKES = 3  # sines of each joint's command that are faster than its motion
 
 
@@ -37,6 +39,8 @@ class ServoDraw:
         number: Of the log.
         seed: Of the study.
         duration: Length of the log, s.
+        integral: Whether the servos have an integral, too.
+        limited: Whether their torques have limits, which the model file states.
     """
 
     robot: str
@@ -45,6 +49,8 @@ class ServoDraw:
     number: int
     seed: int
     duration: float = 40.0
+    integral: bool = False
+    limited: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,7 +89,9 @@ def make_servo_log(draw: ServoDraw) -> ServoLog:
 
     Stiffness makes a servo follow within 15 to 40 rad/s of bandwidth; damping is 0.4 to 1 of what
     is critical. Friction is 5 to 30 % of the efforts' deviation, the armature 10 to 50 % of the
-    inertia that the joint moves, the delay 0 to 12 ms.
+    inertia that the joint moves, the delay 0 to 12 ms, and the integral, if there is one, has a
+    time kp / ki of 0.3 to 2 s. A limit is three quarters of the largest torque that the servo gives
+    without.
     """
     words = f"{draw.robot} {draw.engine} {draw.knows_rate}"
     rng = np.random.default_rng([draw.seed, draw.number, crc32(words.encode())])
@@ -107,9 +115,15 @@ def make_servo_log(draw: ServoDraw) -> ServoLog:
         coulomb=efforts * rng.uniform(0.05, 0.3, n),
         armature=armature,
         limit=np.full(n, 1e6),
+        integral=np.zeros(n),
     )
     command = command + _shaking(time, n, rng)
+    if draw.integral:
+        servos = replace(servos, integral=stiffness / rng.uniform(0.3, 2.0, n))
     q, _, torques = simulated(draw.engine, file.text, servos, command)
+    if draw.limited:
+        servos = replace(servos, limit=_LIMIT * np.abs(torques).max(axis=0))
+        q, _, torques = simulated(draw.engine, file.text, servos, command)
     rows = slice(round(_SETTLED / STEP), None, round(_EVERY / STEP))
     measured = (q + _NOISE * rng.normal(size=q.shape))[rows]
     log = JointLog(
@@ -154,8 +168,22 @@ def servo_file(name: str) -> RobotFile:
 @cache
 def servo_model(name: str) -> RobotModel:
     """What geodrake knows of a robot: its model file."""
+    return _loaded(name, servo_file(name).text)
+
+
+def limited_model(name: str, joints: Sequence[str], limits: Array) -> RobotModel:
+    """The same with limits (n,) of torques, N·m, in the file."""
+    root, largest = ET.fromstring(servo_file(name).text), dict(zip(joints, limits, strict=True))
+    for joint in root.iter("joint"):
+        limit = joint.find("limit")
+        if limit is not None and joint.get("name") in largest:
+            limit.set("effort", repr(float(largest[joint.get("name", "")])))
+    return _loaded(f"{name}_limited", ET.tostring(root, encoding="unicode"))
+
+
+def _loaded(name: str, text: str) -> RobotModel:
     path = Path(_folder().name) / f"{name}.urdf"
-    path.write_text(servo_file(name).text, encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
     return load_model(path)
 
 

@@ -14,6 +14,7 @@ from geodrake.report import style
 TITLES: Mapping[str, str] = {
     "kp": "stiffness",
     "kd": "damping",
+    "ki": "integral gain",
     "coulomb_friction": "dry friction",
     "viscous_friction": "viscous friction",
     "rotor_inertia": "armature",

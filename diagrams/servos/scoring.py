@@ -13,7 +13,7 @@ from geodrake.control.rollout import command_rollout, commanded_motions
 from geodrake.diagnosis import Explanation, explain
 from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.model import EffortSignal, RobotModel
-from servos.draws import ServoDraw, ServoLog, make_servo_log, servo_model
+from servos.draws import ServoDraw, ServoLog, limited_model, make_servo_log, servo_model
 
 ARMATURE = "rotor_inertia"
 HIDDEN = {
@@ -31,6 +31,8 @@ _SIDES = 2.0  # standard deviations of an interval
 def score_servo(draw: ServoDraw) -> dict[str, Any]:
     """A row of the table."""
     made, model = make_servo_log(draw), servo_model(draw.robot)
+    if draw.limited:
+        model = limited_model(draw.robot, made.log.joints, made.servos.limit)
     began = time.process_time()
     found = explain(model, [made.log])
     seconds = time.process_time() - began
@@ -40,6 +42,8 @@ def score_servo(draw: ServoDraw) -> dict[str, Any]:
         "samples": len(made.log),
         "seconds": seconds,
         "verdict": found.verdict,
+        "at limit": np.mean(np.abs(made.torques) >= made.servos.limit, axis=0).tolist(),
+        "limits found": [bool(np.isfinite(s.limit)) for s in found.model.effort_signals],
         "steps": [[step.effect, list(step.where)] for step in found.steps],
         "extra": sorted({s.effect for s in found.steps} - {*HIDDEN, "effort_delay"}),
         "nrms": [found.start.nrms, found.refitted.nrms, found.end.nrms],
@@ -107,9 +111,16 @@ def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
             for effect, value in zip(true, values.tolist(), strict=True)
         ),
         effort_signals=tuple(
-            EffortSignal(joint, "command", kp, damping=kd, delay=servos.delay)
-            for joint, kp, kd in zip(
-                joints, servos.stiffness.tolist(), damping.tolist(), strict=True
+            EffortSignal(
+                joint, "command", kp, damping=kd, delay=servos.delay, integral=ki, limit=limit
+            )
+            for joint, kp, kd, ki, limit in zip(
+                joints,
+                servos.stiffness.tolist(),
+                damping.tolist(),
+                servos.integral.tolist(),
+                servos.limit.tolist(),
+                strict=True,
             )
         ),
     )
@@ -127,7 +138,7 @@ def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
 
 
 def _gains(made: ServoLog, model: RobotModel) -> list[dict[str, Any]]:
-    """Stiffness and damping, beside the truth."""
+    """Stiffness, damping, and the integral where there or found one, beside the truth."""
     rows = []
     for signal in model.effort_signals:
         at = made.log.joints.index(signal.joint)
@@ -137,6 +148,11 @@ def _gains(made: ServoLog, model: RobotModel) -> list[dict[str, Any]]:
             damping = float(made.servos.damping[at])
             spread = float(np.hypot(signal.damping_deviation, signal.uncertainty * signal.damping))
             rows.append(_row("kd", signal.joint, signal.damping, spread, damping))
+        integral = float(made.servos.integral[at])
+        if integral or signal.integral:
+            rough = signal.uncertainty * signal.integral
+            spread = float(np.hypot(signal.integral_deviation, rough))
+            rows.append(_row("ki", signal.joint, signal.integral, spread, integral))
     return rows
 
 

@@ -33,6 +33,7 @@ class Servos:
         coulomb: N·m.
         armature: kg·m².
         limit: Largest torque, N·m.
+        integral: ki, N·m/(rad·s); it stays where the torque is at its limit and would go beyond.
     """
 
     stiffness: Array
@@ -43,6 +44,7 @@ class Servos:
     coulomb: Array
     armature: Array
     limit: Array
+    integral: Array
 
 
 def simulated(engine: str, urdf: str, servos: Servos, command: Array) -> tuple[Array, Array, Array]:
@@ -67,10 +69,12 @@ def _by_pinocchio(
     model = pin.buildModelFromXML(urdf)
     data = model.createData()
     model.armature = servos.armature
-    q, v = told[0].copy(), np.zeros(model.nv)
+    q, v, summed = told[0].copy(), np.zeros(model.nv), np.zeros(model.nv)
     positions, velocities, torques = (np.empty_like(told) for _ in range(3))
     for k in range(len(told)):
         raw = servos.stiffness * (told[k] - q) + servos.damping * (rate[k] - v)
+        raw = raw + servos.integral * summed
+        summed = _summed(summed, told[k] - q, raw, servos.limit)
         torque = np.clip(raw, -servos.limit, servos.limit)
         positions[k], velocities[k], torques[k] = q, v, torque
         # Friction at the end of the step, so that joints that stick do not shake.
@@ -82,6 +86,12 @@ def _by_pinocchio(
         v = _with_friction(M, v, free, servos)
         q = q + STEP * v
     return positions, velocities, torques
+
+
+def _summed(summed: Array, error: Array, raw: Array, limit: Array) -> Array:
+    """Integrals after a step; those of joints at their limit do not go on beyond it."""
+    beyond = (np.abs(raw) > limit) & (np.sign(raw) == np.sign(error))
+    return np.where(beyond, summed, summed + STEP * error)
 
 
 def _has_armature() -> bool:
@@ -127,8 +137,12 @@ def _by_mujoco(urdf: str, servos: Servos, told: Array, rate: Array) -> tuple[Arr
     data = mujoco.MjData(model)
     data.qpos[:] = told[0]
     positions, velocities, torques = (np.empty_like(told) for _ in range(3))
+    summed = np.zeros(model.nv)
     for k in range(len(told)):
         data.ctrl[:] = servos.stiffness * told[k] + servos.damping * rate[k]
+        data.ctrl[:] += servos.integral * summed
+        raw = data.ctrl - servos.stiffness * data.qpos - servos.damping * data.qvel
+        summed = _summed(summed, told[k] - data.qpos, raw, servos.limit)
         positions[k], velocities[k] = data.qpos, data.qvel
         mujoco.mj_step(model, data)
         torques[k] = data.actuator_force

@@ -15,6 +15,15 @@ COMMAND = "command"
 
 KINDS = (*SIGNAL_KINDS, COMMAND)
 
+_NOT_NEGATIVE = (
+    "deviation",
+    "damping",
+    "damping_deviation",
+    "delay",
+    "integral",
+    "integral_deviation",
+)
+
 
 @dataclass(frozen=True)
 class EffortSignal:
@@ -22,9 +31,10 @@ class EffortSignal:
 
     The effort is gain·s of a signal s, a current or a voltage. Of a servo it is
 
-        gain·(c(t − delay) − q) + damping·(dc/dt(t − delay) − v)
+        gain·e + damping·(dc/dt(t − delay) − v) + integral·∫e dt,    e = c(t − delay) − q
 
-    with the commanded position c, within ±limit.
+    with the commanded position c, within ±limit. What the integral was when a log began is not
+    known: it begins so that the servo gives in the mean, beside friction, what the model needs.
 
     Attributes:
         joint: The joint.
@@ -35,6 +45,8 @@ class EffortSignal:
         damping_deviation: Its standard deviation, beside that of the gain.
         delay: How late the command acts, s.
         limit: Largest effort, N·m or N.
+        integral: Of a servo, effort per integral of its error, N·m/(rad·s) (N/(m·s)).
+        integral_deviation: Its standard deviation, beside that of the gain.
 
     Raises:
         ArgumentError: There is no such kind, or a number is none that it may be.
@@ -48,6 +60,8 @@ class EffortSignal:
     damping_deviation: float = 0.0
     delay: float = 0.0
     limit: float = math.inf
+    integral: float = 0.0
+    integral_deviation: float = 0.0
 
     def __post_init__(self) -> None:
         instance(self.joint, "joint", str)
@@ -62,7 +76,7 @@ class EffortSignal:
                 f"The gain of {self.joint!r} is {self.gain:.4g}; it must be "
                 f"{'positive' if self.kind == COMMAND else 'other than 0'}."
             )
-        for name in ("deviation", "damping", "damping_deviation", "delay"):
+        for name in _NOT_NEGATIVE:
             number(getattr(self, name), f"{name} of {self.joint}", lower=0.0)
         if not self.limit > 0.0:
             raise ArgumentError(f"The limit of {self.joint!r} is {self.limit!r}; it is positive.")

@@ -80,6 +80,8 @@ class SavedEffortSignal:
     damping_deviation: float = 0.0
     delay: float = 0.0
     limit: float = float("inf")
+    integral: float = 0.0
+    integral_deviation: float = 0.0
 
 
 @dataclass

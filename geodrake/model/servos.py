@@ -20,8 +20,10 @@ def servos_of(model: RobotModel) -> tuple[EffortSignal | None, ...]:
     return tuple(each if each and each.kind == COMMAND else None for each in signals)
 
 
-def servo_gains(model: RobotModel) -> tuple[Array, Array, Array]:
-    """Stiffness, damping and largest effort (n,) of the servos; 0, 0 and ∞ where there is none.
+def servo_gains(model: RobotModel) -> tuple[Array, Array, Array, Array]:
+    """Stiffness, damping, integral gain and largest effort (n,) of the servos.
+
+    They are 0, 0, 0 and ∞ where there is none.
 
     Args:
         model: The model.
@@ -40,9 +42,10 @@ def servo_gains(model: RobotModel) -> tuple[Array, Array, Array]:
             "Servos need joints of one degree of freedom each; this robot has others.",
             advice="Weld the base, or leave such joints out of the model.",
         )
-    rows = [(s.gain, s.damping, s.limit) if s else (0.0, 0.0, np.inf) for s in servos]
-    kp, kd, limit = np.array(rows).T
-    return kp, kd, limit
+    none = (0.0, 0.0, 0.0, np.inf)
+    rows = [(s.gain, s.damping, s.integral, s.limit) if s else none for s in servos]
+    kp, kd, ki, limit = np.array(rows).T
+    return kp, kd, ki, limit
 
 
 def command_delays(model: RobotModel) -> Array:

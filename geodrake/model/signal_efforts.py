@@ -10,11 +10,20 @@ from numpy.typing import NDArray
 
 from geodrake.logs.motion import JointLog
 from geodrake.model.effort_signal import COMMAND, EffortSignal, signal_of
+from geodrake.model.servo_integrals import (
+    constant_beside_friction,
+    error_integral,
+    limited_integral,
+)
 
 Array = NDArray[np.float64]
 
+_ROUNDS = 10  # of where an integral is held, and what it begins with
 
-def in_efforts(log: JointLog, signals: Sequence[EffortSignal]) -> JointLog:
+
+def in_efforts(
+    log: JointLog, signals: Sequence[EffortSignal], needed: Array | None = None
+) -> JointLog:
     """The log with efforts, N·m or N, at the joints that have a signal in the place of theirs.
 
     How well the gains are known becomes the log's `effort_uncertainty` at these joints.
@@ -22,6 +31,8 @@ def in_efforts(log: JointLog, signals: Sequence[EffortSignal]) -> JointLog:
     Args:
         log: What was measured; joints without one stay as they are.
         signals: What makes efforts of it.
+        needed: (N, n) efforts that a model needs, N·m or N, by whose mean integrals of servos
+            begin; at 0 if None.
     """
     effort, uncertainty = log.effort.copy(), log.gain_deviations.copy()
     kinds = dict(log.effort_kinds)
@@ -30,7 +41,8 @@ def in_efforts(log: JointLog, signals: Sequence[EffortSignal]) -> JointLog:
         if signal is None or signal.kind != kind_of(log, joint):
             continue
         if signal.kind == COMMAND:
-            effort[:, at] = servo_effort(log, at, signal)
+            wanted = None if needed is None else needed[:, at]
+            effort[:, at] = servo_effort(log, at, signal, wanted)
         else:
             effort[:, at] *= signal.gain
             kinds.pop(joint, None)
@@ -57,19 +69,60 @@ def kind_of(log: JointLog, joint: str) -> str:
     return log.effort_kinds.get(joint, "effort")
 
 
-def servo_effort(log: JointLog, at: int, signal: EffortSignal) -> Array:
+def servo_effort(
+    log: JointLog, at: int, signal: EffortSignal, needed: Array | None = None
+) -> Array:
     """(N,) effort of a servo, N·m or N, by the command of a log.
 
     Args:
         log: The log.
         at: Which of its joints.
         signal: Its gains.
+        needed: (N,) effort that a model needs, by whose mean an integral begins; at 0 if None.
     """
+    plain, summed = _parts(log, at, signal, needed)
+    return np.clip(plain + summed, -signal.limit, signal.limit)
+
+
+def integral_effort(log: JointLog, at: int, signal: EffortSignal) -> Array:
+    """(N,) what the integral of a servo makes of its effort, N·m or N, by the efforts of a log.
+
+    Args:
+        log: The log, with efforts.
+        at: Which of its joints.
+        signal: Its gains.
+    """
+    return _parts(log, at, signal, log.effort[:, at])[1]
+
+
+def _parts(
+    log: JointLog, at: int, signal: EffortSignal, needed: Array | None
+) -> tuple[Array, Array]:
+    """(N,) efforts of a servo without its integral, and of that; before the limit is taken.
+
+    What the integral begins with follows from efforts within the limit, and where it is held from
+    what it begins with.
+    """
+    error, rate = _behind(log, at, signal)
+    plain = signal.gain * error + (signal.damping * rate if signal.damping else 0.0)
+    if not signal.integral:
+        return plain, np.zeros(len(plain))
+    summed, began = signal.integral * error_integral(log.time, error), 0.0
+    for _ in range(_ROUNDS if np.isfinite(signal.limit) else 1):
+        if needed is not None:
+            inside = np.abs(plain + summed + began) < signal.limit
+            left = np.where(inside, needed - plain - summed, np.nan)
+            began = constant_beside_friction(left, _velocity(log, at))
+        if np.isfinite(signal.limit):
+            start = plain + began, signal.integral, signal.limit
+            summed = signal.integral * limited_integral(log.time, error, *start)
+    return plain, summed + began
+
+
+def _behind(log: JointLog, at: int, signal: EffortSignal) -> tuple[Array, Array]:
+    """(N,) by how much a joint is behind its late command, and how fast that grows."""
     command, rate = delayed_command(log, at, signal.delay)
-    effort = signal.gain * (command - log.position[:, at])
-    if signal.damping:
-        effort += signal.damping * (rate - _velocity(log, at))
-    return np.clip(effort, -signal.limit, signal.limit)
+    return command - log.position[:, at], rate - _velocity(log, at)
 
 
 def delayed_command(log: JointLog, at: int, delay: float) -> tuple[Array, Array]:

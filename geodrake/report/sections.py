@@ -126,9 +126,10 @@ def signals_section(signals: Sequence[EffortSignal], units: Units) -> Section:
         return Section("Gains")
     text = (
         "No efforts were measured at these joints. Efforts are the gains times what was measured, "
-        "of servos the stiffness times how far the command is ahead, and the damping times how "
-        "much faster it is. The scale of the gains is that of the model's inertias; a model that "
-        "was fitted to efforts, or a gain from a data sheet (--gain), tells it better."
+        "of servos the stiffness times how far the command is ahead, the damping times how much "
+        "faster it is, and the integral gain times how far and how long it was "
+        "ahead. The scale of the gains is that of the model's inertias; a model that was fitted "
+        "to efforts, or a gain from a data sheet (--gain), tells it better."
     )
     return Section("Gains", (text,), (signals_table(signals, units),))
 

@@ -253,6 +253,7 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
         units: Units of the joints of the model.
     """
     rows, served = [], any(signal.kind == COMMAND for signal in signals)
+    summed = any(signal.integral for signal in signals)
     for signal in signals:
         gain = with_deviation(signal.gain, signal.deviation)
         row = [signal.joint, signal.kind, gain, units.at(signal.joint, signal.unit)]
@@ -261,8 +262,13 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
             rate = units.at(signal.joint, "N·m·s/rad")
             row += [f"{damping} {rate}" if signal.damping else UNKNOWN]
             row += [f"{1e3 * signal.delay:.2g} ms"]
+        if summed:
+            integral = with_deviation(signal.integral, signal.integral_deviation)
+            unit = units.at(signal.joint, "N·m/(rad·s)")
+            row += [f"{integral} {unit}" if signal.integral else UNKNOWN]
         rows.append(cells(*row))
     more = ("damping", "late by") if served else ()
+    more = (*more, "integral") if summed else more
     head = ("joint", "in place of efforts", "gain", "unit", *more)
     return Table(head, tuple(rows), words=2)
 

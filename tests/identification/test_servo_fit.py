@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from servo_logs import LATE, PENDULUM, TRUTH, command, servo_log
 
 from geodrake import load_model
 from geodrake.errors import LogError
@@ -19,28 +19,9 @@ from geodrake.identification.logs.signal_calibration import (
     signals_as_efforts,
     with_efforts,
 )
-from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model import EffortSignal
 from geodrake.model.signal_efforts import in_efforts, servo_effort
-
-PENDULUM = """
-<robot name="pendulum">
-  <link name="base"/>
-  <link name="rod"><inertial><origin xyz="0 0 -0.4"/><mass value="2.0"/>
-    <inertia ixx="0.05" iyy="0.05" izz="0.002" ixy="0" iyz="0" ixz="0"/></inertial></link>
-  <joint name="hinge" type="revolute"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>
-    <limit lower="-3" upper="3" effort="100" velocity="10"/></joint>
-</robot>
-"""
-PERIOD, LATE = 0.004, 0.009
-TRUTH = np.array([60.0, 0.0, 4.0, 0.9, 0.08, LATE])
-
-
-def command(time):
-    """Slow swings, and small fast ones at which a servo lags."""
-    t = np.asarray(time)
-    return 0.9 * np.sin(1.1 * t) + 0.4 * np.sin(2.7 * t + 1.0) + 0.02 * np.sin(23.0 * t)
 
 
 @pytest.fixture(scope="module")
@@ -52,41 +33,7 @@ def model(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def log():
-    """By MuJoCo: a position actuator with velocity feedback, armature, damping, friction."""
-    spec = mujoco.MjSpec.from_string(PENDULUM)
-    spec.option.timestep = 2.5e-4
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    joint = spec.joints[0]
-    joint.limited = 0
-    kp, _, damping, coulomb, armature, late = TRUTH.tolist()
-    size = np.zeros(np.shape(joint.damping))
-    if size.ndim:
-        size[0] = 1.0
-    joint.damping = size if size.ndim else 1.0
-    joint.armature, joint.frictionloss = armature, coulomb
-    actuator = spec.add_actuator(name="servo", target="hinge")
-    actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
-    actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = kp, -kp, 1.0 - damping
-    engine = spec.compile()
-    data, count = mujoco.MjData(engine), round(16.0 / engine.opt.timestep)
-    data.qpos[0] = command(-late)
-    position = np.empty(count)
-    for k in range(count):
-        position[k] = data.qpos[0]
-        data.ctrl[0] = command(k * engine.opt.timestep - late)
-        mujoco.mj_step(engine, data)
-    rows = slice(1000, None, round(PERIOD / engine.opt.timestep))
-    time = np.arange(count)[rows] * engine.opt.timestep
-    noise = 1e-5 * np.random.default_rng(0).normal(size=len(time))
-    return JointLog(
-        "servo",
-        ("hinge",),
-        time,
-        (position[rows] + noise)[:, None],
-        np.full((len(time), 1), np.nan),
-        command=command(time)[:, None],
-    )
+    return servo_log()
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from geodrake.control.export_proof.costs import Cost, Costs, costs_of
+from geodrake.control.export_proof.lost_integral import lost_integrals
 from geodrake.control.export_proof.proof import Proof, prove
 from geodrake.control.export_proof.samples import (
     compared,
@@ -122,6 +123,7 @@ def export_with_proof(
             f"{form.name} does not have the gains of servos, such as those of {', '.join(told)}; "
             "mjcf and isaac do, and PositionServo in a Drake diagram"
         )
+    notes += lost_integrals(model, form, case)
     if "drake" in form.engines and (proof.ignored or held.lost):
         notes.append(_IN_DRAKE)
     return ProvenExport(form, exported, held.model, lacks, costs, proof, tuple(notes))

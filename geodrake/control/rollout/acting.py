@@ -6,7 +6,7 @@ import abc
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.framework import DiagramBuilder, OutputPort
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import MatrixGain, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
@@ -15,6 +15,7 @@ from geodrake.control.systems.position_servo import PositionServo
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import command_delays, servo_gains, servos_of
+from geodrake.model.signal_efforts import integral_effort
 
 Array = NDArray[np.float64]
 
@@ -43,6 +44,15 @@ class Acting(abc.ABC):
         Args:
             passage: The passage.
         """
+
+    def remember(self, passage: Passage, root: Context) -> None:
+        """Sets what acts to the state in which a passage begins; most have none.
+
+        Args:
+            passage: The passage, which has begun.
+            root: Context of the simulation.
+        """
+        del passage, root
 
 
 class LoggedEffort(Acting):
@@ -81,12 +91,12 @@ class ServoedCommand(Acting):
     """
 
     def __init__(self, model: RobotModel, log: JointLog) -> None:
-        kp, kd, limit = servo_gains(model)
+        *gains, limit = servo_gains(model)
         self._log, self._delays = log, command_delays(model)
-        self._told = told_joints(model, log)
-        gains = np.where(self._told, kp, 0.0), np.where(self._told, kd, 0.0)
+        self._servos, self._told = servos_of(model), told_joints(model, log)
+        kp, kd, self._ki = (np.where(self._told, gain, 0.0) for gain in gains)
         limits = np.where(self._told, limit, np.inf)
-        self._servo = PositionServo(gains[0], kd=gains[1], limit=limits)
+        self._servo = PositionServo(kp, kd=kd, ki=self._ki, limit=limits)
         zero = PiecewisePolynomial(np.zeros(len(kp)))
         names = ("commanded_position", "commanded_velocity", "feedforward")
         self._sources = {name: TrajectorySource(zero) for name in names}
@@ -107,6 +117,19 @@ class ServoedCommand(Acting):
         self._sources["feedforward"].UpdateTrajectory(_lines(passage.time, effort))
         self._sources["commanded_position"].UpdateTrajectory(_lines(time, command))
         self._sources["commanded_velocity"].UpdateTrajectory(_lines(time, rate))
+
+    def remember(self, passage: Passage, root: Context) -> None:
+        """Integrals are what they have grown to in the log, by its efforts."""
+        if not self._ki.any():
+            return
+        begun, instants = np.zeros(len(self._ki)), self._log.time - passage.began
+        known = np.isfinite(instants)
+        for j in np.flatnonzero(self._ki).tolist():
+            if (servo := self._servos[j]) is not None:
+                effort = integral_effort(self._log, j, servo)
+                begun[j] = np.interp(passage.time[0], instants[known], effort[known]) / self._ki[j]
+        context = self._servo.GetMyMutableContextFromRoot(root)
+        context.get_mutable_continuous_state_vector().SetFromVector(begun)
 
     def _commands(self, passage: Passage) -> tuple[Array, Array, Array]:
         """Instants (K,) at which late commands bend, commands and their rates (K, n)."""

@@ -68,6 +68,7 @@ class DrivenSimulation:
         simulator = Simulator(self._diagram)
         root = simulator.get_mutable_context()
         root.SetTime(time[0])
+        self._acting.remember(passage, root)
         context = self._plant.GetMyMutableContextFromRoot(root)
         set_inertial_parameters(self._plant, context, self._model.total_phi)
         q = self._model.positions(segment.position[:1])[0]

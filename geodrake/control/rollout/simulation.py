@@ -182,6 +182,7 @@ class Simulation:
         simulator = Simulator(self._diagram)
         root = simulator.get_mutable_context()
         root.SetTime(time[0])
+        self._acting.remember(passage, root)
         self._remember(passage, root)
         context = self._plant.GetMyMutableContextFromRoot(root)
         set_inertial_parameters(self._plant, context, self._model.total_phi)

@@ -199,8 +199,8 @@ class PositionServo(_PositionServo, LeafSystem):
         Raises:
             ModelError: It has no servos, or joints of several degrees of freedom.
         """
-        kp, kd, limit = servo_gains(instance(model, "model", RobotModel))
-        return PositionServo(kp, kd=kd, limit=limit)
+        kp, kd, ki, limit = servo_gains(instance(model, "model", RobotModel))
+        return PositionServo(kp, kd=kd, ki=ki, limit=limit)
 
     @staticmethod
     def AddToBuilder(

@@ -10,6 +10,9 @@ import numpy as np
 from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
 from geodrake.effects.robot_motion import RobotMotion, log_number
 from geodrake.logs.motion import JointLog
+from geodrake.model.servo_integrals import error_integral
+
+_BEFORE = 1.0  # s before a log, for which commands were as at its beginning
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,3 +87,90 @@ class CommandColumn(JointEffect):
         else:
             column = late - self.command.at(motion.log, time)
         return {self.joint: column[:, None]}
+
+
+@dataclass(frozen=True, eq=False)
+class Integrals:
+    """What a joint of several logs was behind its command by, and the command, both integrated.
+
+    Attributes:
+        error: Number of a log -> instants (N,) since it began, s, and integrals (N,), rad·s or m·s.
+        command: The same of commands; before a log begins the command is as it is there.
+    """
+
+    error: Mapping[int, tuple[Array, Array]]
+    command: Mapping[int, tuple[Array, Array]]
+
+    @classmethod
+    def of(cls, logs: Sequence[JointLog], joint: str) -> Integrals:
+        """Those of a joint.
+
+        Args:
+            logs: Logs, some with commands.
+            joint: The joint.
+        """
+        errors, commands = {}, {}
+        for number, (time, told) in Commands.of(logs, joint).series.items():
+            log = next(each for each in logs if log_number(each.name) == number)
+            began = log.time[np.isfinite(log.time)][0]
+            position = log.position[:, log.joints.index(joint)]
+            known = np.isfinite(position) & np.isfinite(log.time)
+            if not known.any():
+                continue
+            behind = told - np.interp(time, log.time[known] - began, position[known])
+            errors[number] = time, error_integral(time, behind)
+            before = np.append(time[0] - _BEFORE, time)
+            summed = error_integral(before, np.append(told[0], told))
+            commands[number] = before, summed
+        return cls(errors, commands)
+
+
+@dataclass(frozen=True)
+class IntegralColumn(JointEffect):
+    """The integral of what a joint is behind a late command, ∫(c(t − δ) − q) dt.
+
+    It begins at 0 with each log, up to a constant.
+    """
+
+    integrals: Integrals = field(default_factory=lambda: Integrals({}, {}))
+    delay: float = 0.0
+
+    name = "command_integral"
+    parameters = (Parameter("share", "1/s"),)
+    depends_on = frozenset({"time"})
+
+    def columns(self, joint: JointMotion) -> tuple[Array]:
+        """[1], where there are no instants."""
+        return (np.ones_like(joint.v),)
+
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """The column (N, 1) at the joint."""
+        time = motion.time
+        if time is None:
+            return super().rows(motion)
+        if motion.log not in self.integrals.error:
+            return {self.joint: np.zeros((len(time), 1))}
+        series = self.integrals.command[motion.log]
+        late = np.interp(time - self.delay, *series) - np.interp(time, *series)
+        column = np.interp(time, *self.integrals.error[motion.log]) + late
+        return {self.joint: column[:, None]}
+
+
+@dataclass(frozen=True)
+class LogConstant(JointEffect):
+    """1 in one log and 0 in all others: what an integral has come to when a log begins."""
+
+    log: int = 0
+
+    name = "log_constant"
+    parameters = (Parameter("constant", "rad"),)
+    depends_on = frozenset({"time"})
+
+    def columns(self, joint: JointMotion) -> tuple[Array]:
+        """[1], where there are no instants."""
+        return (np.ones_like(joint.v),)
+
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """The column (N, 1) at the joint."""
+        here = motion.log == self.log
+        return {self.joint: np.full((len(motion.q), 1), float(here))}

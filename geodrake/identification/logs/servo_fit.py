@@ -9,16 +9,24 @@ move as they were measured to. Near the measured motion the bodies' effort is li
 
 with slopes of the recursion, and the joint's motion x follows from
 
-    … + I ẍ + d ẋ + F sgn ẋ = kp (c(t − δ) − x) + kr (dc/dt(t − δ) − ẋ).
+    … + I ẍ + d ẋ + F sgn ẋ = kp (c(t − δ) − x) + kr (dc/dt(t − δ) − ẋ) + w + ki ∫(c(t − δ) − x) dt.
 
-Its six parameters are those of least squares of x − q, by SciPy, from a linear fit on. They count
+Its parameters are those of least squares of x − q, by SciPy, from a linear fit on. They count
 only if windows of the log that the fit did not see are predicted better than from where it began.
+
+An integral that goes on since before the log has left an effort w where a stretch begins, of which
+nobody knows; without an integral w would be a constant effort. A servo therefore has an integral
+only if windows that a fit did not see are predicted better with ki than with such a constant alone.
+
+A servo whose joint has a limit of effort saturates in the simulation, its integral held, where such
+windows are predicted better for it. Damping d is the joint's, beyond the limit, or the servo's own,
+within: only a servo at its limit tells them apart.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -37,12 +45,14 @@ from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.regressor import inverse_dynamics
 
 Array = NDArray[np.float64]
-Servo = tuple[float, float, float, float, float, float]
+Servo = tuple[float, float, float, float, float, float, float, float, float, float]
 
-PARAMETERS = ("stiffness", "rate", "damping", "coulomb", "armature", "delay")
-"""kp, kr, d, F, I and δ; of joints that turn in N·m/rad, N·m·s/rad (twice), N·m, kg·m² and s.
+PARAMETERS = ("stiffness", "rate", "damping", "coulomb", "armature", "delay", "integral")
+"""kp, kr, d, F, I, δ and ki; of joints that turn in N·m/rad, N·m·s/rad (twice), N·m, kg·m², s and
+N·m/(rad·s).
 
-d is viscous friction, which damps the joint beside the servo.
+d is viscous friction, which damps the joint beside the servo. The efforts w that an integral begins
+with follow, one for each stretch.
 """
 
 LONGEST_DELAY = 0.06
@@ -52,8 +62,9 @@ _STEP, _COARSE_STEP = 2.5e-4, 1e-3  # s, of simulations at most: of all, and of 
 _WINDOWS = 8  # of a log, of which every other one is left out for a test
 _MOST_EVALUATIONS = 60
 _INSIDE = 0.01  # of parameters' sizes from their bounds, where searches begin
-_RATE = 1  # which parameter is that of the command's rate
-_FREE = np.arange(len(PARAMETERS)) != _RATE
+_RATE, _DELAY, _INTEGRAL = 1, 5, 6  # which parameter is which
+_PLAIN = _INTEGRAL  # parameters of servos without an integral, which come first
+_RESETS = (1.0, 5.0)  # ki / kp, 1/s, that searches begin from
 _TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
 
 
@@ -62,11 +73,15 @@ class ServoFit:
     """A servo and what its joint has beside the bodies, by the joint's motion.
 
     Attributes:
-        parameters: (6,) values of `PARAMETERS`.
+        parameters: (6,) values of `PARAMETERS`, all but the last.
         deviations: (6,) their standard deviations, for bodies that are known exactly.
         error: RMS of simulated − measured positions, rad or m.
         start: The same where the search began.
         moved: Deviation of the measured positions, rad or m.
+        integral: The last of `PARAMETERS`; 0 for a servo without an integral.
+        integral_deviation: Its standard deviation.
+        limit: Effort at which the servo saturates; infinite where the motion shows none.
+        own: Whether the servo makes the viscous damping, within its limit.
     """
 
     parameters: Array
@@ -74,6 +89,10 @@ class ServoFit:
     error: float
     start: float
     moved: float
+    integral: float = 0.0
+    integral_deviation: float = 0.0
+    limit: float = np.inf
+    own: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,33 +103,61 @@ class JointMotions:
         rows: Per stretch (N, 8) b, M, K, D, and smooth q, q̇, q̈, and the command.
         positions: Per stretch (N,) positions as logged, rad or m.
         periods: Per stretch the time between rows, s.
+        limit: Largest effort of the servo, N·m or N.
+        own: Whether the servo makes the damping d, within its limit.
     """
 
     rows: tuple[Array, ...]
     positions: tuple[Array, ...]
     periods: tuple[float, ...]
+    limit: float = np.inf
+    own: bool = False
 
     def simulated(
         self, parameters: Array, *, step: float = _STEP, slopes: bool = False
     ) -> tuple[Array, Array]:
-        """Positions (N,) under the commands, rad or m, and their slopes (N, 6) with parameters.
+        """Positions (N,) under the commands, rad or m, and their slopes (N, p) with parameters.
 
         Args:
-            parameters: (6,) values of `PARAMETERS`.
+            parameters: (p,) values of `PARAMETERS`, and efforts w of the stretches; or the first
+                six of a servo without an integral.
             step: Of the simulation at most, s.
-            slopes: Whether slopes are asked for; there are none (0, 6) if not.
+            slopes: Whether slopes are asked for; there are none (0, p) if not.
         """
-        found, tangents = [], []
-        kp, kr, d, F, armature, delay = parameters.tolist()
-        servo: Servo = (kp, kr, d, F, armature, delay)
-        for rows, period in zip(self.rows, self.periods, strict=True):
+        count = len(parameters)
+        positions, tangents = [], []
+        kp, kr, d, F, armature, delay, *more = parameters.tolist()
+        ki, *began = more or (0.0, *np.zeros(len(self.rows)))
+        stretches = zip(self.rows, self.periods, began, strict=True)
+        for k, (rows, period, w) in enumerate(stretches):
+            servo: Servo = (kp, kr, d, F, armature, delay, ki, w, self.limit, float(self.own))
             steps = max(1, int(np.ceil(period / step)))
             x = np.empty(len(rows))
-            tangent = np.empty((len(rows) if slopes else 0, len(PARAMETERS)))
+            own = min(count, len(PARAMETERS) + 1)
+            tangent = np.empty((len(rows) if slopes else 0, own))
             calc_servo_motion(rows, period, steps, servo, (x, tangent))
-            found.append(x)
-            tangents.append(tangent)
-        return np.concatenate(found), np.concatenate(tangents)
+            positions.append(x)
+            whole = np.zeros((len(tangent), count))
+            whole[:, : min(count, len(PARAMETERS))] = tangent[:, : len(PARAMETERS)]
+            if count > len(PARAMETERS):
+                whole[:, len(PARAMETERS) + k] = tangent[:, -1]
+            tangents.append(whole)
+        return np.concatenate(positions), np.concatenate(tangents)
+
+    def begun(self, parameters: Array) -> Array:
+        """(S,) efforts w of the stretches with which servos give what bodies need in the mean.
+
+        Args:
+            parameters: (7,) values of `PARAMETERS`.
+        """
+        found = []
+        for rows, period in zip(self.rows, self.periods, strict=True):
+            time = period * np.arange(len(rows))
+            ahead = np.interp(time - parameters[_DELAY], time, rows[:, 7]) - rows[:, 4]
+            since = period * np.cumsum(ahead)
+            effort = parameters[0] * ahead + parameters[_INTEGRAL] * since
+            found.append(np.mean(rows[:, 0] - effort))
+        return np.array(found)
 
     def residual(self, parameters: Array) -> Array:
         """(N,) simulated − measured positions of all stretches."""
@@ -121,11 +168,43 @@ class JointMotions:
         """(N,) positions of all stretches, rad or m."""
         return np.concatenate(self.positions)
 
+    def gain(self, before: Array, after: Array, rows: NDArray[np.bool_]) -> float:
+        """Twice the log-likelihood that parameters gain over others on some rows.
+
+        Args:
+            before: (p,) parameters, as of `simulated`.
+            after: (p,) the others.
+            rows: (N,) which rows count.
+        """
+        return self.gain_of(self.residual(before), self.residual(after), rows)
+
+    def gain_of(self, before: Array, after: Array, rows: NDArray[np.bool_] | None = None) -> float:
+        """The same of residuals (N,).
+
+        Args:
+            before: Those before.
+            after: Those after.
+            rows: Which rows count; all if None.
+        """
+        ends = np.cumsum([len(each) for each in self.rows])[:-1]
+        rows = np.ones(len(after), bool) if rows is None else rows
+        pieces = zip(np.split(after, ends), np.split(rows, ends), strict=True)
+        blocks = [block for piece, kept in pieces for block in _runs(piece, kept)]
+        squares = [float(each[rows] @ each[rows]) for each in (before, after)]
+        return effective_samples(blocks) * float(np.log(squares[0] / squares[1]))
+
     @property
     def tested(self) -> NDArray[np.bool_]:
         """(N,) rows of every other window, which a test leaves out of the fit."""
         count = sum(map(len, self.rows))
         return (np.arange(count) * _WINDOWS // max(count, 1)) % 2 == 1
+
+
+def _runs(values: Array, kept: NDArray[np.bool_]) -> list[Array]:
+    """Pieces of values that are kept one after another."""
+    cuts = np.flatnonzero(np.diff(kept)) + 1
+    pieces = zip(np.split(values, cuts), np.split(kept, cuts), strict=True)
+    return [piece for piece, there in pieces if len(there) and there[0]]
 
 
 def motions_of(
@@ -179,12 +258,15 @@ def _read(time: Array, values: Array, instants: Array) -> Array:
     return np.interp(instants, time[known], values[known])
 
 
-def fit_servo(motions: JointMotions, signal: EffortSignal) -> ServoFit | None:
+def fit_servo(
+    motions: JointMotions, signal: EffortSignal, limit: float = np.inf
+) -> ServoFit | None:
     """The servo that moves a joint as it was measured to.
 
     Args:
         motions: The joint.
         signal: The servo by a linear fit, at which the search begins.
+        limit: Largest effort of the joint, N·m or N, which the servo may or may not keep.
 
     Returns:
         The servo; None if windows that the fit did not see are predicted no better than from where
@@ -194,29 +276,107 @@ def fit_servo(motions: JointMotions, signal: EffortSignal) -> ServoFit | None:
     friction, inertia = 0.1 * np.std(rows[:, 0]), 0.2 * np.mean(rows[:, 1])
     damping = 0.05 * stiffness
     start = np.array([stiffness, signal.damping, damping, friction, inertia, signal.delay])
-    scale = np.maximum(start, [0.0, 0.02 * stiffness, 0.0, 1e-3, 1e-4, 0.01])
     tested, every = motions.tested, np.ones(len(rows), bool)
-    begun = _best(motions, _starts(start), scale, ~tested, step=_COARSE_STEP)
-    half = _best(motions, [begun], scale, ~tested)
-    if not _rms(motions, half, tested) < _rms(motions, start, tested):
+    half, scale = _by_half(motions, start, signal.integral)
+    held = replace(motions, limit=limit)
+    if any((held.residual(each) != motions.residual(each)).any() for each in (start, half)):
+        for limited in (held, replace(held, own=True)):
+            other, sizes = _by_half(limited, start, signal.integral)
+            residuals = motions.residual(half), limited.residual(other)
+            if motions.gain_of(*residuals, tested) >= PENALTY:
+                motions, half, scale = limited, other, sizes
+    summed = len(half) > _INTEGRAL
+    told = signal.integral if summed else 0.0
+    began = _with_integral(motions, start, told) if told else start
+    if not _rms(motions, half, tested) < _rms(motions, began, tested):
         return None
     best = _best(motions, [half], scale, every)
-    bare = _best(motions, [np.where(_FREE, best, 0.0)], scale, every, free=_FREE)
-    errors = [motions.residual(each) for each in (bare, best)]
-    ends = np.cumsum([len(each) for each in motions.rows])[:-1]
-    worth = effective_samples(np.split(errors[1], ends))
-    squares = [float(each @ each) for each in errors]
-    if worth * np.log(squares[0] / squares[1]) < PENALTY:
-        best, errors[1] = bare, errors[0]
-    if not _rms(motions, best, every) < _rms(motions, start, every):
+    free = np.arange(len(best)) != _RATE
+    bare = _best(motions, [np.where(free, best, 0.0)], scale, every, free=free)
+    if motions.gain(bare, best, every) < PENALTY:
+        best = bare
+    if not _rms(motions, best, every) < _rms(motions, began, every):
         return None
+    deviations = _deviations(motions, best, scale)
     return ServoFit(
-        best,
-        _deviations(motions, best, scale),
-        float(np.sqrt(np.mean(errors[1] ** 2))),
-        _rms(motions, start, every),
+        best[:_PLAIN],
+        deviations[:_PLAIN],
+        _rms(motions, best, every),
+        _rms(motions, began, every),
         float(np.std(motions.measured)),
+        float(best[_INTEGRAL]) if summed else 0.0,
+        float(deviations[_INTEGRAL]) if summed else 0.0,
+        motions.limit,
+        motions.own,
     )
+
+
+def _by_half(motions: JointMotions, start: Array, told: float) -> tuple[Array, Array]:
+    """A servo by the windows that a test does not need, and sizes of its parameters (p,).
+
+    Args:
+        motions: The joint.
+        start: (6,) where searches begin.
+        told: The integral gain by a linear fit; 0 if it has none.
+    """
+    scale = np.maximum(start, [0.0, 0.02 * start[0], 0.0, 1e-3, 1e-4, 0.01])
+    begun = _best(motions, _starts(start), scale, ~motions.tested, step=_COARSE_STEP)
+    half = _best(motions, [begun], scale, ~motions.tested)
+    return _integral(motions, (start, half), scale, told) or (half, scale)
+
+
+def _with_integral(motions: JointMotions, servo: Array, integral: float) -> Array:
+    """(7 + S,) a servo with an integral, which begins as bodies need it."""
+    found = np.append(servo[:_PLAIN], integral)
+    return np.append(found, motions.begun(found))
+
+
+def _integral(
+    motions: JointMotions, known: tuple[Array, Array], scale: Array, told: float
+) -> tuple[Array, Array] | None:
+    """A servo with an integral by the windows that a fit sees, if the others ask for one.
+
+    Args:
+        motions: The joint.
+        known: (6,) the servo by a linear fit, and without an integral by the same windows.
+        scale: (6,) sizes of its parameters.
+        told: The integral gain by a linear fit; 0 if it has none.
+
+    Returns:
+        Parameters and sizes (7 + S,); None if windows that the fit did not see are predicted no
+        better than by a servo with a constant effort.
+    """
+    start, plain = known
+    tested, zero = motions.tested, np.zeros(len(motions.rows))
+    effort = np.std(np.concatenate(motions.rows)[:, 0])
+    scale = np.concatenate([scale, [max(told, start[0])], np.full(len(zero), effort)])
+    constant = np.concatenate([plain, [0.0], zero])
+    if told:
+        starts = [_with_integral(motions, each, told) for each in _starts(start)]
+    elif _promised(motions, constant, scale) < PENALTY:
+        return None
+    else:
+        starts = [_with_integral(motions, plain, ratio * plain[0]) for ratio in _RESETS]
+    begun = _best(motions, starts, scale, ~tested, step=_COARSE_STEP)
+    best = _best(motions, [begun], scale, ~tested)
+    free = np.arange(len(best)) != _INTEGRAL
+    constants = [constant, np.where(free, best, 0.0)]
+    constant = _best(motions, constants, scale, ~tested, free=free)
+    return (best, scale) if motions.gain(constant, best, tested) >= PENALTY else None
+
+
+def _promised(motions: JointMotions, constant: Array, scale: Array) -> float:
+    """What an integral would gain beside a constant effort, as far as motions are linear in both.
+
+    Args:
+        motions: The joint.
+        constant: (7 + S,) a servo without an integral.
+        scale: (7 + S,) sizes of parameters.
+    """
+    J = motions.simulated(constant, step=_COARSE_STEP, slopes=True)[1] * scale
+    left, free = motions.residual(constant), np.arange(len(constant)) != _INTEGRAL
+    before, after = (left - A @ np.linalg.lstsq(A, left, rcond=None)[0] for A in (J[:, free], J))
+    return motions.gain_of(before, after)
 
 
 def _starts(start: Array) -> list[Array]:
@@ -224,7 +384,7 @@ def _starts(start: Array) -> list[Array]:
     begins = []
     for delay in _TRIED_DELAYS:
         begin = start.copy()
-        begin[_RATE], begin[-1] = 0.0 if delay else 0.5 * start[2], delay
+        begin[_RATE], begin[_DELAY] = 0.0 if delay else 0.5 * start[2], delay
         begins.append(begin)
     return [start, *begins]
 
@@ -246,22 +406,24 @@ def _best(
 
     Args:
         motions: The joint.
-        starts: Parameters (6,) to begin with.
-        scale: (6,) sizes of parameters.
+        starts: Parameters (p,) to begin with.
+        scale: (p,) sizes of parameters.
         rows: (N,) which rows count.
-        free: (6,) which parameters move; all if None.
+        free: (p,) which parameters move; all if None.
         step: Of simulations at most, s.
     """
     free = np.ones(len(scale), bool) if free is None else free
-    upper = np.append(np.full(len(scale) - 1, np.inf), LONGEST_DELAY) / scale
+    upper, lower = np.full((2, len(scale)), np.inf)
+    upper[_DELAY] = LONGEST_DELAY / scale[_DELAY]
+    lower[: len(PARAMETERS)], lower[len(PARAMETERS) :] = 0.0, -np.inf
     found = []
     for start in starts:
         search = _MotionSearch(motions, start, scale, free, rows, step)
         fit = least_squares(
             search.residual,
-            np.clip(start / scale, _INSIDE, upper - _INSIDE)[free],
+            np.clip(start / scale, lower + _INSIDE, upper - _INSIDE)[free],
             search.slopes,
-            bounds=(0.0, upper[free]),
+            bounds=(lower[free], upper[free]),
             max_nfev=_MOST_EVALUATIONS,
         )
         found.append((fit.cost, search.parameters(fit.x)))
@@ -274,9 +436,9 @@ class _MotionSearch:
 
     Attributes:
         motions: The joint.
-        start: (6,) parameters, of which those that are not free stay.
-        scale: (6,) sizes of parameters, by which they are divided.
-        free: (6,) which parameters move.
+        start: (p,) parameters, of which those that are not free stay.
+        scale: (p,) sizes of parameters, by which they are divided.
+        free: (p,) which parameters move.
         rows: (N,) which rows count.
         step: Of simulations at most, s.
     """
@@ -290,7 +452,7 @@ class _MotionSearch:
     _last: tuple[bytes, Array, Array] | None = None
 
     def parameters(self, x: Array) -> Array:
-        """(6,) all parameters, for values of those that are free in their sizes."""
+        """(p,) all parameters, for values of those that are free in their sizes."""
         found = self.start.copy()
         found[self.free] = x * self.scale[self.free]
         return found
@@ -312,7 +474,7 @@ class _MotionSearch:
 
 
 def _deviations(motions: JointMotions, best: Array, scale: Array) -> Array:
-    """(6,) standard deviations.
+    """(p,) standard deviations.
 
     What is left goes with the motion: it is worth few samples, however long logs are.
     """
@@ -337,52 +499,105 @@ def calc_servo_motion(
         rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
         period: Time between rows, s.
         steps: Of the simulation between two rows.
-        servo: kp, kr, d, F, I and δ.
-        out: (N,) positions, and (N, 6) their slopes with the servo's numbers; (0, 6) if those are
-            not asked for.
+        servo: kp, kr, d, F, I, δ, ki, w, the largest effort, and the share of d within it.
+        out: (N,) positions, and (N, p) their slopes with the first six of the servo's numbers, or
+            all eight; (0, p) if those are not asked for.
     """
     positions, slopes = out
-    kp, kr, d, F, armature, delay = servo
-    count, dt = len(rows), period / steps
-    x, v, before = rows[0, 4], rows[0, 5], rows[0, 7]
-    sloping, rise_before = len(slopes) > 0, 0.0
-    X, V, change = np.zeros(6), np.zeros(6), np.zeros(6)
+    kp, kr, d, F, armature, delay, ki, w, limit, own = servo
+    dt = period / steps
+    x, v, z, before, rise_before = rows[0, 4], rows[0, 5], 0.0, rows[0, 7], 0.0
+    X, V, Z, change = np.zeros(8), np.zeros(8), np.zeros(8), np.zeros(8)
+    count = slopes.shape[1] if len(slopes) > 0 else 0
     positions[0] = x
     slopes[:1] = 0.0
-    for k in range(count - 1):
+    for k in range(len(rows) - 1):
         for s in range(steps):
             f = (s + 1.0) / steps
-            b = (1.0 - f) * rows[k, 0] + f * rows[k + 1, 0]
-            M = (1.0 - f) * rows[k, 1] + f * rows[k + 1, 1]
-            K = (1.0 - f) * rows[k, 2] + f * rows[k + 1, 2]
-            D = (1.0 - f) * rows[k, 3] + f * rows[k + 1, 3]
-            q = (1.0 - f) * rows[k, 4] + f * rows[k + 1, 4]
-            qd = (1.0 - f) * rows[k, 5] + f * rows[k + 1, 5]
-            qdd = (1.0 - f) * rows[k, 6] + f * rows[k + 1, 6]
-            c, rise, at = rows[0, 7], 0.0, k + f - delay / period
-            if at > 0.0:
-                low = int(at)
-                high, g = min(low + 1, count - 1), at - low
-                c = (1.0 - g) * rows[low, 7] + g * rows[high, 7]
-                rise = (rows[high, 7] - rows[low, 7]) / period
-            pull = kp * (c - x) + kr * (c - before) / dt - b - K * (x - q) + D * qd + M * qdd
-            pull += (M + armature) * v / dt
-            stiff = (M + armature) / dt + (K + kp) * dt + D + d + kr
-            way = 1.0 if pull > F else -1.0 if pull < -F else 0.0
-            now = (pull - way * F) / stiff if way != 0.0 else 0.0
-            if sloping:
-                change[0] = c - x - now * dt
-                change[1] = (c - before) / dt - now
-                change[2] = -now
+            b, M, K, D, q, qd, qdd = calc_bodies_between(rows, k, f)
+            c, rise = calc_command_before(rows, k + f - delay / period, period)
+            drive = kp * (c - x) + kr * (c - before) / dt + ki * (z + (c - x) * dt) + w
+            rest = (M + armature) * v / dt - b - K * (x - q) + D * qd + M * qdd
+            heavy, reach = (M + armature) / dt + K * dt + D + (1.0 - own) * d, kp + ki * dt
+            soft, gives = reach * dt + kr + own * d, 1.0
+            now, way = calc_velocity_after(drive + rest, heavy + soft, F)
+            effort = drive - soft * now
+            if effort > limit or effort < -limit:
+                gives, bound = 0.0, limit if effort > 0.0 else -limit
+                now, way = calc_velocity_after(bound + rest, heavy, F)
+            stiff = heavy + gives * soft
+            grows = gives > 0.0 or effort * (c - x - now * dt) < 0.0
+            if count > 0:
+                change[0] = gives * (c - x - now * dt)
+                change[1] = gives * ((c - before) / dt - now)
+                change[2] = -(1.0 - own + own * gives) * now
                 change[3] = -way
                 change[4] = (v - now) / dt
-                change[5] = -kp * rise - kr * (rise - rise_before) / dt
-                for i in range(6):
-                    change[i] += (M + armature) / dt * V[i] - (K + kp) * X[i]
+                change[5] = -gives * (reach * rise + kr * (rise - rise_before) / dt)
+                change[6] = gives * (z + (c - x - now * dt) * dt)
+                change[7] = gives
+                for i in range(count):
+                    change[i] += (M + armature) / dt * V[i] - (K + gives * reach) * X[i]
+                    change[i] += gives * ki * Z[i]
                     V[i] = change[i] / stiff if way != 0.0 else 0.0
                     X[i] += dt * V[i]
+                    Z[i] -= dt * X[i] if grows else 0.0
+                Z[5] -= dt * rise if grows else 0.0
             v, before, rise_before = now, c, rise
             x += dt * v
+            z += dt * (c - x) if grows else 0.0
         positions[k + 1] = x
-        if sloping:
-            slopes[k + 1] = X
+        if count > 0:
+            slopes[k + 1] = X[:count]
+
+
+@compiled
+def calc_velocity_after(pull: float, stiff: float, F: float) -> tuple[float, float]:
+    """The velocity after an implicit step, and its direction; 0 and 0 of a joint that sticks.
+
+    Args:
+        pull: What moves the joint at rest, N·m or N.
+        stiff: How much of it a velocity takes away, N·m·s/rad or N·s/m.
+        F: Dry friction, N·m or N.
+    """
+    way = 1.0 if pull > F else -1.0 if pull < -F else 0.0
+    return ((pull - way * F) / stiff if way != 0.0 else 0.0), way
+
+
+@compiled
+def calc_bodies_between(
+    rows: Array, k: int, f: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """b, M, K, D, q, q̇ and q̈ between two rows.
+
+    Args:
+        rows: (N, 8) as of `calc_servo_motion`.
+        k: Number of the first of the two.
+        f: Share of the way to the next.
+    """
+    g = 1.0 - f
+    return (
+        g * rows[k, 0] + f * rows[k + 1, 0],
+        g * rows[k, 1] + f * rows[k + 1, 1],
+        g * rows[k, 2] + f * rows[k + 1, 2],
+        g * rows[k, 3] + f * rows[k + 1, 3],
+        g * rows[k, 4] + f * rows[k + 1, 4],
+        g * rows[k, 5] + f * rows[k + 1, 5],
+        g * rows[k, 6] + f * rows[k + 1, 6],
+    )
+
+
+@compiled
+def calc_command_before(rows: Array, at: float, period: float) -> tuple[float, float]:
+    """The command at a row's number, which may be between two, and its rate.
+
+    Args:
+        rows: (N, 8) as of `calc_servo_motion`.
+        at: The number; before the first row the command is as it is there.
+        period: Time between rows, s.
+    """
+    if at <= 0.0:
+        return rows[0, 7], 0.0
+    low = int(at)
+    high, g = min(low + 1, len(rows) - 1), at - low
+    return (1.0 - g) * rows[low, 7] + g * rows[high, 7], (rows[high, 7] - rows[low, 7]) / period

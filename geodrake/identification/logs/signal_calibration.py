@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects import Role
 from geodrake.effects.base import Effect
+from geodrake.effects.robot_motion import log_number
 from geodrake.effects.shape import when_sliding
 from geodrake.errors import LogError
-from geodrake.identification.logs.command_columns import CommandColumn, Commands
+from geodrake.identification.logs.command_columns import (
+    CommandColumn,
+    Commands,
+    IntegralColumn,
+    Integrals,
+    LogConstant,
+)
 from geodrake.identification.logs.criteria import PENALTY
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.effort_gains import (
@@ -32,7 +40,8 @@ from geodrake.identification.logs.servo_fit import (
 )
 from geodrake.logs.filtering import HIGHEST_BANDWIDTH
 from geodrake.logs.folds import validation_blocks
-from geodrake.logs.motion import JointLog, Trajectory
+from geodrake.logs.learnable import check_saturation
+from geodrake.logs.motion import JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model.effort_signal import COMMAND, EffortSignal, signal_of
 from geodrake.model.robot_model import RobotModel
@@ -62,20 +71,49 @@ def with_efforts(
 
     Raises:
         LogError: Something else stands for the efforts of a joint in one log than in another or in
-            the model, or there is nothing at all.
+            the model, or there is nothing at all, or a servo is at its limit nearly all the time.
     """
     if not logs:
         return model, [], []
     kinds = _kinds(model, logs)
     if all(kind == "effort" for kind in kinds) and not model.effort_signals:
         return model, list(logs), []
-    logs = [in_efforts(log, model.effort_signals) for log in logs]
+    logs = [_known_efforts(model, log) for log in logs]
     kinds = _kinds(model, logs)  # of joints that the model does not know
     if all(kind == "effort" for kind in kinds):
         return model, logs, []
     found = calibrated(model, logs, kinds)
     model = replace(model, effort_signals=(*model.effort_signals, *found))
-    return model, [in_efforts(log, found) for log in logs], [gain_words(model, found)]
+    return model, [_known_efforts(model, log) for log in logs], [gain_words(model, found)]
+
+
+def _known_efforts(model: RobotModel, log: JointLog) -> JointLog:
+    """The log with efforts at joints of whose signals the model knows what makes efforts.
+
+    Raises:
+        LogError: A servo is at its limit nearly all the time.
+    """
+    signals = model.effort_signals
+    summed = any(each.integral and kind_of(log, each.joint) == COMMAND for each in signals)
+    known = in_efforts(log, signals, _needed(model, log) if summed else None)
+    check_saturation(known)
+    return known
+
+
+def _needed(model: RobotModel, log: JointLog) -> Array:
+    """(N, n) efforts, N·m or N, that a model needs for positions of a log, noise and all."""
+    q, known = log.position.copy(), np.isfinite(log.time)
+    for column in q.T:
+        there = np.isfinite(column) & known
+        if there.any():
+            column[:] = np.interp(log.time, log.time[there], column[there])
+    needed = np.full(q.shape, np.nan)
+    if np.count_nonzero(known) > 1 and np.isfinite(q[known]).all():
+        time = log.time[known]
+        v = np.gradient(q[known], time, axis=0)
+        motion = Motion(model.positions(q[known]), v, np.gradient(v, time, axis=0))
+        needed[known] = model.effort(motion)
+    return needed
 
 
 def gain_words(model: RobotModel, signals: Sequence[EffortSignal]) -> str:
@@ -122,27 +160,89 @@ def calibrated(
     dataset = reduce_logs(model, trajectories, folds, effects=(*beside, *columns))
     deviations = np.max([log.gain_deviations for log in logs], axis=0)
     prior = np.where([kind == "effort" for kind in kinds], np.maximum(deviations, 1e-6), np.inf)
-    choice = _Choice(dataset, model.phi.size, beside, told, held)
+    plain = _Choice(dataset, model.phi.size, beside, told, held)
     alike = [f"{k} {j in model.sliding_joints}" for j, k in zip(model.joints, kinds, strict=True)]
+    settle = partial(_settled, model=model, prior=prior, alike=alike)
+    if not told:
+        return settle(plain).signals(model, kinds)
+    bandwidth = trajectories[0].bandwidths[0]
+    sharp = prepare_logs(known, bandwidth=bandwidth, motion_bandwidth=_sharp(trajectories))
+
+    def by_motion(found: _Settled) -> tuple[EffortSignal, ...]:
+        signals = found.signals(model, kinds)
+        bodies = replace(model, phi=found.gains.phi, effects=())
+        motions = motions_of(bodies, logs, sharp, tuple(told))
+        places = {model.joints[j]: j for j in told}
+        return tuple(
+            s
+            if (j := places.get(s.joint)) is None
+            else _by_motion(motions[j], s, float(model.effort_limits[j]))
+            for s in signals
+        )
+
+    without, summed = settle(plain), settle(replace(plain, integral=True))
+    if summed.cost + PENALTY * len(told) < without.cost:
+        found = by_motion(summed)
+        if any(signal.integral for signal in found):
+            return found
+    return by_motion(without)
+
+
+@dataclass(frozen=True, eq=False)
+class _Settled:
+    """What a linear fit says of all signals.
+
+    Attributes:
+        choice: How servos take their commands.
+        rows: What logs say of each joint, so chosen.
+        gains: Gains of all joints.
+    """
+
+    choice: _Choice
+    rows: Sequence[SignalRows]
+    gains: SignalGains
+
+    @property
+    def cost(self) -> float:
+        """That of the choice; less for a likelier one."""
+        return self.choice.cost(self.gains)
+
+    def signals(self, model: RobotModel, kinds: Sequence[str]) -> tuple[EffortSignal, ...]:
+        """What makes efforts of the signals of joints whose efforts were not measured.
+
+        Args:
+            model: The model.
+            kinds: (nv,) what stands for the efforts of each joint.
+
+        Raises:
+            LogError: A servo pushes away from where it is told to go.
+        """
+        return tuple(
+            self.choice.signal(model.joints[j], kind, j, self.rows[j], self.gains)
+            for j, kind in enumerate(kinds)
+            if kind != "effort"
+        )
+
+
+def _settled(choice: _Choice, *, model: RobotModel, prior: Array, alike: Sequence[str]) -> _Settled:
+    """Bodies, gains, and how servos take their commands, in turn.
+
+    Args:
+        choice: The choice to begin with.
+        model: The model.
+        prior: (nv,) as for `signal_gains`.
+        alike: (nv,) which signals are alike.
+    """
     rows = choice.rows()
     gains = signal_gains(rows, model, prior, alike)
-    for _ in range(_ROUNDS if told else 0):
+    if choice.integral:
+        # What is wrong with a delay of 0 shows more in an error that an integral keeps small.
+        gains = replace(gains, phi=model.total_phi)
+    for _ in range(_ROUNDS if choice.told else 0):
         choice = choice.at(gains)
         rows = choice.rows()
         gains = signal_gains(rows, model, prior, alike)
-    found = [
-        choice.signal(model.joints[j], kind, j, rows[j], gains)
-        for j, kind in enumerate(kinds)
-        if kind != "effort"
-    ]
-    if not told:
-        return tuple(found)
-    bodies = replace(model, phi=gains.phi, effects=())
-    bandwidth = trajectories[0].bandwidths[0]
-    sharp = prepare_logs(known, bandwidth=bandwidth, motion_bandwidth=_sharp(trajectories))
-    motions = motions_of(bodies, logs, sharp, tuple(told))
-    by_joint = {model.joints[j]: motions[j] for j in told}
-    return tuple(_by_motion(by_joint[s.joint], s) if s.joint in by_joint else s for s in found)
+    return _Settled(choice, rows, gains)
 
 
 def _sharp(trajectories: Sequence[Trajectory]) -> float:
@@ -151,11 +251,20 @@ def _sharp(trajectories: Sequence[Trajectory]) -> float:
     return min(max(trajectories[0].bandwidths[1], _SHARP), highest)
 
 
-def _by_motion(motions: JointMotions, signal: EffortSignal) -> EffortSignal:
-    """The servo of a joint by how it moves, if that is predicted better for it."""
-    fit = fit_servo(motions, signal)
+def _by_motion(motions: JointMotions, signal: EffortSignal, limit: float) -> EffortSignal:
+    """The servo of a joint by how it moves, if that is predicted better for it.
+
+    An integral counts only where windows of the motion ask for it, and so does the limit of the
+    joint's effort.
+
+    Args:
+        motions: The joint.
+        signal: The servo by a linear fit.
+        limit: Largest effort of the joint, N·m or N.
+    """
+    fit = fit_servo(motions, signal, limit if limit > 0.0 else np.inf)
     if fit is None:
-        return signal
+        return replace(signal, integral=0.0, integral_deviation=0.0)
     share = np.hypot(signal.uncertainty, fit.deviations[0] / fit.parameters[0])
     gain, rate, *_, delay = fit.parameters.tolist()
     spread = fit.deviations[1] if rate else 0.0
@@ -166,6 +275,10 @@ def _by_motion(motions: JointMotions, signal: EffortSignal) -> EffortSignal:
         damping=rate,
         damping_deviation=float(spread),
         delay=delay,
+        integral=fit.integral,
+        integral_deviation=fit.integral_deviation,
+        # A servo that damps the motion within its limit is at it for another error than this.
+        limit=np.inf if fit.own else fit.limit,
     )
 
 
@@ -224,15 +337,19 @@ class _Told:
     Attributes:
         late: Columns c(t − δ) − c(t).
         rates: Columns dc/dt(t − δ).
+        integrals: Columns ∫(c(t − δ) − q) dt.
+        constants: What integrals begin with in logs, of all but the first one.
     """
 
     late: tuple[CommandColumn, ...]
     rates: tuple[CommandColumn, ...]
+    integrals: tuple[IntegralColumn, ...]
+    constants: tuple[LogConstant, ...]
 
     @property
-    def columns(self) -> tuple[CommandColumn, ...]:
+    def columns(self) -> tuple[Effect, ...]:
         """All of them; the first of `late`, which is zero, left out."""
-        return (*self.late[1:], *self.rates)
+        return (*self.late[1:], *self.rates, *self.integrals, *self.constants)
 
 
 def _commands(
@@ -244,16 +361,19 @@ def _commands(
     for j, kind in enumerate(kinds):
         if kind == COMMAND:
             joint, command = model.joints[j], Commands.of(logs, model.joints[j])
+            integrals = Integrals.of(logs, joint)
             found[j] = _Told(
                 tuple(CommandColumn(joint, command, delay) for delay in delays),
                 tuple(CommandColumn(joint, command, delay, is_rate=True) for delay in delays),
+                tuple(IntegralColumn(joint, integrals, delay) for delay in delays),
+                tuple(LogConstant(joint, log_number(log.name)) for log in logs[1:]),
             )
     return found
 
 
 @dataclass(frozen=True, eq=False)
 class _Choice:
-    """How servos take their commands: how late, and whether their damping knows its rate.
+    """How servos take their commands: how late, whether damping knows its rate, and an integral.
 
     All servos of a robot are alike in that.
 
@@ -265,6 +385,7 @@ class _Choice:
         held: The column of known payloads' efforts, if there are some.
         delay: Index of the delay.
         rate: Whether the rate counts.
+        integral: Whether they have an integral.
     """
 
     dataset: Dataset
@@ -274,27 +395,35 @@ class _Choice:
     held: CarriedColumn | None = None
     delay: int = 0
     rate: bool = False
+    integral: bool = False
 
     def at(self, gains: SignalGains) -> _Choice:
         """The likeliest choice with these bodies and gains."""
-        phi = gains.phi.ravel()
-        costs = {}
-        for rate in (False, True):
-            for delay in range(_DELAYS):
-                trial = replace(self, delay=delay, rate=rate)
-                seconds = LONGEST_DELAY * delay / (_DELAYS - 1)
-                costs[delay, rate] = 2.0 * seconds / _USUAL_DELAY + sum(
-                    trial.joint(j).least_cost(phi, gains.worth[j]) + PENALTY * rate
-                    for j in self.told
-                )
-        delay, rate = min(costs, key=costs.__getitem__)
-        return replace(self, delay=delay, rate=rate)
+        choices = [
+            replace(self, delay=delay, rate=rate)
+            for rate in (False, True)
+            for delay in range(_DELAYS)
+        ]
+        return min(choices, key=lambda choice: choice.cost(gains))
+
+    def cost(self, gains: SignalGains) -> float:
+        """Twice the negative log-likelihood of this choice with some bodies and gains."""
+        seconds, phi = LONGEST_DELAY * self.delay / (_DELAYS - 1), gains.phi.ravel()
+        rows = {j: self.joint(j) for j in self.told}
+        # Where an integral holds a joint up, so little is left of the error that its sign may go.
+        if self.integral and any(each.least_squares_gain(phi) < 0.0 for each in rows.values()):
+            return np.inf
+        return 2.0 * seconds / _USUAL_DELAY + sum(
+            each.least_cost(phi, gains.worth[j]) + PENALTY * self.rate for j, each in rows.items()
+        )
 
     def joint(self, j: int) -> SignalRows:
         """The rows of a joint."""
         free, added = list[Effect](self.beside), None
         if j in self.told:
             added = self.told[j].late[self.delay] if self.delay else None
+            free += self.told[j].constants if self.integral else ()
+            free += [self.told[j].integrals[self.delay]] if self.integral else []
             free += [self.told[j].rates[self.delay]] if self.rate else []
         return SignalRows.of(self.dataset, j, self.d, free, added=added, held=self.held)
 
@@ -316,11 +445,20 @@ class _Choice:
                 advice="Has its command or its position the wrong sign, or is it of another joint?",
                 joint=joint,
             )
-        damping = spread = 0.0
-        if self.rate:
-            shares, deviations = rows.free_parameters(1.0 / gain, gains.phi.ravel(), gains.worth[j])
-            damping, spread = -gain * shares[-1], abs(gain) * deviations[-1]
-        late = self.told[j].late[self.delay].delay
+        shares, deviations = rows.free_parameters(1.0 / gain, gains.phi.ravel(), gains.worth[j])
+        found = [(0.0, 0.0), (0.0, 0.0)]
+        for k, at in enumerate((-1, -1 - self.rate)):
+            if (self.rate, self.integral)[k] and shares[at] < 0.0:
+                found[k] = -gain * float(shares[at]), gain * float(deviations[at])
+        (damping, spread), (integral, integral_spread) = found
         return EffortSignal(
-            joint, kind, gain, deviation, max(damping, 0.0), spread if damping > 0 else 0.0, late
+            joint,
+            kind,
+            gain,
+            deviation,
+            damping,
+            spread,
+            self.told[j].late[self.delay].delay,
+            integral=integral,
+            integral_deviation=integral_spread,
         )
