@@ -1,8 +1,8 @@
 """What a run of `geodrake fleet` costs: time with one and two workers, memory with ever more logs.
 
-Logs are made by the arm's own model, with friction that differs from robot to robot. Times are those
-of a clock, with the start of the workers; memory is the most that Python holds while digests become
-findings.
+Logs are made by the arm's own model, with friction that differs from robot to robot. Times are
+those of a clock, with the start of the workers; memory is the most that Python holds while digests
+become findings.
 
     OMP_NUM_THREADS=1 python diagrams/fleet_speed.py --json fleet_speed.json --figures figures
 """
