@@ -72,13 +72,15 @@ def main() -> None:
     """Run from the command line."""
     parser = make_parser(__doc__ or "")
     parser.add_argument("--robots", type=positive_number, default=100, help="(%(default)s)")
+    parser.add_argument("--still", action="store_true", help="nothing changes in any robot")
     options = parser.parse_args()
     kinds = TYPES[:1] if options.quick else TYPES
     each = 7 if options.quick else -(-options.robots // len(kinds))
     shorter = {"duration": 8.0, "days": 20} if options.quick else {}
     rows = []
     for kind in kinds:
-        draws = [FleetDraw(kind, k, options.seed, **shorter) for k in range(each)]
+        fixed = {"still": options.still, **shorter}
+        draws = [FleetDraw(kind, k, options.seed, **fixed) for k in range(each)]
         workers = 1 if options.quick else options.jobs
         made = track(finished(digest_robot, draws, workers), kind, len(draws), transient=True)
         digests = {draw.number: digest for draw, digest in made}

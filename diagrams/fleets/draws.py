@@ -40,6 +40,7 @@ class FleetDraw:
         seed: Of the study.
         days: Days of logs.
         duration: Length of a log, s.
+        still: Whether nothing changes in any robot.
     """
 
     kind: str
@@ -47,6 +48,7 @@ class FleetDraw:
     seed: int
     days: int = DAYS
     duration: float = 12.0
+    still: bool = False
 
     @property
     def name(self) -> str:
@@ -61,7 +63,7 @@ class FleetDraw:
     @property
     def change(self) -> HiddenChange | None:
         """What changes; None for every fifth robot."""
-        if self.number % _UNCHANGED == _UNCHANGED - 1:
+        if self.still or self.number % _UNCHANGED == _UNCHANGED - 1:
             return None
         rng = self.random("change")
         what = CHANGES[(self.number - self.number // _UNCHANGED) % len(CHANGES)]

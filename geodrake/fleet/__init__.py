@@ -34,7 +34,8 @@ from geodrake.fleet.settings import (
     DigestSettings,
     read_settings,
 )
-from geodrake.fleet.type_model import TypeModel, learn_type, own_parameters
+from geodrake.fleet.type_learning import learn_type
+from geodrake.fleet.type_model import TypeModel, own_parameters
 
 __all__ = [
     "ChangeHypothesis",

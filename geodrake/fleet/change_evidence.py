@@ -74,10 +74,18 @@ class ChangeEvidence(Short):
 
     def joint(self, place: ChangePlace) -> float:
         """Logarithm of one change's ratio times its prior probability."""
+        at, chosen = self._chosen(place)
+        return float(self.ratio[at][chosen] + self.prior[at][chosen])
+
+    def log_prior(self, place: ChangePlace) -> float:
+        """Logarithm of one change's prior probability."""
+        at, chosen = self._chosen(place)
+        return float(self.prior[at][chosen])
+
+    def _chosen(self, place: ChangePlace) -> tuple[int, tuple[int, int]]:
         at = [each.kind for each in self.profiles].index(place.kind)
         day = int(np.flatnonzero(self.profiles[at].first == place.first)[0])
-        chosen = place.hypothesis, day
-        return float(self.ratio[at][chosen] + self.prior[at][chosen])
+        return at, (place.hypothesis, day)
 
     @property
     def _joint(self) -> Array:

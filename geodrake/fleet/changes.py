@@ -12,7 +12,7 @@ from geodrake.boundary.showing import Short
 from geodrake.fleet.change_evidence import ChangeEvidence, ChangePlace, calc_change_evidence
 from geodrake.fleet.history import LogEquations, RobotHistory
 from geodrake.fleet.hypotheses import ChangeHypothesis
-from geodrake.fleet.profiles import Profiles
+from geodrake.fleet.profiles import STEP, Profiles
 from geodrake.fleet.robot_fit import RobotFit
 from geodrake.fleet.type_model import TypeModel
 
@@ -23,6 +23,9 @@ MONTH = 30.0
 
 RIVAL = 0.05
 """Least probability of a rival that is told."""
+
+ODD_SHARE = 0.01
+"""Share of logs that say nothing of the robot: another tool, a wrong file, a sensor that failed."""
 
 _MOST_CHANGES = 6
 _MOST_EXCHANGES = 4
@@ -213,7 +216,8 @@ class RobotSearch(Short):
         """Logarithm of the E-value of one of some changes, beside the others.
 
         Either that of all changes that there may be, with logs that are odd without one; or that of
-        this very one, and what such logs lose without it.
+        this very one, and what such logs lose without it. It is never more than if all logs on one
+        side of the change were something else, of which one in so many is: `ODD_SHARE`.
 
         Args:
             places: The changes.
@@ -223,7 +227,10 @@ class RobotSearch(Short):
         without = self.state(others)
         evidence = self.evidence(without)
         lost = without.cost - self.state(places).cost
-        return max(evidence.total, evidence.joint(places[at]) + lost)
+        few = places[at].first if places[at].kind == STEP else len(self.history.days)
+        few = min(few, len(self.history.days) - places[at].first)
+        most = evidence.log_prior(places[at]) - few * np.log(ODD_SHARE)
+        return float(min(max(evidence.total, evidence.joint(places[at]) + lost), most))
 
     def told(self, places: Sequence[ChangePlace]) -> tuple[RobotChange, ...]:
         """What there is to say of some changes."""

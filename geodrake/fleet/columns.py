@@ -77,6 +77,20 @@ class TypeColumns(Short):
                 "There must be a spread, and columns with a common course must be relative."
             )
 
+    @property
+    def sizes(self) -> list[int]:
+        """Parameters of each spread, and of the response to the course."""
+        return [s.factor.shape[1] for s in self.spreads] + [int(self.course.sum())]
+
+    def parts(self, values: Array) -> Array:
+        """(..., K + 1) sums of (..., n) over the parameters of each spread, and of the response."""
+        ends = np.cumsum([0, *self.sizes])
+        sums = np.zeros((*values.shape[:-1], ends[-1] + 1))
+        kept = values[..., : ends[-1]]
+        np.cumsum(kept, axis=-1, out=sums[..., 1 : kept.shape[-1] + 1])
+        sums[..., kept.shape[-1] + 1 :] = sums[..., kept.shape[-1], None]
+        return np.diff(sums[..., ends])
+
 
 def body_spread(
     name: str, phi: ArrayLike, columns: int, *, matrix: ArrayLike | None = None

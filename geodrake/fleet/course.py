@@ -82,6 +82,14 @@ class Course(Short):
             with_slope = self
         return with_slope._day_by_day(logs, information, right)
 
+    def stronger(self, share: Array) -> Course:
+        """The course of robots that all follow it more than was thought.
+
+        Args:
+            share: (q,) by how much, in the mean.
+        """
+        return replace(self, values=self.values * (1.0 + share), slope=self.slope * (1.0 + share))
+
     def _day_by_day(
         self, logs: Sequence[LogEquations], information: Sequence[Array], right: Sequence[Array]
     ) -> Course:

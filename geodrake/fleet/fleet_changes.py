@@ -15,7 +15,8 @@ from geodrake.fleet.changes import RobotChange, RobotSearch, logs_at, months
 from geodrake.fleet.columns import TypeColumns
 from geodrake.fleet.history import LogEquations, RobotHistory
 from geodrake.fleet.hypotheses import ChangeHypothesis
-from geodrake.fleet.type_model import Array, TypeModel, learn_type, least_squares
+from geodrake.fleet.type_learning import learn_type, least_squares
+from geodrake.fleet.type_model import Array, TypeModel
 
 _FIRST, _LATER = 12, 4  # rounds of learning what robots share
 

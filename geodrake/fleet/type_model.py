@@ -9,16 +9,14 @@ those of the largest restricted likelihood; logs that scatter more than others h
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import instance, instances, integer
+from geodrake.boundary.arguments import instance
 from geodrake.boundary.showing import Short
-from geodrake.errors import ArgumentError
 from geodrake.fleet.columns import TypeColumns
 from geodrake.fleet.course import Course
 from geodrake.fleet.history import LogEquations
@@ -27,10 +25,6 @@ from geodrake.fleet.robot_fit import RobotFit
 
 Array = NDArray[np.float64]
 
-_START_DEVIATION, _START_SCATTER, _START_RESPONSE = 0.1, 0.03, 0.2
-_WEAK = 10.0  # scale of spreads in the prior of what all share
-_FLAT = 1e-9  # share of information that is none
-_TINY = 1e-12  # expectation below which nothing is expected
 _LEAST = 1e-8  # scale that is none
 _FAR = 3.0  # factor between a robot's friction and the type's beyond which it is no scale
 _USUAL = 4.0  # squared deviation, in its expectation, up to which a log is none that is odd
@@ -62,9 +56,16 @@ class TypeModel(Short):
     own: Array
     odd: tuple[Array, ...]
 
+    @cached_property
+    def typical(self) -> Array:
+        """(p,) size of each common value; one of nothing is a thousandth of the largest."""
+        size = np.abs(self.mean)
+        largest = size[self.columns.relative].max(initial=0.0)
+        return np.maximum(size, 1e-3 * largest if largest else 1.0)
+
     def scale(self, robot: int) -> Array:
         """(p,) what a share of each column is to a robot: its own value, for relative columns."""
-        typical = _typical(self)
+        typical = self.typical
         own = np.clip(np.abs(self.own[robot]), typical / _FAR, _FAR * typical)
         return np.where(self.columns.relative, own, 1.0)
 
@@ -82,8 +83,8 @@ class TypeModel(Short):
             odd: (T, K) what τ² has beyond that of the type; None for what was learnt.
         """
         odd = self.odd[robot] if odd is None else odd
-        scale, sizes = self.scale(robot), _sizes(self.columns)[:-1]
-        factor = scale[:, None] * self._factor
+        scale, sizes = self.scale(robot), self.columns.sizes[:-1]
+        factor = scale[:, None] * self.factor
         scales = np.repeat(np.sqrt(self.scatter**2 + odd), sizes, axis=1)
         M, m = calc_marginal(logs.information, logs.right, scales[:, None] * factor)
         together = self.together(robot, logs)
@@ -115,23 +116,23 @@ class TypeModel(Short):
             (T, K) what is to be added to τ², and (T,) minus the logarithm of what a log's density
             loses by it, at the spread where that is most.
         """
-        squares, seen, _ = fit.squares(self.scale(robot)[:, None] * self._factor)
-        count = np.array(_sizes(self.columns)[:-1])
-        seen = np.maximum(_parts(seen, self.columns)[:, :-1] / count, 1e-300)
-        squared = _parts(squares, self.columns)[:, :-1] / count
+        squares, seen, _ = fit.squares(self.scale(robot)[:, None] * self.factor)
+        count = np.array(self.columns.sizes[:-1])
+        seen = np.maximum(self.columns.parts(seen)[:, :-1] / count, 1e-300)
+        squared = self.columns.parts(squares)[:, :-1] / count
         # Scores and information know of what was odd before; these are without it.
         before = 1.0 / seen - np.minimum(odd, (1.0 - _LEAST) / seen)
         beyond = np.maximum(squared / seen**2 / (_USUAL * before), 1.0)
         return (beyond - 1.0) * before, 0.5 * _USUAL * np.log(beyond).max(axis=1)
 
     @cached_property
-    def _factor(self) -> Array:
+    def factor(self) -> Array:
         """(p, r) factors of all spreads."""
         return np.hstack([spread.factor for spread in self.columns.spreads])
 
     def deviation_factors(self) -> list[Array]:
         """(p, r) factor of each spread between robots, in the parameters' units."""
-        typical = np.where(self.columns.relative, _typical(self), 1.0)[:, None]
+        typical = np.where(self.columns.relative, self.typical, 1.0)[:, None]
         return [
             s * typical * spread.factor
             for s, spread in zip(self.deviations, self.columns.spreads, strict=True)
@@ -167,42 +168,6 @@ class TypeModel(Short):
         return found
 
 
-def learn_type(
-    logs: Sequence[LogEquations],
-    columns: TypeColumns,
-    *,
-    changes: Sequence[Array] | None = None,
-    start: TypeModel | None = None,
-    rounds: int = 12,
-) -> TypeModel:
-    """What robots of a type share, and how they differ, by the logs of all.
-
-    Args:
-        logs: Those of each robot, over the columns of the type.
-        columns: What the columns are.
-        changes: (T, p, m) of each robot: changes that were found in it, as further parameters.
-        start: Where to begin: what was learnt before.
-        rounds: Steps of the iteration.
-
-    Raises:
-        ArgumentError: There is no robot, or one has other columns.
-    """
-    logs = instances(logs, "logs", LogEquations)
-    instance(columns, "columns", TypeColumns)
-    integer(rounds, "rounds", lower=1)
-    if not logs or any(each.right.shape[1:] != columns.prior.shape for each in logs):
-        raise ArgumentError(
-            f"Each robot of a type must have its {len(columns.prior)} columns, and there must be a "
-            "robot."
-        )
-    if changes is not None and len(changes) != len(logs):
-        raise ArgumentError(f"{len(logs)} robots have {len(changes)} arrays of changes.")
-    found = _begin(logs, columns) if start is None else start
-    for _ in range(rounds):
-        found = _improved(found, logs, changes)
-    return found
-
-
 def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
     """A robot's parameters (p,) without course and changes, and their covariance (p, p).
 
@@ -219,166 +184,3 @@ def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
     part = slice(0, factor.shape[1])
     covariance = factor @ fit.covariance[part, part] @ factor.T
     return model.mean + factor @ fit.theta[part], covariance
-
-
-def _begin(logs: Sequence[LogEquations], columns: TypeColumns) -> TypeModel:
-    """Pooled least squares, with the prior where logs say nothing."""
-    K, p, free = len(columns.spreads), len(columns.prior), columns.free
-    information = np.sum([each.information.sum(axis=0) for each in logs], axis=0)
-    right = np.sum([each.right.sum(axis=0) for each in logs], axis=0)
-    mean = columns.prior.copy()
-    mean[free] += least_squares(
-        information[np.ix_(free, free)], (right - information @ columns.prior)[free]
-    )
-    return TypeModel(
-        columns,
-        mean,
-        np.zeros((p, p)),
-        np.full(K, _START_DEVIATION),
-        np.full(K, _START_SCATTER),
-        _START_RESPONSE,
-        Course.begin(logs, int(columns.course.sum())),
-        np.tile(mean, (len(logs), 1)),
-        tuple(np.zeros((len(each.days), K)) for each in logs),
-    )
-
-
-def _typical(model: TypeModel) -> Array:
-    """(p,) size of each column's common value; one of nothing is a thousandth of the largest."""
-    size = np.abs(model.mean)
-    largest = size[model.columns.relative].max(initial=0.0)
-    return np.maximum(size, 1e-3 * largest if largest else 1.0)
-
-
-@dataclass(frozen=True, eq=False)
-class _RobotTells:
-    """What one robot tells of all that is learnt.
-
-    Attributes:
-        own: (p,) its own parameters.
-        seen: (p, p) what it knows of μ.
-        side: (p,) by which μ should be larger, times that.
-        links: (n, p) how its θ goes with μ.
-        spread: (2, K + 1) squares of θ for each spread and the response, and their expectations
-            for a known μ.
-        scattered: (2, K) the same of its logs' scatter.
-        course: (T, q, q) and (T, q): what it says of shares of the course.
-        odd: (T, K) how odd its logs are.
-    """
-
-    own: Array
-    seen: Array
-    side: Array
-    links: Array
-    spread: Array
-    scattered: Array
-    course: tuple[Array, Array]
-    odd: Array
-
-
-def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | None) -> _RobotTells:
-    fit, scale = model.fit(robot, logs, changes), model.scale(robot)
-    linked = fit.seen.sum(axis=0)
-    links = fit.solve(linked)
-    columns = model.columns
-    scores, _, expected = fit.squares(scale[:, None] * model._factor)
-    scattered = np.stack([scores.sum(axis=0), expected])
-    squares = np.stack([fit.theta**2, 1.0 - np.diagonal(fit.covariance)])
-    share, at = scale[columns.course], columns.course
-    part = fit.information[:, at][:, :, at] * share[:, None] * share
-    return _RobotTells(
-        own_parameters(model, fit)[0],
-        fit.information.sum(axis=0) - linked.T @ links,
-        fit.score.sum(axis=0),
-        links,
-        _parts(squares, columns),
-        _parts(scattered, columns)[:, :-1],
-        (part, fit.score[:, at] * share),
-        model.oddness(robot, logs, fit, model.odd[robot])[0],
-    )
-
-
-def _sizes(columns: TypeColumns) -> list[int]:
-    """Parameters of each spread, and of the response to the course."""
-    return [s.factor.shape[1] for s in columns.spreads] + [int(columns.course.sum())]
-
-
-def _parts(values: Array, columns: TypeColumns) -> Array:
-    """(..., K + 1) sums of (..., n) over the parameters of each spread, and of the response."""
-    ends = np.cumsum([0, *_sizes(columns)])
-    sums = np.zeros((*values.shape[:-1], ends[-1] + 1))
-    kept = values[..., : ends[-1]]
-    np.cumsum(kept, axis=-1, out=sums[..., 1 : kept.shape[-1] + 1])
-    sums[..., kept.shape[-1] + 1 :] = sums[..., kept.shape[-1], None]
-    return np.diff(sums[..., ends])
-
-
-def _improved(
-    model: TypeModel, logs: Sequence[LogEquations], changes: Sequence[Array] | None
-) -> TypeModel:
-    """One step of all that is learnt.
-
-    Squared scales go by what squares of scores are over what they would be, whose fixed point is
-    the largest restricted likelihood. From log to log it is the median over robots, as a robot
-    that changed is none of the usual.
-    """
-    told = [
-        _told(model, r, each, None if changes is None else changes[r])
-        for r, each in enumerate(logs)
-    ]
-    free = model.columns.free
-    typical = np.where(model.columns.relative, _typical(model), 1.0)[:, None]
-    weak = sum(((typical * s.factor) @ (typical * s.factor).T for s in model.columns.spreads), 0.0)
-    precision = np.linalg.pinv(_WEAK**2 * np.asarray(weak)[np.ix_(free, free)], hermitian=True)
-    seen = np.sum([each.seen for each in told], axis=0)[np.ix_(free, free)] + precision
-    side = np.sum([each.side for each in told], axis=0)[free]
-    covariance = np.zeros_like(model.covariance)
-    covariance[np.ix_(free, free)] = _inverse(seen)
-    mean = model.mean.copy()
-    pull = precision @ (model.columns.prior - mean)[free]
-    mean[free] += covariance[np.ix_(free, free)] @ (side + pull)
-    spread = _spread_ratio(model.columns, told, covariance)
-    scattered = np.median(
-        [each.scattered[0] / np.maximum(each.scattered[1], 1e-300) for each in told], axis=0
-    )
-    course = model.course.improved(
-        logs, [each.course[0] for each in told], [each.course[1] for each in told]
-    )
-    return replace(
-        model,
-        mean=mean,
-        covariance=covariance,
-        deviations=np.maximum(model.deviations * np.sqrt(spread[:-1]), _LEAST),
-        scatter=np.maximum(model.scatter * np.sqrt(scattered), _LEAST),
-        response=max(model.response * float(np.sqrt(spread[-1])), _LEAST),
-        course=course,
-        own=np.array([each.own for each in told]),
-        odd=tuple(each.odd for each in told),
-    )
-
-
-def _spread_ratio(columns: TypeColumns, told: Sequence[_RobotTells], covariance: Array) -> Array:
-    """(K + 1,) squares of θ over their expectations, of all robots; μ is not known but learnt."""
-    squares, expected = np.sum([each.spread for each in told], axis=0)
-    for each in told:
-        taken = np.einsum("na,ab,nb->n", each.links, covariance, each.links)
-        expected = expected - _parts(taken, columns)
-    return np.asarray(squares / np.maximum(expected, _TINY))
-
-
-def least_squares(information: Array, right: Array) -> Array:
-    """The shortest (p,) solution of normal equations, in units of the columns' own sizes.
-
-    Args:
-        information: (p, p) normal matrix.
-        right: (p,) right side.
-    """
-    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
-    scaled = information * unit[:, None] * unit
-    return np.asarray(unit * np.linalg.lstsq(scaled, unit * right, _FLAT)[0])
-
-
-def _inverse(matrix: Array) -> Array:
-    """The inverse of a positive definite matrix of columns in several units."""
-    unit = 1.0 / np.sqrt(np.diagonal(matrix))
-    return np.linalg.inv(matrix * unit[:, None] * unit) * unit[:, None] * unit

@@ -9,7 +9,7 @@ from fleet_data import P, columns, hypotheses, robot
 from geodrake.errors import ArgumentError
 from geodrake.fleet.changes import RobotSearch
 from geodrake.fleet.fleet_changes import find_changes
-from geodrake.fleet.type_model import learn_type
+from geodrake.fleet.type_learning import learn_type
 
 STEP = {2: lambda t: np.array([0.0, 0.0, 0.25, 0.0]) * (t >= 12)}
 RAMP = {5: lambda t: np.array([0.0, 0.0, 0.0, 0.04]) * max(0, t - 10)}

@@ -16,7 +16,8 @@ from geodrake.fleet.history import weighted_history
 from geodrake.fleet.levels import parameter_levels
 from geodrake.fleet.marginals import calc_marginal
 from geodrake.fleet.profiles import KINDS, Profiles
-from geodrake.fleet.type_model import TypeModel, learn_type, own_parameters
+from geodrake.fleet.type_learning import learn_type
+from geodrake.fleet.type_model import TypeModel, own_parameters
 from geodrake.inertia import pullback_distance
 
 

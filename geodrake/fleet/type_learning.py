@@ -1,0 +1,214 @@
+"""What robots of a type share, and how they differ, learnt from the logs of all.
+
+Scales are those of the largest restricted likelihood, all steps explicit: one pass over the robots
+tells what each says of everything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.arguments import instance, instances, integer
+from geodrake.errors import ArgumentError
+from geodrake.fleet.columns import TypeColumns
+from geodrake.fleet.course import Course
+from geodrake.fleet.history import LogEquations
+from geodrake.fleet.type_model import TypeModel, own_parameters
+
+Array = NDArray[np.float64]
+
+_START_DEVIATION, _START_SCATTER, _START_RESPONSE = 0.1, 0.03, 0.2
+_WEAK = 10.0  # scale of spreads in the prior of what all share
+_FLAT = 1e-9  # share of information that is none
+_SEEN = 1e-3  # deviations of a robot that tell of a scale
+_LEAST = 1e-8  # scale that is none
+
+
+def learn_type(
+    logs: Sequence[LogEquations],
+    columns: TypeColumns,
+    *,
+    changes: Sequence[Array] | None = None,
+    start: TypeModel | None = None,
+    rounds: int = 12,
+) -> TypeModel:
+    """What robots of a type share, and how they differ, by the logs of all.
+
+    Args:
+        logs: Those of each robot, over the columns of the type.
+        columns: What the columns are.
+        changes: (T, p, m) of each robot: changes that were found in it, as further parameters.
+        start: Where to begin: what was learnt before.
+        rounds: Steps of the iteration.
+
+    Raises:
+        ArgumentError: There is no robot, or one has other columns.
+    """
+    logs = instances(logs, "logs", LogEquations)
+    instance(columns, "columns", TypeColumns)
+    integer(rounds, "rounds", lower=1)
+    if not logs or any(each.right.shape[1:] != columns.prior.shape for each in logs):
+        raise ArgumentError(
+            f"Each robot of a type must have its {len(columns.prior)} columns, and there must be a "
+            "robot."
+        )
+    if changes is not None and len(changes) != len(logs):
+        raise ArgumentError(f"{len(logs)} robots have {len(changes)} arrays of changes.")
+    found = _begin(logs, columns) if start is None else start
+    for _ in range(rounds):
+        found = _improved(found, logs, changes)
+    return found
+
+
+def _begin(logs: Sequence[LogEquations], columns: TypeColumns) -> TypeModel:
+    """Pooled least squares, with the prior where logs say nothing."""
+    K, p, free = len(columns.spreads), len(columns.prior), columns.free
+    information = np.sum([each.information.sum(axis=0) for each in logs], axis=0)
+    right = np.sum([each.right.sum(axis=0) for each in logs], axis=0)
+    mean = columns.prior.copy()
+    mean[free] += least_squares(
+        information[np.ix_(free, free)], (right - information @ columns.prior)[free]
+    )
+    return TypeModel(
+        columns,
+        mean,
+        np.zeros((p, p)),
+        np.full(K, _START_DEVIATION),
+        np.full(K, _START_SCATTER),
+        _START_RESPONSE,
+        Course.begin(logs, int(columns.course.sum())),
+        np.tile(mean, (len(logs), 1)),
+        tuple(np.zeros((len(each.days), K)) for each in logs),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _RobotTells:
+    """What one robot tells of all that is learnt.
+
+    Attributes:
+        own: (p,) its own parameters.
+        seen: (p, p) what it knows of μ.
+        side: (p,) by which μ should be larger, times that.
+        links: (n, p) how its θ goes with μ.
+        spread: (2, K + 1) squares of θ for each spread and the response, and their expectations
+            for a known μ.
+        scattered: (2, K) the same of its logs' scatter.
+        course: (T, q, q) and (T, q): what it says of shares of the course.
+        response: (q,) by how much it follows the course more.
+        odd: (T, K) how odd its logs are.
+    """
+
+    own: Array
+    seen: Array
+    side: Array
+    links: Array
+    spread: Array
+    scattered: Array
+    course: tuple[Array, Array]
+    response: Array
+    odd: Array
+
+
+def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | None) -> _RobotTells:
+    fit, scale = model.fit(robot, logs, changes), model.scale(robot)
+    linked = fit.seen.sum(axis=0)
+    links = fit.solve(linked)
+    columns = model.columns
+    scores, _, expected = fit.squares(scale[:, None] * model.factor)
+    scattered = np.stack([scores.sum(axis=0), expected])
+    squares = np.stack([fit.theta**2, 1.0 - np.diagonal(fit.covariance)])
+    share, at = scale[columns.course], columns.course
+    part = fit.information[:, at][:, :, at] * share[:, None] * share
+    return _RobotTells(
+        own_parameters(model, fit)[0],
+        fit.information.sum(axis=0) - linked.T @ links,
+        fit.score.sum(axis=0),
+        links,
+        columns.parts(squares),
+        columns.parts(scattered)[:, :-1],
+        (part, fit.score[:, at] * share),
+        model.response * fit.theta[sum(columns.sizes[:-1]) : sum(columns.sizes)],
+        model.oddness(robot, logs, fit, model.odd[robot])[0],
+    )
+
+
+def _improved(
+    model: TypeModel, logs: Sequence[LogEquations], changes: Sequence[Array] | None
+) -> TypeModel:
+    """One step of all that is learnt.
+
+    Squared scales go by what squares of scores are over what they would be, whose fixed point is
+    the largest restricted likelihood. From log to log it is the median over robots, as a robot
+    that changed is none of the usual.
+    """
+    told = [
+        _told(model, r, each, None if changes is None else changes[r])
+        for r, each in enumerate(logs)
+    ]
+    free = model.columns.free
+    typical = np.where(model.columns.relative, model.typical, 1.0)[:, None]
+    weak = sum(((typical * s.factor) @ (typical * s.factor).T for s in model.columns.spreads), 0.0)
+    precision = np.linalg.pinv(_WEAK**2 * np.asarray(weak)[np.ix_(free, free)], hermitian=True)
+    seen = np.sum([each.seen for each in told], axis=0)[np.ix_(free, free)] + precision
+    side = np.sum([each.side for each in told], axis=0)[free]
+    covariance = np.zeros_like(model.covariance)
+    covariance[np.ix_(free, free)] = _inverse(seen)
+    mean = model.mean.copy()
+    pull = precision @ (model.columns.prior - mean)[free]
+    mean[free] += covariance[np.ix_(free, free)] @ (side + pull)
+    spread = _spread_ratio(model.columns, told, covariance)
+    scattered = np.median(
+        [each.scattered[0] / np.maximum(each.scattered[1], 1e-300) for each in told], axis=0
+    )
+    course = model.course.improved(
+        logs, [each.course[0] for each in told], [each.course[1] for each in told]
+    )
+    course = course.stronger(np.mean([each.response for each in told], axis=0))
+    return replace(
+        model,
+        mean=mean,
+        covariance=covariance,
+        deviations=np.maximum(model.deviations * np.sqrt(spread[:-1]), _LEAST),
+        scatter=np.maximum(model.scatter * np.sqrt(scattered), _LEAST),
+        response=max(model.response * float(np.sqrt(spread[-1])), _LEAST),
+        course=course,
+        own=np.array([each.own for each in told]),
+        odd=tuple(each.odd for each in told),
+    )
+
+
+def _spread_ratio(columns: TypeColumns, told: Sequence[_RobotTells], covariance: Array) -> Array:
+    """(K + 1,) squares of θ over their expectations, of all robots; μ is not known but learnt."""
+    squares, expected = np.stack([each.spread for each in told], axis=1)
+    for robot, each in enumerate(told):
+        taken = np.einsum("na,ab,nb->n", each.links, covariance, each.links)
+        expected[robot] -= columns.parts(taken)
+    # A little as expected beside them: where nothing is seen yet, scales stay.
+    squares, expected = squares + _SEEN, np.maximum(expected, 0.0) + _SEEN
+    ratio = squares.sum(axis=0) / expected.sum(axis=0)
+    # Friction that changed in a robot is none of its response to a season.
+    ratio[-1] = np.median(squares[:, -1] / expected[:, -1])
+    return np.asarray(ratio)
+
+
+def least_squares(information: Array, right: Array) -> Array:
+    """The shortest (p,) solution of normal equations, in units of the columns' own sizes.
+
+    Args:
+        information: (p, p) normal matrix.
+        right: (p,) right side.
+    """
+    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+    scaled = information * unit[:, None] * unit
+    return np.asarray(unit * np.linalg.lstsq(scaled, unit * right, _FLAT)[0])
+
+
+def _inverse(matrix: Array) -> Array:
+    """The inverse of a positive definite matrix of columns in several units."""
+    unit = 1.0 / np.sqrt(np.diagonal(matrix))
+    return np.linalg.inv(matrix * unit[:, None] * unit) * unit[:, None] * unit
