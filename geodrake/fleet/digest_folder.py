@@ -161,7 +161,7 @@ class _Folder:
         """
         self.settings = read_settings(self.path)
         if self.settings is not None:
-            _check(self.settings, self.model, self.wanted)
+            check_settings(self.settings, self.model, self.wanted)
         return self.settings is not None
 
     def _file(self, settings: DigestSettings, facts: LogFacts) -> Path:
@@ -328,8 +328,13 @@ def _refused(path: Path, reason: str) -> OutputError:
     )
 
 
-def _check(settings: DigestSettings, model: RobotModel, wanted: Wanted) -> None:
+def check_settings(settings: DigestSettings, model: RobotModel, wanted: Wanted) -> None:
     """Refuse settings that are of something else than what is wanted.
+
+    Args:
+        settings: Those of a folder.
+        model: The model.
+        wanted: How logs are read, and what settings are to be like.
 
     Raises:
         DigestError: They are; the message says in what.

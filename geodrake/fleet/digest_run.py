@@ -8,7 +8,7 @@ from pathlib import Path
 
 from geodrake.boundary.showing import Short
 from geodrake.errors import DigestError, FleetError, GeodrakeError, OutputError
-from geodrake.fleet.digest_folder import FAILED, digest_logs
+from geodrake.fleet.digest_folder import FAILED, check_settings, digest_logs
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
 from geodrake.fleet.log_dates import date_in_path
 from geodrake.fleet.log_places import IN_THIS_PROCESS, LogPlace, find_logs, local_log, protocol_of
@@ -72,6 +72,7 @@ def check_places(fleet: Fleet, *, local: bool) -> None:
 
     Raises:
         FleetError: Logs are in the memory of this process, and others are to read them.
+        DigestError: There are digests of another model, version or other settings.
         GeodrakeError: A model cannot be read.
     """
     for robot in fleet.robots:
@@ -83,7 +84,11 @@ def check_places(fleet: Fleet, *, local: bool) -> None:
                     advice="Read them in this process: --workers 0.",
                 )
     for kind in fleet.types.values():
-        model = type_source(kind).model
+        source = type_source(kind)
+        model = source.model
+        settings = read_settings(fleet.folder / kind.name / DIGESTS)
+        if settings is not None:
+            check_settings(settings, model, source.wanted)
         for robot in fleet.of_type(kind.name):
             if robot.model is not None:
                 _check_same_robot(robot, own_model(kind, robot.model), model)

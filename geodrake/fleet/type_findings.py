@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.errors import FleetError
 from geodrake.fleet.change_evidence import ChangePlace
 from geodrake.fleet.changes import RobotChange, RobotSearch, SearchState
 from geodrake.fleet.fleet_changes import FleetChanges, find_changes
@@ -43,7 +44,15 @@ def type_findings(
         false_alarms: At most how many robots in which nothing changed are named, a robot-month.
     """
     histories = [robot.history for robot in robots]
-    found = find_changes(histories, layout.columns, layout.hypotheses, false_alarms=false_alarms)
+    try:
+        found = find_changes(
+            histories, layout.columns, layout.hypotheses, false_alarms=false_alarms
+        )
+    except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
+        raise FleetError(
+            f"Robots of type {name} cannot be compared: what they share has no solution ({error}).",
+            advice="More robots, or logs with more motion, may help; their digests are kept.",
+        ) from error
     results = []
     for at, robot in enumerate(robots):
         own = found.model.own[at]

@@ -7,7 +7,6 @@ another one, and a piece of work that kills three of them is given up.
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -132,7 +131,7 @@ def workers(
     """
     if scheduler is None:
         if count is None:
-            count = len(os.sched_getaffinity(0)) if find_spec("distributed") else 0
+            count = _cores()
         if count == 0 or pieces == 0 or (pieces <= _FEW and count > 1):
             yield InThisProcess()
             return
@@ -144,6 +143,13 @@ def workers(
             client = stack.enter_context(_remote(dask, scheduler))
         told(f"Dashboard of the workers: {client.dashboard_link}")
         yield OfDask(client)
+
+
+def _cores() -> int:
+    """Cores that this process may use; 0 where Dask is not installed."""
+    if not find_spec("distributed"):
+        return 0
+    return int(optional_package("dask.system", "fleet", "workers", FleetError).CPU_COUNT)
 
 
 def _local(dask: Any, count: int, stack: ExitStack) -> Any:

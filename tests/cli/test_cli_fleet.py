@@ -104,6 +104,7 @@ def test_a_finding_is_new_once(folder):
     }
 
 
+@pytest.mark.thorough
 def test_a_watch_takes_in_logs_as_they_come(folder):
     hidden = folder / "later"
     hidden.mkdir()
