@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
-from geodrake.effects import EffortScale, Payload, Role
+from geodrake.effects import Role
+from geodrake.effects.lookup import effect_of
 from geodrake.fleet.columns import Spread, TypeColumns, body_spread, column_spreads
 from geodrake.fleet.digest_dataset import model_of_digests
 from geodrake.fleet.hypotheses import ChangeHypothesis, body_change, column_change
@@ -31,6 +32,7 @@ BODIES = "bodies"
 _USUAL_PAYLOAD = 0.1  # over the mass of all that moves
 _USUAL_GAIN = 0.1  # share by which a gain changes
 _KEPT = (Role.FORCE, Role.DEFLECTION)
+_LOAD, _GAIN = (effect_of(role).name for role in (Role.BODY, Role.SCALE))
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ def type_layout(
     for body, name in enumerate(model.bodies):
         phi = model.total_phi
         if is_physical(phi[body]):
-            B, given = settings.base_matrix, (Payload.name, name, body, phi)
+            B, given = settings.base_matrix, (_LOAD, name, body, phi)
             part = slice(PARAMETERS_PER_BODY * body, PARAMETERS_PER_BODY * (body + 1))
             roots[len(hypotheses)] = body_change(*given, phi.size, mass=mass).factor[part]
             hypotheses.append(body_change(*given, p, mass=mass, matrix=B))
@@ -145,7 +147,7 @@ def _parameters(
         else:
             where = ", ".join(column.where)
             found.append(FleetParameter(column.name, where, column.parameter, column.unit))
-    gains = [FleetParameter(EffortScale.name, joint, "scale", "") for joint in joints]
+    gains = [FleetParameter(_GAIN, joint, "scale", "") for joint in joints]
     return (*found, *gains)
 
 
@@ -176,7 +178,7 @@ def _joint_changes(
             effects.setdefault((each.effect, each.where), []).append(at)
     joined: dict[str, list[str]] = {}
     for (effect, where), columns in effects.items():
-        if effect == EffortScale.name:
+        if effect == _GAIN:
             kind, size = (STEP,), _USUAL_GAIN
             found.append(column_change(effect, where, columns, p, size=size, kinds=kind))
             continue

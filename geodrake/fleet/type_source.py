@@ -15,11 +15,9 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from geodrake.effects import (
-    CoulombFriction,
     Effect,
-    EffortOffset,
     FittedEffect,
-    ViscousFriction,
+    catalogue,
     effect_class,
     load_effect_file,
 )
@@ -33,8 +31,8 @@ from geodrake.logs.files import Reading, read_mapping
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import load_model
 
-USUAL = (CoulombFriction, ViscousFriction, EffortOffset)
-"""Effects that hardly any joint is without."""
+USUAL = tuple(kind for kind in catalogue() if kind.beside_gains and "vd" not in kind.depends_on)
+"""Friction and offsets: effects that hardly any joint is without, but rotors, which bodies have."""
 
 _MODELS = 4  # that a process keeps
 _LITTLE = 1e-6  # information on parameters of which nothing is known, 1/unit²

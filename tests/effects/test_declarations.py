@@ -30,6 +30,7 @@ LONG_NAMES = re.compile(rf"\b(?:{'|'.join(sorted(name for name in NAMES if '_' i
 CLASSES = {effect.__name__ for effect in catalogue()}
 
 ALLOWED = {
+    "fleet/fleet_file.py": "payload is a key of a fleet's file",
     "logs/files/recognition.py": "contact is a word in names of columns",
     "model/exporting/anew.py": "drake:rotor_inertia is a tag of Drake's",
     "model/exporting/isaac.py": "viscous_friction is a key of Isaac's actuators",
