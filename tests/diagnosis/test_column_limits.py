@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from geodrake.control.motors import MotorConstants, motor_torque, steady_current
-from geodrake.diagnosis import check_columns, corrected
+from geodrake.diagnosis import ColumnFinding, check_columns, corrected
 from geodrake.diagnosis.columns.limits import MotorLimit, likely_limits, spread
 from geodrake.diagnosis.columns.words import mistake_words
+from geodrake.logs.motion import JointLog
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "diagrams"))
 
@@ -86,6 +87,20 @@ def test_named_and_corrected(mistake, robot, number):
     if falls:
         alone = corrected(replace(log, velocity=None), [found]).effort[:, joint]
         np.testing.assert_allclose(alone, after.effort[:, joint], atol=0.02 * secret.value)
+
+
+@pytest.mark.parametrize("speed", [(), (4.0,)])
+def test_velocities_that_nobody_filled_in_cost_no_efforts(speed):
+    time = np.linspace(0.0, 2.0, 201)
+    position = np.sin(time)[:, None]
+    velocity = np.where(time[:, None] < 1.0, np.cos(time)[:, None], np.nan)
+    log = JointLog("log", ("hinge",), time, position, 3.0 * np.ones((201, 1)), velocity)
+    found = ColumnFinding(
+        *("effort_limit", ("hinge",), (2.0, *speed), 50.0, 1.0, (), 1.0, 0.1, "The …", "Log it.")
+    )
+    given = corrected(log, [found]).effort[:, 0]
+    expected = 2.0 * (1.0 - np.cos(time) / speed[0]) if speed else 2.0 * np.ones(201)
+    np.testing.assert_allclose(given[1:-1], expected[1:-1], atol=1e-4)
 
 
 def test_words_say_the_limit():

@@ -73,6 +73,10 @@ class Assignment:
         beside = self.without, self.carrying, self.tilted, self.apart
         return (*self.motion_key, *columns, *beside, *self.limits.items())
 
+    def limit_key(self, joint: int) -> tuple[object, ...]:
+        """What the efforts that a joint's motor gives depend on, beside the motion."""
+        return joint, int(self.effort[joint]), float(self.gain[joint]), self.limits[joint]
+
     def limited(self, joint: int, limit: MotorLimit) -> Assignment:
         """With a limit of what a joint's motor can give.
 

@@ -80,12 +80,12 @@ def _changed(log: JointLog, quantities: Sequence[str], change: Any) -> dict[str,
 
 def _limited(log: JointLog, joint: int, limit: MotorLimit) -> Array:
     """Efforts of which those of one joint are no more than its motor gives."""
-    effort = log.effort.copy()
-    velocity = np.zeros(len(effort))
-    if log.velocity is not None:
-        velocity = log.velocity[:, joint]
-    elif np.isfinite(limit.no_load_speed):
+    effort, velocity = log.effort.copy(), np.zeros(len(log.effort))
+    if np.isfinite(limit.no_load_speed):
         velocity = np.gradient(log.position[:, joint], log.time)
+        if log.velocity is not None:
+            measured = log.velocity[:, joint]
+            velocity = np.where(np.isfinite(measured), measured, velocity)
     effort[:, joint] = limit.given(effort[:, joint], velocity)
     return effort
 

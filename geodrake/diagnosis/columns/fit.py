@@ -134,8 +134,8 @@ class ColumnJudge:
     ) -> tuple[JointDesign, ...]:
         """Those of efforts that motors can give."""
         found = list(designs)
-        for j, limit in assignment.limits.items():
-            key = (*assignment.motion_key, j, assignment.effort[j], assignment.gain[j], limit)
+        for j in assignment.limits:
+            key = (*assignment.motion_key, *assignment.limit_key(j))
             if key not in self._limited:
                 self._limited[key] = designs[j].limited(self.samples, assignment, j)
             found[j] = self._limited[key]
@@ -150,8 +150,7 @@ class ColumnJudge:
         """
         if kept := self._designs.get(assignment.motion_key):
             return self._within_limits(assignment, kept)
-        limited = {j: assignment.gain[j] for j in assignment.limits}
-        key = (*assignment.motion_key, slopes, *assignment.limits.items(), *limited.items())
+        key = (*assignment.motion_key, slopes, *map(assignment.limit_key, assignment.limits))
         found = self._summaries.get(key)
         if found is None:
             made = self._made(assignment, slopes=slopes)
