@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -57,11 +58,36 @@ class Commands:
 
 
 @dataclass(frozen=True)
-class CommandColumn(JointEffect):
+class LoggedColumn(JointEffect):
+    """A column of logs beside those of effects: no effect of the robot."""
+
+    depends_on = frozenset({"time"})
+
+    @abstractmethod
+    def column(self, log: int, time: Array) -> Array:
+        """(N,) the column in a log.
+
+        Args:
+            log: Number of the log.
+            time: (N,) instants since it began, s.
+        """
+
+    def columns(self, joint: JointMotion) -> tuple[Array]:
+        """[1], where there are no instants."""
+        return (np.ones_like(joint.v),)
+
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """The column (N, 1) at the joint."""
+        if motion.time is None:
+            return super().rows(motion)
+        return {self.joint: self.column(motion.log, motion.time)[:, None]}
+
+
+@dataclass(frozen=True)
+class CommandColumn(LoggedColumn):
     """The command of a joint as it was some time before, less that of now; or its rate.
 
-    [c(t − δ) − c(t)] or [dc/dt(t − δ)]. It is no effect of the robot, but a column of logs beside
-    those of effects: what a servo makes of its command is linear in it.
+    [c(t − δ) − c(t)] or [dc/dt(t − δ)]. What a servo makes of its command is linear in it.
     """
 
     command: Commands = field(default_factory=lambda: Commands({}))
@@ -70,23 +96,13 @@ class CommandColumn(JointEffect):
 
     name = "command"
     parameters = (Parameter("share", "1"),)
-    depends_on = frozenset({"time"})
 
-    def columns(self, joint: JointMotion) -> tuple[Array]:
-        """[1], where there are no instants."""
-        return (np.ones_like(joint.v),)
-
-    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """The column (N, 1) at the joint."""
-        time = motion.time
-        if time is None:
-            return super().rows(motion)
-        late = self.command.at(motion.log, time - self.delay)
-        if self.is_rate:
-            column = np.gradient(late, time) if len(time) > 1 else np.zeros(len(time))
-        else:
-            column = late - self.command.at(motion.log, time)
-        return {self.joint: column[:, None]}
+    def column(self, log: int, time: Array) -> Array:
+        """(N,) that difference, rad or m; or that rate, rad/s or m/s."""
+        late = self.command.at(log, time - self.delay)
+        if not self.is_rate:
+            return late - self.command.at(log, time)
+        return np.gradient(late, time) if len(time) > 1 else np.zeros(len(time))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +142,7 @@ class Integrals:
 
 
 @dataclass(frozen=True)
-class IntegralColumn(JointEffect):
+class IntegralColumn(LoggedColumn):
     """The integral of what a joint is behind a late command, ∫(c(t − δ) − q) dt.
 
     It begins at 0 with each log, up to a constant.
@@ -137,40 +153,25 @@ class IntegralColumn(JointEffect):
 
     name = "command_integral"
     parameters = (Parameter("share", "1/s"),)
-    depends_on = frozenset({"time"})
 
-    def columns(self, joint: JointMotion) -> tuple[Array]:
-        """[1], where there are no instants."""
-        return (np.ones_like(joint.v),)
-
-    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """The column (N, 1) at the joint."""
-        time = motion.time
-        if time is None:
-            return super().rows(motion)
-        if motion.log not in self.integrals.error:
-            return {self.joint: np.zeros((len(time), 1))}
-        series = self.integrals.command[motion.log]
+    def column(self, log: int, time: Array) -> Array:
+        """(N,) the integral, rad·s or m·s; 0 in a log without commands."""
+        if log not in self.integrals.error:
+            return np.zeros(len(time))
+        series = self.integrals.command[log]
         late = np.interp(time - self.delay, *series) - np.interp(time, *series)
-        column = np.interp(time, *self.integrals.error[motion.log]) + late
-        return {self.joint: column[:, None]}
+        return np.interp(time, *self.integrals.error[log]) + late
 
 
 @dataclass(frozen=True)
-class LogConstant(JointEffect):
+class LogConstant(LoggedColumn):
     """1 in one log and 0 in all others: what an integral has come to when a log begins."""
 
     log: int = 0
 
     name = "log_constant"
     parameters = (Parameter("constant", "rad"),)
-    depends_on = frozenset({"time"})
 
-    def columns(self, joint: JointMotion) -> tuple[Array]:
-        """[1], where there are no instants."""
-        return (np.ones_like(joint.v),)
-
-    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """The column (N, 1) at the joint."""
-        here = motion.log == self.log
-        return {self.joint: np.full((len(motion.q), 1), float(here))}
+    def column(self, log: int, time: Array) -> Array:
+        """(N,) ones or zeros."""
+        return np.full(len(time), float(log == self.log))
