@@ -3,69 +3,56 @@
 Pinocchio simulates robots of two types, a log a day. Each robot has bodies, friction and gains of
 its own, and friction of all follows the season. In four of five robots one thing changes: friction
 that rises from some day on, dry friction or a gain from one day to the next, a payload that is put
-on or taken off. Told are how often that is found (robot, joint or body, effect, kind, and the day
-within two; that of a ramp is the day on which it begins), and how often robots are named in which
-nothing changed.
+on or taken off. Logs are files, and what `geodrake fleet` does with them is done: digests on
+processes of Dask, then the findings. Told are how often the change is found (robot, joint or body,
+effect, kind, and the day within two; that of a ramp is the day on which it begins), and how often
+robots are named in which nothing changed.
 
     python diagrams/fleet_study.py --json fleet.json
 """
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from adaptive.options import make_parser, positive_number, show, write_json
-from fleets.digesting import RobotDigests, digest_robot, type_columns, type_hypotheses
 from fleets.draws import TYPES, FleetDraw
-from fleets.figures import save_days, save_levels
+from fleets.figures import save_days, save_history
+from fleets.files import LogWriter, write_fleet_file
 from fleets.scoring import robot_row, summary
 from resumable.draws import finished
 from rich.console import Console
 from rich.progress import track
 
-from geodrake.fleet.changes import RobotSearch
-from geodrake.fleet.fleet_changes import FleetChanges, find_changes
-from geodrake.fleet.history import RobotHistory, weighted_history
-from geodrake.fleet.levels import parameter_levels
+from geodrake.fleet import FleetResult, FleetWork, read_fleet, run_fleet
 
 
-def study_type(
-    kind: str, draws: Sequence[FleetDraw], digests: Sequence[RobotDigests], figures: Path | None
-) -> list[dict[str, Any]]:
-    """Rows of the table, of all robots of a type."""
-    columns, hypotheses = type_columns(kind), type_hypotheses(kind)
-    histories = [weighted_history(d.robot, d.days, d.grams, d.weights) for d in digests]
-    began = time.process_time()
-    found = find_changes(histories, columns, hypotheses)
-    seconds = time.process_time() - began
-    rows = [
-        robot_row(draw, changes) | {"seconds": seconds / len(draws)}
-        for draw, changes in zip(draws, found.changes, strict=True)
-    ]
-    if figures is not None:
-        _save_one(kind, found, histories, figures)
-    return rows
+def study(folder: Path, draws: Sequence[FleetDraw], jobs: int) -> tuple[FleetResult, float]:
+    """What is found in a fleet, and how long that took on the clock, s.
+
+    Args:
+        folder: Where its files are or go.
+        draws: Its robots.
+        jobs: Processes that write logs and digest; 1 for this one.
+    """
+    made = finished(LogWriter(folder), draws, jobs)
+    for _ in track(made, "logs", len(draws), transient=True):
+        pass
+    fleet = read_fleet(write_fleet_file(folder, draws))
+    began = time.monotonic()
+    result, _ = run_fleet(fleet, FleetWork(workers=0 if jobs == 1 else jobs))
+    return result, time.monotonic() - began
 
 
-def _save_one(
-    kind: str, found: FleetChanges, histories: Sequence[RobotHistory], folder: Path
-) -> None:
-    """The first parameter that changed, over time."""
-    columns, hypotheses = type_columns(kind), type_hypotheses(kind)
-    for r, (places, history) in enumerate(zip(found.places, histories, strict=True)):
-        for place, change in zip(places, found.changes[r], strict=True):
-            at = hypotheses[place.hypothesis].factor.any(axis=1).nonzero()[0]
-            if not columns.relative[at].all():
-                continue
-            search = RobotSearch(found.model, r, history, found.references[r], hypotheses)
-            state = search.state(places)
-            levels = parameter_levels(found.model, r, state.logs, state.fit, at.tolist())
-            name = f"{change.effect} of {change.where}, {change.robot}"
-            save_levels(levels, name, change.day, folder)
-            return
+def rows_of(result: FleetResult, draws: Sequence[FleetDraw]) -> list[dict[str, Any]]:
+    """A row of the table for each robot, in the order of the draws."""
+    robots = {robot.robot: robot for robot in result.robots}
+    return [robot_row(draw, robots[draw.name].findings) for draw in draws]
 
 
 def main() -> None:
@@ -73,20 +60,18 @@ def main() -> None:
     parser = make_parser(__doc__ or "")
     parser.add_argument("--robots", type=positive_number, default=100, help="(%(default)s)")
     parser.add_argument("--still", action="store_true", help="nothing changes in any robot")
+    parser.add_argument("--folder", type=Path, help="keep logs and digests here, and go on there")
     options = parser.parse_args()
     kinds = TYPES[:1] if options.quick else TYPES
     each = 7 if options.quick else -(-options.robots // len(kinds))
     shorter = {"duration": 8.0, "days": 20} if options.quick else {}
-    rows = []
-    for kind in kinds:
-        fixed = {"still": options.still, **shorter}
-        draws = [FleetDraw(kind, k, options.seed, **fixed) for k in range(each)]
-        workers = 1 if options.quick else options.jobs
-        made = track(finished(digest_robot, draws, workers), kind, len(draws), transient=True)
-        digests = {draw.number: digest for draw, digest in made}
-        ordered = [digests[draw.number] for draw in draws]
-        rows += study_type(kind, draws, ordered, options.figures)
-    table = summary(rows)
+    fixed = {"still": options.still, **shorter}
+    draws = [FleetDraw(kind, k, options.seed, **fixed) for kind in kinds for k in range(each)]
+    with ExitStack() as stack:
+        folder = options.folder or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        result, seconds = study(folder, draws, 1 if options.quick else options.jobs)
+    rows = rows_of(result, draws)
+    table = summary(rows) | {"seconds until findings are there": seconds}
     columns = {"figure": "", "value": ".3g", "found": ".0%", "or among rivals": ".0%", "of": ""}
     lines = [
         {"figure": name, **(value if isinstance(value, dict) else {"value": value})}
@@ -95,7 +80,9 @@ def main() -> None:
     show(Console(), "A fleet whose robots change", columns, lines)
     if options.figures is not None:
         save_days(rows, options.figures)
-    write_json(options.json, {"summary": table, "rows": rows})
+        save_history(result, options.figures)
+    failed = [vars(log) for log in result.failed]
+    write_json(options.json, {"summary": table, "rows": rows, "failed": failed})
 
 
 if __name__ == "__main__":

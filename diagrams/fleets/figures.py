@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
 
+from fleets.files import day_of
 from fleets.scoring import FAMILIES
-from geodrake.fleet.levels import ParameterLevels
+from geodrake.fleet import FleetFinding, FleetResult, ParameterHistory, RobotResult
 from geodrake.report import style
 
 
@@ -35,23 +35,39 @@ def save_days(rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
     _save(figure, folder, "fleet_days.png")
 
 
-def save_levels(levels: ParameterLevels, name: str, day: float, folder: Path) -> None:
-    """One parameter of one robot over time.
+def save_history(result: FleetResult, folder: Path) -> None:
+    """A parameter that changed, over time: of the first robot in which one alone did.
 
     Args:
-        levels: Its levels, the first of which is shown.
-        name: What it is.
-        day: On which it changed.
+        result: What was found; if there is no such robot, nothing is written.
         folder: Where `fleet_levels.png` goes.
     """
+    for robot in result.robots:
+        for finding in robot.findings:
+            for history in robot.histories:
+                parameter = history.parameter
+                if (parameter.effect, parameter.where) == (finding.effect, finding.where):
+                    _save(_history_figure(robot, finding, history), folder, "fleet_levels.png")
+                    return
+
+
+def _history_figure(robot: RobotResult, finding: FleetFinding, history: ParameterHistory) -> Figure:
     figure = Figure(figsize=(6.0, 3.0), layout="constrained")
-    axes, value = figure.subplots(), levels.values[:, 0]
-    spread = 1.96 * np.stack([levels.deviation, levels.with_scatter])[:, :, 0]
-    axes.errorbar(levels.days, value, spread[1], fmt="none", color=style.BEFORE, linewidth=0.8)
-    axes.errorbar(levels.days, value, spread[0], fmt="o", markersize=3, color=style.AFTER)
-    axes.axvline(day, color="0.3", linewidth=0.6)
-    axes.set(title=name, xlabel="day")
-    _save(figure, folder, "fleet_levels.png")
+    axes, spread = figure.subplots(), 1.96 * history.deviations
+    axes.errorbar(
+        day_of(robot.dates),
+        history.values,
+        spread,
+        fmt="o",
+        markersize=3,
+        color=style.AFTER,
+        ecolor=style.BEFORE,
+    )
+    axes.axvline(day_of(finding.date), color="0.3", linewidth=0.6)
+    name, unit = history.parameter.name, history.parameter.unit
+    title = f"{finding.effect} of {finding.where}, {robot.robot}"
+    axes.set(title=title, xlabel="day", ylabel=f"{name}, {unit}" if unit else name)
+    return figure
 
 
 def _save(figure: Figure, folder: Path, name: str) -> None:

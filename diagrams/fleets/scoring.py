@@ -5,16 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fleets.digesting import BOTH, COULOMB, LOAD, SCALE, VISCOUS
 from fleets.draws import GAIN, PAYLOAD, STICKIER, WEAR, FleetDraw, HiddenChange, type_model
-from geodrake.fleet.changes import MONTH, RobotChange
+from fleets.files import day_of
+from geodrake.fleet import ChangeRival, FleetFinding
 from geodrake.fleet.profiles import RAMP, STEP
 
-FAMILIES: Mapping[str, tuple[str, ...]] = {
-    WEAR: (BOTH, COULOMB, VISCOUS),
-    STICKIER: (COULOMB, BOTH),
-    PAYLOAD: (LOAD,),
-    GAIN: (SCALE,),
+MONTH = 30.0
+"""Days."""
+
+_DRY, _VISCOUS = frozenset({"coulomb_friction"}), frozenset({"viscous_friction"})
+
+FAMILIES: Mapping[str, tuple[frozenset[str], ...]] = {
+    WEAR: (_DRY | _VISCOUS, _DRY, _VISCOUS),
+    STICKIER: (_DRY, _DRY | _VISCOUS),
+    PAYLOAD: (frozenset({"payload"}),),
+    GAIN: (frozenset({"effort_scale"}),),
 }
 """What each hidden change may be called: friction that rises is found as dry, viscous, or both."""
 
@@ -22,7 +27,7 @@ DAYS_OFF = 2.0
 """Days by which the day of a change may be off; for a ramp, the day on which it begins."""
 
 
-def robot_row(draw: FleetDraw, found: Sequence[RobotChange]) -> dict[str, Any]:
+def robot_row(draw: FleetDraw, found: Sequence[FleetFinding]) -> dict[str, Any]:
     """A row of the table: one robot, what was hidden, and what was found."""
     hidden = draw.change
     right = None if hidden is None else _right(draw.kind, hidden, found)
@@ -35,10 +40,8 @@ def robot_row(draw: FleetDraw, found: Sequence[RobotChange]) -> dict[str, Any]:
         "hidden day": None if hidden is None else hidden.day,
         "hidden size": None if hidden is None else hidden.size,
         "found": right is not None,
-        "day off": None if right is None or hidden is None else right.day - hidden.day,
-        "inside": None
-        if right is None or hidden is None
-        else right.interval[0] <= hidden.day <= right.interval[1],
+        "day off": None if right is None or hidden is None else day_of(right.date) - hidden.day,
+        "inside": None if right is None or hidden is None else _is_inside(hidden, right),
         "in rivals": hidden is not None and _in_rivals(draw.kind, hidden, found),
         "named": [_named(change) for change in found],
         "others named": len(found) - (right is not None),
@@ -51,33 +54,43 @@ def _where(kind: str, hidden: HiddenChange) -> str:
     return str(names[hidden.joint])
 
 
-def _right(kind: str, hidden: HiddenChange, found: Sequence[RobotChange]) -> RobotChange | None:
+def _right(kind: str, hidden: HiddenChange, found: Sequence[FleetFinding]) -> FleetFinding | None:
     """The finding with the right effect, joint or body, kind and day."""
     for change in found:
-        same = change.effect in FAMILIES[hidden.what] and change.where == _where(kind, hidden)
+        same = _effects(change) in FAMILIES[hidden.what] and change.where == _where(kind, hidden)
         shape = change.kind == (RAMP if hidden.what == WEAR else STEP)
-        if same and shape and abs(change.day - hidden.day) <= DAYS_OFF:
+        if same and shape and abs(day_of(change.date) - hidden.day) <= DAYS_OFF:
             return change
     return None
 
 
-def _in_rivals(kind: str, hidden: HiddenChange, found: Sequence[RobotChange]) -> bool:
+def _effects(found: FleetFinding | ChangeRival) -> frozenset[str]:
+    """Effects that change together."""
+    return frozenset(found.effect.split("+"))
+
+
+def _is_inside(hidden: HiddenChange, found: FleetFinding) -> bool:
+    low, high = (day_of(end) for end in found.interval)
+    return low <= hidden.day <= high
+
+
+def _in_rivals(kind: str, hidden: HiddenChange, found: Sequence[FleetFinding]) -> bool:
     """Whether the truth is among what is said to be possible in the place of a finding."""
     where, families = _where(kind, hidden), FAMILIES[hidden.what]
     return any(
-        rival.effect in families and rival.where == where
+        _effects(rival) in families and rival.where == where
         for change in found
         for rival in change.rivals
     )
 
 
-def _named(change: RobotChange) -> dict[str, Any]:
+def _named(change: FleetFinding) -> dict[str, Any]:
     return {
         "effect": change.effect,
         "where": change.where,
         "kind": change.kind,
-        "day": change.day,
-        "interval": list(change.interval),
+        "day": day_of(change.date),
+        "interval": [day_of(end) for end in change.interval],
         "probability": change.probability,
         "false_alarm_probability": change.false_alarm_probability,
         "rivals": [[r.effect, r.where, r.kind, r.probability] for r in change.rivals],
