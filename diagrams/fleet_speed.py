@@ -33,6 +33,10 @@ RATE = 200.0  # Hz
 FIRST = 1.78e9  # s since 1970
 DAY = 86400.0
 
+CASES = [(10, 12.0, 1), (10, 12.0, 2), (100, 12.0, 1), (100, 12.0, 2), (10, 4.0, 2), (1000, 4.0, 2)]
+"""Logs of each robot, their length in s, and workers: for times, and for memory."""
+SHORT = [(4, 4.0, 0), (16, 4.0, 0)]
+
 
 @dataclass(frozen=True)
 class RunCost:
@@ -41,6 +45,7 @@ class RunCost:
     Attributes:
         robots: Robots of one type.
         logs: Logs of each.
+        length: Length of a log, s.
         workers: Processes that digest.
         seconds: Time of a clock until findings are there, s.
         again: The same when digests are there, s.
@@ -49,6 +54,7 @@ class RunCost:
 
     robots: int
     logs: int
+    length: float
     workers: int
     seconds: float
     again: float
@@ -98,12 +104,13 @@ def write_logs(folder: Path, name: str, *, logs: int, seconds: float, seed: int)
     return folder / "fleet.yaml"
 
 
-def measure(path: Path, logs: int, workers: int) -> RunCost:
+def measure(path: Path, logs: int, length: float, workers: int) -> RunCost:
     """One run, and one more of what it left.
 
     Args:
         path: File of the fleet, whose digests are not made.
         logs: Logs of each robot.
+        length: Length of a log, s.
         workers: Processes that digest.
     """
     fleet, work = read_fleet(path), FleetWork(workers=workers)
@@ -116,13 +123,14 @@ def measure(path: Path, logs: int, workers: int) -> RunCost:
     run_fleet(fleet, work)
     memory = tracemalloc.get_traced_memory()[1] / 1e6
     tracemalloc.stop()
-    return RunCost(len(fleet.robots), logs, workers, middle - begin, end - middle, memory)
+    times = middle - begin, end - middle
+    return RunCost(len(fleet.robots), logs, length, workers, *times, memory)
 
 
 def cost_figure(costs: Sequence[RunCost]) -> Figure:
     """Time and memory of each run."""
     figure = style.new_figure(1.2 + 0.4 * len(costs))
-    labels = [f"{cost.logs} logs, {cost.workers} workers" for cost in costs]
+    labels = [f"{cost.logs} × {cost.length:g} s, {cost.workers} workers" for cost in costs]
     for ax, name, unit in zip(
         figure.subplots(1, 2), ("seconds", "memory"), ("s", "MB"), strict=True
     ):
@@ -144,13 +152,12 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file for the numbers")
     parser.add_argument("--figures", type=Path, help="folder for the figure")
     options = parser.parse_args()
-    name, seconds = ("double_pendulum", 4.0) if options.quick else ("arm7", 12.0)
-    cases = [(4, 0), (16, 0)] if options.quick else [(10, 1), (10, 2), (100, 2)]
+    name, cases = ("double_pendulum", SHORT) if options.quick else ("arm7", CASES)
     costs = []
-    for logs, workers in cases:
+    for logs, length, workers in cases:
         with tempfile.TemporaryDirectory() as folder:
-            path = write_logs(Path(folder), name, logs=logs, seconds=seconds, seed=options.seed)
-            costs.append(measure(path, logs, workers))
+            path = write_logs(Path(folder), name, logs=logs, seconds=length, seed=options.seed)
+            costs.append(measure(path, logs, length, workers))
             print(costs[-1], flush=True)
     table = [asdict(cost) for cost in costs]
     if options.json:
