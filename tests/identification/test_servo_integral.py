@@ -13,8 +13,11 @@ from geodrake.control.export_proof import export_to
 from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.identification.logs.servo_fit import JointMotions, fit_servo, motions_of
 from geodrake.identification.logs.signal_calibration import signals_as_efforts, with_efforts
+from geodrake.logs.known_payload import KnownPayload
+from geodrake.logs.motion import JointLog, Motion
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model import EffortSignal
+from geodrake.model.carried_payloads import carrying
 from geodrake.model.saved_model import load_model as load_saved
 from geodrake.model.saved_model import save_model
 from geodrake.model.servo_integrals import constant_beside_friction, error_integral
@@ -132,6 +135,25 @@ def test_efforts_contain_the_integral(fitted, log):
     without = replace(model.effort_signals[0], integral=0.0)
     late = with_efforts(replace(model, effort_signals=(without,)), [log])[1][0].effort[:, 0]
     assert np.std(np.convolve(late - needed, smooth, "valid")) > 0.5 * np.std(needed)
+
+
+def test_an_integral_has_grown_to_what_a_payload_needs(model):
+    """Of a log that says what was carried; errors are those of the equation for its effort."""
+    period, kp = 4e-3, 60.0
+    t = period * np.arange(2500)
+    q = (1.0 + 0.3 * np.sin(2.0 * t))[:, None]
+    v = np.gradient(q, period, axis=0)
+    motion = Motion(q, v, np.gradient(v, period, axis=0))
+    payload = KnownPayload("rod", 1.0, (0.0, 0.0, -0.5))
+    needed = carrying(model, (payload,)).effort(motion)[:, 0]
+    rate, error = np.gradient(needed, period), np.zeros(len(t))
+    for k in range(len(t) - 1):
+        error[k + 1] = error[k] + period * (rate[k] - INTEGRAL * error[k]) / kp
+    command, nothing = q + error[:, None], np.full(q.shape, np.nan)
+    log = JointLog("log", ("hinge",), t, q, nothing, command=command, payloads=(payload,))
+    signal = EffortSignal("hinge", "command", kp, integral=INTEGRAL)
+    _, (known,), _ = with_efforts(replace(model, effort_signals=(signal,)), [log])
+    np.testing.assert_allclose(known.effort[3:-3, 0], needed[3:-3], atol=0.02)
 
 
 def test_integrals_of_errors_and_constants():
