@@ -179,6 +179,15 @@ def test_it_is_saved_shown_and_named_by_exports(fitted, log, tmp_path):
         assert ("of its motion without it" in notes) == bool(cost)
 
 
+def test_a_log_too_short_for_a_rollout_is_exported_with_the_note(model, log, tmp_path):
+    signal = EffortSignal("hinge", "command", TRUTH[0], delay=LATE, integral=INTEGRAL)
+    columns = ("time", "position", "effort", "command")
+    short = replace(log, **{name: getattr(log, name)[:110] for name in columns})
+    known = replace(model, effort_signals=(signal,))
+    notes = " ".join(export_to("mjcf", known, tmp_path, [short], bandwidth=60.0).notes)
+    assert "have no integral, such as that of hinge; PositionServo" in notes
+
+
 def test_the_true_servo_moves_the_model_as_mujoco(model, log):
     """In a Drake diagram, from what the integral has grown to before each window."""
     names = (ViscousFriction, TRUTH[2]), (CoulombFriction, TRUTH[3]), (RotorInertia, TRUTH[4])
