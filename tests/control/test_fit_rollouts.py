@@ -16,6 +16,7 @@ from geodrake import effects, load_model, save_model
 from geodrake.cli.app import app
 from geodrake.control.rollout import fit_rollouts
 from geodrake.control.rollout.fit_rollouts import better_model, held_out
+from geodrake.control.rollout.motion_search import blinds
 from geodrake.control.rollout.near_motion import NearMotion
 from geodrake.control.rollout.rollout_values import rollout_values
 from geodrake.control.rollout.simulations import Simulations, chosen_passages
@@ -338,6 +339,15 @@ class TestCommand:
 def test_blocks_and_logs_are_held_out_whole():
     assert held_out(["a"] * 8).tolist() == [False, False, True, True] * 2
     assert held_out(["a", "a", "b", "c", "c"]).tolist() == [False, False, True, False, False]
+
+
+def test_windows_count_alike_in_any_order():
+    """Also those of logs at different rates, which have different numbers of samples."""
+    rng = np.random.default_rng(0)
+    departures = [rng.standard_normal((count, 1)) for count in (400, 25, 100)]
+    slopes = [np.ones((len(each), 1, 1)) for each in departures]
+    scales = {way: blinds(slopes[::way], departures[::way])[0].scale for way in (1, -1)}
+    np.testing.assert_allclose(scales[1], scales[-1])
 
 
 def test_what_is_known_of_other_parameters_stays(pendulum):
