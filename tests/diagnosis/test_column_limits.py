@@ -9,6 +9,7 @@ import pytest
 
 from geodrake.control.motors import MotorConstants, motor_torque, steady_current
 from geodrake.diagnosis import ColumnFinding, check_columns, corrected
+from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.limits import MotorLimit, likely_limits, spread
 from geodrake.diagnosis.columns.words import mistake_words
 from geodrake.logs.motion import JointLog
@@ -106,6 +107,16 @@ def test_columns_with_nothing_in_them_cost_no_efforts(speed, lacks):
     expected = 2.0 * (1.0 - np.cos(time) / speed[0]) if speed else 2.0 * np.ones(201)
     there = ~empty[:, 0] if lacks == "positions" else np.full(201, True)
     np.testing.assert_allclose(given[there][1:-1], expected[there][1:-1], atol=1e-4)
+
+
+def test_a_limit_goes_with_gains_and_swaps_that_are_found_later():
+    """As corrections do, one after another."""
+    found = Assignment.as_named(3).times("gain", 1, -2.0).limited(1, MotorLimit(3.0, 4.0))
+    assert found.limit_of(1) == MotorLimit(3.0, 4.0)
+    assert found.times("gain", None, 0.1).limit_of(1).effort == pytest.approx(0.3)
+    swapped = found.swapped(0, 1, positions=False, efforts=True)
+    assert swapped.limited_joints == (0,)
+    assert swapped.limit_of(0) == MotorLimit(3.0, 4.0)
 
 
 def test_words_say_the_limit():

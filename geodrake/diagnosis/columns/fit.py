@@ -134,7 +134,7 @@ class ColumnJudge:
     ) -> tuple[JointDesign, ...]:
         """Those of efforts that motors can give."""
         found = list(designs)
-        for j in assignment.limits:
+        for j in assignment.limited_joints:
             key = (*assignment.motion_key, *assignment.limit_key(j))
             if key not in self._limited:
                 self._limited[key] = designs[j].limited(self.samples, assignment, j)
@@ -150,7 +150,11 @@ class ColumnJudge:
         """
         if kept := self._designs.get(assignment.motion_key):
             return self._within_limits(assignment, kept)
-        key = (*assignment.motion_key, slopes, *map(assignment.limit_key, assignment.limits))
+        key = (
+            *assignment.motion_key,
+            slopes,
+            *map(assignment.limit_key, assignment.limited_joints),
+        )
         found = self._summaries.get(key)
         if found is None:
             made = self._made(assignment, slopes=slopes)
