@@ -232,6 +232,15 @@ def test_near_the_motion_is_as_in_the_diagram():
         assert np.sqrt(np.mean((found - exact) ** 2)) < 0.12 * np.sqrt(np.mean(exact**2))
 
 
+def test_play_near_the_motion_is_as_in_the_diagram(pendulum):
+    """Both begin with links where the motion before leaves them in their dead bands."""
+    for passage, simulation, near, couplings in near_motion(loose(pendulum, 1.0), swung(0)):
+        exact = simulation.positions(passage) - passage.segment.position
+        found, _ = near.departure(loose(pendulum, 1.0).effects, couplings)
+        assert np.sqrt(np.mean(exact**2)) > 0.2 * GAP
+        assert np.sqrt(np.mean((found - exact) ** 2)) < 0.03 * np.sqrt(np.mean(exact**2))
+
+
 def test_slopes_with_the_start_are_those_of_its_equations(pendulum):
     """For a pendulum s is 2: link and motor."""
     model = springy(pendulum, 0.8)
