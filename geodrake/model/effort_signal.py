@@ -78,7 +78,7 @@ class EffortSignal:
             )
         for name in _NOT_NEGATIVE:
             number(getattr(self, name), f"{name} of {self.joint}", lower=0.0)
-        if not self.limit > 0.0:
+        if not number(self.limit, f"the limit of {self.joint}", finite=False) > 0.0:
             raise ArgumentError(f"The limit of {self.joint!r} is {self.limit!r}; it is positive.")
 
     @property

@@ -16,6 +16,7 @@ from geodrake import effects, load_model, save_model
 from geodrake.cli.app import app
 from geodrake.control.rollout import fit_rollouts
 from geodrake.control.rollout.fit_rollouts import better_model, held_out
+from geodrake.control.rollout.motion_search import blinds
 from geodrake.control.rollout.near_motion import NearMotion
 from geodrake.control.rollout.rollout_values import rollout_values
 from geodrake.control.rollout.simulations import Simulations, chosen_passages
@@ -231,6 +232,15 @@ def test_near_the_motion_is_as_in_the_diagram():
         assert np.sqrt(np.mean((found - exact) ** 2)) < 0.12 * np.sqrt(np.mean(exact**2))
 
 
+def test_play_near_the_motion_is_as_in_the_diagram(pendulum):
+    """Both begin with links where the motion before leaves them in their dead bands."""
+    for passage, simulation, near, couplings in near_motion(loose(pendulum, 1.0), swung(0)):
+        exact = simulation.positions(passage) - passage.segment.position
+        found, _ = near.departure(loose(pendulum, 1.0).effects, couplings)
+        assert np.sqrt(np.mean(exact**2)) > 0.2 * GAP
+        assert np.sqrt(np.mean((found - exact) ** 2)) < 0.03 * np.sqrt(np.mean(exact**2))
+
+
 def test_slopes_with_the_start_are_those_of_its_equations(pendulum):
     """For a pendulum s is 2: link and motor."""
     model = springy(pendulum, 0.8)
@@ -338,6 +348,15 @@ class TestCommand:
 def test_blocks_and_logs_are_held_out_whole():
     assert held_out(["a"] * 8).tolist() == [False, False, True, True] * 2
     assert held_out(["a", "a", "b", "c", "c"]).tolist() == [False, False, True, False, False]
+
+
+def test_windows_count_alike_in_any_order():
+    """Also those of logs at different rates, which have different numbers of samples."""
+    rng = np.random.default_rng(0)
+    departures = [rng.standard_normal((count, 1)) for count in (400, 25, 100)]
+    slopes = [np.ones((len(each), 1, 1)) for each in departures]
+    scales = {way: blinds(slopes[::way], departures[::way])[0].scale for way in (1, -1)}
+    np.testing.assert_allclose(scales[1], scales[-1])
 
 
 def test_what_is_known_of_other_parameters_stays(pendulum):

@@ -7,6 +7,7 @@ from wrong_calls import HELD, ended, given, outcomes
 
 from geodrake.boundary.arguments import instances, integer, number, one_or_each, real_array
 from geodrake.errors import ArgumentError
+from geodrake.model import EffortSignal
 
 CALLS = good_calls()
 
@@ -60,6 +61,7 @@ def test_a_call_that_is_believed_is_noticed():
         (lambda: instances(("elbow", 2), "joints", str), "number 1 is 2"),
         (lambda: one_or_each([1.0, 2.0], "width", 3), r"one number or 3; .* \(2,\)"),
         (lambda: one_or_each(-1.0, "width", 3), "at least 0; it is -1.0"),
+        (lambda: EffortSignal("a", "command", 1.0, limit="5"), "limit of a must be .* type <U1"),
     ],
 )
 def test_messages_name_what_is_expected_and_what_came(check, message):

@@ -116,6 +116,22 @@ def test_it_is_never_worse_than_where_it_began(motions):
         assert fit.error == pytest.approx(begun) and fit.error < fit.start
 
 
+def test_a_joint_that_falls_over_is_far_off_and_no_servo():
+    """It stands on its head, and the servo that the search begins with is too weak to hold it."""
+    period, count = 0.02, 1000
+    rows = np.zeros((count, 8))
+    rows[:, 1], rows[:, 2], rows[:, 4] = 0.5, -800.0, np.sin(3.0 * period * np.arange(count))
+    rows[:, 0], rows[:, 7] = 5.0 * rows[:, 4], rows[:, 4]
+    motions = JointMotions((rows,), (rows[:, 4],), (period,))
+    at = np.array([5.0, 0.0, 0.1, 0.0, 0.0, 0.0])
+    found, slopes = motions.simulated(at, step=1e-3, slopes=True)
+    assert np.isfinite(found @ found) and np.isfinite(slopes.T @ slopes).all()
+    assert np.abs(found - rows[:, 4]).max() == pytest.approx(1e3)
+    few = rows[:200] * np.where(np.arange(8) == 2, 125.0, 1.0)
+    alone = JointMotions((few,), (few[:, 4],), (period,))
+    assert fit_servo(alone, EffortSignal("hinge", "command", 0.5)) is None
+
+
 def test_a_log_of_commands_gives_servos_and_efforts(model, log):
     (signal,) = calibrated(model, [log], ["command"])
     assert signal.kind == "command"

@@ -13,8 +13,11 @@ from geodrake.control.export_proof import export_to
 from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.identification.logs.servo_fit import JointMotions, fit_servo, motions_of
 from geodrake.identification.logs.signal_calibration import signals_as_efforts, with_efforts
+from geodrake.logs.known_payload import KnownPayload
+from geodrake.logs.motion import JointLog, Motion
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model import EffortSignal
+from geodrake.model.carried_payloads import carrying
 from geodrake.model.saved_model import load_model as load_saved
 from geodrake.model.saved_model import save_model
 from geodrake.model.servo_integrals import constant_beside_friction, error_integral
@@ -134,6 +137,25 @@ def test_efforts_contain_the_integral(fitted, log):
     assert np.std(np.convolve(late - needed, smooth, "valid")) > 0.5 * np.std(needed)
 
 
+def test_an_integral_has_grown_to_what_a_payload_needs(model):
+    """Of a log that says what was carried; errors are those of the equation for its effort."""
+    period, kp = 4e-3, 60.0
+    t = period * np.arange(2500)
+    q = (1.0 + 0.3 * np.sin(2.0 * t))[:, None]
+    v = np.gradient(q, period, axis=0)
+    motion = Motion(q, v, np.gradient(v, period, axis=0))
+    payload = KnownPayload("rod", 1.0, (0.0, 0.0, -0.5))
+    needed = carrying(model, (payload,)).effort(motion)[:, 0]
+    rate, error = np.gradient(needed, period), np.zeros(len(t))
+    for k in range(len(t) - 1):
+        error[k + 1] = error[k] + period * (rate[k] - INTEGRAL * error[k]) / kp
+    command, nothing = q + error[:, None], np.full(q.shape, np.nan)
+    log = JointLog("log", ("hinge",), t, q, nothing, command=command, payloads=(payload,))
+    signal = EffortSignal("hinge", "command", kp, integral=INTEGRAL)
+    _, (known,), _ = with_efforts(replace(model, effort_signals=(signal,)), [log])
+    np.testing.assert_allclose(known.effort[3:-3, 0], needed[3:-3], atol=0.02)
+
+
 def test_integrals_of_errors_and_constants():
     time = np.array([0.0, 1.0, 2.0, 4.0])
     grown = error_integral(time, np.array([1.0, 3.0, np.nan, 1.0]))
@@ -155,6 +177,15 @@ def test_it_is_saved_shown_and_named_by_exports(fitted, log, tmp_path):
         notes = " ".join(export_to(form, model, tmp_path / form, cost).notes)
         assert f"servos of {form} have no integral, such as that of hinge" in notes
         assert ("of its motion without it" in notes) == bool(cost)
+
+
+def test_a_log_too_short_for_a_rollout_is_exported_with_the_note(model, log, tmp_path):
+    signal = EffortSignal("hinge", "command", TRUTH[0], delay=LATE, integral=INTEGRAL)
+    columns = ("time", "position", "effort", "command")
+    short = replace(log, **{name: getattr(log, name)[:110] for name in columns})
+    known = replace(model, effort_signals=(signal,))
+    notes = " ".join(export_to("mjcf", known, tmp_path, [short], bandwidth=60.0).notes)
+    assert "have no integral, such as that of hinge; PositionServo" in notes
 
 
 def test_the_true_servo_moves_the_model_as_mujoco(model, log):

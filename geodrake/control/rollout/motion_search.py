@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +63,7 @@ class MotionSearch:
     def fit(self) -> tuple[Array, Array]:
         """Logarithms (k,) of values over those at the start, and their standard deviations."""
         x = np.zeros(len(self.values))
-        round_ = self._round(x, x)
+        round_ = self._round(x)
         for tried in range(_ROUNDS):
             if not tried:
                 x = self._tried(x, round_)
@@ -73,7 +74,7 @@ class MotionSearch:
                 diff_step=_STEP,
                 max_nfev=_MOST_EVALUATIONS,
             ).x
-            round_ = self._round(x, x)
+            round_ = self._round(x)
         return x, self._deviations(x, round_)
 
     def near(self, x: Array, *, slopes: bool = False) -> list[tuple[Array, Array]]:
@@ -95,13 +96,17 @@ class MotionSearch:
             for window in self.windows
         ]
 
-    def _round(self, x: Array, scaled_at: Array) -> _Round:
+    @cached_property
+    def rest(self) -> list[Array]:
+        """Of each window (N, nv) what departs beside what is simulated near its motion."""
+        start = self.near(np.zeros(len(self.values)))
+        return [w.departure - d for w, (d, _) in zip(self.windows, start, strict=True)]
+
+    def _round(self, x: Array) -> _Round:
         """How departures count from now on, by where the search is."""
-        start = self.near(np.zeros(len(x)))
-        rest = [w.departure - d for w, (d, _) in zip(self.windows, start, strict=True)]
-        here = self.near(scaled_at, slopes=True)
-        departures = [r + d for r, (d, _) in zip(rest, here, strict=True)]
-        return _Round(self, rest, blinds([slopes for _, slopes in here], departures))
+        here = self.near(x, slopes=True)
+        departures = [r + d for r, (d, _) in zip(self.rest, here, strict=True)]
+        return _Round(self, blinds([slopes for _, slopes in here], departures))
 
     def _tried(self, x: Array, round_: _Round) -> Array:
         """The best of some values, one after another."""
@@ -165,11 +170,12 @@ def blinds(slopes: Sequence[Array], departures: Sequence[Array]) -> list[Blind]:
         departures: Of each (N, nv) departures, rad or m.
     """
     noise, scale = _noise(departures), _rms(departures)
+    least = np.square(noise) * np.mean([1.0 / len(d) for d in departures])
     for _ in range(2):  # as what is explained depends on the scale
         found = [blind_to(each, scale) for each in slopes]
         left = _rms([blind.left(d) for blind, d in zip(found, departures, strict=True)])
         more = np.maximum(np.square(left) - np.square(noise), 0.0)
-        scale = np.maximum(np.sqrt(more + np.square(noise) / len(departures[0])), _LEAST)
+        scale = np.maximum(np.sqrt(more + least), _LEAST)
     return [blind_to(each, scale) for each in slopes]
 
 
@@ -205,18 +211,16 @@ class _Round:
 
     Attributes:
         search: The search.
-        rest: Of each window (N, nv) what departs beside what is simulated near its motion.
         blinds: How departures count.
     """
 
     search: MotionSearch
-    rest: list[Array]
     blinds: list[Blind]
 
     def residuals(self, x: Array) -> list[Array]:
         """Residuals of each window, at logarithms (k,)."""
-        near = self.search.near(x)
+        near, rests = self.search.near(x), self.search.rest
         return [
             blind(rest + departure)
-            for blind, rest, (departure, _) in zip(self.blinds, self.rest, near, strict=True)
+            for blind, rest, (departure, _) in zip(self.blinds, rests, near, strict=True)
         ]

@@ -37,7 +37,8 @@ class Assignment:
         carrying: Indices of bodies that hold a payload, or are otherwise not as in the model.
         tilted: Whether the base may stand on a slope.
         apart: Indices of joints whose efforts have nothing to do with what the bodies need.
-        limits: What the motors of some joints, by their indices, can give of their efforts.
+        limits: By some columns of efforts, what the motor can give of them, in their own unit:
+            what is found of gains and swaps later is true of limits, too.
     """
 
     position: Indices
@@ -75,7 +76,16 @@ class Assignment:
 
     def limit_key(self, joint: int) -> tuple[object, ...]:
         """What the efforts that a joint's motor gives depend on, beside the motion."""
-        return joint, int(self.effort[joint]), float(self.gain[joint]), self.limits[joint]
+        return joint, int(self.effort[joint]), float(self.gain[joint]), self.limit_of(joint)
+
+    def limit_of(self, joint: int) -> MotorLimit:
+        """What the motor can give of one of the `limited_joints`."""
+        return self.limits[int(self.effort[joint])].times(abs(float(self.gain[joint])))
+
+    @property
+    def limited_joints(self) -> tuple[int, ...]:
+        """Those whose motors have a limit."""
+        return tuple(j for j, column in enumerate(self.effort.tolist()) if column in self.limits)
 
     def limited(self, joint: int, limit: MotorLimit) -> Assignment:
         """With a limit of what a joint's motor can give.
@@ -84,7 +94,8 @@ class Assignment:
             joint: The joint.
             limit: The limit.
         """
-        return replace(self, limits={**self.limits, joint: limit})
+        own = limit.times(1.0 / abs(float(self.gain[joint])))
+        return replace(self, limits={**self.limits, int(self.effort[joint]): own})
 
     def swapped(self, i: int, j: int, *, positions: bool, efforts: bool) -> Assignment:
         """With the columns of two joints swapped.

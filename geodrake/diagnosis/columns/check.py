@@ -109,7 +109,7 @@ def _values(before: Assignment, best: Judged) -> tuple[float, ...]:
     if kind == "time":
         return (after.time / before.time,)
     if kind == "effort_limit":
-        limit = after.limits[best.mistake.joints[0]]
+        limit = after.limit_of(best.mistake.joints[0])
         falls = np.isfinite(limit.no_load_speed)
         return (limit.effort, limit.no_load_speed) if falls else (limit.effort,)
     at = list(best.mistake.joints or range(len(after.gain)))

@@ -79,13 +79,14 @@ def _changed(log: JointLog, quantities: Sequence[str], change: Any) -> dict[str,
 
 
 def _limited(log: JointLog, joint: int, limit: MotorLimit) -> Array:
-    """Efforts of which those of one joint are no more than its motor gives."""
-    effort, velocity = log.effort.copy(), np.zeros(len(log.effort))
-    if np.isfinite(limit.no_load_speed):
-        velocity = np.gradient(log.position[:, joint], log.time)
-        if log.velocity is not None:
-            measured = log.velocity[:, joint]
-            velocity = np.where(np.isfinite(measured), measured, velocity)
+    """Efforts of which those of one joint are no more than its motor gives, as positions change.
+
+    What a log has as velocities may be none, and was not what the limit was found by.
+    """
+    effort, position = log.effort.copy(), log.position[:, joint]
+    known, velocity = np.isfinite(position) & np.isfinite(log.time), np.zeros(len(position))
+    if np.count_nonzero(known) > 1:
+        velocity[known] = np.gradient(position[known], log.time[known])
     effort[:, joint] = limit.given(effort[:, joint], velocity)
     return effort
 

@@ -219,7 +219,7 @@ class JointDesign:
             joint: The joint.
         """
         asked, velocity = self.asked(samples, assignment, joint)
-        limit, X = assignment.limits[joint], self.X.copy()
+        limit, X = assignment.limit_of(joint), self.X.copy()
         column = len(self.columns) + 1 + assignment.effort[joint]
         X[:, column] = limit.given(asked, velocity) / assignment.gain[joint]
         grams = _grams(X, samples.fold[self.rows], samples.folds)

@@ -113,8 +113,12 @@ class ColumnJudge:
 
     def keep(self, assignment: Assignment) -> None:
         """Keep the designs for the motion of an assignment, and forget all others."""
-        self._designs = {assignment.motion_key: self._unlimited(assignment)}
-        self._screened, self._limited = {}, {}
+        kept = self._unlimited(assignment)
+        self._designs, self._screened = {assignment.motion_key: kept}, {}
+        self._limited = {
+            assignment.limit_key(j): kept[j].limited(self.samples, assignment, j)
+            for j in assignment.limited_joints
+        }
 
     def designs(self, assignment: Assignment) -> tuple[JointDesign, ...]:
         """Normal matrices for the motion of an assignment, fold by fold.
@@ -134,11 +138,10 @@ class ColumnJudge:
     ) -> tuple[JointDesign, ...]:
         """Those of efforts that motors can give."""
         found = list(designs)
-        for j in assignment.limits:
-            key = (*assignment.motion_key, *assignment.limit_key(j))
-            if key not in self._limited:
-                self._limited[key] = designs[j].limited(self.samples, assignment, j)
-            found[j] = self._limited[key]
+        is_kept = designs is self._designs.get(assignment.motion_key)
+        for j in assignment.limited_joints:
+            known = self._limited.get(assignment.limit_key(j)) if is_kept else None
+            found[j] = known or designs[j].limited(self.samples, assignment, j)
         return tuple(found)
 
     def summaries(self, assignment: Assignment, *, slopes: bool) -> tuple[JointDesign, ...]:
@@ -150,7 +153,11 @@ class ColumnJudge:
         """
         if kept := self._designs.get(assignment.motion_key):
             return self._within_limits(assignment, kept)
-        key = (*assignment.motion_key, slopes, *map(assignment.limit_key, assignment.limits))
+        key = (
+            *assignment.motion_key,
+            slopes,
+            *map(assignment.limit_key, assignment.limited_joints),
+        )
         found = self._summaries.get(key)
         if found is None:
             made = self._made(assignment, slopes=slopes)

@@ -12,7 +12,7 @@ the limit then says nothing of the bodies, and is no error of theirs: it has a s
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,10 @@ class MotorLimit:
 
     effort: float
     no_load_speed: float = np.inf
+
+    def times(self, factor: float) -> MotorLimit:
+        """That of efforts multiplied by a factor above 0."""
+        return replace(self, effort=factor * self.effort)
 
     def given(self, asked: Array, velocity: Array) -> Array:
         """Efforts (K,) that the motor gives.

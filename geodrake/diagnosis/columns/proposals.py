@@ -129,7 +129,7 @@ def _limits(judge: ColumnJudge, base: ColumnFit) -> Iterator[ColumnMistake]:
     for j, (needed, design) in enumerate(
         zip(judge.needed(base), judge.designs(start), strict=True)
     ):
-        if j in start.limits:
+        if j in start.limited_joints:
             continue
         asked, velocity = design.asked(samples, start, j)
         for limit in likely_limits(asked, needed, velocity):

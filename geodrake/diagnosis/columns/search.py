@@ -171,7 +171,7 @@ class ColumnSearch:
             fit = self.judge.quick(start.limited(j, limit), base)
             return -fit.gain_over(base, self._of_rates)
 
-        assignment = start.limited(j, nearest_limit(start.limits[j], cost))
+        assignment = start.limited(j, nearest_limit(start.limit_of(j), cost))
         return replace(mistake, assignment=assignment), self.judge.fit(assignment, base)
 
 

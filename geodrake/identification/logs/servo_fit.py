@@ -65,6 +65,7 @@ _INSIDE = 0.01  # of parameters' sizes from their bounds, where searches begin
 _RATE, _DELAY, _INTEGRAL = 1, 5, 6  # which parameter is which
 _PLAIN = _INTEGRAL  # parameters of servos without an integral, which come first
 _RESETS = (1.0, 5.0)  # ki / kp, 1/s, that searches begin from
+_FAR = 1e3  # rad or m, from the measured motion, and no farther: squares stay numbers
 _TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
 
 
@@ -270,7 +271,7 @@ def fit_servo(
 
     Returns:
         The servo; None if windows that the fit did not see are predicted no better than from where
-        it began.
+        it began, or than by a joint that stands still.
     """
     rows, stiffness = np.concatenate(motions.rows), signal.gain
     friction, inertia = 0.1 * np.std(rows[:, 0]), 0.2 * np.mean(rows[:, 1])
@@ -288,14 +289,15 @@ def fit_servo(
     summed = len(half) > _INTEGRAL
     told = signal.integral if summed else 0.0
     began = _with_integral(motions, start, told) if told else start
-    if not _rms(motions, half, tested) < _rms(motions, began, tested):
+    moved = float(np.std(motions.measured))
+    if not _rms(motions, half, tested) < min(_rms(motions, began, tested), moved):
         return None
     best = _best(motions, [half], scale, every)
     free = np.arange(len(best)) != _RATE
     bare = _best(motions, [np.where(free, best, 0.0)], scale, every, free=free)
     if motions.gain(bare, best, every) < PENALTY:
         best = bare
-    if not _rms(motions, best, every) < _rms(motions, began, every):
+    if not _rms(motions, best, every) < min(_rms(motions, began, every), moved):
         return None
     deviations = _deviations(motions, best, scale)
     return ServoFit(
@@ -303,7 +305,7 @@ def fit_servo(
         deviations[:_PLAIN],
         _rms(motions, best, every),
         _rms(motions, began, every),
-        float(np.std(motions.measured)),
+        moved,
         float(best[_INTEGRAL]) if summed else 0.0,
         float(deviations[_INTEGRAL]) if summed else 0.0,
         motions.limit,
@@ -493,7 +495,8 @@ def calc_servo_motion(
     """Writes the positions (N,) of a joint under its commands, by implicit Euler steps.
 
     Dry friction is a set at rest: a joint sticks until more than F pulls at it. Slopes are those of
-    the steps themselves, while a joint that sticks goes on doing so.
+    the steps themselves, while a joint that sticks goes on doing so. One that a weak servo lets run
+    away is held where it is far from the measured motion.
 
     Args:
         rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
@@ -546,6 +549,9 @@ def calc_servo_motion(
             v, before, rise_before = now, c, rise
             x += dt * v
             z += dt * (c - x) if grows else 0.0
+        if abs(x - rows[k + 1, 4]) > _FAR:
+            x, v = rows[k + 1, 4] + np.copysign(_FAR, x - rows[k + 1, 4]), 0.0
+            X[:], V[:] = 0.0, 0.0
         positions[k + 1] = x
         if count > 0:
             slopes[k + 1] = X[:count]

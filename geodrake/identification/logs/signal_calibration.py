@@ -43,6 +43,7 @@ from geodrake.logs.folds import validation_blocks
 from geodrake.logs.learnable import check_saturation
 from geodrake.logs.motion import JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
+from geodrake.model.carried_payloads import carrying
 from geodrake.model.effort_signal import COMMAND, EffortSignal, signal_of
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.signal_efforts import in_efforts, kind_of
@@ -101,7 +102,10 @@ def _known_efforts(model: RobotModel, log: JointLog) -> JointLog:
 
 
 def _needed(model: RobotModel, log: JointLog) -> Array:
-    """(N, n) efforts, N·m or N, that a model needs for positions of a log, noise and all."""
+    """(N, n) efforts, N·m or N, that a model needs for positions of a log, noise and all.
+
+    What the robot carried in the log needs its share of them.
+    """
     q, known = log.position.copy(), np.isfinite(log.time)
     for column in q.T:
         there = np.isfinite(column) & known
@@ -112,7 +116,7 @@ def _needed(model: RobotModel, log: JointLog) -> Array:
         time = log.time[known]
         v = np.gradient(q[known], time, axis=0)
         motion = Motion(model.positions(q[known]), v, np.gradient(v, time, axis=0))
-        needed[known] = model.effort(motion)
+        needed[known] = carrying(model, log.payloads).effort(motion)
     return needed
 
 
