@@ -188,6 +188,13 @@ def test_signals_of_unknown_gain_are_refused(model, logs, settings):
         digested(model, currents, settings)
 
 
+def test_a_joint_that_moves_under_one_effort_is_refused(model, logs, settings):
+    effort = logs[1].effort.copy()
+    effort[:, 2] = 3.0
+    with pytest.raises(LogError, match=rf"effort of {model.joints[2]} never changes .* it is 3 "):
+        digested(model, replace(logs[1], effort=effort), settings)
+
+
 def test_known_payloads_are_taken_off(model, logs, settings, tmp_path):
     carried = (KnownPayload(model.bodies[-1], 2.0, (0.0, 0.02, 0.1)),)
     log = replace(logs[1], payloads=carried)
