@@ -49,7 +49,8 @@ def reduced_log(digest: Digest, kept: Indices) -> ReducedLog:
     """A log as weighted normal matrices over some columns.
 
     What a row is worth is the share of its samples that are independent, over the variance of what
-    the columns leave of the log itself.
+    the columns leave of the log itself: that of the sensors' noise at least, as a log of few rows
+    leaves nothing.
 
     Args:
         digest: Its digest.
@@ -60,8 +61,10 @@ def reduced_log(digest: Digest, kept: Indices) -> ReducedLog:
     grams = every[:, at[:, None], at]
     samples = digest.samples.astype(float)
     weights = [
-        share / _variance(gram, count) if count else 0.0
-        for share, gram, count in zip(digest.effective_share, grams, samples, strict=True)
+        share / max(_variance(gram, count), noise**2) if count else 0.0
+        for share, gram, count, noise in zip(
+            digest.effective_share, grams, samples, digest.noise_floor, strict=True
+        )
     ]
     warm = np.concatenate([log.temperature for log in digest.logs])
     warm = warm[np.isfinite(warm)]
