@@ -10,7 +10,7 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import DigestError, FleetError, GeodrakeError, OutputError
 from geodrake.fleet.digest_folder import FAILED, check_settings, digest_logs
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
-from geodrake.fleet.log_dates import date_in_path
+from geodrake.fleet.log_dates import DATED_BY, date_in_path
 from geodrake.fleet.log_places import IN_THIS_PROCESS, LogPlace, find_logs, local_log, protocol_of
 from geodrake.fleet.log_records import LogRecord, read_records, said_of, to_digest, write_record
 from geodrake.fleet.settings import DigestSettings, read_settings
@@ -233,7 +233,8 @@ def digest_task(task: LogTask) -> LogRecord:
             advice="Give a folder that all workers share.",
         )
     try:
-        date = _date(task)
+        said = task.robot.dates not in DATED_BY
+        date = date_in_path(task.place.address, task.robot.dates) if said else None
         with local_log(task.place) as path:
             payloads = {path: task.robot.payloads}
             run = digest_logs(
@@ -252,13 +253,6 @@ def digest_task(task: LogTask) -> LogRecord:
     # What files say of dates may be newer than a digest of the same bytes is.
     when = row.about.date if row.about.date_from == "stamps" or date is None else date
     return LogRecord(robot.name, place.address, place.stamp, said_of(robot), row.digest.name, when)
-
-
-def _date(task: LogTask) -> float | None:
-    """When a log was recorded, if its stamps do not say it; None for when its file was changed."""
-    if task.robot.dates not in ("file", "stamps"):
-        return date_in_path(task.place.address, task.robot.dates)
-    return task.place.changed if protocol_of(task.place.address) else None
 
 
 def _failure(task: LogTask, reason: str) -> LogRecord:

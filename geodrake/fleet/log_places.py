@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import glob
+import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -105,6 +106,8 @@ def _part(pattern: str) -> str:
 def local_log(place: LogPlace) -> Iterator[Path]:
     """The log as a file of this machine, under its own name: itself, or a copy.
 
+    A copy is as old as the log; where nobody knows when that was changed, as in 1970.
+
     Args:
         place: Where it is.
 
@@ -119,6 +122,8 @@ def local_log(place: LogPlace) -> Iterator[Path]:
         try:
             fs, path = _file_system(place.address)
             fs.get(path, str(copy), recursive=fs.isdir(path))
+            for each in (copy, *copy.rglob("*")):
+                os.utime(each, (place.changed or 0.0,) * 2)
         except Exception as error:  # each kind of place has errors of its own
             raise LogError(
                 f"Log {place.address} cannot be read: {_words(error)}.",

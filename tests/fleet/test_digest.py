@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -377,6 +378,10 @@ def test_dates_are_those_of_stamps_or_said(logs, tmp_path):
     assert date_of_log(log, [file], said) == (said, "option")
     absolute = replace(log, time=log.time + 1.7e9)
     assert date_of_log(absolute, [file], said) == (1.7e9, "stamps")
+    os.utime(file, (0.0, 0.0))
+    with pytest.raises(LogError, match=r"Nobody knows when .* changed at 0 s since 1970.*--date"):
+        date_of_log(log, [file])
+    assert date_of_log(log, [file], said) == (said, "option")
 
 
 def test_dates_in_a_file_say_when_a_log_began(tmp_path, logs):

@@ -32,7 +32,7 @@ from small_fleet import (
 from geodrake.errors import DigestError, FleetError, OutputError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
 from geodrake.fleet.log_dates import date_text
-from geodrake.fleet.log_places import find_logs, fits
+from geodrake.fleet.log_places import find_logs, fits, local_log
 from geodrake.fleet.robot_logs import DAY, MOST_TIMES, time_cells
 from geodrake.report.fleet_json import fleet_dict
 from geodrake.report.json_output import to_json
@@ -189,6 +189,15 @@ def test_logs_in_other_places_have_the_same_digests(folder, own, tmp_path):
     assert run_fleet(fleet, HERE)[1].made == 0
     with pytest.raises(FleetError, match="in the memory of this process"):
         run_fleet(fleet, FleetWork(workers=2))
+
+
+def test_a_copy_is_as_old_as_its_log():
+    memory = fsspec.filesystem("memory")
+    memory.pipe("/dated/log.csv", b"x")
+    (place,) = find_logs("memory://dated/*.csv")
+    for changed in (1.7e9, None):
+        with local_log(replace(place, changed=changed)) as path:
+            assert path.stat().st_mtime == (changed or 0.0)
 
 
 def test_a_log_that_fails_is_a_row(own, tmp_path):
