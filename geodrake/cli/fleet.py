@@ -145,7 +145,7 @@ def _watch(fleet: Fleet, work: FleetWork, options: FleetOptions, targets: Target
             digests = take_in_logs(fleet, work, told=update, said=_lines(update))
             now = [tuple(own) for own in digests.records.values()], digests.failed
             result = None
-            if now != seen:
+            if now != seen or digests.made:
                 result = fleet_result(fleet, digests, work.false_alarms, update)
         if result is not None:
             _written(fleet, result, options, targets)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -89,7 +90,8 @@ def read_digest(path: str | Path) -> Digest:
         raise
     except (
         *(OSError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError),
-        *(zipfile.BadZipFile, NotImplementedError, RuntimeError, MemoryError),
+        *(zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, MemoryError),
+        OverflowError,
     ) as error:
         reason = " ".join(str(error).split())[:200].rstrip(".")
         raise DigestError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, integer, number
 from geodrake.boundary.showing import Short
+from geodrake.errors import DigestError
 from geodrake.fleet.digest_run import (
     DIGESTS,
     Activity,
@@ -21,7 +22,7 @@ from geodrake.fleet.digest_run import (
 )
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
 from geodrake.fleet.fleet_result import FailedLog, FleetResult, RobotResult
-from geodrake.fleet.log_records import LogRecord
+from geodrake.fleet.log_records import LogRecord, look_again
 from geodrake.fleet.robot_logs import RobotLogs, robot_logs
 from geodrake.fleet.settings import DigestSettings
 from geodrake.fleet.type_findings import type_findings
@@ -130,26 +131,26 @@ def fleet_result(
         told: Called with what is going on.
 
     Raises:
-        DigestError: A digest is damaged.
+        OutputError: It cannot be written that a log is to be digested again.
     """
     failed = [FailedLog(each.robot, each.address, each.reason) for each in digests.failed]
     robots: list[RobotResult] = []
     for kind in fleet.types.values():
-        settings = digests.settings[kind.name]
         own = fleet.of_type(kind.name)
         records = {}
         for robot in own:
             records[robot.name], twice = _once(digests.records.get(robot.name, ()))
             failed += twice
-        with_logs = [robot for robot in own if records[robot.name] and settings is not None]
-        if settings is not None and with_logs:
+        settings, found = digests.settings[kind.name], list[RobotResult]()
+        if settings is not None:
             told(f"Looking for changes in {kind.name}", None)
-            robots += _of_type(fleet, with_logs, records, settings, false_alarms=false_alarms)
-        robots += [
-            RobotResult(robot.name, kind.name, 0, np.zeros(0))
-            for robot in own
-            if robot not in with_logs
-        ]
+            logs, damaged = _logs_of_type(fleet, kind, records, settings)
+            failed += damaged
+            found = _of_type(fleet, kind, logs, settings, false_alarms=false_alarms)
+        seen = {result.robot for result in found}
+        lacking = [robot.name for robot in own if robot.name not in seen]
+        robots += found
+        robots += [RobotResult(name, kind.name, 0, np.zeros(0)) for name in lacking]
     hashes = {name: each.hash for name, each in digests.settings.items() if each is not None}
     return FleetResult(tuple(sorted(robots, key=_badness)), tuple(failed), false_alarms, hashes)
 
@@ -168,27 +169,46 @@ def _once(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[FailedLog
     return kept, twice
 
 
+def _logs_of_type(
+    fleet: Fleet,
+    kind: FleetType,
+    records: Mapping[str, Sequence[LogRecord]],
+    settings: DigestSettings,
+) -> tuple[list[RobotLogs], list[FailedLog]]:
+    """Histories of the robots of a type that have logs; and logs whose digest is damaged."""
+    model, folder = type_source(kind).model, fleet.folder / kind.name
+    kept = type_layout(model, settings, np.ones(len(settings.joints)), payload=kind.payload).kept
+    damaged: list[FailedLog] = []
+
+    def refused(record: LogRecord, error: DigestError) -> None:
+        look_again(folder, record)
+        reason = f"{error.problem} It is made again by the next run, if the log is there."
+        damaged.append(FailedLog(record.robot, record.address, reason))
+
+    found = [
+        robot_logs(name, own, folder / DIGESTS, settings, kept, refused=refused)
+        for name, own in records.items()
+        if own
+    ]
+    return [each for each in found if each is not None], damaged
+
+
 def _of_type(
     fleet: Fleet,
-    robots: Sequence[FleetRobot],
-    records: dict[str, list[LogRecord]],
+    kind: FleetType,
+    logs: Sequence[RobotLogs],
     settings: DigestSettings,
     *,
     false_alarms: float,
 ) -> list[RobotResult]:
     """Findings in the robots of a type that have logs."""
-    kind = fleet.types[robots[0].type]
+    if not logs:
+        return []
     model = type_source(kind).model
-    plain = type_layout(model, settings, np.ones(len(settings.joints)), payload=kind.payload)
-    folder = fleet.folder / kind.name / DIGESTS
-    logs = [
-        robot_logs(robot.name, records[robot.name], folder, settings, plain.kept)
-        for robot in robots
-    ]
     layout = type_layout(model, settings, _efforts(logs), payload=kind.payload)
     models = {
         robot.name: _own_values(kind, robot, layout, settings)
-        for robot in robots
+        for robot in fleet.of_type(kind.name)
         if robot.model is not None
     }
     return type_findings(kind.name, logs, layout, models, false_alarms=false_alarms)

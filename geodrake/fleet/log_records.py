@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 from geodrake.boundary.whole_files import write_whole
@@ -30,7 +30,7 @@ class LogRecord:
     Attributes:
         robot: Name of the robot.
         address: Where the log was.
-        stamp: Its size and when it was changed.
+        stamp: Its size and when it was changed; empty if it is to be digested again.
         said: Hash of what the fleet file says of it: how it is dated, and what the robot carried.
         digest: Name of its digest's file; empty if there is none.
         date: When it began, s since 1970; 0 if nobody knows.
@@ -93,6 +93,19 @@ def write_record(folder: Path, record: LogRecord) -> None:
             path=path,
         ) from error
     write_whole(path, json.dumps(asdict(record), indent=1) + "\n")
+
+
+def look_again(folder: Path, record: LogRecord) -> None:
+    """Have a log digested again when it is looked for next, if it is there: its digest is damaged.
+
+    Args:
+        folder: Folder of the robot's type.
+        record: Its record.
+
+    Raises:
+        OutputError: That cannot be written.
+    """
+    write_record(folder, replace(record, stamp=""))
 
 
 def read_records(folder: Path, robot: FleetRobot) -> dict[str, LogRecord]:

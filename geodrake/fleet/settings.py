@@ -43,6 +43,7 @@ BLOCKS = 4
 """Blocks of a log, each with a factor of its own."""
 
 _LARGEST_FILE = 50_000_000  # bytes
+_UNREADABLE = (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError)
 _UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
 
 
@@ -249,7 +250,7 @@ def settings_of(text: str, source: str | Path) -> DigestSettings:
                 advice="Use the version that made it, or digest the logs again into a new folder.",
             )
         return _settings(said)
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+    except _UNREADABLE as error:
         raise DigestError(
             f"{source} does not hold settings of digests: {' '.join(str(error).split())[:200]}.",
             advice="Put back a copy of it, or digest the logs again into a new folder.",

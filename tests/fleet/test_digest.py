@@ -334,6 +334,7 @@ def test_a_log_that_cannot_bear_the_settings_is_told_so(model, logs, settings):
     [
         lambda data: data[: len(data) // 2],
         lambda data: data[:5000] + bytes(100) + data[5100:],
+        lambda data: data[:60] + bytes([7]) + data[61:],  # a block of no kind that is compressed
         lambda data: b"",
         lambda data: b"PK" + bytes(100),
         lambda data: rewritten(data, header=lambda h: {**h, "format": "geodrake digest 9"}),
@@ -343,6 +344,7 @@ def test_a_log_that_cannot_bear_the_settings_is_told_so(model, logs, settings):
         lambda data: rewritten(data, header=lambda h: []),
         lambda data: rewritten(data, settings=lambda s: {**s, "base_matrix": [[1.0]]}),
         lambda data: rewritten(data, settings=lambda s: {**s, "joints": 3}),
+        lambda data: rewritten(data, settings=lambda s: {**s, "independent": [10**30]}),
         lambda data: rewritten(data, arrays={"0.factors": np.full((4, 3), np.nan)}),
         lambda data: rewritten(data, arrays={"0.columns": np.arange(500)}),
         lambda data: rewritten(data, arrays={"1.samples": np.array(["x"] * 4)}),

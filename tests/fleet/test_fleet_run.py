@@ -33,6 +33,7 @@ from geodrake.errors import DigestError, FleetError, OutputError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
 from geodrake.fleet.log_dates import date_text
 from geodrake.fleet.log_places import find_logs, fits, local_log
+from geodrake.fleet.log_records import read_records
 from geodrake.fleet.robot_logs import DAY, MOST_TIMES, time_cells
 from geodrake.report.fleet_json import fleet_dict
 from geodrake.report.json_output import to_json
@@ -212,6 +213,28 @@ def test_a_log_that_fails_is_a_row(own, tmp_path):
     assert "no date like %Y-%m-%d" in reasons["undated.csv"]
     assert "the same as" in reasons["2026-05-10.csv"]
     assert {robot.robot: robot.logs for robot in result.robots} == dict.fromkeys(FEW, 2)
+
+
+def test_a_damaged_digest_is_a_row_and_made_again(own, tmp_path):
+    path = own()
+    text = text_of(run_fleet(read_fleet(path), HERE)[0])
+    here = tmp_path / "results" / "pendulum"
+    (record, _) = read_records(here, read_fleet(path).robots[1]).values()
+    damaged = here / "digests" / record.digest
+    good = damaged.read_bytes()
+    damaged.write_bytes(good[:2000] + b"\xff" * 100 + good[2100:])
+    result, seen = run_fleet(read_fleet(path), HERE)
+    (failed,) = result.failed
+    assert (seen.made, failed.robot, failed.log) == (0, HEAVY, record.address)
+    assert "damaged" in failed.reason
+    assert {robot.robot: robot.logs for robot in result.robots} == {FEW[0]: 2, HEAVY: 1}
+    again, seen = run_fleet(read_fleet(path), HERE)
+    assert (seen.made, text_of(again)) == (1, text)
+    assert damaged.read_bytes() == good
+    for each in (here / "digests").glob("*.npz"):
+        each.write_bytes(b"")
+    result, _ = run_fleet(read_fleet(path), HERE)
+    assert [robot.state for robot in result.robots] == ["no logs"] * 2
 
 
 def test_what_was_digested_stays_when_its_log_is_deleted(own, tmp_path):
