@@ -27,8 +27,9 @@ from geodrake.fleet.robot_logs import RobotLogs, robot_logs
 from geodrake.fleet.settings import DigestSettings
 from geodrake.fleet.type_findings import type_findings
 from geodrake.fleet.type_layout import TypeLayout, type_layout
-from geodrake.fleet.type_source import own_model, type_source, with_joint_effects
+from geodrake.fleet.type_source import own_model, type_source
 from geodrake.fleet.workers import workers
+from geodrake.model.holding import holding
 
 Array = NDArray[np.float64]
 
@@ -223,13 +224,11 @@ def _efforts(logs: Sequence[RobotLogs]) -> Array:
 def _own_values(
     kind: FleetType, robot: FleetRobot, layout: TypeLayout, settings: DigestSettings
 ) -> Array:
-    """(p,) what a robot's own model says of the columns; NaN where it has no such effect."""
-    own, source = own_model(kind, robot.model or kind.model), type_source(kind)
-    added = {type(fitted.effect) for fitted in source.model.effects}
-    full = with_joint_effects(own, [each for each in added if each.places == "joint"])
+    """(p,) what a robot's own model says of the columns; NaN of effects that it has not."""
+    own = holding(own_model(kind, robot.model or kind.model), settings.held)
     values = {
         (f.effect.name, ", ".join(f.effect.where), parameter.name): float(x)
-        for f in full.effects
+        for f in own.effects
         for parameter, x in zip(f.effect.parameters, f.parameters, strict=True)
     }
     found = np.array(

@@ -24,17 +24,21 @@ from small_fleet import (
     ROBOTS,
     SHARE,
     STICKY,
+    DayOf,
     date_of,
     write_file,
     write_fleet,
 )
 
+from geodrake.effects import CoulombFriction, FittedEffect, StribeckFriction
 from geodrake.errors import DigestError, FleetError, OutputError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
 from geodrake.fleet.log_dates import date_text
 from geodrake.fleet.log_places import find_logs, fits, local_log
 from geodrake.fleet.log_records import read_records
 from geodrake.fleet.robot_logs import DAY, MOST_TIMES, time_cells
+from geodrake.logs.files import write_log
+from geodrake.model.saved_model import load_model, save_model
 from geodrake.report.fleet_json import fleet_dict
 from geodrake.report.json_output import to_json
 
@@ -295,6 +299,34 @@ def test_a_robot_is_of_its_type(own, tmp_path):
     fleet = replace(fleet, robots=(replace(first, model=tmp_path / "other.urdf"), *rest))
     with pytest.raises(FleetError, match="joints shoulder, knee, and its type 'pendulum' has"):
         run_fleet(fleet, HERE)
+
+
+@pytest.mark.thorough
+def test_a_model_of_its_own_need_not_have_the_effects_of_its_type(tmp_path):
+    """Nor an elbow that moves, which these logs lack."""
+    for name in FEW:
+        (tmp_path / name).mkdir()
+        for day in (0, 1):
+            log = DayOf(name, day).log().select(("shoulder",))
+            write_log(log, tmp_path / name / f"{date_of(day)}.csv")
+    plain = load_model(PENDULUM)
+    fading = FittedEffect(StribeckFriction("shoulder", 0.1), np.array([0.05]))
+    dry = FittedEffect(CoulombFriction("shoulder"), np.array([0.3]))
+    for file, effects in {"type.yaml": (fading,), "own.yaml": (dry,)}.items():
+        save_model(replace(plain, effects=effects), tmp_path / file)
+    path = write_file(tmp_path, FEW)
+    text = path.read_text(encoding="utf-8").replace(str(PENDULUM), "type.yaml")
+    path.write_text(text.replace("dates:", "model: own.yaml, dates:", 1), encoding="utf-8")
+    result, _ = run_fleet(read_fleet(path), HERE)
+    said = {
+        robot.robot: {each.parameter.effect: each.of_model for each in robot.own}
+        for robot in result.robots
+    }
+    own, other = said[FEW[0]], said[HEAVY]
+    assert (own["coulomb_friction"], other["coulomb_friction"]) == (0.3, 0.0)
+    assert np.isnan(own["stribeck_friction"])
+    assert other["stribeck_friction"] == 0.05
+    assert own["bodies"] == other["bodies"]
 
 
 def test_a_scheduler_that_does_not_answer_is_said(own, monkeypatch):
