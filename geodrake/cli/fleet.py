@@ -13,11 +13,12 @@ from geodrake.boundary.arguments import number
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content, write_together
 from geodrake.cli.fleet_options import FleetOptions
+from geodrake.cli.guard import warn
 from geodrake.cli.progress import Activity, progress
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import head, make_console, say, show_list, show_saved, show_table
 from geodrake.cli.targets import STDOUT, Targets
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet.digest_run import FleetDigests
 from geodrake.fleet.fleet_file import Fleet, read_fleet
 from geodrake.fleet.fleet_result import FleetFinding, FleetResult
@@ -138,20 +139,42 @@ def _show(
 
 
 def _watch(fleet: Fleet, work: FleetWork, options: FleetOptions, targets: Targets) -> None:
-    """Look for new logs again and again, until the command is ended; statistics only with new."""
-    seen: object = None
+    """Look for new logs again and again, until the command is ended.
+
+    What fails at the first look is a mistake of the fleet file. Later, places of logs and
+    schedulers that do not answer may do so again.
+
+    Raises:
+        GeodrakeError: What fails is something else.
+    """
+    seen: FleetDigests | None = None
     while True:
-        with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
-            digests = take_in_logs(fleet, work, told=update, said=_lines(update))
-            now = [tuple(own) for own in digests.records.values()], digests.failed
-            result = None
-            if now != seen or digests.made:
-                result = fleet_result(fleet, digests, work.false_alarms, update)
-        if result is not None:
-            _written(fleet, result, options, targets)
-            _tell_new(fleet, result)
-            seen = now
+        try:
+            seen = _look(fleet, work, options, targets, seen)
+        except FleetError as error:
+            if seen is None:
+                raise
+            warn(f"{error} It is tried again in {options.every:g} s.")
         time.sleep(options.every)
+
+
+def _look(
+    fleet: Fleet,
+    work: FleetWork,
+    options: FleetOptions,
+    targets: Targets,
+    seen: FleetDigests | None,
+) -> FleetDigests:
+    """Take in new logs; statistics only if something is not as it was seen before."""
+    with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
+        digests = take_in_logs(fleet, work, told=update, said=_lines(update))
+        known = (digests.records, digests.failed)
+        if seen is not None and not digests.made and known == (seen.records, seen.failed):
+            return digests
+        result = fleet_result(fleet, digests, work.false_alarms, update)
+    _written(fleet, result, options, targets)
+    _tell_new(fleet, result)
+    return digests
 
 
 def _tell_new(fleet: Fleet, result: FleetResult) -> list[FleetFinding]:

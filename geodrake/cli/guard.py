@@ -66,8 +66,13 @@ def _load_drake() -> None:
 
 
 def _stop(message: str, code: int) -> None:
-    _say(printable(message))
+    warn(message)
     raise typer.Exit(code) from None
+
+
+def warn(message: str) -> None:
+    """Say on stderr what is wrong, though the command goes on."""
+    _say(printable(message))
 
 
 def _say(text: str) -> None:

@@ -70,6 +70,7 @@ def find_logs(pattern: str) -> tuple[LogPlace, ...]:
             # Unlike pathlib's, this finds no hidden files, such as those that are being copied.
             return tuple(map(_place, sorted(glob.glob(pattern, recursive=True))))  # noqa: PTH207
         fs, path = _file_system(pattern)
+        fs.invalidate_cache()  # of listings, which would hide logs that came later
         found = sorted(fs.glob(path)) if glob.has_magic(path) else [path]
         found = [each for each in found if glob.has_magic(path) or fs.exists(each)]
         return tuple(_remote_place(fs, each) for each in found)

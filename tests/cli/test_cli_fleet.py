@@ -15,6 +15,9 @@ from small_fleet import FROM, HEAVY, LOGS, STICKY, DayOf, date_of, write_file, w
 from typer.testing import CliRunner
 
 from geodrake.cli.app import app
+from geodrake.errors import DigestError, FleetError
+from geodrake.fleet.digest_run import FleetDigests
+from geodrake.fleet.fleet_result import FleetResult
 from geodrake.logs.files import write_log
 
 STEADY = "first"
@@ -132,6 +135,29 @@ def test_a_watch_takes_in_logs_as_they_come(folder):
         run.terminate()
         run.communicate()
     assert run.returncode == 128 + 15
+
+
+def test_a_watch_goes_on_when_a_place_does_not_answer(folder, monkeypatch):
+    looks = []
+
+    def take_in(*given, **how):
+        looks.append(len(looks))
+        if looks[-1] == 1:
+            raise FleetError("Logs 's3://x' cannot be looked for: TimeoutError.")
+        if looks[-1] == 2:
+            raise DigestError("There are digests of something else.")
+        return FleetDigests({}, (), {}, 0)
+
+    monkeypatch.setattr("geodrake.cli.fleet.take_in_logs", take_in)
+    monkeypatch.setattr(
+        "geodrake.cli.fleet.fleet_result", lambda *given: FleetResult((), (), 0.01, {})
+    )
+    code, out, err = fleet("--watch --every 0.1")
+    assert (code, out, looks) == (2, "", [0, 1, 2])
+    assert err.splitlines() == [
+        "Logs 's3://x' cannot be looked for: TimeoutError. It is tried again in 0.1 s.",
+        "Error: There are digests of something else.",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -196,6 +196,21 @@ def test_logs_in_other_places_have_the_same_digests(folder, own, tmp_path):
         run_fleet(fleet, FleetWork(workers=2))
 
 
+def test_places_are_looked_into_anew(monkeypatch):
+    memory = fsspec.filesystem("memory")
+    listed = {}
+
+    def find(path, **how):
+        return listed.setdefault(path, plain(path, **how))
+
+    plain = memory.find
+    monkeypatch.setattr(memory, "find", find)
+    monkeypatch.setattr(memory, "invalidate_cache", listed.clear)
+    for day in (1, 2):
+        memory.pipe(f"/cached/{day}.csv", b"x")
+        assert len(find_logs("memory://cached/*.csv")) == day
+
+
 def test_a_copy_is_as_old_as_its_log():
     memory = fsspec.filesystem("memory")
     memory.pipe("/dated/log.csv", b"x")
