@@ -167,7 +167,8 @@ def _look(
 ) -> FleetDigests:
     """Take in new logs; statistics only if something is not as it was seen before."""
     with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
-        digests = take_in_logs(fleet, work, told=update, said=_lines(update))
+        failed = () if seen is None else seen.failed
+        digests = take_in_logs(fleet, work, failed=failed, told=update, said=_lines(update))
         known = (digests.records, digests.failed)
         if seen is not None and not digests.made and known == (seen.records, seen.failed):
             return digests

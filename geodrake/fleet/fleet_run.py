@@ -92,6 +92,7 @@ def take_in_logs(
     fleet: Fleet,
     work: FleetWork,
     *,
+    failed: Sequence[LogRecord] = (),
     told: Activity = lambda words, share: None,
     said: Activity = lambda words, share: None,
 ) -> FleetDigests:
@@ -100,6 +101,7 @@ def take_in_logs(
     Args:
         fleet: The fleet.
         work: Who works.
+        failed: Logs that failed before, which are not tried again until they have changed.
         told: Called with what is going on.
         said: Called with what is worth a line that stays.
 
@@ -109,7 +111,7 @@ def take_in_logs(
     instance(fleet, "fleet", Fleet)
     check_places(fleet, local=work.workers == 0 and work.scheduler is None)
     told("Looking for logs", None)
-    tasks, known = find_tasks(fleet)
+    tasks, known = find_tasks(fleet, failed)
     make_folders(fleet.folder)
     with workers(
         len(tasks),

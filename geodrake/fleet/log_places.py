@@ -20,13 +20,17 @@ IN_THIS_PROCESS = "memory"
 """Protocol whose files other processes do not see."""
 
 
+class UnreachableLogError(LogError):
+    """A log that is elsewhere cannot be copied from there, now."""
+
+
 @dataclass(frozen=True)
 class LogPlace:
     """A log of which nothing is read yet.
 
     Attributes:
         address: Its absolute path, or its address.
-        stamp: Its size and when it was changed: another one is another log.
+        stamp: Its size and when it, or who may read it, was changed: another one is another log.
         changed: When it was changed, s since 1970; None where nobody knows.
     """
 
@@ -113,7 +117,7 @@ def local_log(place: LogPlace) -> Iterator[Path]:
         place: Where it is.
 
     Raises:
-        LogError: It cannot be copied.
+        UnreachableLogError: It cannot be copied.
     """
     if not protocol_of(place.address):
         yield Path(place.address)
@@ -126,7 +130,7 @@ def local_log(place: LogPlace) -> Iterator[Path]:
             for each in (copy, *copy.rglob("*")):
                 os.utime(each, (place.changed or 0.0,) * 2)
         except Exception as error:  # each kind of place has errors of its own
-            raise LogError(
+            raise UnreachableLogError(
                 f"Log {place.address} cannot be read: {_words(error)}.",
                 advice="Check the address, and what gives access to it.",
             ) from error
@@ -135,7 +139,7 @@ def local_log(place: LogPlace) -> Iterator[Path]:
 
 def _place(path: str) -> LogPlace:
     status = Path(path).stat()
-    return LogPlace(path, f"{status.st_size} {status.st_mtime_ns}", status.st_mtime)
+    return LogPlace(path, f"{status.st_size} {status.st_ctime_ns}", status.st_mtime)
 
 
 def _file_system(address: str) -> tuple[Any, str]:

@@ -145,20 +145,15 @@ def _read(path: Path) -> LogRecord | None:
     return LogRecord(**values)
 
 
-def to_digest(
-    places: Sequence[LogPlace], known: Mapping[str, LogRecord], folder: Path
-) -> list[LogPlace]:
-    """Logs whose digest is not known to be there.
+def changed_logs(places: Sequence[LogPlace], known: Mapping[str, LogRecord]) -> list[LogPlace]:
+    """Logs that are not as they were when their digests were made, and those that are new.
 
     Args:
         places: The logs.
         known: Records by address.
-        folder: Folder of the digests.
     """
     return [
         place
         for place in places
-        if place.address not in known
-        or known[place.address].stamp != place.stamp
-        or not (folder / known[place.address].digest).is_file()
+        if place.address not in known or known[place.address].stamp != place.stamp
     ]

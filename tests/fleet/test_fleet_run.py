@@ -33,6 +33,7 @@ from small_fleet import (
 from geodrake.effects import CoulombFriction, FittedEffect, StribeckFriction
 from geodrake.errors import DigestError, FleetError, OutputError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
+from geodrake.fleet.digest_run import digest_task, find_tasks
 from geodrake.fleet.log_dates import date_text
 from geodrake.fleet.log_places import find_logs, fits, local_log
 from geodrake.fleet.log_records import read_records
@@ -232,6 +233,26 @@ def test_a_log_that_fails_is_a_row(own, tmp_path):
     assert "no date like %Y-%m-%d" in reasons["undated.csv"]
     assert "the same as" in reasons["2026-05-10.csv"]
     assert {robot.robot: robot.logs for robot in result.robots} == dict.fromkeys(FEW, 2)
+    tasks, known = find_tasks(read_fleet(path), seen.failed)
+    assert (tasks, sum(map(len, known.values()))) == ([], 7)
+    (tmp_path / HEAVY / "2026-05-09.csv").chmod(0o600)
+    assert [task.place.name for task in find_tasks(read_fleet(path), seen.failed)[0]] == [
+        "2026-05-09.csv"
+    ]
+    assert len(find_tasks(read_fleet(path))[0]) == 2  # a run of its own tries all of them
+
+
+def test_a_log_that_could_not_be_fetched_is_tried_again(tmp_path):
+    memory = fsspec.filesystem("memory")
+    memory.pipe("/fetched/2026-05-01.csv", b"x")
+    fleet = read_fleet(write_file(tmp_path, FEW[:1], logs="memory://fetched/*.csv"))
+    (task,), _ = find_tasks(fleet)
+    memory.rm("/fetched/2026-05-01.csv")
+    (fleet.folder / "pendulum" / "digests").mkdir(parents=True)
+    record = digest_task(task)
+    assert "cannot be read: FileNotFoundError" in record.reason
+    memory.pipe("/fetched/2026-05-01.csv", b"x")
+    assert len(find_tasks(fleet, [record])[0]) == 1
 
 
 def test_a_damaged_digest_is_a_row_and_made_again(own, tmp_path):
