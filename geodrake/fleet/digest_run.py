@@ -17,7 +17,6 @@ from geodrake.fleet.log_places import (
     UnreachableLogError,
     find_logs,
     local_log,
-    protocol_of,
 )
 from geodrake.fleet.log_records import LogRecord, changed_logs, read_records, said_of, write_record
 from geodrake.fleet.settings import DigestSettings, read_settings
@@ -84,7 +83,7 @@ def check_places(fleet: Fleet, *, local: bool) -> None:
     """
     for robot in fleet.robots:
         for pattern in robot.logs:
-            if protocol_of(pattern) == IN_THIS_PROCESS and not local:
+            if IN_THIS_PROCESS in pattern and not local:
                 raise FleetError(
                     f"Logs {pattern} of {robot.name} are in the memory of this process, which no "
                     "other one sees.",

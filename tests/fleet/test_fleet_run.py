@@ -1,5 +1,6 @@
 """A small fleet from its file to its findings: stopped, started again, and with what is wrong."""
 
+import io
 import os
 import resource
 import shutil
@@ -7,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,7 +37,7 @@ from geodrake.errors import DigestError, FleetError, OutputError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
 from geodrake.fleet.digest_run import digest_task, find_tasks
 from geodrake.fleet.log_dates import date_text
-from geodrake.fleet.log_places import find_logs, fits, local_log
+from geodrake.fleet.log_places import absolute_pattern, find_logs, fits, local_log
 from geodrake.fleet.log_records import read_records
 from geodrake.fleet.robot_logs import DAY, MOST_TIMES, time_cells
 from geodrake.logs.files import write_log
@@ -444,13 +446,40 @@ def test_patterns_fit_what_they_find(tmp_path):
     (tmp_path / "a" / "b").mkdir(parents=True)
     for name in ("1.csv", "a/2.csv", "a/b/3.csv", "a/b/4.txt", "a/.5.csv"):
         (tmp_path / name).write_text("", encoding="utf-8")
-    every = [str(path) for path in tmp_path.rglob("*.*")]
-    for pattern in ("*.csv", "a/*.csv", "**/*.csv", "a/b/[0-3].*", "a/?/4.txt"):
+    (tmp_path / "a" / "gone.csv").symlink_to("nowhere")
+    every = [str(path) for path in tmp_path.rglob("*")]
+    for pattern in ("*.csv", "a/*.csv", "**/*.csv", "a/b/[0-3].*", "a/?/4.txt", "a?2.*", "a/*"):
         whole = f"{tmp_path}/{pattern}"
         found = {place.address for place in find_logs(whole)}
         fitting = {address for address in every if fits(address, whole)}
-        assert found
-        assert found == fitting - {f"{tmp_path}/a/.5.csv"}
+        assert bool(found) == (pattern != "a?2.*")
+        assert found == fitting - {f"{tmp_path}/a/{name}" for name in (".5.csv", "gone.csv")}
+
+
+def test_a_folder_may_have_a_name_like_a_pattern(tmp_path):
+    folder = tmp_path / "arm[1]"
+    folder.mkdir()
+    (folder / "1.csv").write_text("", encoding="utf-8")
+    pattern = absolute_pattern("*.csv", folder)
+    assert [place.address for place in find_logs(pattern)] == [f"{folder}/1.csv"]
+    assert fits(f"{folder}/1.csv", pattern)
+
+
+def test_logs_in_archives_and_by_caches_have_addresses_of_their_own():
+    memory = fsspec.filesystem("memory")
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("logs/1.csv", "x")
+    memory.pipe({"/packed/all.zip": packed.getvalue(), "/packed/2.csv": b"x"})
+    for pattern, name in {
+        "zip://logs/*.csv::memory://packed/all.zip": "1.csv",
+        "simplecache::memory://packed/*.csv": "2.csv",
+    }.items():
+        (place,) = find_logs(pattern)
+        assert place.name == name
+        assert fits(place.address, pattern)
+        with local_log(place) as path:
+            assert path.read_text(encoding="utf-8") == "x"
 
 
 def test_many_logs_are_few_times():
