@@ -8,6 +8,7 @@ settings add up; others are refused, with what differs.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
@@ -32,6 +33,9 @@ Indices = NDArray[np.intp]
 
 SETTINGS_FILE = "digest_settings.json"
 """Name of the file in a folder of digests that holds their settings."""
+
+DIGEST_NAME = r"[0-9a-f]{32}\.npz"
+"""What names of digests' files are like."""
 
 FORMAT = "geodrake digest 1"
 """Name and version of the format of settings and digests."""
@@ -261,10 +265,16 @@ def read_settings(folder: str | Path) -> DigestSettings | None:
     """The settings of a folder of digests; None if it has none yet.
 
     Raises:
-        DigestError: The file cannot be read, is damaged or of another version.
+        DigestError: The file cannot be read, is damaged, of another version, or not there while
+            digests are.
     """
     path = file_path(folder) / SETTINGS_FILE
     if not path.exists() and not path.is_symlink():
+        if any(re.fullmatch(DIGEST_NAME, each.name) for each in path.parent.glob("*.npz")):
+            raise DigestError(
+                f"The settings file {path} is not there, and digests by it are.",
+                advice="Put back a copy of it, or digest the logs again into a new folder.",
+            )
         return None
     regular_file(path, "settings file", DigestError, largest=_LARGEST_FILE)
     try:
