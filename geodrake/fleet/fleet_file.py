@@ -7,12 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml  # type: ignore[import-untyped]
-
 from geodrake.boundary.arguments import file_path, number
 from geodrake.boundary.showing import Short
-from geodrake.boundary.yaml_text import yaml_text
-from geodrake.errors import ArgumentError, FleetError, ModelError
+from geodrake.boundary.yaml_text import yaml_content
+from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet.log_dates import DATED_BY, check_date_pattern
 from geodrake.fleet.log_places import absolute_pattern
 from geodrake.fleet.making import Wanted
@@ -128,41 +126,12 @@ def read_fleet(path: str | Path) -> Fleet:
         FleetError: It cannot be read, has other keys or kinds of values, or names a robot twice.
     """
     path = file_path(path)
-    try:
-        text = yaml_text(path)
-        _check_keys(yaml.compose(text, yaml.SafeLoader))
-        content = yaml.safe_load(text)
-    except ModelError as error:
-        raise FleetError(
-            error.problem.replace("model file", "fleet file"), advice=error.advice
-        ) from error
-    except (yaml.YAMLError, ValueError) as error:
-        reason = " ".join(str(error).split())[:300].rstrip(".")
-        raise FleetError(f"Fleet file {path} is no YAML: {reason}.", advice=_FORM) from error
+    content = yaml_content(path, "fleet file", FleetError, advice=_FORM)
     try:
         return _fleet(path, content)
     except ArgumentError as error:
         advice = error.advice or _FORM
         raise FleetError(f"Fleet file {path}: {error.problem}", advice=advice) from error
-
-
-def _check_keys(node: yaml.Node | None) -> None:
-    """Refuse a key that is there twice, of which YAML would keep the last.
-
-    Raises:
-        YAMLError: There is one.
-    """
-    if isinstance(node, yaml.MappingNode):
-        seen: set[str] = set()
-        for key, value in node.value:
-            if key.value in seen if isinstance(key, yaml.ScalarNode) else False:
-                line = key.start_mark.line + 1
-                raise yaml.YAMLError(f"the key {key.value!r} is there twice, again in line {line}")
-            seen.add(str(key.value))
-            _check_keys(value)
-    elif isinstance(node, yaml.SequenceNode):
-        for value in node.value:
-            _check_keys(value)
 
 
 def _fleet(path: Path, content: object) -> Fleet:

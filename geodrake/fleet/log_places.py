@@ -13,6 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from geodrake.boundary.escaping import kind_and_line
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import FleetError, LogError
 
@@ -87,7 +88,7 @@ def find_logs(pattern: str) -> tuple[LogPlace, ...]:
         raise
     except Exception as error:  # each kind of place has errors of its own
         raise FleetError(
-            f"Logs {pattern!r} cannot be looked for: {_words(error)}.",
+            f"Logs {pattern!r} cannot be looked for: {kind_and_line(error)}.",
             advice="Check the address, and what gives access to it.",
         ) from error
 
@@ -138,7 +139,7 @@ def local_log(place: LogPlace) -> Iterator[Path]:
                 os.utime(each, (place.changed or 0.0,) * 2)
         except Exception as error:  # each kind of place has errors of its own
             raise UnreachableLogError(
-                f"Log {place.address} cannot be read: {_words(error)}.",
+                f"Log {place.address} cannot be read: {kind_and_line(error)}.",
                 advice="Check the address, and what gives access to it.",
             ) from error
         yield copy
@@ -177,8 +178,3 @@ def _remote_place(fs: Any, path: str, address: str) -> LogPlace:
     mark = said.get("ETag") or said.get("etag") or said.get("md5Hash") or changed
     stamp = " ".join(str(each) for each in (said.get("size"), mark) if each is not None)
     return LogPlace(address, stamp, changed)
-
-
-def _words(error: Exception) -> str:
-    text = " ".join(str(error).split())[:200].rstrip(".")
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__

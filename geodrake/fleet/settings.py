@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import file_path
+from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, make_effect
@@ -256,7 +257,7 @@ def settings_of(text: str, source: str | Path) -> DigestSettings:
         return _settings(said)
     except _UNREADABLE as error:
         raise DigestError(
-            f"{source} does not hold settings of digests: {' '.join(str(error).split())[:200]}.",
+            f"{source} does not hold settings of digests: {one_line(error)}.",
             advice="Put back a copy of it, or digest the logs again into a new folder.",
         ) from error
 
@@ -281,7 +282,8 @@ def read_settings(folder: str | Path) -> DigestSettings | None:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise DigestError(
-            f"The settings file {path} cannot be read: {error}.", advice="Put back a copy of it."
+            f"The settings file {path} cannot be read: {one_line(error)}.",
+            advice="Put back a copy of it.",
         ) from error
     return settings_of(text, path)
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any, Generic, Protocol, TypeVar
 
+from geodrake.boundary.escaping import one_line
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import FleetError
 
@@ -169,9 +170,8 @@ def _remote(dask: Any, scheduler: str) -> Any:
     try:
         client = dask.Client(scheduler, timeout=_SECONDS)
     except (OSError, ValueError, TimeoutError, RuntimeError, ImportError) as error:
-        words = " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
         raise FleetError(
-            f"The scheduler {scheduler} cannot be reached: {words}.",
+            f"The scheduler {scheduler} cannot be reached: {one_line(error)}.",
             advice="Check its address, such as tcp://10.0.0.5:8786; or leave --scheduler out.",
         ) from error
     try:
