@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -80,6 +81,9 @@ class OfDask:
         Args:
             work: A function that other processes can import.
             pieces: Its arguments.
+
+        Raises:
+            FleetError: The scheduler is lost.
         """
         dask: Any = optional_package("distributed", "fleet", "workers", FleetError)
         most = _AHEAD * max(1, sum(self.client.nthreads().values()))
@@ -103,6 +107,11 @@ class OfDask:
                 except dask.KilledWorker:
                     yield Done(at, None)
                 begin()
+        except (CancelledError, dask.comm.CommClosedError) as error:
+            raise FleetError(
+                f"The scheduler {self.client.scheduler.address} does not answer any more.",
+                advice="Start it, and run the command again: what was digested stays.",
+            ) from error
         finally:
             self.client.cancel(list(done.futures))
 
@@ -141,9 +150,22 @@ def workers(
         if scheduler is None:
             client = stack.enter_context(_local(dask, count or 1, stack))
         else:
+            stack.enter_context(_silent())
             client = stack.enter_context(_remote(dask, scheduler))
         told(f"Dashboard of the workers: {client.dashboard_link}")
         yield OfDask(client)
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Without the log of Dask's client, which has a traceback where a scheduler is lost."""
+    log = logging.getLogger("distributed.client")
+    before = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 def _cores() -> int:
