@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from geodrake.boundary.showing import Short
-from geodrake.errors import DigestError, FleetError, GeodrakeError, OutputError
+from geodrake.errors import ArgumentError, DigestError, FleetError, GeodrakeError, OutputError
 from geodrake.fleet.digest_folder import FAILED, check_settings, digest_logs
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
 from geodrake.fleet.log_dates import DATED_BY, date_in_path
@@ -22,6 +22,7 @@ from geodrake.fleet.log_records import LogRecord, changed_logs, read_records, sa
 from geodrake.fleet.settings import DigestSettings, read_settings
 from geodrake.fleet.type_source import own_model, type_source
 from geodrake.fleet.workers import Workers
+from geodrake.model.carried_payloads import carried_phi
 from geodrake.model.robot_model import RobotModel
 
 Activity = Callable[[str, float | None], None]
@@ -96,8 +97,24 @@ def check_places(fleet: Fleet, *, local: bool) -> None:
         if settings is not None:
             check_settings(settings, model, source.wanted)
         for robot in fleet.of_type(kind.name):
+            _check_payloads(robot, model)
             if robot.model is not None:
                 _check_same_robot(robot, own_model(kind, robot.model), model)
+
+
+def _check_payloads(robot: FleetRobot, model: RobotModel) -> None:
+    """Refuse payloads of bodies that there are not.
+
+    Raises:
+        FleetError: There is one.
+    """
+    try:
+        carried_phi(model, robot.payloads)
+    except ArgumentError as error:
+        raise FleetError(
+            f"Robot {robot.name!r} has payloads that cannot be: {error.problem}",
+            advice=error.advice,
+        ) from error
 
 
 def _check_same_robot(robot: FleetRobot, own: RobotModel, of_type: RobotModel) -> None:

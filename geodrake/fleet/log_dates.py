@@ -22,6 +22,8 @@ _DIRECTIVES = {
     "%%": "%",
 }
 
+_TIMES = {"%H", "%M", "%S"}
+_DATES = [{*day, year} for day in (("%m", "%d"), ("%j",)) for year in ("%Y", "%y")]
 _EARLIEST, _LATEST = 9e8, 4.2e9  # s since 1970 at which a robot may have been logged
 
 
@@ -91,15 +93,14 @@ def check_date_pattern(pattern: str) -> None:
     """Refuse what no date in a path can be like.
 
     Raises:
-        ArgumentError: It lacks the year or the day, or has directives that are not known.
+        ArgumentError: It lacks the year or the day, or has directives that are not known, or twice.
     """
-    parts = re.findall(r"%.?", pattern)
-    days = {"%j"} <= set(parts) or {"%m", "%d"} <= set(parts)
-    if not days or not {"%Y", "%y"} & set(parts) or set(parts) - set(_DIRECTIVES):
+    parts = [part for part in re.findall(r"%.?", pattern) if part != "%%"]
+    if set(parts) - _TIMES not in _DATES or len(set(parts)) < len(parts):
         raise ArgumentError(
             f"dates are {pattern!r}, which is like no date.",
-            advice=f"Write %Y-%m-%d, or with others of {', '.join(_DIRECTIVES)}; or one of "
-            f"{', '.join(DATED_BY)}.",
+            advice=f"Write %Y-%m-%d, or with others of {', '.join(_DIRECTIVES)}, each once; "
+            f"or one of {', '.join(DATED_BY)}.",
         )
 
 
@@ -115,6 +116,7 @@ def date_in_path(path: str, pattern: str) -> float:
     """
     parts = re.split(r"(%.)", pattern)
     like = "".join(_DIRECTIVES.get(part, re.escape(part)) for part in parts)
+    like = rf"(?<!\d){like}"  # a date begins where its digits do
     for found in reversed(re.findall(like, path)):
         try:
             instant = datetime.strptime(found, pattern).replace(tzinfo=UTC)

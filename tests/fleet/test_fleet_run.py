@@ -33,10 +33,10 @@ from small_fleet import (
 )
 
 from geodrake.effects import CoulombFriction, FittedEffect, StribeckFriction
-from geodrake.errors import DigestError, FleetError, OutputError
+from geodrake.errors import ArgumentError, DigestError, FleetError, OutputError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
 from geodrake.fleet.digest_run import digest_task, find_tasks
-from geodrake.fleet.log_dates import date_text
+from geodrake.fleet.log_dates import check_date_pattern, date_in_path, date_text
 from geodrake.fleet.log_places import absolute_pattern, find_logs, fits, local_log
 from geodrake.fleet.log_records import read_records
 from geodrake.fleet.robot_logs import DAY, MOST_TIMES, time_cells
@@ -258,10 +258,10 @@ def test_a_log_that_could_not_be_fetched_is_tried_again(tmp_path):
 
 
 def test_a_damaged_digest_is_a_row_and_made_again(own, tmp_path):
-    path = own()
+    path = own([HEAVY])
     text = text_of(run_fleet(read_fleet(path), HERE)[0])
     here = tmp_path / "results" / "pendulum"
-    (record, _) = read_records(here, read_fleet(path).robots[1]).values()
+    (record, _) = read_records(here, *read_fleet(path).robots).values()
     damaged = here / "digests" / record.digest
     good = damaged.read_bytes()
     damaged.write_bytes(good[:2000] + b"\xff" * 100 + good[2100:])
@@ -269,14 +269,14 @@ def test_a_damaged_digest_is_a_row_and_made_again(own, tmp_path):
     (failed,) = result.failed
     assert (seen.made, failed.robot, failed.log) == (0, HEAVY, record.address)
     assert "damaged" in failed.reason
-    assert {robot.robot: robot.logs for robot in result.robots} == {FEW[0]: 2, HEAVY: 1}
+    assert {robot.robot: robot.logs for robot in result.robots} == {HEAVY: 1}
     again, seen = run_fleet(read_fleet(path), HERE)
     assert (seen.made, text_of(again)) == (1, text)
     assert damaged.read_bytes() == good
     for each in (here / "digests").glob("*.npz"):
         each.write_bytes(b"")
     result, _ = run_fleet(read_fleet(path), HERE)
-    assert [robot.state for robot in result.robots] == ["no logs"] * 2
+    assert [robot.state for robot in result.robots] == ["no logs"]
 
 
 def test_what_was_digested_stays_when_its_log_is_deleted(own, tmp_path):
@@ -367,6 +367,45 @@ def test_a_model_of_its_own_need_not_have_the_effects_of_its_type(tmp_path):
     assert own["bodies"] == other["bodies"]
 
 
+def test_a_payload_is_of_a_body(own):
+    path = own()
+    text = path.read_text(encoding="utf-8")
+    more = "payloads: [{body: hand, mass: 1}], dates:"
+    path.write_text(text.replace("dates:", more, 1), encoding="utf-8")
+    with pytest.raises(FleetError, match=r"'first' has payloads that cannot be: .*hand"):
+        run_fleet(read_fleet(path), HERE)
+
+
+def test_files_of_a_type_are_files(own, tmp_path):
+    path = own()
+    os.mkfifo(tmp_path / "pipe.urdf")
+    text = path.read_text(encoding="utf-8")
+    for name, says in (("pipe.urdf", "is a pipe"), ("none.urdf", "does not exist")):
+        path.write_text(text.replace(str(PENDULUM), name), encoding="utf-8")
+        with pytest.raises(FleetError, match=f"file of type pendulum .*{name} {says}"):
+            run_fleet(read_fleet(path), HERE)
+
+
+@pytest.mark.parametrize(
+    ("path", "pattern", "date"),
+    [
+        ("arm_20260501.csv", "%Y%m%d", "2026-05-01T00:00:00"),
+        ("arm_2020101203.csv", "%Y%m%d", "2020-10-12T00:00:00"),  # and not the 3rd of December
+        ("2026-05-01/2026-05-02.csv", "%Y-%m-%d", "2026-05-02T00:00:00"),
+        ("arm_26121_1530.csv", "%y%j_%H%M", "2026-05-01T15:30:00"),
+        ("arm7/20260501.csv", "arm7/%Y%m%d", "2026-05-01T00:00:00"),
+        ("arm_720260501.csv", "%Y%m%d", None),
+    ],
+)
+def test_dates_in_paths(path, pattern, date):
+    check_date_pattern(pattern)
+    if date is None:
+        with pytest.raises(ArgumentError, match="has no date like"):
+            date_in_path(path, pattern)
+    else:
+        assert date_text(date_in_path(path, pattern)) == f"{date}+00:00"
+
+
 def test_a_scheduler_that_does_not_answer_is_said(own, monkeypatch):
     monkeypatch.setattr("geodrake.fleet.workers._SECONDS", 0.5)
     with pytest.raises(FleetError, match=r"tcp://127\.0\.0\.1:9 cannot be reached"):
@@ -396,7 +435,7 @@ ROBOT = "robots:\n- {name: a, logs: 'a/*.csv'}\n"
         ("", "is empty"),
         ("- 1", "no table of keys"),
         ("to: [", "not valid YAML"),
-        (f"to: {'[' * 2000}", "not valid YAML"),
+        (f"to: {'[' * 1000}{']' * 1000}", "not valid YAML"),
         (f"{TYPES}{ROBOT}", "`to` is None"),
         (f"to: x\n{ROBOT}", "`types` is None"),
         (f"to: x\n{TYPES}", "`robots` is None"),
@@ -409,6 +448,7 @@ ROBOT = "robots:\n- {name: a, logs: 'a/*.csv'}\n"
         (f"to: x\n{TYPES}robots:\n- {{name: a, logs: []}}\n", "robot 'a' has no logs"),
         (f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, dates: soon}}\n", "like no date"),
         (f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, dates: '%Y'}}\n", "like no date"),
+        (f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, dates: '%Y%Y%m%d'}}\n", "like no date"),
         (f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, log: c}}\n", "has the key 'log'"),
         ("to: x\ntypes:\n  ../a: {model: m}\n" + ROBOT, "a name that no folder can have"),
         ("to: x\ntypes:\n  a: {model: m, blocks: 1}\n" + ROBOT, "blocks must be"),
