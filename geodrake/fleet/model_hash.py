@@ -18,6 +18,10 @@ from geodrake.effects import Effect
 from geodrake.effects.column_checks import of_geodrake
 from geodrake.errors import LogError
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot.transmission import Transmission
+
+_POSITIONS, _REACH = 20, 0.5  # at which transmissions are looked at; rad or m
+_DIGITS = 9  # behind the point, of which machines that compute differ in none
 
 
 def model_hash(model: RobotModel) -> str:
@@ -102,4 +106,20 @@ def _plain(value: Any) -> Any:
         plain = [_plain(each) for each in value]
     else:  # such as a function, of a transmission made in Python
         plain = str(getattr(value, "__qualname__", type(value).__qualname__))
-    return plain
+    return [plain, _values_of(value)] if isinstance(value, Transmission) else plain
+
+
+def _values_of(transmission: Transmission) -> list[str]:
+    """What a transmission does at some positions: functions that it has cannot be hashed."""
+    size = (_POSITIONS, transmission.num_actuators)
+    found = []
+    for q in np.random.default_rng(0).uniform(-_REACH, _REACH, size):
+        try:
+            at = transmission.inside(q[None])
+            values = [*transmission.joint_positions(at).flat, *transmission.jacobian(at).flat]
+        except Exception as error:  # functions of users' own may raise anything
+            found.append(type(error).__name__)
+        else:
+            rounded = np.round(values, _DIGITS) + 0.0  # no −0
+            found.append(" ".join(f"{value:.{_DIGITS}f}" for value in rounded))
+    return found

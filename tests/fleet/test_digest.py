@@ -25,6 +25,7 @@ from geodrake.fleet import (
     read_digest,
 )
 from geodrake.fleet.log_dates import date_of_log, date_seconds
+from geodrake.fleet.model_hash import text_hash
 from geodrake.fleet.robot_logs import reduced_log
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.hypothesis import first_hypothesis
@@ -32,6 +33,7 @@ from geodrake.identification.logs.model_fit import fit_model, model_unknowns
 from geodrake.logs.files import read_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.model.saved_model import load_model
+from geodrake.robot.transmission import FunctionTransmission
 
 MODELS = Path(__file__).parents[2] / "models"
 FRICTION = np.array([6.0, 5.0, 4.0, 1.0, 1.0, 0.5])  # N·m
@@ -313,6 +315,17 @@ def test_what_does_not_add_up_is_refused(model, logs, settings, digests):
         digest_dataset(digests[0], heavier)
     assert model_hash(model) == model_hash(load_model(MODELS / "arm6.urdf"))
     assert model_hash(model) != model_hash(heavier)
+
+
+def test_transmissions_by_other_functions_are_others():
+    def of(ratio):
+        return FunctionTransmission(
+            (1, 1), lambda q: ratio * q, lambda q: np.full((len(q), 1, 1), ratio)
+        )
+
+    assert text_hash(of(2.0)) == text_hash(of(2.0))
+    assert text_hash(of(2.0)) != text_hash(of(2.1))
+    assert text_hash(of(np.nan)) != text_hash(of(2.0))  # where it is not known
 
 
 def test_a_log_that_cannot_bear_the_settings_is_told_so(model, logs, settings):
