@@ -84,6 +84,22 @@ def write_new(path: Path, content: Content) -> bool:
         return part.rename_if_new()
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder, and those above it, unless they are there.
+
+    Raises:
+        OutputError: It cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise OutputError(
+            f"The folder {path} cannot be made: {getattr(error, 'strerror', None) or error}.",
+            advice="Choose another place.",
+            path=path,
+        ) from error
+
+
 def check_writable(path: str | Path) -> None:
     """Refuse a target that cannot be written, before the work that makes its content.
 

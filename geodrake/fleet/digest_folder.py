@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import file_path, instance, instances, number
 from geodrake.boundary.showing import Short
 from geodrake.boundary.version import version
-from geodrake.boundary.whole_files import check_writable, write_new, write_whole
+from geodrake.boundary.whole_files import check_writable, make_folder, write_new, write_whole
 from geodrake.errors import ArgumentError, DigestError, GeodrakeError, OutputError
 from geodrake.fleet.digest import Digest, DigestedLog, check_same
 from geodrake.fleet.digest_dataset import model_of_digests
@@ -253,18 +253,6 @@ def digest_files(folder: str | Path) -> tuple[Path, ...]:
         raise DigestError(
             f"{path} is no folder of digests: {error.strerror}.", advice="Check the path."
         ) from error
-
-
-def make_folder(path: Path) -> None:
-    """Make a folder unless it is there.
-
-    Raises:
-        OutputError: It cannot be made.
-    """
-    try:
-        path.mkdir(exist_ok=True)
-    except (OSError, ValueError) as error:
-        raise _refused(path, f"cannot be made: {getattr(error, 'strerror', error)}") from error
 
 
 def _row(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from geodrake.boundary.showing import Short
+from geodrake.boundary.whole_files import make_folder
 from geodrake.errors import ArgumentError, DigestError, FleetError, GeodrakeError, OutputError
 from geodrake.fleet.digest_folder import FAILED, check_settings, digest_logs
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
@@ -233,7 +234,7 @@ def _choose_settings(
     rest: list[LogTask] = []
     for kind in fleet.types.values():
         folder = fleet.folder / kind.name
-        make_folders(folder / DIGESTS)
+        make_folder(folder / DIGESTS)
         own = [task for task in tasks if task.kind is kind]
         while own and read_settings(folder / DIGESTS) is None:
             told(f"Choosing settings of {kind.name}", None)
@@ -290,19 +291,3 @@ def _failure(task: LogTask, reason: str) -> LogRecord:
 
 def _by_date(record: LogRecord) -> tuple[float, str]:
     return record.date, record.address
-
-
-def make_folders(path: Path) -> None:
-    """Make a folder and those above it.
-
-    Raises:
-        OutputError: It cannot be made.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        raise OutputError(
-            f"The folder {path} cannot be made: {getattr(error, 'strerror', error)}.",
-            advice="Choose another folder as `to` of the fleet file.",
-            path=path,
-        ) from error

@@ -9,7 +9,7 @@ from typing import Any
 
 from geodrake.boundary.arguments import file_path, number
 from geodrake.boundary.showing import Short
-from geodrake.boundary.yaml_text import yaml_content
+from geodrake.boundary.yaml_text import yaml_content, yaml_table
 from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet.log_dates import DATED_BY, check_date_pattern
 from geodrake.fleet.log_places import absolute_pattern
@@ -244,26 +244,8 @@ def _payload(content: object, what: str) -> KnownPayload:
 
 def _table(
     content: object, keys: Sequence[str] | None, what: str, least: int = 1
-) -> Mapping[str, Any]:
-    """A mapping of YAML.
-
-    Args:
-        content: What is there.
-        keys: The keys that it may have; None for any.
-        what: What messages call it.
-        least: How many it must have.
-
-    Raises:
-        ArgumentError: It is none, or has another key.
-    """
-    if not isinstance(content, dict) or len(content) < least:
-        raise ArgumentError(f"{what} is {content!r:.60}, no table of keys.", advice=_FORM)
-    for key in content:
-        if keys is not None and key not in keys:
-            raise ArgumentError(
-                f"{what} has the key {key!r:.60}.", advice=f"It may have {', '.join(keys)}."
-            )
-    return content
+) -> Mapping[Any, Any]:
+    return yaml_table(content, keys, what, advice=_FORM, least=least)
 
 
 def _text(content: object, what: str) -> str:

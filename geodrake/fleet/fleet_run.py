@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, integer, number
 from geodrake.boundary.showing import Short
+from geodrake.boundary.whole_files import make_folder
 from geodrake.errors import DigestError
 from geodrake.fleet.digest_run import (
     DIGESTS,
@@ -18,7 +19,6 @@ from geodrake.fleet.digest_run import (
     check_places,
     digest_fleet,
     find_tasks,
-    make_folders,
 )
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
 from geodrake.fleet.fleet_result import FailedLog, FleetResult, RobotResult
@@ -112,7 +112,7 @@ def take_in_logs(
     check_places(fleet, local=work.workers == 0 and work.scheduler is None)
     told("Looking for logs", None)
     tasks, known = find_tasks(fleet, failed)
-    make_folders(fleet.folder)
+    make_folder(fleet.folder)
     with workers(
         len(tasks),
         count=work.workers,

@@ -12,8 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
-from geodrake.boundary.whole_files import write_whole
-from geodrake.errors import OutputError
+from geodrake.boundary.whole_files import make_folder, write_whole
 from geodrake.fleet.fleet_file import FleetRobot
 from geodrake.fleet.log_places import LogPlace, fits
 from geodrake.fleet.model_hash import text_hash
@@ -84,14 +83,7 @@ def write_record(folder: Path, record: LogRecord) -> None:
         OutputError: It cannot be written.
     """
     path = record_file(folder, record.robot, record.address)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(
-            f"Folder {path.parent} cannot be made: {error.strerror}.",
-            advice="Check the folder of the fleet; what is there stays.",
-            path=path,
-        ) from error
+    make_folder(path.parent)
     write_whole(path, json.dumps(asdict(record), indent=1) + "\n")
 
 

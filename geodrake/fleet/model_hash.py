@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from geodrake.boundary.arguments import instance
+from geodrake.boundary.input_files import sha256_of
 from geodrake.effects import Effect
 from geodrake.effects.column_checks import of_geodrake
 from geodrake.errors import LogError
@@ -71,8 +72,7 @@ def file_hash(paths: Iterable[Path]) -> str:
         for each in inside if path.is_dir() else [path]:
             name = str(each.relative_to(path)) if path.is_dir() else ""
             try:
-                with each.open("rb") as file:
-                    own = hashlib.file_digest(file, "sha256").hexdigest()
+                own = sha256_of(each)
             except OSError as error:
                 raise LogError(
                     f"{each} cannot be read: {error.strerror or error}.",

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml  # type: ignore[import-untyped]
 
-from geodrake.boundary.yaml_text import yaml_content
+from geodrake.boundary.yaml_text import yaml_content, yaml_table
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files.joint_matching import matched
 from geodrake.logs.files.reading import (
@@ -67,13 +67,8 @@ def _mapping(path: Path, content: object) -> ColumnMapping:
     return mapping
 
 
-def _table(content: object, keys: Sequence[str] | None, what: str) -> Mapping[str, Any]:
-    if not isinstance(content, dict) or not content:
-        raise ArgumentError(f"{what} is {content!r:.60}, no table of keys.", advice=_FORM)
-    for key in content:
-        if keys is not None and key not in keys:
-            raise ArgumentError(f"{what} has the key {key!r}; it may have {', '.join(keys)}.")
-    return content
+def _table(content: object, keys: Sequence[str] | None, what: str) -> Mapping[Any, Any]:
+    return yaml_table(content, keys, what, advice=_FORM)
 
 
 def _column(content: object, quantity: str, what: str) -> MappedColumn:
