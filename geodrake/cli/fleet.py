@@ -27,10 +27,10 @@ from geodrake.fleet.told_findings import keep_told, new_findings
 from geodrake.report.fleet_json import finding_line, fleet_dict, parquet_contents
 from geodrake.report.fleet_tables import (
     MOST_ROBOTS,
-    failed_list,
     findings_table,
     fleet_verdict,
     robots_table,
+    unused_list,
 )
 from geodrake.report.json_output import to_json
 
@@ -38,7 +38,7 @@ NEW_FINDING = 3
 """Exit code of `--once` where there is a finding that was not told before."""
 
 _RESULT = "fleet.json"
-_MOST_FAILED = 20  # logs that a terminal lists
+_MOST_UNUSED = 20  # logs that a terminal lists
 _SHORTEST, _LONGEST = 0.1, 1e6  # s between two looks
 
 
@@ -130,10 +130,10 @@ def _show(
         show_table(console, robots_table(steady[:MOST_ROBOTS]))
         if len(steady) > MOST_ROBOTS:
             console.print(f"and {len(steady) - MOST_ROBOTS} more, in {fleet.folder / _RESULT}")
-    failed = failed_list(result)
-    more = len(failed) - _MOST_FAILED
+    unused = unused_list(result)
+    more = len(unused) - _MOST_UNUSED
     rest = [f"and {more} more, in {fleet.folder / _RESULT}"] if more > 0 else []
-    show_list(console, "Logs that could not be used", [*failed[:_MOST_FAILED], *rest])
+    show_list(console, "Logs that are not used", [*unused[:_MOST_UNUSED], *rest])
     say(console, "Result", f"{fleet_verdict(result)} All of it is in {fleet.folder}.")
     show_saved(console, written)
 

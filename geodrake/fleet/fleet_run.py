@@ -21,7 +21,7 @@ from geodrake.fleet.digest_run import (
     find_tasks,
 )
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
-from geodrake.fleet.fleet_result import FailedLog, FleetResult, RobotResult
+from geodrake.fleet.fleet_result import FleetResult, RobotResult, UnusedLog
 from geodrake.fleet.log_records import LogRecord, look_again
 from geodrake.fleet.robot_logs import RobotLogs, robot_logs
 from geodrake.fleet.settings import DigestSettings
@@ -136,36 +136,36 @@ def fleet_result(
     Raises:
         OutputError: It cannot be written that a log is to be digested again.
     """
-    failed = [FailedLog(each.robot, each.address, each.reason) for each in digests.failed]
+    unused = [UnusedLog(each.robot, each.address, each.reason) for each in digests.failed]
     robots: list[RobotResult] = []
     for kind in fleet.types.values():
         own = fleet.of_type(kind.name)
         records = {}
         for robot in own:
             records[robot.name], twice = _once(digests.records.get(robot.name, ()))
-            failed += twice
+            unused += twice
         settings, found = digests.settings[kind.name], list[RobotResult]()
         if settings is not None:
             told(f"Looking for changes in {kind.name}", None)
             logs, damaged = _logs_of_type(fleet, kind, records, settings)
-            failed += damaged
+            unused += damaged
             found = _of_type(fleet, kind, logs, settings, false_alarms=false_alarms)
         seen = {result.robot for result in found}
         lacking = [robot.name for robot in own if robot.name not in seen]
         robots += found
         robots += [RobotResult(name, kind.name, 0, np.zeros(0)) for name in lacking]
     hashes = {name: each.hash for name, each in digests.settings.items() if each is not None}
-    return FleetResult(tuple(sorted(robots, key=_badness)), tuple(failed), false_alarms, hashes)
+    return FleetResult(tuple(sorted(robots, key=_badness)), tuple(unused), false_alarms, hashes)
 
 
-def _once(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[FailedLog]]:
+def _once(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[UnusedLog]]:
     """Logs of a robot, those of the same bytes once; and the others."""
     seen: dict[str, str] = {}
     kept, twice = [], []
     for record in records:
         if record.digest in seen:
             reason = f"It holds the same as {seen[record.digest]}, and counts once."
-            twice.append(FailedLog(record.robot, record.address, reason))
+            twice.append(UnusedLog(record.robot, record.address, reason))
         else:
             seen[record.digest] = record.address
             kept.append(record)
@@ -177,16 +177,16 @@ def _logs_of_type(
     kind: FleetType,
     records: Mapping[str, Sequence[LogRecord]],
     settings: DigestSettings,
-) -> tuple[list[RobotLogs], list[FailedLog]]:
+) -> tuple[list[RobotLogs], list[UnusedLog]]:
     """Histories of the robots of a type that have logs; and logs whose digest is damaged."""
     model, folder = type_source(kind).model, fleet.folder / kind.name
     kept = type_layout(model, settings, np.ones(len(settings.joints)), payload=kind.payload).kept
-    damaged: list[FailedLog] = []
+    damaged: list[UnusedLog] = []
 
     def refused(record: LogRecord, error: DigestError) -> None:
         look_again(folder, record)
         reason = f"{error.problem} It is made again by the next run, if the log is there."
-        damaged.append(FailedLog(record.robot, record.address, reason))
+        damaged.append(UnusedLog(record.robot, record.address, reason))
 
     found = [
         robot_logs(name, own, folder / DIGESTS, settings, kept, refused=refused)

@@ -66,7 +66,7 @@ def test_findings_are_said_and_written(folder):
         }
     times = parquet.read_table("results/parameters.parquet").to_pylist()
     assert len(times) == 3 * LOGS * len(numbers["robots"][0]["parameters"])
-    assert parquet.read_table("results/failed_logs.parquet").num_rows == 0
+    assert parquet.read_table("results/unused_logs.parquet").num_rows == 0
 
 
 def test_the_page_has_robots_joints_and_changes(folder):

@@ -230,7 +230,7 @@ def test_a_log_that_fails_is_a_row(own, tmp_path):
     shutil.copy(tmp_path / HEAVY / f"{date_of(0)}.csv", tmp_path / HEAVY / "2026-05-10.csv")
     result, seen = run_fleet(read_fleet(path), HERE)
     assert seen.made == 5
-    reasons = {Path(failed.log).name: failed.reason for failed in result.failed}
+    reasons = {Path(unused.log).name: unused.reason for unused in result.unused}
     assert "position" in reasons["2026-05-09.csv"]
     assert "no date like %Y-%m-%d" in reasons["undated.csv"]
     assert "the same as" in reasons["2026-05-10.csv"]
@@ -266,9 +266,9 @@ def test_a_damaged_digest_is_a_row_and_made_again(own, tmp_path):
     good = damaged.read_bytes()
     damaged.write_bytes(good[:2000] + b"\xff" * 100 + good[2100:])
     result, seen = run_fleet(read_fleet(path), HERE)
-    (failed,) = result.failed
-    assert (seen.made, failed.robot, failed.log) == (0, HEAVY, record.address)
-    assert "damaged" in failed.reason
+    (unused,) = result.unused
+    assert (seen.made, unused.robot, unused.log) == (0, HEAVY, record.address)
+    assert "damaged" in unused.reason
     assert {robot.robot: robot.logs for robot in result.robots} == {HEAVY: 1}
     again, seen = run_fleet(read_fleet(path), HERE)
     assert (seen.made, text_of(again)) == (1, text)
