@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content, write_together
 from geodrake.cli.fleet_options import FleetOptions
 from geodrake.cli.guard import warn
-from geodrake.cli.progress import Activity, progress
+from geodrake.cli.progress import progress
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import head, make_console, say, show_list, show_saved, show_table
 from geodrake.cli.targets import STDOUT, Targets
@@ -79,11 +78,7 @@ def _looked(
     fleet: Fleet, work: FleetWork, options: FleetOptions
 ) -> tuple[FleetResult, FleetDigests]:
     with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
-        return run_fleet(fleet, work, told=update, said=_lines(update))
-
-
-def _lines(update: Activity) -> Callable[[str, float | None], None]:
-    return lambda words, share: update.history(words)
+        return run_fleet(fleet, work, told=update, said=update.history)
 
 
 def _written(
@@ -168,7 +163,7 @@ def _look(
     """Take in new logs; statistics only if something is not as it was seen before."""
     with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
         failed = () if seen is None else seen.failed
-        digests = take_in_logs(fleet, work, failed=failed, told=update, said=_lines(update))
+        digests = take_in_logs(fleet, work, failed=failed, told=update, said=update.history)
         known = (digests.records, digests.failed)
         if seen is not None and not digests.made and known == (seen.records, seen.failed):
             return digests

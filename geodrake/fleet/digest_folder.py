@@ -36,8 +36,8 @@ from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
-Told = Callable[[str, float], None]
-"""Called with what is going on, and the share of it that is done."""
+Told = Callable[[str, float | None], None]
+"""Called with what is going on, and the share of it that is done, if that is known."""
 
 MADE, THERE, FAILED = "made", "there", "failed"
 """What became of a log: it was digested, its digest was there already, or there is none."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from geodrake.boundary.showing import Short
 from geodrake.boundary.whole_files import make_folder
 from geodrake.errors import ArgumentError, DigestError, FleetError, GeodrakeError, OutputError
-from geodrake.fleet.digest_folder import FAILED, check_settings, digest_logs
+from geodrake.fleet.digest_folder import FAILED, Told, check_settings, digest_logs
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
 from geodrake.fleet.log_dates import DATED_BY, date_in_path
 from geodrake.fleet.log_places import (
@@ -25,9 +25,6 @@ from geodrake.fleet.type_source import own_model, type_source
 from geodrake.fleet.workers import Workers
 from geodrake.model.carried_payloads import carried_phi
 from geodrake.model.robot_model import RobotModel
-
-Activity = Callable[[str, float | None], None]
-"""Called with what is going on, and the share of it that is done."""
 
 DIGESTS = "digests"
 """Name of the folder of a type's digests."""
@@ -185,7 +182,7 @@ def digest_fleet(
     tasks: Sequence[LogTask],
     known: dict[str, dict[str, LogRecord]],
     team: Workers,
-    told: Activity = lambda words, share: None,
+    told: Told = lambda words, share: None,
 ) -> FleetDigests:
     """Digest logs; what is there stays.
 
@@ -228,7 +225,7 @@ def _choose_settings(
     fleet: Fleet,
     tasks: Sequence[LogTask],
     take: Callable[[LogTask, LogRecord], None],
-    told: Activity,
+    told: Told,
 ) -> list[LogTask]:
     """Digest the first log of each type that can be used, which chooses settings; the others."""
     rest: list[LogTask] = []

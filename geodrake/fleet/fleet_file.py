@@ -12,7 +12,7 @@ from geodrake.boundary.showing import Short
 from geodrake.boundary.yaml_text import yaml_content, yaml_table
 from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet.log_dates import DATED_BY, check_date_pattern
-from geodrake.fleet.log_places import absolute_pattern
+from geodrake.fleet.log_places import absolute_pattern, home_path
 from geodrake.fleet.making import Wanted
 from geodrake.logs.known_payload import KnownPayload
 
@@ -137,7 +137,7 @@ def read_fleet(path: str | Path) -> Fleet:
 def _fleet(path: Path, content: object) -> Fleet:
     said = _table(content, _KEYS, "it")
     base = path.absolute().parent
-    folder = base / _text(said.get("to"), "`to`")
+    folder = _path(base, said.get("to"), "`to`")
     types = {
         str(name): _type(str(name), own, base)
         for name, own in _table(said.get("types"), None, "`types`").items()
@@ -173,13 +173,14 @@ def _type(name: str, content: object, base: Path) -> FleetType:
     if not isinstance(floating, bool):
         raise ArgumentError(f"floating of {what} is {floating!r}, neither true nor false.")
     if transmission is not None and transmission not in ("file", "none"):
-        transmission = str(base / _text(transmission, f"transmission of {what}"))
+        transmission = str(_path(base, transmission, f"transmission of {what}"))
     effects, mapping = said.get("effects"), said.get("mapping")
     return FleetType(
         name,
-        base / _text(said.get("model"), f"model of {what}"),
+        _path(base, said.get("model"), f"model of {what}"),
         tuple(
-            base / each for each in _texts(said.get("own_effects", []), f"own_effects of {what}")
+            _path(base, each, f"own_effects of {what}")
+            for each in _texts(said.get("own_effects", []), f"own_effects of {what}")
         ),
         None if effects is None else _texts(effects, f"effects of {what}"),
         None if bandwidth is None else float(bandwidth),
@@ -191,7 +192,7 @@ def _type(name: str, content: object, base: Path) -> FleetType:
         },
         floating,
         transmission,
-        None if mapping is None else base / _text(mapping, f"mapping of {what}"),
+        None if mapping is None else _path(base, mapping, f"mapping of {what}"),
         {
             str(quantity): _text(unit, f"unit of {quantity} of {what}")
             for quantity, unit in _table(
@@ -228,7 +229,7 @@ def _robot(content: object, types: Mapping[str, FleetType], base: Path) -> Fleet
         tuple(absolute_pattern(pattern, base) for pattern in patterns),
         dates,
         tuple(_payload(each, what) for each in payloads),
-        None if model is None else base / _text(model, f"model of {what}"),
+        None if model is None else _path(base, model, f"model of {what}"),
     )
 
 
@@ -246,6 +247,10 @@ def _table(
     content: object, keys: Sequence[str] | None, what: str, least: int = 1
 ) -> Mapping[Any, Any]:
     return yaml_table(content, keys, what, advice=_FORM, least=least)
+
+
+def _path(base: Path, content: object, what: str) -> Path:
+    return base / home_path(_text(content, what))
 
 
 def _text(content: object, what: str) -> str:

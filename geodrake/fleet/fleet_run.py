@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +12,9 @@ from geodrake.boundary.arguments import instance, integer, number
 from geodrake.boundary.showing import Short
 from geodrake.boundary.whole_files import make_folder
 from geodrake.errors import DigestError
+from geodrake.fleet.digest_folder import Told
 from geodrake.fleet.digest_run import (
     DIGESTS,
-    Activity,
     FleetDigests,
     check_places,
     digest_fleet,
@@ -63,8 +63,8 @@ def run_fleet(
     fleet: Fleet,
     work: FleetWork | None = None,
     *,
-    told: Activity = lambda words, share: None,
-    said: Activity = lambda words, share: None,
+    told: Told = lambda words, share: None,
+    said: Callable[[str], None] = lambda line: None,
 ) -> tuple[FleetResult, FleetDigests]:
     """Digest the logs of a fleet, and tell which robots changed.
 
@@ -93,8 +93,8 @@ def take_in_logs(
     work: FleetWork,
     *,
     failed: Sequence[LogRecord] = (),
-    told: Activity = lambda words, share: None,
-    said: Activity = lambda words, share: None,
+    told: Told = lambda words, share: None,
+    said: Callable[[str], None] = lambda line: None,
 ) -> FleetDigests:
     """Digest the logs of a fleet that have no digest.
 
@@ -113,17 +113,12 @@ def take_in_logs(
     told("Looking for logs", None)
     tasks, known = find_tasks(fleet, failed)
     make_folder(fleet.folder)
-    with workers(
-        len(tasks),
-        count=work.workers,
-        scheduler=work.scheduler,
-        told=lambda words: said(words, None),
-    ) as team:
+    with workers(len(tasks), count=work.workers, scheduler=work.scheduler, told=said) as team:
         return digest_fleet(fleet, tasks, known, team, told)
 
 
 def fleet_result(
-    fleet: Fleet, digests: FleetDigests, false_alarms: float, told: Activity
+    fleet: Fleet, digests: FleetDigests, false_alarms: float, told: Told
 ) -> FleetResult:
     """Findings from digests.
 

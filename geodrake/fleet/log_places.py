@@ -15,7 +15,7 @@ from typing import Any
 
 from geodrake.boundary.escaping import kind_and_line
 from geodrake.boundary.optional_packages import optional_package
-from geodrake.errors import FleetError, LogError
+from geodrake.errors import ArgumentError, FleetError, LogError
 
 IN_THIS_PROCESS = "memory://"
 """Beginning of addresses that other processes do not see."""
@@ -53,16 +53,33 @@ def protocol_of(pattern: str) -> str:
     return (found[1] or found[2]) if found else ""
 
 
+def home_path(text: str) -> Path:
+    """A path, with `~` for the home of a user.
+
+    Raises:
+        ArgumentError: There is no such user.
+    """
+    try:
+        return Path(text).expanduser()
+    except RuntimeError as error:
+        raise ArgumentError(
+            f"{text} is in the home of a user who has none.", advice="Write the path out."
+        ) from error
+
+
 def absolute_pattern(pattern: str, base: Path) -> str:
     """A pattern that means the same in every folder.
 
     Args:
         pattern: A path or an address, with wildcards.
         base: The folder that paths are in.
+
+    Raises:
+        ArgumentError: It begins with the home of a user whom there is not.
     """
     if protocol_of(pattern):
         return pattern
-    return str(Path(glob.escape(str(base))) / Path(pattern).expanduser())
+    return str(Path(glob.escape(str(base))) / home_path(pattern))
 
 
 def find_logs(pattern: str) -> tuple[LogPlace, ...]:

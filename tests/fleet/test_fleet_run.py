@@ -172,7 +172,7 @@ def test_workers_that_are_killed_are_replaced(own, tmp_path):
 
     lines = []
     result, seen = run_fleet(
-        read_fleet(path), FleetWork(workers=1), told=kill_one, said=lambda w, x: lines.append(w)
+        read_fleet(path), FleetWork(workers=1), told=kill_one, said=lines.append
     )
     assert len(killed) == 1
     assert seen.made == 8
@@ -439,6 +439,7 @@ ROBOT = "robots:\n- {name: a, logs: 'a/*.csv'}\n"
         (f"{TYPES}{ROBOT}", "`to` is None"),
         (f"to: x\n{ROBOT}", "`types` is None"),
         (f"to: x\n{TYPES}", "`robots` is None"),
+        (f"to: ~nobody-here/x\n{TYPES}{ROBOT}", "home of a user who has none"),
         (f"to: x\n{TYPES}{ROBOT}more: 1\n", "has the key 'more'"),
         (f"to: x\n{TYPES}{ROBOT}- {{name: a, logs: b}}\n", "robot 'a' is there twice"),
         (f"to: x\n{TYPES}  arm: {{model: b.urdf}}\n{ROBOT}", "'arm' twice in one place"),
@@ -467,6 +468,16 @@ def test_fleet_files_that_are_wrong(text, says, tmp_path):
     with pytest.raises(FleetError) as caught:
         read_fleet(path)
     assert says in str(caught.value)
+
+
+def test_paths_of_a_fleet_may_begin_at_home(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", "/somewhere")
+    path = tmp_path / "fleet.yaml"
+    text = "to: ~/x\ntypes:\n  arm: {model: ~/arm.urdf}\nrobots:\n- {name: a, logs: '~/a/*.csv'}\n"
+    path.write_text(text, encoding="utf-8")
+    fleet = read_fleet(path)
+    found = (fleet.folder, fleet.types["arm"].model, *fleet.robots[0].logs)
+    assert list(map(str, found)) == [f"/somewhere/{each}" for each in ("x", "arm.urdf", "a/*.csv")]
 
 
 def test_a_pattern_that_matches_nothing_is_named(tmp_path):
