@@ -9,6 +9,7 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pyarrow import parquet
 from small_fleet import FROM, HEAVY, LOGS, STICKY, DayOf, date_of, write_file, write_fleet
@@ -17,7 +18,7 @@ from typer.testing import CliRunner
 from geodrake.cli.app import app
 from geodrake.errors import DigestError, FleetError
 from geodrake.fleet.digest_run import FleetDigests
-from geodrake.fleet.fleet_result import FleetResult
+from geodrake.fleet.fleet_result import ChangedParameter, FleetFinding, FleetResult, RobotResult
 from geodrake.logs.files import write_log
 
 STEADY = "first"
@@ -135,6 +136,21 @@ def test_a_watch_takes_in_logs_as_they_come(folder):
         run.terminate()
         run.communicate()
     assert run.returncode == 128 + 15
+
+
+def test_once_exits_with_3_if_a_finding_is_new(folder, monkeypatch):
+    finding = FleetFinding(
+        *(STICKY, "coulomb_friction", "elbow", "step", 1.78e9, (1.78e9, 1.781e9)),
+        (ChangedParameter("force", "N·m", 0.1, 0.01, 0.5),),
+        *(0.9, (), 1e-4),
+    )
+    robot = RobotResult(STICKY, "pendulum", 8, np.array([1.77e9, 1.79e9]), (finding,))
+    given = FleetResult((robot,), (), 0.01, {}), FleetDigests({}, (), {}, 0)
+    monkeypatch.setattr("geodrake.cli.fleet.run_fleet", lambda *given_to, **how: given)
+    code, out, _ = fleet("--once")
+    (line,) = map(json.loads, out.splitlines())
+    assert (code, line["finding"]["robot"], line["finding"]["where"]) == (3, STICKY, "elbow")
+    assert fleet("--once") == (0, "", "")
 
 
 def test_a_watch_goes_on_when_a_place_does_not_answer(folder, monkeypatch):
