@@ -11,7 +11,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,7 @@ LAGS = 200
 BLOCKS = 4
 """Blocks of a log, each with a factor of its own."""
 
+_SETTINGS = 4  # that a process keeps
 _LARGEST_FILE = 50_000_000  # bytes
 _UNREADABLE = (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError)
 _UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
@@ -247,14 +248,7 @@ def settings_of(text: str, source: str | Path) -> DigestSettings:
         DigestError: It is damaged, or of another version of the format.
     """
     try:
-        said = json.loads(text)
-        if isinstance(said, dict) and said.get("format") != FORMAT:
-            raise DigestError(
-                f"{source} has the format {said.get('format')!r}; this version of geodrake reads "
-                f"{FORMAT!r}.",
-                advice="Use the version that made it, or digest the logs again into a new folder.",
-            )
-        return _settings(said)
+        return _settings_of(text)
     except _UNREADABLE as error:
         raise DigestError(
             f"{source} does not hold settings of digests: {one_line(error)}.",
@@ -303,12 +297,19 @@ def _numbers(settings: DigestSettings) -> dict[str, Any]:
     return json.loads(json.dumps(plain))  # tuples are lists, as those that are read are
 
 
-def _settings(said: Mapping[str, Any]) -> DigestSettings:
-    """Settings from what JSON has, of the shapes that they must have.
+@lru_cache(_SETTINGS)  # all digests of a folder hold the same
+def _settings_of(text: str) -> DigestSettings:
+    """Settings from JSON, of the shapes that they must have.
 
     Raises:
-        ValueError: One has another shape; also KeyError, TypeError.
+        ValueError: One has another shape; also others of `_UNREADABLE`.
     """
+    said = json.loads(text)
+    if said.get("format") != FORMAT:
+        raise ValueError(
+            f"it has the format {said.get('format')!r}, and this version of geodrake reads "
+            f"{FORMAT!r}"
+        )
     odd = {f.name for f in fields(DigestSettings)}.symmetric_difference(said)
     if odd:
         raise ValueError(f"it has too many or too few of {', '.join(sorted(odd))}")
