@@ -13,6 +13,8 @@ import unicodedata
 from collections.abc import Callable, Iterable
 from keyword import iskeyword
 
+_LONGEST = 300  # letters of what errors of others say
+
 
 def printable(text: str) -> str:
     r"""A name as one line that people can read: `\x1b` for what moves, colours, turns or breaks it.
@@ -22,6 +24,17 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else _escape(c) for c in text)
+
+
+def one_line(error: BaseException) -> str:
+    """What an error of somebody else's says, in a line without its full stop; else its kind."""
+    return " ".join(str(error).split())[:_LONGEST].rstrip(".") or type(error).__name__
+
+
+def kind_and_line(error: BaseException) -> str:
+    """The kind of an error, and what it says in a line, if it says anything."""
+    kind, line = type(error).__name__, one_line(error)
+    return kind if line == kind else f"{kind}: {line}"
 
 
 def html_text(text: str) -> str:

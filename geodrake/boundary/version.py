@@ -1,8 +1,10 @@
 """The version of the package."""
 
 import importlib.metadata
+from functools import cache
 
 
+@cache
 def version() -> str:
     """Version of the installed package."""
     try:

@@ -66,6 +66,40 @@ def write_together(contents: Mapping[Path, Content]) -> None:
         write_together(contents)
 
 
+def write_new(path: Path, content: Content) -> bool:
+    """Write a file unless it is there already: of several processes that do, one succeeds.
+
+    Args:
+        path: Target.
+        content: What goes into it.
+
+    Returns:
+        Whether this one did.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    with deferred_interrupts(), _refusing(path), _Part(path) as part:
+        part.write(content)
+        return part.rename_if_new()
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder, and those above it, unless they are there.
+
+    Raises:
+        OutputError: It cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise OutputError(
+            f"The folder {path} cannot be made: {getattr(error, 'strerror', None) or error}.",
+            advice="Choose another place.",
+            path=path,
+        ) from error
+
+
 def check_writable(path: str | Path) -> None:
     """Refuse a target that cannot be written, before the work that makes its content.
 
@@ -123,6 +157,18 @@ class _Part:
     def rename(self) -> None:
         """Put the file in its place."""
         self._temporary.replace(self.target)
+
+    def rename_if_new(self) -> bool:
+        """Put the file in its place unless there is one; whether it was put there."""
+        try:
+            self.target.hardlink_to(self._temporary)
+        except FileExistsError:
+            return False
+        except OSError:  # a file system without links: one that comes just now is replaced
+            if _status(self.target) is not None:
+                return False
+            self.rename()
+        return True
 
     def bring_back(self) -> None:
         """Undo `rename`."""

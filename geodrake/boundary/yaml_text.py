@@ -2,41 +2,120 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import yaml  # type: ignore[import-untyped]
 
+from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import regular_file
-from geodrake.errors import ModelError
+from geodrake.errors import ArgumentError, GeodrakeError, ModelError
 
 LARGEST_FILE = 100_000_000  # bytes
 _MOST_NODES = 1_000_000  # with aliases unfolded
 
 
-def yaml_text(path: Path) -> str:
+def yaml_text(path: Path, what: str = "model file", error: type[GeodrakeError] = ModelError) -> str:
     """The text of a YAML file.
 
+    Args:
+        path: The file.
+        what: What it is to the user.
+        error: The kind of the error.
+
     Raises:
-        ModelError: It cannot be read, is not in UTF-8, or its aliases unfold without end.
+        GeodrakeError: Of the kind `error`: it cannot be read, is not in UTF-8, or its aliases
+            unfold without end.
     """
-    regular_file(path, "model file", ModelError, largest=LARGEST_FILE)
+    regular_file(path, what, error, largest=LARGEST_FILE)
     try:
         text = path.read_bytes().decode("utf-8-sig")
         if "\0" in text:
             raise yaml.YAMLError("it has null characters")
         nodes = _unfolded(yaml.compose(text, yaml.SafeLoader), {}) if "*" in text else 0
-    except (UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
-        reason = " ".join(str(error).split())[:300]
-        raise ModelError(
-            f"{path} is not valid YAML: {reason}.", advice="Correct the file there.", path=path
-        ) from error
+    except (UnicodeDecodeError, yaml.YAMLError, RecursionError) as problem:
+        raise error(
+            f"{path} is not valid YAML: {one_line(problem)}.",
+            advice="Correct the file there.",
+            path=path,
+        ) from problem
     if nodes > _MOST_NODES:
-        raise ModelError(
+        raise error(
             f"{path} has aliases that unfold to more than {_MOST_NODES} nodes.",
             advice="Write out what it needs.",
             path=path,
         )
     return text
+
+
+def yaml_content(path: Path, what: str, error: type[GeodrakeError], *, advice: str) -> object:
+    """What a YAML file holds, each key of a table once.
+
+    Args:
+        path: The file.
+        what: What it is to the user.
+        error: The kind of the error.
+        advice: What the file should be like.
+
+    Raises:
+        GeodrakeError: Of the kind `error`: it cannot be read, is no YAML, or has a key twice, of
+            which YAML would keep the last.
+    """
+    text = yaml_text(path, what, error)
+    try:
+        _refuse_repeated(yaml.compose(text, yaml.SafeLoader))
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as problem:
+        raise error(
+            f"The {what} {path} is not valid YAML: {one_line(problem)}.", advice=advice, path=path
+        ) from problem
+
+
+def yaml_table(
+    content: object, keys: Sequence[str] | None, what: str, *, advice: str, least: int = 1
+) -> Mapping[Any, Any]:
+    """What a YAML file has in a place, if that is a table.
+
+    Args:
+        content: What is there.
+        keys: The keys that it may have; None for any.
+        what: What messages call it.
+        advice: What the file should be like.
+        least: How many keys it must have.
+
+    Raises:
+        ArgumentError: It is none, or has another key.
+    """
+    if not isinstance(content, dict) or len(content) < least:
+        raise ArgumentError(f"{what} is {content!r:.60}, no table of keys.", advice=advice)
+    for key in content:
+        if keys is not None and key not in keys:
+            raise ArgumentError(
+                f"{what} has the key {key!r:.60}.", advice=f"It may have {', '.join(keys)}."
+            )
+    return content
+
+
+def _refuse_repeated(node: yaml.Node | None) -> None:
+    """Refuse a key that a table has twice.
+
+    Raises:
+        YAMLError: There is one.
+    """
+    if isinstance(node, yaml.MappingNode):
+        seen: set[str] = set()
+        for key, value in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                raise yaml.YAMLError(
+                    f"it has {key.value!r} twice in one place, again in line "
+                    f"{key.start_mark.line + 1}"
+                )
+            seen.add(str(key.value))
+            _refuse_repeated(value)
+    elif isinstance(node, yaml.SequenceNode):
+        for value in node.value:
+            _refuse_repeated(value)
 
 
 def _unfolded(node: yaml.Node | None, known: dict[int, float]) -> float:

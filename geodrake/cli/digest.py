@@ -6,7 +6,6 @@ import typer
 
 from geodrake.boundary.version import version
 from geodrake.cli.digest_options import DigestOptions
-from geodrake.cli.guard import INTERNAL_ERROR
 from geodrake.cli.known_payloads import known_payloads
 from geodrake.cli.model_options import read_model
 from geodrake.cli.progress import progress
@@ -26,6 +25,9 @@ from geodrake.report.digests import (
     failures,
 )
 from geodrake.report.json_output import to_json
+
+SOME_FAILED = 1
+"""Exit code where logs have no digest; those of the others are there."""
 
 
 def run_digest(options: DigestOptions) -> None:
@@ -67,4 +69,4 @@ def run_digest(options: DigestOptions) -> None:
         say(console, "Result", digests_verdict(run))
         show_saved(console, written)
     if run.count(FAILED):
-        raise typer.Exit(INTERNAL_ERROR)
+        raise typer.Exit(SOME_FAILED)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -13,11 +12,12 @@ from geodrake.boundary.arguments import number
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content, write_together
 from geodrake.cli.fleet_options import FleetOptions
-from geodrake.cli.progress import Activity, progress
+from geodrake.cli.guard import warn
+from geodrake.cli.progress import progress
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import head, make_console, say, show_list, show_saved, show_table
 from geodrake.cli.targets import STDOUT, Targets
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet.digest_run import FleetDigests
 from geodrake.fleet.fleet_file import Fleet, read_fleet
 from geodrake.fleet.fleet_result import FleetFinding, FleetResult
@@ -26,10 +26,10 @@ from geodrake.fleet.told_findings import keep_told, new_findings
 from geodrake.report.fleet_json import finding_line, fleet_dict, parquet_contents
 from geodrake.report.fleet_tables import (
     MOST_ROBOTS,
-    failed_list,
     findings_table,
     fleet_verdict,
     robots_table,
+    unused_list,
 )
 from geodrake.report.json_output import to_json
 
@@ -37,7 +37,7 @@ NEW_FINDING = 3
 """Exit code of `--once` where there is a finding that was not told before."""
 
 _RESULT = "fleet.json"
-_MOST_FAILED = 20  # logs that a terminal lists
+_MOST_UNUSED = 20  # logs that a terminal lists
 _SHORTEST, _LONGEST = 0.1, 1e6  # s between two looks
 
 
@@ -78,11 +78,7 @@ def _looked(
     fleet: Fleet, work: FleetWork, options: FleetOptions
 ) -> tuple[FleetResult, FleetDigests]:
     with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
-        return run_fleet(fleet, work, told=update, said=_lines(update))
-
-
-def _lines(update: Activity) -> Callable[[str, float | None], None]:
-    return lambda words, share: update.history(words)
+        return run_fleet(fleet, work, told=update, said=update.history)
 
 
 def _written(
@@ -129,29 +125,52 @@ def _show(
         show_table(console, robots_table(steady[:MOST_ROBOTS]))
         if len(steady) > MOST_ROBOTS:
             console.print(f"and {len(steady) - MOST_ROBOTS} more, in {fleet.folder / _RESULT}")
-    failed = failed_list(result)
-    more = len(failed) - _MOST_FAILED
+    unused = unused_list(result)
+    more = len(unused) - _MOST_UNUSED
     rest = [f"and {more} more, in {fleet.folder / _RESULT}"] if more > 0 else []
-    show_list(console, "Logs that could not be used", [*failed[:_MOST_FAILED], *rest])
+    show_list(console, "Logs that are not used", [*unused[:_MOST_UNUSED], *rest])
     say(console, "Result", f"{fleet_verdict(result)} All of it is in {fleet.folder}.")
     show_saved(console, written)
 
 
 def _watch(fleet: Fleet, work: FleetWork, options: FleetOptions, targets: Targets) -> None:
-    """Look for new logs again and again, until the command is ended; statistics only with new."""
-    seen: object = None
+    """Look for new logs again and again, until the command is ended.
+
+    What fails at the first look is a mistake of the fleet file. Later, places of logs and
+    schedulers that do not answer may do so again.
+
+    Raises:
+        GeodrakeError: What fails is something else.
+    """
+    seen: FleetDigests | None = None
     while True:
-        with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
-            digests = take_in_logs(fleet, work, told=update, said=_lines(update))
-            now = [tuple(own) for own in digests.records.values()], digests.failed
-            result = None
-            if now != seen:
-                result = fleet_result(fleet, digests, work.false_alarms, update)
-        if result is not None:
-            _written(fleet, result, options, targets)
-            _tell_new(fleet, result)
-            seen = now
+        try:
+            seen = _look(fleet, work, options, targets, seen)
+        except FleetError as error:
+            if seen is None:
+                raise
+            warn(f"{error} It is tried again in {options.every:g} s.")
         time.sleep(options.every)
+
+
+def _look(
+    fleet: Fleet,
+    work: FleetWork,
+    options: FleetOptions,
+    targets: Targets,
+    seen: FleetDigests | None,
+) -> FleetDigests:
+    """Take in new logs; statistics only if something is not as it was seen before."""
+    with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
+        failed = () if seen is None else seen.failed
+        digests = take_in_logs(fleet, work, failed=failed, told=update, said=update.history)
+        known = (digests.records, digests.failed)
+        if seen is not None and not digests.made and known == (seen.records, seen.failed):
+            return digests
+        result = fleet_result(fleet, digests, work.false_alarms, update)
+    _written(fleet, result, options, targets)
+    _tell_new(fleet, result)
+    return digests
 
 
 def _tell_new(fleet: Fleet, result: FleetResult) -> list[FleetFinding]:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import typer
 
-from geodrake.boundary.escaping import printable
+from geodrake.boundary.escaping import kind_and_line, printable
 from geodrake.boundary.interrupts import deferred_interrupts
 from geodrake.cli.interruption import was_interrupted
 from geodrake.cli.surroundings import PIPE_CLOSED, check_surroundings
@@ -51,10 +51,10 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
             _stop(f"Error: {error}", BAD_INPUT)
         line = _line_of_user(error, effect_files)
         if line:
-            _stop(f"Error: {line} raises {_words(error)}.", BAD_INPUT)
+            _stop(f"Error: {line} raises {kind_and_line(error)}.", BAD_INPUT)
         _stop(
-            f"Internal error: {_words(error)}. This is a bug in geodrake; please report it with "
-            "what --debug shows.",
+            f"Internal error: {kind_and_line(error)}. This is a bug in geodrake; please report it "
+            "with what --debug shows.",
             INTERNAL_ERROR,
         )
 
@@ -66,18 +66,18 @@ def _load_drake() -> None:
 
 
 def _stop(message: str, code: int) -> None:
-    _say(printable(message))
+    warn(message)
     raise typer.Exit(code) from None
+
+
+def warn(message: str) -> None:
+    """Say on stderr what is wrong, though the command goes on."""
+    _say(printable(message))
 
 
 def _say(text: str) -> None:
     with suppress(OSError):  # standard error may be full, and there is nowhere else to say it
         print(text, file=sys.stderr, flush=True)
-
-
-def _words(error: Exception) -> str:
-    text = " ".join(str(error).split()).rstrip(".")
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def _line_of_user(error: Exception, effect_files: Sequence[Path]) -> str | None:

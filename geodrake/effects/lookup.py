@@ -7,7 +7,7 @@ import inspect
 import pkgutil
 import sys
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, lru_cache
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -72,6 +72,12 @@ def effect_class(name: str, extra: Sequence[type[Effect]] = ()) -> type[Effect]:
     return effects[name]
 
 
+@lru_cache
+def _fields(cls: type[Effect]) -> tuple[str, ...]:
+    """What an effect is made of, by name."""
+    return tuple(inspect.signature(cls).parameters)
+
+
 def make_effect(
     name: str,
     where: Sequence[str],
@@ -95,7 +101,7 @@ def make_effect(
     place = PLACES[cls.places]
     if isinstance(where, str) or len(where) not in place.counts:
         raise ArgumentError(f"{name} needs {place.wanted}; it got {where!r}.")
-    known = [field for field in inspect.signature(cls).parameters if field != place.field]
+    known = [field for field in _fields(cls) if field != place.field]
     unknown = [key for key in shape if key not in known]
     if unknown:
         raise ArgumentError(

@@ -15,12 +15,12 @@ from geodrake.fleet.fleet_changes import FleetChanges, find_changes
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType, read_fleet
 from geodrake.fleet.fleet_result import (
     ChangedParameter,
-    FailedLog,
     FleetFinding,
     FleetResult,
     OwnParameter,
     ParameterHistory,
     RobotResult,
+    UnusedLog,
 )
 from geodrake.fleet.fleet_run import FleetWork, run_fleet
 from geodrake.fleet.history import LogEquations, RobotHistory, weighted_history
@@ -48,7 +48,6 @@ __all__ = [
     "DigestRun",
     "DigestSettings",
     "DigestedLog",
-    "FailedLog",
     "Fleet",
     "FleetChanges",
     "FleetFinding",
@@ -68,6 +67,7 @@ __all__ = [
     "Spread",
     "TypeColumns",
     "TypeModel",
+    "UnusedLog",
     "Wanted",
     "body_change",
     "body_spread",

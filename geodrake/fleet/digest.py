@@ -22,12 +22,11 @@ from geodrake.boundary.arguments import instances
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, DigestError
 from geodrake.fleet.settings import DigestColumn, DigestSettings
+from geodrake.identification.logs.evidence import effective_by_covariance
 from geodrake.logs.known_payload import KnownPayload
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-
-_UNCORRELATED = 0.02  # autocorrelation from which on there is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,16 +59,11 @@ class JointDigest(Short):
 
     @property
     def effective(self) -> float:
-        """Independent samples that the residual is worth: n / (1 + 2 Σ ρ_k); 0 of a joint at rest.
-
-        The autocorrelation ρ is that of all blocks, summed up to its first value below 0.02.
-        """
-        count, covariance = int(self.samples.sum()), self.autocovariances.sum(axis=0)
-        if not count or covariance[0] <= 0.0:
-            return float(count)
-        correlation = covariance[1:] / covariance[0]
-        counted = ~np.logical_or.accumulate(correlation < _UNCORRELATED)
-        return float(max(1.0, count / (1.0 + 2.0 * correlation[counted].sum())))
+        """Independent samples that the residuals of all blocks are worth; 0 of a joint at rest."""
+        count = int(self.samples.sum())
+        if not count:
+            return 0.0
+        return float(effective_by_covariance(self.autocovariances.sum(axis=0), count))
 
     def normal_matrix(self, *, delay: int = 0, block: int | None = None) -> Array:
         """(p_j + 1, p_j + 1) G = [A | b]ᵀ[A | b] over the columns of this joint.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import file_path, instance
+from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import regular_file
 from geodrake.errors import DigestError
 from geodrake.fleet.digest import Digest, DigestedLog, JointDigest
@@ -89,11 +91,11 @@ def read_digest(path: str | Path) -> Digest:
         raise
     except (
         *(OSError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError),
-        *(zipfile.BadZipFile, NotImplementedError, RuntimeError, MemoryError),
+        *(zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, MemoryError),
+        OverflowError,
     ) as error:
-        reason = " ".join(str(error).split())[:200].rstrip(".")
         raise DigestError(
-            f"{path} is no digest, or damaged: {reason}.",
+            f"{path} is no digest, or damaged: {one_line(error)}.",
             advice="Delete it, and digest its log again.",
             path=path,
         ) from error

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import file_path, instance, instances, number
 from geodrake.boundary.showing import Short
 from geodrake.boundary.version import version
-from geodrake.boundary.whole_files import Content, check_writable, write_together
+from geodrake.boundary.whole_files import check_writable, make_folder, write_new, write_whole
 from geodrake.errors import ArgumentError, DigestError, GeodrakeError, OutputError
 from geodrake.fleet.digest import Digest, DigestedLog, check_same
 from geodrake.fleet.digest_dataset import model_of_digests
@@ -36,8 +36,8 @@ from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
-Told = Callable[[str, float], None]
-"""Called with what is going on, and the share of it that is done."""
+Told = Callable[[str, float | None], None]
+"""Called with what is going on, and the share of it that is done, if that is known."""
 
 MADE, THERE, FAILED = "made", "there", "failed"
 """What became of a log: it was digested, its digest was there already, or there is none."""
@@ -128,15 +128,14 @@ class _Folder:
         read = read_log(log, joints=known, partial=True, reading=reading)
         settings = self.settings or self._chosen_from(read)
         digest = make_digest(self.model, read, settings, facts, extra=self.wanted.extra)
-        new: dict[Path, Content] = {}
+        make_folder(self.path)
         if self.settings is None:
-            if self.take_settings():  # another run was quicker to choose them
+            if not write_new(self.path / SETTINGS_FILE, settings.text()):
+                self.take_settings()  # another run was quicker to choose them
                 return self.add(log, facts)
-            new[self.path / SETTINGS_FILE] = settings.text()
             self.settings, self.chosen = settings, True
         file = self._file(settings, facts)
-        make_folder(self.path)
-        write_together({**new, file: digest_content(digest)})
+        write_whole(file, digest_content(digest))
         return DigestRow.of(log, MADE, file, digest, reason)
 
     def _chosen_from(self, log: JointLog) -> DigestSettings:
@@ -153,7 +152,7 @@ class _Folder:
                 raise
             raise DigestError(error.problem, advice=error.advice, **error.evidence) from error
 
-    def take_settings(self) -> bool:
+    def take_settings(self) -> None:
         """Take the settings that the folder has, if it has any.
 
         Raises:
@@ -162,7 +161,6 @@ class _Folder:
         self.settings = read_settings(self.path)
         if self.settings is not None:
             check_settings(self.settings, self.model, self.wanted)
-        return self.settings is not None
 
     def _file(self, settings: DigestSettings, facts: LogFacts) -> Path:
         return self.path / f"{facts.key(settings)}{_SUFFIX}"
@@ -255,18 +253,6 @@ def digest_files(folder: str | Path) -> tuple[Path, ...]:
         raise DigestError(
             f"{path} is no folder of digests: {error.strerror}.", advice="Check the path."
         ) from error
-
-
-def make_folder(path: Path) -> None:
-    """Make a folder unless it is there.
-
-    Raises:
-        OutputError: It cannot be made.
-    """
-    try:
-        path.mkdir(exist_ok=True)
-    except (OSError, ValueError) as error:
-        raise _refused(path, f"cannot be made: {getattr(error, 'strerror', error)}") from error
 
 
 def _row(

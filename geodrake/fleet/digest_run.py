@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from geodrake.boundary.showing import Short
-from geodrake.errors import DigestError, FleetError, GeodrakeError, OutputError
-from geodrake.fleet.digest_folder import FAILED, check_settings, digest_logs
+from geodrake.boundary.whole_files import make_folder
+from geodrake.errors import ArgumentError, DigestError, FleetError, GeodrakeError, OutputError
+from geodrake.fleet.digest_folder import FAILED, Told, check_settings, digest_logs
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
-from geodrake.fleet.log_dates import date_in_path
-from geodrake.fleet.log_places import IN_THIS_PROCESS, LogPlace, find_logs, local_log, protocol_of
-from geodrake.fleet.log_records import LogRecord, read_records, said_of, to_digest, write_record
+from geodrake.fleet.log_dates import DATED_BY, date_in_path
+from geodrake.fleet.log_places import (
+    IN_THIS_PROCESS,
+    LogPlace,
+    UnreachableLogError,
+    find_logs,
+    local_log,
+)
+from geodrake.fleet.log_records import LogRecord, changed_logs, read_records, said_of, write_record
 from geodrake.fleet.settings import DigestSettings, read_settings
 from geodrake.fleet.type_source import own_model, type_source
 from geodrake.fleet.workers import Workers
+from geodrake.model.carried_payloads import carried_phi
 from geodrake.model.robot_model import RobotModel
-
-Activity = Callable[[str, float | None], None]
-"""Called with what is going on, and the share of it that is done."""
 
 DIGESTS = "digests"
 """Name of the folder of a type's digests."""
@@ -77,7 +82,7 @@ def check_places(fleet: Fleet, *, local: bool) -> None:
     """
     for robot in fleet.robots:
         for pattern in robot.logs:
-            if protocol_of(pattern) == IN_THIS_PROCESS and not local:
+            if IN_THIS_PROCESS in pattern and not local:
                 raise FleetError(
                     f"Logs {pattern} of {robot.name} are in the memory of this process, which no "
                     "other one sees.",
@@ -90,8 +95,24 @@ def check_places(fleet: Fleet, *, local: bool) -> None:
         if settings is not None:
             check_settings(settings, model, source.wanted)
         for robot in fleet.of_type(kind.name):
+            _check_payloads(robot, model)
             if robot.model is not None:
                 _check_same_robot(robot, own_model(kind, robot.model), model)
+
+
+def _check_payloads(robot: FleetRobot, model: RobotModel) -> None:
+    """Refuse payloads of bodies that there are not.
+
+    Raises:
+        FleetError: There is one.
+    """
+    try:
+        carried_phi(model, robot.payloads)
+    except ArgumentError as error:
+        raise FleetError(
+            f"Robot {robot.name!r} has payloads that cannot be: {error.problem}",
+            advice=error.advice,
+        ) from error
 
 
 def _check_same_robot(robot: FleetRobot, own: RobotModel, of_type: RobotModel) -> None:
@@ -110,16 +131,20 @@ def _check_same_robot(robot: FleetRobot, own: RobotModel, of_type: RobotModel) -
             )
 
 
-def find_tasks(fleet: Fleet) -> tuple[list[LogTask], dict[str, dict[str, LogRecord]]]:
+def find_tasks(
+    fleet: Fleet, failed: Sequence[LogRecord] = ()
+) -> tuple[list[LogTask], dict[str, dict[str, LogRecord]]]:
     """Logs that are to be digested, in the order of the fleet file; and what is known of others.
 
     Args:
         fleet: The fleet.
+        failed: Logs that failed before, which are not tried again until they have changed.
 
     Raises:
         FleetError: A pattern finds nothing and never did, or two find the same log.
     """
     tasks, known, owners = [], {}, dict[str, str]()
+    stuck = {(record.robot, record.address, record.stamp): record for record in failed}
     for robot in fleet.robots:
         folder = fleet.folder / robot.type
         records = read_records(folder, robot)
@@ -138,15 +163,17 @@ def find_tasks(fleet: Fleet) -> tuple[list[LogTask], dict[str, dict[str, LogReco
                     f"Log {address} is of robot {owners[address]!r} and of {robot.name!r}.",
                     advice="Correct their patterns: a log is of one robot.",
                 )
-        new = to_digest(list(places.values()), records, folder / DIGESTS)
-        for place in new:
-            records.pop(place.address, None)
-        tasks += [LogTask(fleet.types[robot.type], robot, place, folder) for place in new]
         known[robot.name] = {
             address: record
             for address, record in records.items()
             if (folder / DIGESTS / record.digest).is_file()
         }
+        for place in changed_logs(list(places.values()), known[robot.name]):
+            known[robot.name].pop(place.address, None)
+            if (before := stuck.get((robot.name, place.address, place.stamp))) is not None:
+                known[robot.name][place.address] = before
+            else:
+                tasks.append(LogTask(fleet.types[robot.type], robot, place, folder))
     return tasks, known
 
 
@@ -155,14 +182,14 @@ def digest_fleet(
     tasks: Sequence[LogTask],
     known: dict[str, dict[str, LogRecord]],
     team: Workers,
-    told: Activity = lambda words, share: None,
+    told: Told = lambda words, share: None,
 ) -> FleetDigests:
     """Digest logs; what is there stays.
 
     Args:
         fleet: The fleet.
         tasks: Logs without a digest.
-        known: Robot -> address -> record of the others.
+        known: Robot -> address -> record of the others; taken in are those of the tasks.
         team: Who does it.
         told: Called with what is going on.
 
@@ -170,28 +197,25 @@ def digest_fleet(
         DigestError: Digests are there of another model, version or other settings.
         OutputError: Nothing more can be written; what was written stays.
     """
-    failed: dict[tuple[str, str], LogRecord] = {}
-    made = 0
+    done = made = 0
 
     def take(task: LogTask, record: LogRecord) -> None:
-        nonlocal made
+        nonlocal done, made
         if record.digest:
             write_record(task.folder, record)
-            known[record.robot][record.address] = record
             made += 1
-        else:
-            failed[record.robot, record.address] = record
+        known[record.robot][record.address] = record
+        done += 1
 
     rest = _choose_settings(fleet, tasks, take, told)
-    for done in team.each(digest_task, rest):
-        task = rest[done.at]
-        take(task, done.result or _failure(task, _KILLED))
-        share = (made + len(failed)) / len(tasks)
-        told(f"Digested {task.place.name} of {task.robot.name}", share)
-    order = {robot.name: at for at, robot in enumerate(fleet.robots)}
+    for piece in team.each(digest_task, rest):
+        task = rest[piece.at]
+        take(task, piece.result or _failure(task, _KILLED))
+        told(f"Digested {task.place.name} of {task.robot.name}", done / len(tasks))
+    by_date = {name: sorted(own.values(), key=_by_date) for name, own in known.items()}
     return FleetDigests(
-        {name: tuple(sorted(own.values(), key=_by_date)) for name, own in known.items()},
-        tuple(sorted(failed.values(), key=lambda each: (order[each.robot], each.address))),
+        {name: tuple(each for each in own if each.digest) for name, own in by_date.items()},
+        tuple(each for own in by_date.values() for each in own if not each.digest),
         {name: read_settings(fleet.folder / name / DIGESTS) for name in fleet.types},
         made,
     )
@@ -201,13 +225,13 @@ def _choose_settings(
     fleet: Fleet,
     tasks: Sequence[LogTask],
     take: Callable[[LogTask, LogRecord], None],
-    told: Activity,
+    told: Told,
 ) -> list[LogTask]:
     """Digest the first log of each type that can be used, which chooses settings; the others."""
     rest: list[LogTask] = []
     for kind in fleet.types.values():
         folder = fleet.folder / kind.name
-        make_folders(folder / DIGESTS)
+        make_folder(folder / DIGESTS)
         own = [task for task in tasks if task.kind is kind]
         while own and read_settings(folder / DIGESTS) is None:
             told(f"Choosing settings of {kind.name}", None)
@@ -233,12 +257,15 @@ def digest_task(task: LogTask) -> LogRecord:
             advice="Give a folder that all workers share.",
         )
     try:
-        date = _date(task)
+        said = task.robot.dates not in DATED_BY
+        date = date_in_path(task.place.address, task.robot.dates) if said else None
         with local_log(task.place) as path:
             payloads = {path: task.robot.payloads}
             run = digest_logs(
                 source.model, [path], folder, wanted=source.wanted, date=date, payloads=payloads
             )
+    except UnreachableLogError as error:  # which may be there when it is looked for next
+        return replace(_failure(task, str(error)), stamp="")
     except (OutputError, FleetError, DigestError):  # which are not of this log alone
         raise
     except GeodrakeError as error:
@@ -254,13 +281,6 @@ def digest_task(task: LogTask) -> LogRecord:
     return LogRecord(robot.name, place.address, place.stamp, said_of(robot), row.digest.name, when)
 
 
-def _date(task: LogTask) -> float | None:
-    """When a log was recorded, if its stamps do not say it; None for when its file was changed."""
-    if task.robot.dates not in ("file", "stamps"):
-        return date_in_path(task.place.address, task.robot.dates)
-    return task.place.changed if protocol_of(task.place.address) else None
-
-
 def _failure(task: LogTask, reason: str) -> LogRecord:
     place, robot = task.place, task.robot
     return LogRecord(robot.name, place.address, place.stamp, said_of(robot), reason=reason)
@@ -268,19 +288,3 @@ def _failure(task: LogTask, reason: str) -> LogRecord:
 
 def _by_date(record: LogRecord) -> tuple[float, str]:
     return record.date, record.address
-
-
-def make_folders(path: Path) -> None:
-    """Make a folder and those above it.
-
-    Raises:
-        OutputError: It cannot be made.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        raise OutputError(
-            f"The folder {path} cannot be made: {getattr(error, 'strerror', error)}.",
-            advice="Choose another folder as `to` of the fleet file.",
-            path=path,
-        ) from error

@@ -7,14 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml  # type: ignore[import-untyped]
-
 from geodrake.boundary.arguments import file_path, number
 from geodrake.boundary.showing import Short
-from geodrake.boundary.yaml_text import yaml_text
-from geodrake.errors import ArgumentError, FleetError, ModelError
+from geodrake.boundary.yaml_text import yaml_content, yaml_table
+from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet.log_dates import DATED_BY, check_date_pattern
-from geodrake.fleet.log_places import absolute_pattern
+from geodrake.fleet.log_places import absolute_pattern, home_path
 from geodrake.fleet.making import Wanted
 from geodrake.logs.known_payload import KnownPayload
 
@@ -128,17 +126,7 @@ def read_fleet(path: str | Path) -> Fleet:
         FleetError: It cannot be read, has other keys or kinds of values, or names a robot twice.
     """
     path = file_path(path)
-    try:
-        text = yaml_text(path)
-        _check_keys(yaml.compose(text, yaml.SafeLoader))
-        content = yaml.safe_load(text)
-    except ModelError as error:
-        raise FleetError(
-            error.problem.replace("model file", "fleet file"), advice=error.advice
-        ) from error
-    except (yaml.YAMLError, ValueError) as error:
-        reason = " ".join(str(error).split())[:300].rstrip(".")
-        raise FleetError(f"Fleet file {path} is no YAML: {reason}.", advice=_FORM) from error
+    content = yaml_content(path, "fleet file", FleetError, advice=_FORM)
     try:
         return _fleet(path, content)
     except ArgumentError as error:
@@ -146,29 +134,10 @@ def read_fleet(path: str | Path) -> Fleet:
         raise FleetError(f"Fleet file {path}: {error.problem}", advice=advice) from error
 
 
-def _check_keys(node: yaml.Node | None) -> None:
-    """Refuse a key that is there twice, of which YAML would keep the last.
-
-    Raises:
-        YAMLError: There is one.
-    """
-    if isinstance(node, yaml.MappingNode):
-        seen: set[str] = set()
-        for key, value in node.value:
-            if key.value in seen if isinstance(key, yaml.ScalarNode) else False:
-                line = key.start_mark.line + 1
-                raise yaml.YAMLError(f"the key {key.value!r} is there twice, again in line {line}")
-            seen.add(str(key.value))
-            _check_keys(value)
-    elif isinstance(node, yaml.SequenceNode):
-        for value in node.value:
-            _check_keys(value)
-
-
 def _fleet(path: Path, content: object) -> Fleet:
     said = _table(content, _KEYS, "it")
     base = path.absolute().parent
-    folder = base / _text(said.get("to"), "`to`")
+    folder = _path(base, said.get("to"), "`to`")
     types = {
         str(name): _type(str(name), own, base)
         for name, own in _table(said.get("types"), None, "`types`").items()
@@ -204,13 +173,14 @@ def _type(name: str, content: object, base: Path) -> FleetType:
     if not isinstance(floating, bool):
         raise ArgumentError(f"floating of {what} is {floating!r}, neither true nor false.")
     if transmission is not None and transmission not in ("file", "none"):
-        transmission = str(base / _text(transmission, f"transmission of {what}"))
+        transmission = str(_path(base, transmission, f"transmission of {what}"))
     effects, mapping = said.get("effects"), said.get("mapping")
     return FleetType(
         name,
-        base / _text(said.get("model"), f"model of {what}"),
+        _path(base, said.get("model"), f"model of {what}"),
         tuple(
-            base / each for each in _texts(said.get("own_effects", []), f"own_effects of {what}")
+            _path(base, each, f"own_effects of {what}")
+            for each in _texts(said.get("own_effects", []), f"own_effects of {what}")
         ),
         None if effects is None else _texts(effects, f"effects of {what}"),
         None if bandwidth is None else float(bandwidth),
@@ -222,7 +192,7 @@ def _type(name: str, content: object, base: Path) -> FleetType:
         },
         floating,
         transmission,
-        None if mapping is None else base / _text(mapping, f"mapping of {what}"),
+        None if mapping is None else _path(base, mapping, f"mapping of {what}"),
         {
             str(quantity): _text(unit, f"unit of {quantity} of {what}")
             for quantity, unit in _table(
@@ -259,7 +229,7 @@ def _robot(content: object, types: Mapping[str, FleetType], base: Path) -> Fleet
         tuple(absolute_pattern(pattern, base) for pattern in patterns),
         dates,
         tuple(_payload(each, what) for each in payloads),
-        None if model is None else base / _text(model, f"model of {what}"),
+        None if model is None else _path(base, model, f"model of {what}"),
     )
 
 
@@ -275,26 +245,12 @@ def _payload(content: object, what: str) -> KnownPayload:
 
 def _table(
     content: object, keys: Sequence[str] | None, what: str, least: int = 1
-) -> Mapping[str, Any]:
-    """A mapping of YAML.
+) -> Mapping[Any, Any]:
+    return yaml_table(content, keys, what, advice=_FORM, least=least)
 
-    Args:
-        content: What is there.
-        keys: The keys that it may have; None for any.
-        what: What messages call it.
-        least: How many it must have.
 
-    Raises:
-        ArgumentError: It is none, or has another key.
-    """
-    if not isinstance(content, dict) or len(content) < least:
-        raise ArgumentError(f"{what} is {content!r:.60}, no table of keys.", advice=_FORM)
-    for key in content:
-        if keys is not None and key not in keys:
-            raise ArgumentError(
-                f"{what} has the key {key!r:.60}.", advice=f"It may have {', '.join(keys)}."
-            )
-    return content
+def _path(base: Path, content: object, what: str) -> Path:
+    return base / home_path(_text(content, what))
 
 
 def _text(content: object, what: str) -> str:

@@ -145,8 +145,8 @@ class RobotResult(Short):
 
 
 @dataclass(frozen=True)
-class FailedLog(Short):
-    """A log that could not be used.
+class UnusedLog(Short):
+    """A log that findings are not of: it could not be used, or holds the same as another.
 
     Attributes:
         robot: Its robot.
@@ -165,13 +165,13 @@ class FleetResult(Short):
 
     Attributes:
         robots: The robots, worst first.
-        failed: Logs that could not be used.
+        unused: Logs that findings are not of.
         false_alarms: At most how many robots in which nothing changed are named, a robot-month.
         settings: Type -> hash of the settings of its digests.
     """
 
     robots: tuple[RobotResult, ...]
-    failed: tuple[FailedLog, ...]
+    unused: tuple[UnusedLog, ...]
     false_alarms: float
     settings: dict[str, str]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,24 +10,26 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, integer, number
 from geodrake.boundary.showing import Short
+from geodrake.boundary.whole_files import make_folder
+from geodrake.errors import DigestError
+from geodrake.fleet.digest_folder import Told
 from geodrake.fleet.digest_run import (
     DIGESTS,
-    Activity,
     FleetDigests,
     check_places,
     digest_fleet,
     find_tasks,
-    make_folders,
 )
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
-from geodrake.fleet.fleet_result import FailedLog, FleetResult, RobotResult
-from geodrake.fleet.log_records import LogRecord
+from geodrake.fleet.fleet_result import FleetResult, RobotResult, UnusedLog
+from geodrake.fleet.log_records import LogRecord, look_again
 from geodrake.fleet.robot_logs import RobotLogs, robot_logs
 from geodrake.fleet.settings import DigestSettings
 from geodrake.fleet.type_findings import type_findings
 from geodrake.fleet.type_layout import TypeLayout, type_layout
-from geodrake.fleet.type_source import own_model, type_source, with_joint_effects
+from geodrake.fleet.type_source import own_model, type_source
 from geodrake.fleet.workers import workers
+from geodrake.model.holding import holding
 
 Array = NDArray[np.float64]
 
@@ -61,8 +63,8 @@ def run_fleet(
     fleet: Fleet,
     work: FleetWork | None = None,
     *,
-    told: Activity = lambda words, share: None,
-    said: Activity = lambda words, share: None,
+    told: Told = lambda words, share: None,
+    said: Callable[[str], None] = lambda line: None,
 ) -> tuple[FleetResult, FleetDigests]:
     """Digest the logs of a fleet, and tell which robots changed.
 
@@ -90,14 +92,16 @@ def take_in_logs(
     fleet: Fleet,
     work: FleetWork,
     *,
-    told: Activity = lambda words, share: None,
-    said: Activity = lambda words, share: None,
+    failed: Sequence[LogRecord] = (),
+    told: Told = lambda words, share: None,
+    said: Callable[[str], None] = lambda line: None,
 ) -> FleetDigests:
     """Digest the logs of a fleet that have no digest.
 
     Args:
         fleet: The fleet.
         work: Who works.
+        failed: Logs that failed before, which are not tried again until they have changed.
         told: Called with what is going on.
         said: Called with what is worth a line that stays.
 
@@ -107,19 +111,14 @@ def take_in_logs(
     instance(fleet, "fleet", Fleet)
     check_places(fleet, local=work.workers == 0 and work.scheduler is None)
     told("Looking for logs", None)
-    tasks, known = find_tasks(fleet)
-    make_folders(fleet.folder)
-    with workers(
-        len(tasks),
-        count=work.workers,
-        scheduler=work.scheduler,
-        told=lambda words: said(words, None),
-    ) as team:
+    tasks, known = find_tasks(fleet, failed)
+    make_folder(fleet.folder)
+    with workers(len(tasks), count=work.workers, scheduler=work.scheduler, told=said) as team:
         return digest_fleet(fleet, tasks, known, team, told)
 
 
 def fleet_result(
-    fleet: Fleet, digests: FleetDigests, false_alarms: float, told: Activity
+    fleet: Fleet, digests: FleetDigests, false_alarms: float, told: Told
 ) -> FleetResult:
     """Findings from digests.
 
@@ -130,65 +129,84 @@ def fleet_result(
         told: Called with what is going on.
 
     Raises:
-        DigestError: A digest is damaged.
+        OutputError: It cannot be written that a log is to be digested again.
     """
-    failed = [FailedLog(each.robot, each.address, each.reason) for each in digests.failed]
+    unused = [UnusedLog(each.robot, each.address, each.reason) for each in digests.failed]
     robots: list[RobotResult] = []
     for kind in fleet.types.values():
-        settings = digests.settings[kind.name]
         own = fleet.of_type(kind.name)
         records = {}
         for robot in own:
             records[robot.name], twice = _once(digests.records.get(robot.name, ()))
-            failed += twice
-        with_logs = [robot for robot in own if records[robot.name] and settings is not None]
-        if settings is not None and with_logs:
+            unused += twice
+        settings, found = digests.settings[kind.name], list[RobotResult]()
+        if settings is not None:
             told(f"Looking for changes in {kind.name}", None)
-            robots += _of_type(fleet, with_logs, records, settings, false_alarms=false_alarms)
-        robots += [
-            RobotResult(robot.name, kind.name, 0, np.zeros(0))
-            for robot in own
-            if robot not in with_logs
-        ]
+            logs, damaged = _logs_of_type(fleet, kind, records, settings)
+            unused += damaged
+            found = _of_type(fleet, kind, logs, settings, false_alarms=false_alarms)
+        seen = {result.robot for result in found}
+        lacking = [robot.name for robot in own if robot.name not in seen]
+        robots += found
+        robots += [RobotResult(name, kind.name, 0, np.zeros(0)) for name in lacking]
     hashes = {name: each.hash for name, each in digests.settings.items() if each is not None}
-    return FleetResult(tuple(sorted(robots, key=_badness)), tuple(failed), false_alarms, hashes)
+    return FleetResult(tuple(sorted(robots, key=_badness)), tuple(unused), false_alarms, hashes)
 
 
-def _once(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[FailedLog]]:
+def _once(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[UnusedLog]]:
     """Logs of a robot, those of the same bytes once; and the others."""
     seen: dict[str, str] = {}
     kept, twice = [], []
     for record in records:
         if record.digest in seen:
             reason = f"It holds the same as {seen[record.digest]}, and counts once."
-            twice.append(FailedLog(record.robot, record.address, reason))
+            twice.append(UnusedLog(record.robot, record.address, reason))
         else:
             seen[record.digest] = record.address
             kept.append(record)
     return kept, twice
 
 
+def _logs_of_type(
+    fleet: Fleet,
+    kind: FleetType,
+    records: Mapping[str, Sequence[LogRecord]],
+    settings: DigestSettings,
+) -> tuple[list[RobotLogs], list[UnusedLog]]:
+    """Histories of the robots of a type that have logs; and logs whose digest is damaged."""
+    model, folder = type_source(kind).model, fleet.folder / kind.name
+    kept = type_layout(model, settings, np.ones(len(settings.joints)), payload=kind.payload).kept
+    damaged: list[UnusedLog] = []
+
+    def refused(record: LogRecord, error: DigestError) -> None:
+        look_again(folder, record)
+        reason = f"{error.problem} It is made again by the next run, if the log is there."
+        damaged.append(UnusedLog(record.robot, record.address, reason))
+
+    found = [
+        robot_logs(name, own, folder / DIGESTS, settings, kept, refused=refused)
+        for name, own in records.items()
+        if own
+    ]
+    return [each for each in found if each is not None], damaged
+
+
 def _of_type(
     fleet: Fleet,
-    robots: Sequence[FleetRobot],
-    records: dict[str, list[LogRecord]],
+    kind: FleetType,
+    logs: Sequence[RobotLogs],
     settings: DigestSettings,
     *,
     false_alarms: float,
 ) -> list[RobotResult]:
     """Findings in the robots of a type that have logs."""
-    kind = fleet.types[robots[0].type]
+    if not logs:
+        return []
     model = type_source(kind).model
-    plain = type_layout(model, settings, np.ones(len(settings.joints)), payload=kind.payload)
-    folder = fleet.folder / kind.name / DIGESTS
-    logs = [
-        robot_logs(robot.name, records[robot.name], folder, settings, plain.kept)
-        for robot in robots
-    ]
     layout = type_layout(model, settings, _efforts(logs), payload=kind.payload)
     models = {
         robot.name: _own_values(kind, robot, layout, settings)
-        for robot in robots
+        for robot in fleet.of_type(kind.name)
         if robot.model is not None
     }
     return type_findings(kind.name, logs, layout, models, false_alarms=false_alarms)
@@ -203,13 +221,11 @@ def _efforts(logs: Sequence[RobotLogs]) -> Array:
 def _own_values(
     kind: FleetType, robot: FleetRobot, layout: TypeLayout, settings: DigestSettings
 ) -> Array:
-    """(p,) what a robot's own model says of the columns; NaN where it has no such effect."""
-    own, source = own_model(kind, robot.model or kind.model), type_source(kind)
-    added = {type(fitted.effect) for fitted in source.model.effects}
-    full = with_joint_effects(own, [each for each in added if each.places == "joint"])
+    """(p,) what a robot's own model says of the columns; NaN of effects that it has not."""
+    own = holding(own_model(kind, robot.model or kind.model), settings.held)
     values = {
         (f.effect.name, ", ".join(f.effect.where), parameter.name): float(x)
-        for f in full.effects
+        for f in own.effects
         for parameter, x in zip(f.effect.parameters, f.parameters, strict=True)
     }
     found = np.array(

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import fnmatch
 import glob
+import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from geodrake.boundary.escaping import kind_and_line
 from geodrake.boundary.optional_packages import optional_package
-from geodrake.errors import FleetError, LogError
+from geodrake.errors import ArgumentError, FleetError, LogError
 
-IN_THIS_PROCESS = "memory"
-"""Protocol whose files other processes do not see."""
+IN_THIS_PROCESS = "memory://"
+"""Beginning of addresses that other processes do not see."""
+
+
+class UnreachableLogError(LogError):
+    """A log that is elsewhere cannot be copied from there, now."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +31,7 @@ class LogPlace:
 
     Attributes:
         address: Its absolute path, or its address.
-        stamp: Its size and when it was changed: another one is another log.
+        stamp: Its size and when it, or who may read it, was changed: another one is another log.
         changed: When it was changed, s since 1970; None where nobody knows.
     """
 
@@ -36,7 +42,9 @@ class LogPlace:
     @property
     def name(self) -> str:
         """Name of the file."""
-        return self.address.rstrip("/").rpartition("/")[2]
+        links = self.address.split("::") if protocol_of(self.address) else [self.address]
+        own = next(link for link in links if "/" in link)
+        return own.rstrip("/").rpartition("/")[2]
 
 
 def protocol_of(pattern: str) -> str:
@@ -45,14 +53,33 @@ def protocol_of(pattern: str) -> str:
     return (found[1] or found[2]) if found else ""
 
 
+def home_path(text: str) -> Path:
+    """A path, with `~` for the home of a user.
+
+    Raises:
+        ArgumentError: There is no such user.
+    """
+    try:
+        return Path(text).expanduser()
+    except RuntimeError as error:
+        raise ArgumentError(
+            f"{text} is in the home of a user who has none.", advice="Write the path out."
+        ) from error
+
+
 def absolute_pattern(pattern: str, base: Path) -> str:
     """A pattern that means the same in every folder.
 
     Args:
         pattern: A path or an address, with wildcards.
         base: The folder that paths are in.
+
+    Raises:
+        ArgumentError: It begins with the home of a user whom there is not.
     """
-    return pattern if protocol_of(pattern) else str(base / Path(pattern).expanduser())
+    if protocol_of(pattern):
+        return pattern
+    return str(Path(glob.escape(str(base))) / home_path(pattern))
 
 
 def find_logs(pattern: str) -> tuple[LogPlace, ...]:
@@ -67,16 +94,18 @@ def find_logs(pattern: str) -> tuple[LogPlace, ...]:
     try:
         if not protocol_of(pattern):
             # Unlike pathlib's, this finds no hidden files, such as those that are being copied.
-            return tuple(map(_place, sorted(glob.glob(pattern, recursive=True))))  # noqa: PTH207
+            local = sorted(glob.glob(pattern, recursive=True))  # noqa: PTH207
+            return tuple(place for path in local if (place := _place(path)) is not None)
         fs, path = _file_system(pattern)
+        fs.invalidate_cache()  # of listings, which would hide logs that came later
         found = sorted(fs.glob(path)) if glob.has_magic(path) else [path]
         found = [each for each in found if glob.has_magic(path) or fs.exists(each)]
-        return tuple(_remote_place(fs, each) for each in found)
+        return tuple(_remote_place(fs, each, _address(fs, each, pattern)) for each in found)
     except FleetError:
         raise
     except Exception as error:  # each kind of place has errors of its own
         raise FleetError(
-            f"Logs {pattern!r} cannot be looked for: {_words(error)}.",
+            f"Logs {pattern!r} cannot be looked for: {kind_and_line(error)}.",
             advice="Check the address, and what gives access to it.",
         ) from error
 
@@ -88,28 +117,32 @@ def fits(address: str, pattern: str) -> bool:
         address: An absolute path, or an address.
         pattern: One with wildcards.
     """
-    plain = [re.sub(r"^[\w+.-]+://", "", each).strip("/") for each in (address, pattern)]
-    parts = [r"(?:[^/]+/)*" if part == "**" else f"{_part(part)}/" for part in plain[1].split("/")]
-    return re.fullmatch("".join(parts), f"{plain[0]}/") is not None
+    plain = (re.sub(r"^[\w+.-]+://", "", each) for each in (address, pattern))
+    return _fit(*([part for part in each.split("/") if part] for each in plain))
 
 
-def _part(pattern: str) -> str:
-    """Regular expression of a part between slashes, which wildcards do not cross."""
-    if not glob.has_magic(pattern):
-        return re.escape(pattern)
-    inside = fnmatch.translate(pattern).removeprefix("(?s:").removesuffix(r")\Z")
-    return inside.replace(".*", "[^/]*")
+def _fit(parts: Sequence[str], patterns: Sequence[str]) -> bool:
+    """Whether parts between slashes fit patterns, of which `**` stands for any number of them."""
+    if not patterns:
+        return not parts
+    if patterns[0] == "**":
+        return any(_fit(parts[first:], patterns[1:]) for first in range(len(parts) + 1))
+    return (
+        bool(parts) and fnmatch.fnmatchcase(parts[0], patterns[0]) and _fit(parts[1:], patterns[1:])
+    )
 
 
 @contextmanager
 def local_log(place: LogPlace) -> Iterator[Path]:
     """The log as a file of this machine, under its own name: itself, or a copy.
 
+    A copy is as old as the log; where nobody knows when that was changed, as in 1970.
+
     Args:
         place: Where it is.
 
     Raises:
-        LogError: It cannot be copied.
+        UnreachableLogError: It cannot be copied.
     """
     if not protocol_of(place.address):
         yield Path(place.address)
@@ -119,17 +152,22 @@ def local_log(place: LogPlace) -> Iterator[Path]:
         try:
             fs, path = _file_system(place.address)
             fs.get(path, str(copy), recursive=fs.isdir(path))
+            for each in (copy, *copy.rglob("*")):
+                os.utime(each, (place.changed or 0.0,) * 2)
         except Exception as error:  # each kind of place has errors of its own
-            raise LogError(
-                f"Log {place.address} cannot be read: {_words(error)}.",
+            raise UnreachableLogError(
+                f"Log {place.address} cannot be read: {kind_and_line(error)}.",
                 advice="Check the address, and what gives access to it.",
             ) from error
         yield copy
 
 
-def _place(path: str) -> LogPlace:
-    status = Path(path).stat()
-    return LogPlace(path, f"{status.st_size} {status.st_mtime_ns}", status.st_mtime)
+def _place(path: str) -> LogPlace | None:
+    try:
+        status = Path(path).stat()
+    except FileNotFoundError:  # a link to nothing, or deleted meanwhile
+        return None
+    return LogPlace(path, f"{status.st_size} {status.st_ctime_ns}", status.st_mtime)
 
 
 def _file_system(address: str) -> tuple[Any, str]:
@@ -138,16 +176,22 @@ def _file_system(address: str) -> tuple[Any, str]:
     return core.url_to_fs(address)
 
 
-def _remote_place(fs: Any, path: str) -> LogPlace:
+def _address(fs: Any, path: str, pattern: str) -> str:
+    """The address of what a pattern finds, in the same archive or by the same cache as that."""
+    links = pattern.split("::")
+    if len(links) == 1:
+        return str(fs.unstrip_protocol(path))
+    at = next(at for at, link in enumerate(links) if "://" in link)
+    links[at] = f"{links[at].partition('://')[0]}://{path}"
+    return "::".join(links)
+
+
+def _remote_place(fs: Any, path: str, address: str) -> LogPlace:
     said = fs.info(path)
     try:
         changed = float(fs.modified(path).timestamp())
     except (NotImplementedError, AttributeError, KeyError, TypeError, OSError):
         changed = None
     mark = said.get("ETag") or said.get("etag") or said.get("md5Hash") or changed
-    return LogPlace(fs.unstrip_protocol(path), f"{said.get('size')} {mark}", changed)
-
-
-def _words(error: Exception) -> str:
-    text = " ".join(str(error).split())[:200].rstrip(".")
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+    stamp = " ".join(str(each) for each in (said.get("size"), mark) if each is not None)
+    return LogPlace(address, stamp, changed)

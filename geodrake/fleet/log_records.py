@@ -9,11 +9,10 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
-from geodrake.boundary.whole_files import write_whole
-from geodrake.errors import OutputError
+from geodrake.boundary.whole_files import make_folder, write_whole
 from geodrake.fleet.fleet_file import FleetRobot
 from geodrake.fleet.log_places import LogPlace, fits
 from geodrake.fleet.model_hash import text_hash
@@ -30,7 +29,7 @@ class LogRecord:
     Attributes:
         robot: Name of the robot.
         address: Where the log was.
-        stamp: Its size and when it was changed.
+        stamp: Its size and when it was changed; empty if it is to be digested again.
         said: Hash of what the fleet file says of it: how it is dated, and what the robot carried.
         digest: Name of its digest's file; empty if there is none.
         date: When it began, s since 1970; 0 if nobody knows.
@@ -84,15 +83,21 @@ def write_record(folder: Path, record: LogRecord) -> None:
         OutputError: It cannot be written.
     """
     path = record_file(folder, record.robot, record.address)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(
-            f"Folder {path.parent} cannot be made: {error.strerror}.",
-            advice="Check the folder of the fleet; what is there stays.",
-            path=path,
-        ) from error
+    make_folder(path.parent)
     write_whole(path, json.dumps(asdict(record), indent=1) + "\n")
+
+
+def look_again(folder: Path, record: LogRecord) -> None:
+    """Have a log digested again when it is looked for next, if it is there: its digest is damaged.
+
+    Args:
+        folder: Folder of the robot's type.
+        record: Its record.
+
+    Raises:
+        OutputError: That cannot be written.
+    """
+    write_record(folder, replace(record, stamp=""))
 
 
 def read_records(folder: Path, robot: FleetRobot) -> dict[str, LogRecord]:
@@ -132,20 +137,15 @@ def _read(path: Path) -> LogRecord | None:
     return LogRecord(**values)
 
 
-def to_digest(
-    places: Sequence[LogPlace], known: Mapping[str, LogRecord], folder: Path
-) -> list[LogPlace]:
-    """Logs whose digest is not known to be there.
+def changed_logs(places: Sequence[LogPlace], known: Mapping[str, LogRecord]) -> list[LogPlace]:
+    """Logs that are not as they were when their digests were made, and those that are new.
 
     Args:
         places: The logs.
         known: Records by address.
-        folder: Folder of the digests.
     """
     return [
         place
         for place in places
-        if place.address not in known
-        or known[place.address].stamp != place.stamp
-        or not (folder / known[place.address].digest).is_file()
+        if place.address not in known or known[place.address].stamp != place.stamp
     ]

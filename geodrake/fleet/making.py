@@ -28,6 +28,7 @@ from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.noise import noise_floor
 from geodrake.identification.logs.reduce import (
     STILL_SPEED,
+    effort_deviation,
     least_sign_widths,
     peak_speeds,
     reduced_joints,
@@ -223,6 +224,7 @@ def make_digest(
     layout = layout.over_base(settings.base)
     advance = [*(delays_of_joints(settings) + own.delays)]
     data = reduced_joints(layout, [trajectory], folds, advance)
+    effort_deviation(own.joints, data)  # refuses a joint whose sensor has nothing to say
     for joint, each in zip(own.joints, data, strict=True):
         if not np.isfinite(each.factors).all():
             raise LogError(f"Columns of {joint} are not finite in log {log.name!r}.")

@@ -14,10 +14,15 @@ from typing import Any
 import numpy as np
 
 from geodrake.boundary.arguments import instance
+from geodrake.boundary.input_files import sha256_of
 from geodrake.effects import Effect
 from geodrake.effects.column_checks import of_geodrake
 from geodrake.errors import LogError
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot.transmission import Transmission
+
+_POSITIONS, _REACH = 20, 0.5  # at which transmissions are looked at; rad or m
+_DIGITS = 9  # behind the point, of which machines that compute differ in none
 
 
 def model_hash(model: RobotModel) -> str:
@@ -67,8 +72,7 @@ def file_hash(paths: Iterable[Path]) -> str:
         for each in inside if path.is_dir() else [path]:
             name = str(each.relative_to(path)) if path.is_dir() else ""
             try:
-                with each.open("rb") as file:
-                    own = hashlib.file_digest(file, "sha256").hexdigest()
+                own = sha256_of(each)
             except OSError as error:
                 raise LogError(
                     f"{each} cannot be read: {error.strerror or error}.",
@@ -102,4 +106,20 @@ def _plain(value: Any) -> Any:
         plain = [_plain(each) for each in value]
     else:  # such as a function, of a transmission made in Python
         plain = str(getattr(value, "__qualname__", type(value).__qualname__))
-    return plain
+    return [plain, _values_of(value)] if isinstance(value, Transmission) else plain
+
+
+def _values_of(transmission: Transmission) -> list[str]:
+    """What a transmission does at some positions: functions that it has cannot be hashed."""
+    size = (_POSITIONS, transmission.num_actuators)
+    found = []
+    for q in np.random.default_rng(0).uniform(-_REACH, _REACH, size):
+        try:
+            at = transmission.inside(q[None])
+            values = [*transmission.joint_positions(at).flat, *transmission.jacobian(at).flat]
+        except Exception as error:  # functions of users' own may raise anything
+            found.append(type(error).__name__)
+        else:
+            rounded = np.round(values, _DIGITS) + 0.0  # no −0
+            found.append(" ".join(f"{value:.{_DIGITS}f}" for value in rounded))
+    return found

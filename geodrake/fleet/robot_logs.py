@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
+from geodrake.errors import DigestError
 from geodrake.fleet.digest import Digest, check_same
 from geodrake.fleet.digest_file import read_digest
 from geodrake.fleet.history import RobotHistory
@@ -49,7 +50,8 @@ def reduced_log(digest: Digest, kept: Indices) -> ReducedLog:
     """A log as weighted normal matrices over some columns.
 
     What a row is worth is the share of its samples that are independent, over the variance of what
-    the columns leave of the log itself.
+    the columns leave of the log itself: that of the sensors' noise at least, as a log of few rows
+    leaves nothing.
 
     Args:
         digest: Its digest.
@@ -60,8 +62,10 @@ def reduced_log(digest: Digest, kept: Indices) -> ReducedLog:
     grams = every[:, at[:, None], at]
     samples = digest.samples.astype(float)
     weights = [
-        share / _variance(gram, count) if count else 0.0
-        for share, gram, count in zip(digest.effective_share, grams, samples, strict=True)
+        share / max(_variance(gram, count), noise**2) if count else 0.0
+        for share, gram, count, noise in zip(
+            digest.effective_share, grams, samples, digest.noise_floor, strict=True
+        )
     ]
     warm = np.concatenate([log.temperature for log in digest.logs])
     warm = warm[np.isfinite(warm)]
@@ -93,15 +97,11 @@ class RobotLogs(Short):
         history: Its history.
         effort: (n,) root of the mean square of its efforts, N·m or N.
         logs: How many logs it is of.
-        first: When the first began, s since 1970.
-        last: When the last began.
     """
 
     history: RobotHistory
     effort: Array
     logs: int
-    first: float
-    last: float
 
 
 def robot_logs(
@@ -110,8 +110,10 @@ def robot_logs(
     folder: Path,
     settings: DigestSettings,
     kept: Indices,
-) -> RobotLogs:
-    """The history of a robot from its digests, in the order of time.
+    *,
+    refused: Callable[[LogRecord, DigestError], None],
+) -> RobotLogs | None:
+    """The history of a robot from its digests, in the order of time; None if none can be read.
 
     Args:
         robot: Its name.
@@ -119,9 +121,7 @@ def robot_logs(
         folder: Folder of the digests.
         settings: Their settings.
         kept: (p,) which of the settings' columns count.
-
-    Raises:
-        DigestError: A digest is damaged, or of other settings.
+        refused: Called with each record whose digest is damaged, or of other settings, and how.
     """
     dates = np.array([record.date for record in records])
     cells = time_cells(dates)
@@ -131,8 +131,12 @@ def robot_logs(
     days, logs, warm, known = (np.zeros(count) for _ in range(4))
     squares, samples = np.zeros(n), np.zeros(n)
     for record, cell in zip(records, cells.tolist(), strict=True):
-        digest = read_digest(folder / record.digest)
-        check_same(digest.settings, settings, str(folder / record.digest))
+        try:
+            digest = read_digest(folder / record.digest)
+            check_same(digest.settings, settings, str(folder / record.digest))
+        except DigestError as error:
+            refused(record, error)
+            continue
         own = reduced_log(digest, kept)
         grams[cell] += own.grams
         days[cell] += record.date / DAY
@@ -141,10 +145,12 @@ def robot_logs(
             warm[cell] += own.temperature
             known[cell] += 1
         squares, samples = squares + own.effort_squares, samples + own.samples
-    temperature = np.where(known > 0, warm / np.maximum(known, 1), np.nan)
-    history = RobotHistory(robot, days / logs, grams, temperature)
+    if not (there := logs > 0).any():
+        return None
+    temperature = np.where(known > 0, warm / np.maximum(known, 1), np.nan)[there]
+    history = RobotHistory(robot, days[there] / logs[there], grams[there], temperature)
     effort = np.sqrt(squares / np.maximum(samples, 1.0))
-    return RobotLogs(history, effort, len(records), float(dates[0]), float(dates[-1]))
+    return RobotLogs(history, effort, int(logs.sum()))
 
 
 def time_cells(dates: Array) -> NDArray[np.intp]:

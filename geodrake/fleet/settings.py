@@ -8,9 +8,10 @@ settings add up; others are refused, with what differs.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import file_path
+from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, make_effect
@@ -33,6 +35,9 @@ Indices = NDArray[np.intp]
 SETTINGS_FILE = "digest_settings.json"
 """Name of the file in a folder of digests that holds their settings."""
 
+DIGEST_NAME = r"[0-9a-f]{32}\.npz"
+"""What names of digests' files are like."""
+
 FORMAT = "geodrake digest 1"
 """Name and version of the format of settings and digests."""
 
@@ -42,7 +47,9 @@ LAGS = 200
 BLOCKS = 4
 """Blocks of a log, each with a factor of its own."""
 
+_SETTINGS = 4  # that a process keeps
 _LARGEST_FILE = 50_000_000  # bytes
+_UNREADABLE = (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError)
 _UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
 
 
@@ -241,17 +248,10 @@ def settings_of(text: str, source: str | Path) -> DigestSettings:
         DigestError: It is damaged, or of another version of the format.
     """
     try:
-        said = json.loads(text)
-        if isinstance(said, dict) and said.get("format") != FORMAT:
-            raise DigestError(
-                f"{source} has the format {said.get('format')!r}; this version of geodrake reads "
-                f"{FORMAT!r}.",
-                advice="Use the version that made it, or digest the logs again into a new folder.",
-            )
-        return _settings(said)
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        return _settings_of(text)
+    except _UNREADABLE as error:
         raise DigestError(
-            f"{source} does not hold settings of digests: {' '.join(str(error).split())[:200]}.",
+            f"{source} does not hold settings of digests: {one_line(error)}.",
             advice="Put back a copy of it, or digest the logs again into a new folder.",
         ) from error
 
@@ -260,17 +260,24 @@ def read_settings(folder: str | Path) -> DigestSettings | None:
     """The settings of a folder of digests; None if it has none yet.
 
     Raises:
-        DigestError: The file cannot be read, is damaged or of another version.
+        DigestError: The file cannot be read, is damaged, of another version, or not there while
+            digests are.
     """
     path = file_path(folder) / SETTINGS_FILE
     if not path.exists() and not path.is_symlink():
+        if any(re.fullmatch(DIGEST_NAME, each.name) for each in path.parent.glob("*.npz")):
+            raise DigestError(
+                f"The settings file {path} is not there, and digests by it are.",
+                advice="Put back a copy of it, or digest the logs again into a new folder.",
+            )
         return None
     regular_file(path, "settings file", DigestError, largest=_LARGEST_FILE)
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise DigestError(
-            f"The settings file {path} cannot be read: {error}.", advice="Put back a copy of it."
+            f"The settings file {path} cannot be read: {one_line(error)}.",
+            advice="Put back a copy of it.",
         ) from error
     return settings_of(text, path)
 
@@ -290,12 +297,19 @@ def _numbers(settings: DigestSettings) -> dict[str, Any]:
     return json.loads(json.dumps(plain))  # tuples are lists, as those that are read are
 
 
-def _settings(said: Mapping[str, Any]) -> DigestSettings:
-    """Settings from what JSON has, of the shapes that they must have.
+@lru_cache(_SETTINGS)  # all digests of a folder hold the same
+def _settings_of(text: str) -> DigestSettings:
+    """Settings from JSON, of the shapes that they must have.
 
     Raises:
-        ValueError: One has another shape; also KeyError, TypeError.
+        ValueError: One has another shape; also others of `_UNREADABLE`.
     """
+    said = json.loads(text)
+    if said.get("format") != FORMAT:
+        raise ValueError(
+            f"it has the format {said.get('format')!r}, and this version of geodrake reads "
+            f"{FORMAT!r}"
+        )
     odd = {f.name for f in fields(DigestSettings)}.symmetric_difference(said)
     if odd:
         raise ValueError(f"it has too many or too few of {', '.join(sorted(odd))}")

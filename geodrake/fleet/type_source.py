@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import block_diag
 
+from geodrake.boundary.input_files import regular_file
 from geodrake.effects import (
     Effect,
     FittedEffect,
@@ -60,6 +61,8 @@ def type_source(kind: FleetType) -> TypeSource:
     Raises:
         GeodrakeError: The model or another file cannot be read, or an effect is not known.
     """
+    for path in kind.files:
+        regular_file(path, f"file of type {kind.name}", FleetError)
     return _read(_Key(kind, file_hash(kind.files)))
 
 

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any, Generic, Protocol, TypeVar
 
+from geodrake.boundary.escaping import one_line
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import FleetError
 
@@ -79,6 +81,9 @@ class OfDask:
         Args:
             work: A function that other processes can import.
             pieces: Its arguments.
+
+        Raises:
+            FleetError: The scheduler is lost.
         """
         dask: Any = optional_package("distributed", "fleet", "workers", FleetError)
         most = _AHEAD * max(1, sum(self.client.nthreads().values()))
@@ -102,6 +107,11 @@ class OfDask:
                 except dask.KilledWorker:
                     yield Done(at, None)
                 begin()
+        except (CancelledError, dask.comm.CommClosedError) as error:
+            raise FleetError(
+                f"The scheduler {self.client.scheduler.address} does not answer any more.",
+                advice="Start it, and run the command again: what was digested stays.",
+            ) from error
         finally:
             self.client.cancel(list(done.futures))
 
@@ -140,9 +150,22 @@ def workers(
         if scheduler is None:
             client = stack.enter_context(_local(dask, count or 1, stack))
         else:
+            stack.enter_context(_silent())
             client = stack.enter_context(_remote(dask, scheduler))
         told(f"Dashboard of the workers: {client.dashboard_link}")
         yield OfDask(client)
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Without the log of Dask's client, which has a traceback where a scheduler is lost."""
+    log = logging.getLogger("distributed.client")
+    before = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 def _cores() -> int:
@@ -169,9 +192,8 @@ def _remote(dask: Any, scheduler: str) -> Any:
     try:
         client = dask.Client(scheduler, timeout=_SECONDS)
     except (OSError, ValueError, TimeoutError, RuntimeError, ImportError) as error:
-        words = " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
         raise FleetError(
-            f"The scheduler {scheduler} cannot be reached: {words}.",
+            f"The scheduler {scheduler} cannot be reached: {one_line(error)}.",
             advice="Check its address, such as tcp://10.0.0.5:8786; or leave --scheduler out.",
         ) from error
     try:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 
-from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.input_files import regular_file, sha256_of
 from geodrake.errors import ModelError, OutputError
 
 
@@ -75,7 +74,6 @@ def is_file(path: Path) -> bool:
 def digest(path: Path) -> str:
     """SHA-256 of a file; nothing if it cannot be read."""
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return sha256_of(path)
     except OSError:
         return ""

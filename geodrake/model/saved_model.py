@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
 
 from geodrake.boundary.arguments import file_path, instance, instances
+from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.whole_files import write_whole
 from geodrake.boundary.yaml_text import yaml_text
@@ -302,8 +303,9 @@ def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel
     except Exception as error:  # Drake raises RuntimeError and others, depending on the fault
         field = _odd_field(text)
         what = f"{path} is no geodrake model" + (f", by its field {field!r}" if field else "")
-        reason = " ".join(str(error).split())[:300].rstrip(".")
-        raise ModelError(f"{what}: {reason}.", advice="Save the model again.", path=path) from error
+        raise ModelError(
+            f"{what}: {one_line(error)}.", advice="Save the model again.", path=path
+        ) from error
     if saved.format != FORMAT:
         raise ModelError(
             f"{path} has the format {saved.format!r}; this version of geodrake reads {FORMAT!r}.",

@@ -18,12 +18,10 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-import yaml  # type: ignore[import-untyped]
 from pydrake.common.yaml import yaml_dump, yaml_load_typed
 
 from geodrake.boundary.arguments import file_path
-from geodrake.boundary.input_files import regular_file
-from geodrake.boundary.yaml_text import yaml_text
+from geodrake.boundary.yaml_text import yaml_content
 from geodrake.errors import ArgumentError, GeodrakeError, ModelError
 from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.statements import Stated, Statement
@@ -53,11 +51,9 @@ def read_transmission(path: str | Path) -> tuple[Drive, ...]:
         ModelError: It cannot be read, has a list or a field that is none, or its numbers make no
             transmission.
     """
-    path = regular_file(file_path(path), "transmission file", ModelError)
-    text = yaml_text(path)
+    path = file_path(path)
+    stated = yaml_content(path, "transmission file", ModelError, advice="Correct the file there.")
     try:
-        stated = yaml.safe_load(text)
-        _refuse_repeated(yaml.compose(text, yaml.SafeLoader))
         if not isinstance(stated, dict):
             raise ModelError("it has no lists of parts.", advice=_kinds_words())
         parts = [
@@ -66,13 +62,10 @@ def read_transmission(path: str | Path) -> tuple[Drive, ...]:
         if not parts:
             raise ModelError("it has no part.", advice=_kinds_words())
         return drives_of(parts)
-    except (GeodrakeError, yaml.YAMLError) as error:
-        problem = (
-            error.problem if isinstance(error, GeodrakeError) else " ".join(str(error).split())
-        )
+    except GeodrakeError as error:
         raise ModelError(
-            f"{path} is no transmission file: {problem}",
-            advice=getattr(error, "advice", None) or "Correct the file there.",
+            f"{path} is no transmission file: {error.problem}",
+            advice=error.advice or "Correct the file there.",
             path=path,
         ) from error
 
@@ -165,16 +158,3 @@ def _near(name: str, known: Collection[str]) -> str:
 def _kinds_words() -> str:
     kinds = ", ".join(field.name for field in dataclasses.fields(Stated))
     return f"Its lists are: {kinds}."
-
-
-def _refuse_repeated(node: yaml.Node | None) -> None:
-    """Refuses mappings that have a key twice, of which YAML would keep the last one."""
-    if isinstance(node, yaml.MappingNode):
-        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        for key in keys:
-            if keys.count(key) > 1:
-                raise ModelError(f"it has {key!r} twice in one place.", advice="Name it once.")
-    if isinstance(node, yaml.CollectionNode):
-        for child in node.value:
-            for part in child if isinstance(child, tuple) else (child,):
-                _refuse_repeated(part)

@@ -53,7 +53,7 @@ def rounded(value: float, deviation: float = 0.0) -> float:
 
 
 def fleet_dict(result: FleetResult) -> dict[str, Any]:
-    """A result: robots worst first, each with its findings, its parameters, and logs that failed.
+    """A result: robots worst first, with their findings and parameters; logs that are not used.
 
     Args:
         result: What was found.
@@ -63,7 +63,7 @@ def fleet_dict(result: FleetResult) -> dict[str, Any]:
         "counts": {state: result.count(state) for state in (CHANGED, STEADY, UNKNOWN)},
         "findings": [finding_dict(finding) for finding in result.findings],
         "robots": [_robot(robot) for robot in result.robots],
-        "failed": [vars(failed) for failed in result.failed],
+        "unused": [vars(log) for log in result.unused],
         "settings": dict(result.settings),
     }
 
@@ -152,7 +152,7 @@ def _own(own: OwnParameter) -> dict[str, Any]:
 
 
 def parquet_contents(result: FleetResult, folder: Path) -> Mapping[Path, Content]:
-    """File -> content of three tables: `findings`, `parameters` over time, and `failed_logs`.
+    """File -> content of three tables: `findings`, `parameters` over time, and `unused_logs`.
 
     Args:
         result: What was found.
@@ -176,7 +176,7 @@ def parquet_contents(result: FleetResult, folder: Path) -> Mapping[Path, Content
     tables = {
         "findings": (_FINDINGS, _finding_rows(result)),
         "parameters": (_PARAMETERS, _parameter_rows(result)),
-        "failed_logs": (_FAILED, [vars(failed) for failed in result.failed]),
+        "unused_logs": (_UNUSED, [vars(log) for log in result.unused]),
     }
     return {
         folder / f"{name}.parquet": partial(
@@ -197,7 +197,7 @@ _PARAMETERS = (
     *("robot", "type", "effect", "where", "parameter", "unit", "date", "value", "deviation"),
     "shown",
 )
-_FAILED = ("robot", "log", "reason")
+_UNUSED = ("robot", "log", "reason")
 
 
 def _finding_rows(result: FleetResult) -> list[dict[str, Any]]:

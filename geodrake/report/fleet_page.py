@@ -20,13 +20,13 @@ from geodrake.fleet.robot_logs import DAY
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.fleet_tables import (
     change_label,
-    failed_list,
     findings_table,
     fleet_verdict,
     parameter_label,
     robots_table,
     since_words,
     size_words,
+    unused_list,
 )
 from geodrake.report.numbers import number, percent
 from geodrake.report.page import Page, Section, Tile, render, without_empty
@@ -82,8 +82,12 @@ def render_fleet(result: FleetResult, *, title: str) -> str:
         if changed
         else Section(""),
         *(_robot_section(robot, at) for at, robot in enumerate(shown)),
-        Section("Robots", (more,) if len(changed) > len(shown) else (), (_all(result),)),
-        Section("Logs that could not be used", items=tuple(failed_list(result))),
+        Section(
+            "Robots",
+            (more,) if len(changed) > len(shown) else (),
+            (robots_table(result.robots),),
+        ),
+        Section("Logs that are not used", items=tuple(unused_list(result))),
     )
     page = Page(
         title,
@@ -97,10 +101,6 @@ def render_fleet(result: FleetResult, *, title: str) -> str:
         "Made by geodrake: which robot changed, at which joint, by what, since when.",
     )
     return render(page)
-
-
-def _all(result: FleetResult) -> Table:
-    return robots_table(result.robots)
 
 
 def _lead(finding: FleetFinding) -> str:
@@ -117,7 +117,7 @@ def _tiles(result: FleetResult) -> tuple[Tile, ...]:
     return (
         Tile("changed", str(result.count(CHANGED)), f"of {len(result.robots)} robots"),
         Tile("steady", str(result.count(STEADY)), "nothing found in them"),
-        Tile("logs that failed", str(len(result.failed)), "each with its reason below"),
+        Tile("logs not used", str(len(result.unused)), "each with its reason below"),
         *latest,
     )
 

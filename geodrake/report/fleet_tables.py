@@ -174,8 +174,8 @@ def fleet_verdict(result: FleetResult) -> str:
     words = f"{changed} of {_counted(total, 'robot')} changed"
     if unknown:
         words += f"; {_counted(unknown, 'robot')} without a log that could be used"
-    if result.failed:
-        words += f"; {_counted(len(result.failed), 'log')} could not be used"
+    if result.unused:
+        words += f"; {_counted(len(result.unused), 'log')} not used"
     return f"{words}."
 
 
@@ -183,10 +183,10 @@ def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
-def failed_list(result: FleetResult) -> list[str]:
-    """Logs that could not be used, each with its reason.
+def unused_list(result: FleetResult) -> list[str]:
+    """Logs that are not used, each with its reason.
 
     Args:
         result: What was found.
     """
-    return [f"{each.robot}: {each.log}: {each.reason}" for each in result.failed]
+    return [f"{each.robot}: {each.log}: {each.reason}" for each in result.unused]

@@ -9,12 +9,16 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pyarrow import parquet
 from small_fleet import FROM, HEAVY, LOGS, STICKY, DayOf, date_of, write_file, write_fleet
 from typer.testing import CliRunner
 
 from geodrake.cli.app import app
+from geodrake.errors import DigestError, FleetError
+from geodrake.fleet.digest_run import FleetDigests
+from geodrake.fleet.fleet_result import ChangedParameter, FleetFinding, FleetResult, RobotResult
 from geodrake.logs.files import write_log
 
 STEADY = "first"
@@ -63,7 +67,7 @@ def test_findings_are_said_and_written(folder):
         }
     times = parquet.read_table("results/parameters.parquet").to_pylist()
     assert len(times) == 3 * LOGS * len(numbers["robots"][0]["parameters"])
-    assert parquet.read_table("results/failed_logs.parquet").num_rows == 0
+    assert parquet.read_table("results/unused_logs.parquet").num_rows == 0
 
 
 def test_the_page_has_robots_joints_and_changes(folder):
@@ -132,6 +136,44 @@ def test_a_watch_takes_in_logs_as_they_come(folder):
         run.terminate()
         run.communicate()
     assert run.returncode == 128 + 15
+
+
+def test_once_exits_with_3_if_a_finding_is_new(folder, monkeypatch):
+    finding = FleetFinding(
+        *(STICKY, "coulomb_friction", "elbow", "step", 1.78e9, (1.78e9, 1.781e9)),
+        (ChangedParameter("force", "N·m", 0.1, 0.01, 0.5),),
+        *(0.9, (), 1e-4),
+    )
+    robot = RobotResult(STICKY, "pendulum", 8, np.array([1.77e9, 1.79e9]), (finding,))
+    given = FleetResult((robot,), (), 0.01, {}), FleetDigests({}, (), {}, 0)
+    monkeypatch.setattr("geodrake.cli.fleet.run_fleet", lambda *given_to, **how: given)
+    code, out, _ = fleet("--once")
+    (line,) = map(json.loads, out.splitlines())
+    assert (code, line["finding"]["robot"], line["finding"]["where"]) == (3, STICKY, "elbow")
+    assert fleet("--once") == (0, "", "")
+
+
+def test_a_watch_goes_on_when_a_place_does_not_answer(folder, monkeypatch):
+    looks = []
+
+    def take_in(*given, **how):
+        looks.append(len(looks))
+        if looks[-1] == 1:
+            raise FleetError("Logs 's3://x' cannot be looked for: TimeoutError.")
+        if looks[-1] == 2:
+            raise DigestError("There are digests of something else.")
+        return FleetDigests({}, (), {}, 0)
+
+    monkeypatch.setattr("geodrake.cli.fleet.take_in_logs", take_in)
+    monkeypatch.setattr(
+        "geodrake.cli.fleet.fleet_result", lambda *given: FleetResult((), (), 0.01, {})
+    )
+    code, out, err = fleet("--watch --every 0.1")
+    assert (code, out, looks) == (2, "", [0, 1, 2])
+    assert err.splitlines() == [
+        "Logs 's3://x' cannot be looked for: TimeoutError. It is tried again in 0.1 s.",
+        "Error: There are digests of something else.",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,12 +25,15 @@ from geodrake.fleet import (
     read_digest,
 )
 from geodrake.fleet.log_dates import date_of_log, date_seconds
+from geodrake.fleet.model_hash import text_hash
+from geodrake.fleet.robot_logs import reduced_log
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.hypothesis import first_hypothesis
 from geodrake.identification.logs.model_fit import fit_model, model_unknowns
 from geodrake.logs.files import read_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.model.saved_model import load_model
+from geodrake.robot.transmission import FunctionTransmission
 
 MODELS = Path(__file__).parents[2] / "models"
 FRICTION = np.array([6.0, 5.0, 4.0, 1.0, 1.0, 0.5])  # N·m
@@ -170,6 +174,19 @@ def test_samples_are_worth_what_residuals_of_the_library_say(model, digests, log
     assert np.median(white.effective_share) > 0.7
 
 
+def test_a_log_of_few_rows_is_worth_no_more_than_its_sensors_are(digests):
+    """A fit of as many columns as there are rows leaves nothing, whatever was measured."""
+    digest, joint = digests[1], digests[1].joints[3]
+    p, rng = len(joint.columns), np.random.default_rng(1)
+    factors = np.zeros_like(joint.factors)
+    factors[0, :p] = np.linalg.qr(rng.normal(size=(p, factors.shape[2])), "r")
+    few = replace(joint, factors=factors, samples=np.array([p, 0, 0, 0]))
+    short = replace(digest, joints=(*digest.joints[:3], few, *digest.joints[4:]))
+    every = np.arange(len(digest.columns))
+    weight = reduced_log(short, every).grams[3, -1, -1] / short.normal_matrices()[3, -1, -1]
+    assert weight <= 1.0 / digest.noise_floor[3] ** 2
+
+
 def test_behind_a_transmission_digests_are_exact_and_have_temperatures(tmp_path):
     arm = coupled_arm.arm(tmp_path)
     log = coupled_arm.log_of(arm, 1)
@@ -186,6 +203,13 @@ def test_signals_of_unknown_gain_are_refused(model, logs, settings):
     currents = replace(logs[1], effort_kinds=dict.fromkeys(model.joints, "current"))
     with pytest.raises(LogError, match=r"has the current of base_yaw .* identify --save"):
         digested(model, currents, settings)
+
+
+def test_a_joint_that_moves_under_one_effort_is_refused(model, logs, settings):
+    effort = logs[1].effort.copy()
+    effort[:, 2] = 3.0
+    with pytest.raises(LogError, match=rf"effort of {model.joints[2]} never changes .* it is 3 "):
+        digested(model, replace(logs[1], effort=effort), settings)
 
 
 def test_known_payloads_are_taken_off(model, logs, settings, tmp_path):
@@ -293,6 +317,17 @@ def test_what_does_not_add_up_is_refused(model, logs, settings, digests):
     assert model_hash(model) != model_hash(heavier)
 
 
+def test_transmissions_by_other_functions_are_others():
+    def of(ratio):
+        return FunctionTransmission(
+            (1, 1), lambda q: ratio * q, lambda q: np.full((len(q), 1, 1), ratio)
+        )
+
+    assert text_hash(of(2.0)) == text_hash(of(2.0))
+    assert text_hash(of(2.0)) != text_hash(of(2.1))
+    assert text_hash(of(np.nan)) != text_hash(of(2.0))  # where it is not known
+
+
 def test_a_log_that_cannot_bear_the_settings_is_told_so(model, logs, settings):
     slow = replace(
         logs[1],
@@ -312,6 +347,7 @@ def test_a_log_that_cannot_bear_the_settings_is_told_so(model, logs, settings):
     [
         lambda data: data[: len(data) // 2],
         lambda data: data[:5000] + bytes(100) + data[5100:],
+        lambda data: data[:60] + bytes([7]) + data[61:],  # a block of no kind that is compressed
         lambda data: b"",
         lambda data: b"PK" + bytes(100),
         lambda data: rewritten(data, header=lambda h: {**h, "format": "geodrake digest 9"}),
@@ -321,6 +357,7 @@ def test_a_log_that_cannot_bear_the_settings_is_told_so(model, logs, settings):
         lambda data: rewritten(data, header=lambda h: []),
         lambda data: rewritten(data, settings=lambda s: {**s, "base_matrix": [[1.0]]}),
         lambda data: rewritten(data, settings=lambda s: {**s, "joints": 3}),
+        lambda data: rewritten(data, settings=lambda s: {**s, "independent": [10**30]}),
         lambda data: rewritten(data, arrays={"0.factors": np.full((4, 3), np.nan)}),
         lambda data: rewritten(data, arrays={"0.columns": np.arange(500)}),
         lambda data: rewritten(data, arrays={"1.samples": np.array(["x"] * 4)}),
@@ -356,6 +393,10 @@ def test_dates_are_those_of_stamps_or_said(logs, tmp_path):
     assert date_of_log(log, [file], said) == (said, "option")
     absolute = replace(log, time=log.time + 1.7e9)
     assert date_of_log(absolute, [file], said) == (1.7e9, "stamps")
+    os.utime(file, (0.0, 0.0))
+    with pytest.raises(LogError, match=r"Nobody knows when .* changed at 0 s since 1970.*--date"):
+        date_of_log(log, [file])
+    assert date_of_log(log, [file], said) == (said, "option")
 
 
 def test_dates_in_a_file_say_when_a_log_began(tmp_path, logs):

@@ -181,7 +181,16 @@ def test_a_full_disk_leaves_nothing_half_written(model, made, folder, monkeypatc
     with pytest.raises(OutputError, match="No space left"):
         digested(model, [made / "log_3.csv"], folder.parent / "new")
     assert not digest_files(folder.parent / "new")
-    assert read_settings(folder.parent / "new") is None
+    monkeypatch.undo()  # the settings that are there do
+    assert digested(model, [made / "log_3.csv"], folder.parent / "new").count("made") == 1
+
+
+def test_settings_that_are_lost_are_not_made_anew(model, made, folder):
+    (folder / SETTINGS_FILE).unlink()
+    before = bytes_of(folder)
+    with pytest.raises(DigestError, match=rf"{SETTINGS_FILE} is not there, and digests by it are"):
+        digested(model, [made / "log_1.csv"], folder)
+    assert bytes_of(folder) == before
 
 
 def test_a_folder_that_cannot_be_is_refused_before_the_work(model, made, tmp_path):
@@ -218,18 +227,15 @@ def test_settings_that_another_run_has_made_meanwhile_are_taken(model, made, fol
         if asked.append(words) is None and len(asked) == 1:
             other.mkdir()
 
-    make = digest_folder.make_digest
-
-    def slowly(*given, **more):
-        text = (folder / SETTINGS_FILE).read_text(encoding="utf-8")
+    def slowly(path):
+        text = (folder / SETTINGS_FILE).read_text(encoding="utf-8").replace("log_1", "another")
         (other / SETTINGS_FILE).write_text(text, encoding="utf-8")
-        return make(*given, **more)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(digest_folder, "make_digest", slowly)
+        patch.setattr(digest_folder, "make_folder", slowly)
         run = digested(model, [made / "log_3.csv"], other, told=meanwhile)
     assert run.settings.hash == read_settings(folder).hash
-    assert not run.chosen
+    assert (run.chosen, run.settings.chosen_from) == (False, "another")
     assert read_digest(digest_files(other)[0]).settings.hash == run.settings.hash
 
 

@@ -1,5 +1,6 @@
 """A small fleet from its file to its findings: stopped, started again, and with what is wrong."""
 
+import io
 import os
 import resource
 import shutil
@@ -7,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,16 +26,22 @@ from small_fleet import (
     ROBOTS,
     SHARE,
     STICKY,
+    DayOf,
     date_of,
     write_file,
     write_fleet,
 )
 
-from geodrake.errors import DigestError, FleetError, OutputError
+from geodrake.effects import CoulombFriction, FittedEffect, StribeckFriction
+from geodrake.errors import ArgumentError, DigestError, FleetError, OutputError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
-from geodrake.fleet.log_dates import date_text
-from geodrake.fleet.log_places import find_logs, fits
+from geodrake.fleet.digest_run import digest_task, find_tasks
+from geodrake.fleet.log_dates import check_date_pattern, date_in_path, date_text
+from geodrake.fleet.log_places import absolute_pattern, find_logs, fits, local_log
+from geodrake.fleet.log_records import read_records
 from geodrake.fleet.robot_logs import DAY, MOST_TIMES, time_cells
+from geodrake.logs.files import write_log
+from geodrake.model.saved_model import load_model, save_model
 from geodrake.report.fleet_json import fleet_dict
 from geodrake.report.json_output import to_json
 
@@ -164,7 +172,7 @@ def test_workers_that_are_killed_are_replaced(own, tmp_path):
 
     lines = []
     result, seen = run_fleet(
-        read_fleet(path), FleetWork(workers=1), told=kill_one, said=lambda w, x: lines.append(w)
+        read_fleet(path), FleetWork(workers=1), told=kill_one, said=lines.append
     )
     assert len(killed) == 1
     assert seen.made == 8
@@ -191,6 +199,30 @@ def test_logs_in_other_places_have_the_same_digests(folder, own, tmp_path):
         run_fleet(fleet, FleetWork(workers=2))
 
 
+def test_places_are_looked_into_anew(monkeypatch):
+    memory = fsspec.filesystem("memory")
+    listed = {}
+
+    def find(path, **how):
+        return listed.setdefault(path, plain(path, **how))
+
+    plain = memory.find
+    monkeypatch.setattr(memory, "find", find)
+    monkeypatch.setattr(memory, "invalidate_cache", listed.clear)
+    for day in (1, 2):
+        memory.pipe(f"/cached/{day}.csv", b"x")
+        assert len(find_logs("memory://cached/*.csv")) == day
+
+
+def test_a_copy_is_as_old_as_its_log():
+    memory = fsspec.filesystem("memory")
+    memory.pipe("/dated/log.csv", b"x")
+    (place,) = find_logs("memory://dated/*.csv")
+    for changed in (1.7e9, None):
+        with local_log(replace(place, changed=changed)) as path:
+            assert path.stat().st_mtime == (changed or 0.0)
+
+
 def test_a_log_that_fails_is_a_row(own, tmp_path):
     path = own()
     (tmp_path / HEAVY / "2026-05-09.csv").write_text("time,x\n1,2\n", encoding="utf-8")
@@ -198,11 +230,53 @@ def test_a_log_that_fails_is_a_row(own, tmp_path):
     shutil.copy(tmp_path / HEAVY / f"{date_of(0)}.csv", tmp_path / HEAVY / "2026-05-10.csv")
     result, seen = run_fleet(read_fleet(path), HERE)
     assert seen.made == 5
-    reasons = {Path(failed.log).name: failed.reason for failed in result.failed}
+    reasons = {Path(unused.log).name: unused.reason for unused in result.unused}
     assert "position" in reasons["2026-05-09.csv"]
     assert "no date like %Y-%m-%d" in reasons["undated.csv"]
     assert "the same as" in reasons["2026-05-10.csv"]
     assert {robot.robot: robot.logs for robot in result.robots} == dict.fromkeys(FEW, 2)
+    tasks, known = find_tasks(read_fleet(path), seen.failed)
+    assert (tasks, sum(map(len, known.values()))) == ([], 7)
+    (tmp_path / HEAVY / "2026-05-09.csv").chmod(0o600)
+    assert [task.place.name for task in find_tasks(read_fleet(path), seen.failed)[0]] == [
+        "2026-05-09.csv"
+    ]
+    assert len(find_tasks(read_fleet(path))[0]) == 2  # a run of its own tries all of them
+
+
+def test_a_log_that_could_not_be_fetched_is_tried_again(tmp_path):
+    memory = fsspec.filesystem("memory")
+    memory.pipe("/fetched/2026-05-01.csv", b"x")
+    fleet = read_fleet(write_file(tmp_path, FEW[:1], logs="memory://fetched/*.csv"))
+    (task,), _ = find_tasks(fleet)
+    memory.rm("/fetched/2026-05-01.csv")
+    (fleet.folder / "pendulum" / "digests").mkdir(parents=True)
+    record = digest_task(task)
+    assert "cannot be read: FileNotFoundError" in record.reason
+    memory.pipe("/fetched/2026-05-01.csv", b"x")
+    assert len(find_tasks(fleet, [record])[0]) == 1
+
+
+def test_a_damaged_digest_is_a_row_and_made_again(own, tmp_path):
+    path = own([HEAVY])
+    text = text_of(run_fleet(read_fleet(path), HERE)[0])
+    here = tmp_path / "results" / "pendulum"
+    (record, _) = read_records(here, *read_fleet(path).robots).values()
+    damaged = here / "digests" / record.digest
+    good = damaged.read_bytes()
+    damaged.write_bytes(good[:2000] + b"\xff" * 100 + good[2100:])
+    result, seen = run_fleet(read_fleet(path), HERE)
+    (unused,) = result.unused
+    assert (seen.made, unused.robot, unused.log) == (0, HEAVY, record.address)
+    assert "damaged" in unused.reason
+    assert {robot.robot: robot.logs for robot in result.robots} == {HEAVY: 1}
+    again, seen = run_fleet(read_fleet(path), HERE)
+    assert (seen.made, text_of(again)) == (1, text)
+    assert damaged.read_bytes() == good
+    for each in (here / "digests").glob("*.npz"):
+        each.write_bytes(b"")
+    result, _ = run_fleet(read_fleet(path), HERE)
+    assert [robot.state for robot in result.robots] == ["no logs"]
 
 
 def test_what_was_digested_stays_when_its_log_is_deleted(own, tmp_path):
@@ -265,6 +339,73 @@ def test_a_robot_is_of_its_type(own, tmp_path):
         run_fleet(fleet, HERE)
 
 
+@pytest.mark.thorough
+def test_a_model_of_its_own_need_not_have_the_effects_of_its_type(tmp_path):
+    """Nor an elbow that moves, which these logs lack."""
+    for name in FEW:
+        (tmp_path / name).mkdir()
+        for day in (0, 1):
+            log = DayOf(name, day).log().select(("shoulder",))
+            write_log(log, tmp_path / name / f"{date_of(day)}.csv")
+    plain = load_model(PENDULUM)
+    fading = FittedEffect(StribeckFriction("shoulder", 0.1), np.array([0.05]))
+    dry = FittedEffect(CoulombFriction("shoulder"), np.array([0.3]))
+    for file, effects in {"type.yaml": (fading,), "own.yaml": (dry,)}.items():
+        save_model(replace(plain, effects=effects), tmp_path / file)
+    path = write_file(tmp_path, FEW)
+    text = path.read_text(encoding="utf-8").replace(str(PENDULUM), "type.yaml")
+    path.write_text(text.replace("dates:", "model: own.yaml, dates:", 1), encoding="utf-8")
+    result, _ = run_fleet(read_fleet(path), HERE)
+    said = {
+        robot.robot: {each.parameter.effect: each.of_model for each in robot.own}
+        for robot in result.robots
+    }
+    own, other = said[FEW[0]], said[HEAVY]
+    assert (own["coulomb_friction"], other["coulomb_friction"]) == (0.3, 0.0)
+    assert np.isnan(own["stribeck_friction"])
+    assert other["stribeck_friction"] == 0.05
+    assert own["bodies"] == other["bodies"]
+
+
+def test_a_payload_is_of_a_body(own):
+    path = own()
+    text = path.read_text(encoding="utf-8")
+    more = "payloads: [{body: hand, mass: 1}], dates:"
+    path.write_text(text.replace("dates:", more, 1), encoding="utf-8")
+    with pytest.raises(FleetError, match=r"'first' has payloads that cannot be: .*hand"):
+        run_fleet(read_fleet(path), HERE)
+
+
+def test_files_of_a_type_are_files(own, tmp_path):
+    path = own()
+    os.mkfifo(tmp_path / "pipe.urdf")
+    text = path.read_text(encoding="utf-8")
+    for name, says in (("pipe.urdf", "is a pipe"), ("none.urdf", "does not exist")):
+        path.write_text(text.replace(str(PENDULUM), name), encoding="utf-8")
+        with pytest.raises(FleetError, match=f"file of type pendulum .*{name} {says}"):
+            run_fleet(read_fleet(path), HERE)
+
+
+@pytest.mark.parametrize(
+    ("path", "pattern", "date"),
+    [
+        ("arm_20260501.csv", "%Y%m%d", "2026-05-01T00:00:00"),
+        ("arm_2020101203.csv", "%Y%m%d", "2020-10-12T00:00:00"),  # and not the 3rd of December
+        ("2026-05-01/2026-05-02.csv", "%Y-%m-%d", "2026-05-02T00:00:00"),
+        ("arm_26121_1530.csv", "%y%j_%H%M", "2026-05-01T15:30:00"),
+        ("arm7/20260501.csv", "arm7/%Y%m%d", "2026-05-01T00:00:00"),
+        ("arm_720260501.csv", "%Y%m%d", None),
+    ],
+)
+def test_dates_in_paths(path, pattern, date):
+    check_date_pattern(pattern)
+    if date is None:
+        with pytest.raises(ArgumentError, match="has no date like"):
+            date_in_path(path, pattern)
+    else:
+        assert date_text(date_in_path(path, pattern)) == f"{date}+00:00"
+
+
 def test_a_scheduler_that_does_not_answer_is_said(own, monkeypatch):
     monkeypatch.setattr("geodrake.fleet.workers._SECONDS", 0.5)
     with pytest.raises(FleetError, match=r"tcp://127\.0\.0\.1:9 cannot be reached"):
@@ -293,19 +434,22 @@ ROBOT = "robots:\n- {name: a, logs: 'a/*.csv'}\n"
     [
         ("", "is empty"),
         ("- 1", "no table of keys"),
-        ("to: [", "no YAML"),
+        ("to: [", "not valid YAML"),
+        (f"to: {'[' * 1000}{']' * 1000}", "not valid YAML"),
         (f"{TYPES}{ROBOT}", "`to` is None"),
         (f"to: x\n{ROBOT}", "`types` is None"),
         (f"to: x\n{TYPES}", "`robots` is None"),
+        (f"to: ~nobody-here/x\n{TYPES}{ROBOT}", "home of a user who has none"),
         (f"to: x\n{TYPES}{ROBOT}more: 1\n", "has the key 'more'"),
         (f"to: x\n{TYPES}{ROBOT}- {{name: a, logs: b}}\n", "robot 'a' is there twice"),
-        (f"to: x\n{TYPES}  arm: {{model: b.urdf}}\n{ROBOT}", "'arm' is there twice, again in"),
+        (f"to: x\n{TYPES}  arm: {{model: b.urdf}}\n{ROBOT}", "'arm' twice in one place"),
         (f"to: x\n{TYPES}  leg: {{model: b.urdf}}\n{ROBOT}", "is of type '', which is none"),
         (f"to: x\n{TYPES}robots:\n- {{name: a, type: leg, logs: b}}\n", "of type 'leg', which"),
         (f"to: x\n{TYPES}robots:\n- {{name: a}}\n", "logs of robot 'a' is None"),
         (f"to: x\n{TYPES}robots:\n- {{name: a, logs: []}}\n", "robot 'a' has no logs"),
         (f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, dates: soon}}\n", "like no date"),
         (f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, dates: '%Y'}}\n", "like no date"),
+        (f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, dates: '%Y%Y%m%d'}}\n", "like no date"),
         (f"to: x\n{TYPES}robots:\n- {{name: a, logs: b, log: c}}\n", "has the key 'log'"),
         ("to: x\ntypes:\n  ../a: {model: m}\n" + ROBOT, "a name that no folder can have"),
         ("to: x\ntypes:\n  a: {model: m, blocks: 1}\n" + ROBOT, "blocks must be"),
@@ -326,6 +470,16 @@ def test_fleet_files_that_are_wrong(text, says, tmp_path):
     assert says in str(caught.value)
 
 
+def test_paths_of_a_fleet_may_begin_at_home(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", "/somewhere")
+    path = tmp_path / "fleet.yaml"
+    text = "to: ~/x\ntypes:\n  arm: {model: ~/arm.urdf}\nrobots:\n- {name: a, logs: '~/a/*.csv'}\n"
+    path.write_text(text, encoding="utf-8")
+    fleet = read_fleet(path)
+    found = (fleet.folder, fleet.types["arm"].model, *fleet.robots[0].logs)
+    assert list(map(str, found)) == [f"/somewhere/{each}" for each in ("x", "arm.urdf", "a/*.csv")]
+
+
 def test_a_pattern_that_matches_nothing_is_named(tmp_path):
     path = write_file(tmp_path, ROBOTS[:1])
     with pytest.raises(FleetError, match=r"first/\*\.csv' of robot 'first' matches nothing"):
@@ -344,13 +498,40 @@ def test_patterns_fit_what_they_find(tmp_path):
     (tmp_path / "a" / "b").mkdir(parents=True)
     for name in ("1.csv", "a/2.csv", "a/b/3.csv", "a/b/4.txt", "a/.5.csv"):
         (tmp_path / name).write_text("", encoding="utf-8")
-    every = [str(path) for path in tmp_path.rglob("*.*")]
-    for pattern in ("*.csv", "a/*.csv", "**/*.csv", "a/b/[0-3].*", "a/?/4.txt"):
+    (tmp_path / "a" / "gone.csv").symlink_to("nowhere")
+    every = [str(path) for path in tmp_path.rglob("*")]
+    for pattern in ("*.csv", "a/*.csv", "**/*.csv", "a/b/[0-3].*", "a/?/4.txt", "a?2.*", "a/*"):
         whole = f"{tmp_path}/{pattern}"
         found = {place.address for place in find_logs(whole)}
         fitting = {address for address in every if fits(address, whole)}
-        assert found
-        assert found == fitting - {f"{tmp_path}/a/.5.csv"}
+        assert bool(found) == (pattern != "a?2.*")
+        assert found == fitting - {f"{tmp_path}/a/{name}" for name in (".5.csv", "gone.csv")}
+
+
+def test_a_folder_may_have_a_name_like_a_pattern(tmp_path):
+    folder = tmp_path / "arm[1]"
+    folder.mkdir()
+    (folder / "1.csv").write_text("", encoding="utf-8")
+    pattern = absolute_pattern("*.csv", folder)
+    assert [place.address for place in find_logs(pattern)] == [f"{folder}/1.csv"]
+    assert fits(f"{folder}/1.csv", pattern)
+
+
+def test_logs_in_archives_and_by_caches_have_addresses_of_their_own():
+    memory = fsspec.filesystem("memory")
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("logs/1.csv", "x")
+    memory.pipe({"/packed/all.zip": packed.getvalue(), "/packed/2.csv": b"x"})
+    for pattern, name in {
+        "zip://logs/*.csv::memory://packed/all.zip": "1.csv",
+        "simplecache::memory://packed/*.csv": "2.csv",
+    }.items():
+        (place,) = find_logs(pattern)
+        assert place.name == name
+        assert fits(place.address, pattern)
+        with local_log(place) as path:
+            assert path.read_text(encoding="utf-8") == "x"
 
 
 def test_many_logs_are_few_times():

@@ -196,7 +196,7 @@ NO_DOOR = {
             "fleet.DigestedLog",
             "fleet.JointDigest",
             "fleet.ChangedParameter",
-            "fleet.FailedLog",
+            "fleet.UnusedLog",
             "fleet.Fleet",
             "fleet.FleetFinding",
             "fleet.FleetResult",

@@ -452,9 +452,9 @@ def test_mapped_signals(tmp_path):
         (("time:", "zeit:"), "has the key 'zeit'"),
         (("time: {column: ticks, unit: ms}", ""), "neither `time` nor `rate`"),
         (("column: 4", "column: [4]"), "no name or number"),
-        (("joints:", "joints: none #"), "is no YAML"),
+        (("joints:", "joints: none #"), "is not valid YAML"),
         (("position", "colour"), "has the key 'colour'"),
-        (("shoulder:", "shoulder: ["), "is no YAML"),
+        (("shoulder:", "shoulder: ["), "is not valid YAML"),
     ],
 )
 def test_mappings_that_cannot_be(tmp_path, change, words):

@@ -11,9 +11,10 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import Context, EventStatus
 
+from geodrake.boundary.escaping import one_line
 from geodrake.boundary.whole_files import write_together
 from geodrake.control.scenes.building import RobotInScene, Scene, build_scene
-from geodrake.control.scenes.scenario import Scenario, one_line
+from geodrake.control.scenes.scenario import Scenario
 from geodrake.errors import ConvergenceError
 from geodrake.inertia import Array
 from geodrake.logs import JointLog

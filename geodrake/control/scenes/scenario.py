@@ -17,12 +17,12 @@ from pydrake.multibody.plant import MultibodyPlantConfig
 from pydrake.systems.analysis import GetIntegrationSchemes, SimulatorConfig
 
 from geodrake.boundary.arguments import file_path, number, one_of, positive
+from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.yaml_text import yaml_text
 from geodrake.errors import ArgumentError, GeodrakeError, ModelError
 
 LAWS = ("natural", "pullback", "euclidean", "none")
-_LONGEST = 300  # characters of what Drake says
 
 
 @dataclass
@@ -345,8 +345,3 @@ def within(where: str) -> Iterator[None]:
         raise type(error)(
             f"{where}: {error.problem}", advice=error.advice, **error.evidence
         ) from error
-
-
-def one_line(error: BaseException) -> str:
-    """What Drake says, in a line."""
-    return " ".join(str(error).split()).rstrip(".")[:_LONGEST]

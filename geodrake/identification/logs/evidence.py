@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import chdtrc, ndtr, stdtr
 
@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 _HARDLY, _NO_RISE = 0.01, 0.05  # of a fold's loss, and of the mean one
 _FEW = 2  # folds
 _ENOUGH, _EXACT = 5, 10  # folds: for ranks, and of which every pattern of signs is counted
+_UNCORRELATED = 0.02  # autocorrelation from which on there is none
 _AT_ONCE = 100_000  # numbers that are transformed together
 
 
@@ -38,8 +39,7 @@ def effective_samples(blocks: Sequence[Array]) -> float:
 def effective_samples_of_each(series: Sequence[Sequence[Array]]) -> Array:
     """How many independent samples each of several coloured residuals is worth.
 
-    n / (1 + 2 Σ ρ_k), the autocorrelation summed up to its first value below 0.02; blocks are
-    stretches without gaps.
+    Blocks are stretches without gaps.
 
     Args:
         series: Of each of J joints, the blocks (K_i, m) of m residuals.
@@ -51,11 +51,26 @@ def effective_samples_of_each(series: Sequence[Sequence[Array]]) -> Array:
     longest = max(len(block) for blocks in series for block in blocks)
     size = next_fast_len(2 * longest, real=True)
     covariance = irfft(_power_spectra(series, size), size)[..., :longest]
+    return effective_by_covariance(covariance, n)
+
+
+def effective_by_covariance(covariance: Array, samples: ArrayLike) -> Array:
+    """How many independent samples n of some autocovariance are worth: n / (1 + 2 Σ ρ_k).
+
+    The autocorrelation ρ is summed up to its first value below 0.02.
+
+    Args:
+        covariance: (…, L) sums of r_t r_{t+k} over t, for k = 0, 1, …
+        samples: (…) numbers n.
+
+    Returns:
+        (…) numbers between 1 and n; n where nothing is known of ρ.
+    """
     power = covariance[..., 0]
     correlation = covariance[..., 1:] / np.where(power > 0.0, power, 1.0)[..., None]
-    counted = ~np.logical_or.accumulate(correlation < 0.02, axis=-1)
+    counted = ~np.logical_or.accumulate(correlation < _UNCORRELATED, axis=-1)
     total = np.sum(correlation, axis=-1, where=counted)
-    return np.where(power > 0.0, np.maximum(1.0, n / (1.0 + 2.0 * total)), n)
+    return np.where(power > 0.0, np.maximum(1.0, samples / (1.0 + 2.0 * total)), samples)
 
 
 def _power_spectra(series: Sequence[Sequence[Array]], size: int) -> Array:

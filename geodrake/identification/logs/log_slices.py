@@ -102,7 +102,7 @@ class Layout:
         kept = tuple(np.setdiff1d(columns, gone) for columns in self.columns)
         return replace(self, columns=kept, base=base)
 
-    def seen(self, phi: Array) -> Array:
+    def visible_parameters(self, phi: Array) -> Array:
         """(10·nb,) inertial parameters of which the columns alone make the efforts of φ."""
         if self.base is None:
             return phi
@@ -287,7 +287,7 @@ class LogSlice:
         It is less by what the columns of bodies have in them of effects that have their own.
         """
         layout = self.layout
-        phi = layout.seen(carried_phi(layout.model, self.trajectory.payloads).ravel())
+        phi = layout.visible_parameters(carried_phi(layout.model, self.trajectory.payloads).ravel())
         found = dict(zip(layout.parts, blocks, strict=True))
         effects = {part: own for part, own in found.items() if isinstance(part, Effect)}
         return [

@@ -85,6 +85,7 @@ def reduce_logs(
     layout = _layout(model, effects, trajectories)
     further = np.array([np.broadcast_to(delay, len(model.joints)) for delay in delays])
     data = reduced_joints(layout, trajectories, folds, list(further + model.delays), shared)
+    _check_moving(model.joints, data)
     return Dataset(
         model.joints,
         model.bodies,
@@ -93,7 +94,7 @@ def reduce_logs(
         tuple(fold.name for fold in folds),
         tuple(trajectory.name for trajectory in trajectories),
         data,
-        _effort_deviation(model.joints, data),
+        effort_deviation(model.joints, data),
         noise_floor(trajectories, model, sign_width=layout.sign_width, fitted=fitted)
         if floor is None
         else floor,
@@ -284,20 +285,21 @@ def _slices(
         first += outputs
 
 
-def _effort_deviation(joints: Sequence[str], data: Sequence[JointData]) -> Array:
+def effort_deviation(joints: Sequence[str], data: Sequence[JointData]) -> Array:
+    """(nv,) standard deviation of the measured efforts, N·m or N; 0 of a joint at rest.
+
+    Args:
+        joints: Their names.
+        data: What logs say about each.
+
+    Raises:
+        LogError: The effort of a joint that moves never changes: its sensor has nothing to say.
+    """
     count = np.array([joint.samples.sum() for joint in data])
-    for joint, used in zip(joints, count.tolist(), strict=True):
-        if not used:
-            raise LogError(
-                f"{joint} stands still but for a moment: in no filtered sample it moves for most "
-                "of the filter's window.",
-                advice="Record a log in which it moves, or always stands. Did its sensor jump?",
-                joint=joint,
-            )
-    total, squares = np.array([joint.effort_sums.sum(axis=0) for joint in data]).T
-    mean, power = total / count, squares / count
+    sums = np.array([joint.effort_sums.sum(axis=0) for joint in data])
+    mean, power = sums.T / np.maximum(count, 1)
     deviation = np.sqrt(np.maximum(power - mean**2, 0.0))
-    constant = deviation <= LEAST_DEVIATION * np.sqrt(power)
+    constant = (count > 0) & (deviation <= LEAST_DEVIATION * np.sqrt(power))
     for joint, value, stuck in zip(joints, mean.tolist(), constant.tolist(), strict=True):
         if stuck:
             raise LogError(
@@ -306,3 +308,14 @@ def _effort_deviation(joints: Sequence[str], data: Sequence[JointData]) -> Array
                 joint=joint,
             )
     return deviation
+
+
+def _check_moving(joints: Sequence[str], data: Sequence[JointData]) -> None:
+    for joint, own in zip(joints, data, strict=True):
+        if not own.samples.any():
+            raise LogError(
+                f"{joint} stands still but for a moment: in no filtered sample it moves for most "
+                "of the filter's window.",
+                advice="Record a log in which it moves, or always stands. Did its sensor jump?",
+                joint=joint,
+            )

@@ -8,8 +8,8 @@ from typing import Any
 
 import yaml  # type: ignore[import-untyped]
 
-from geodrake.boundary.yaml_text import yaml_text
-from geodrake.errors import ArgumentError, LogError, ModelError
+from geodrake.boundary.yaml_text import yaml_content, yaml_table
+from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files.joint_matching import matched
 from geodrake.logs.files.reading import (
     ColumnMapping,
@@ -38,15 +38,7 @@ def read_mapping(path: Path) -> ColumnMapping:
         LogError: It cannot be read, has other keys or kinds of values, names a column twice, or
             a unit that is not known.
     """
-    try:
-        content = yaml.safe_load(yaml_text(path))
-    except ModelError as error:
-        raise LogError(
-            error.problem.replace("model file", "mapping"), advice=error.advice
-        ) from error
-    except yaml.YAMLError as error:
-        reason = " ".join(str(error).split())[:300]
-        raise LogError(f"Mapping {path} is no YAML: {reason}.", advice=_FORM) from error
+    content = yaml_content(path, "mapping", LogError, advice=_FORM)
     try:
         return _mapping(path, content)
     except ArgumentError as error:
@@ -75,13 +67,8 @@ def _mapping(path: Path, content: object) -> ColumnMapping:
     return mapping
 
 
-def _table(content: object, keys: Sequence[str] | None, what: str) -> Mapping[str, Any]:
-    if not isinstance(content, dict) or not content:
-        raise ArgumentError(f"{what} is {content!r:.60}, no table of keys.", advice=_FORM)
-    for key in content:
-        if keys is not None and key not in keys:
-            raise ArgumentError(f"{what} has the key {key!r}; it may have {', '.join(keys)}.")
-    return content
+def _table(content: object, keys: Sequence[str] | None, what: str) -> Mapping[Any, Any]:
+    return yaml_table(content, keys, what, advice=_FORM)
 
 
 def _column(content: object, quantity: str, what: str) -> MappedColumn:

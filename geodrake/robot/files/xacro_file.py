@@ -10,6 +10,7 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from types import ModuleType
 
+from geodrake.boundary.escaping import one_line
 from geodrake.errors import ModelError
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.packages import folder_of_package
@@ -63,7 +64,7 @@ def _expanded(xacro: ModuleType, path: Path, given: Given) -> bytes:
         raise
     except (Exception, SystemExit) as error:  # files hold expressions, which may raise anything
         _reraise_own(error)
-        words = " ".join(str(error).split())[:300].rstrip(".") or type(error).__name__
+        words = one_line(error)
         missing = _NO_ARGUMENT.search(words)
         advice = f"Give it: --xacro-arg {missing[1]}:=VALUE." if missing else ""
         raise ModelError(
