@@ -107,6 +107,8 @@ class SearchState(Short):
 class RobotSearch(Short):
     """One robot's logs, and what may have changed in it.
 
+    States are kept while changes are sought or told, and no longer: they are large.
+
     Attributes:
         model: What is known of its type.
         robot: Its number.
@@ -181,6 +183,7 @@ class RobotSearch(Short):
             if better is None:
                 break  # it was too little, or made another one needless, and would again
             places = better
+        self._states.clear()
         return places
 
     def _candidates(self, places: list[ChangePlace]) -> list[list[ChangePlace]]:
@@ -204,10 +207,9 @@ class RobotSearch(Short):
                 others = places[:at] + places[at + 1 :]
                 state = self.state(places)
                 best = best_place(self.instead(state, others))
-                if best != places[at]:
-                    places = others if best in others else [*places[:at], best, *places[at + 1 :]]
-                if best in others or self.support(places, at) < least:
-                    places = others
+                exchanged = [*places[:at], best, *places[at + 1 :]]
+                keep = best not in others and self.support(exchanged, at) >= least
+                places = exchanged if keep else others
             if places == before:
                 break
         return places
@@ -261,6 +263,7 @@ class RobotSearch(Short):
                     float(chance),
                 )
             )
+        self._states.clear()
         return tuple(found[::-1])
 
     def _interval(self, evidence: ChangeEvidence, place: ChangePlace) -> tuple[float, float]:

@@ -101,6 +101,14 @@ def test_one_log_tells_no_change():
     assert not any(find_changes(histories, columns(), hypotheses(), passes=1).changes)
 
 
+def test_no_states_are_kept_of_robots_that_were_searched(found):
+    history = fleet(1, 10, STEP, SEASON)[2]
+    search = RobotSearch(found.model, 2, history, found.model.mean, hypotheses())
+    places = search.find(0.01)
+    assert places and not search._states
+    assert search.told(places) and not search._states
+
+
 def test_wrong_calls_are_refused():
     histories = fleet(6, 2, {})
     with pytest.raises(ArgumentError, match=f"{P} columns"):
