@@ -50,10 +50,12 @@ def dense(model, A):
     return stacked @ own @ stacked.T + each + NOISE**2 * np.eye(len(stacked))
 
 
+@pytest.mark.parametrize("unit", [1.0, 1.0 / 1440.0])
 @pytest.mark.parametrize("kind", KINDS)
-def test_cumulative_sums_are_those_of_profiles(kind):
+def test_cumulative_sums_are_those_of_profiles(kind, unit):
+    """Also of days since 1970, of logs a minute after another."""
     rng = np.random.default_rng(1)
-    days = np.sort(rng.choice(40, 12, replace=False)).astype(float)
+    days = 20_000.0 + unit * np.sort(rng.choice(40, 12, replace=False))
     days[4] = days[3]  # two logs on one day
     each, X = Profiles.of(kind, days), rng.normal(size=(12, 2, 3))
     values = each.values
