@@ -136,7 +136,7 @@ class RobotSearch(Short):
         for _ in range(_REFITS):
             logs = logs_at(self.history, self.model.columns.gains, reference)
             fit = self.model.fit(self.robot, logs, changes, odd)
-            odd, cost = self.model.oddness(self.robot, logs, fit, odd)
+            odd, cost = self.model.oddness(self.model.log_scores(self.robot, fit), odd)
             reference = self.model.parameters(self.robot, logs, fit)
         logs = logs_at(self.history, self.model.columns.gains, reference)
         fit = self.model.fit(self.robot, logs, changes, odd)

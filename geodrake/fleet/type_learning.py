@@ -119,8 +119,9 @@ def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | Non
     linked = fit.seen.sum(axis=0)
     links = fit.solve(linked)
     columns = model.columns
-    scores, _, expected = fit.squares(scale[:, None] * model.factor)
-    scattered = np.stack([scores.sum(axis=0), expected])
+    scores = model.log_scores(robot, fit)
+    expected = columns.parts(fit.expected_squares(scale[:, None] * model.factor))[:-1]
+    scattered = np.stack([scores.squares.sum(axis=0), expected])
     squares = np.stack([fit.theta**2, 1.0 - np.diagonal(fit.covariance)])
     share, at = scale[columns.course], columns.course
     part = fit.information[:, at][:, :, at] * share[:, None] * share
@@ -130,10 +131,10 @@ def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | Non
         fit.score.sum(axis=0),
         links,
         columns.parts(squares),
-        columns.parts(scattered)[:, :-1],
+        scattered,
         (part, fit.score[:, at] * share),
         model.response * fit.theta[sum(columns.sizes[:-1]) : sum(columns.sizes)],
-        model.oddness(robot, logs, fit, model.odd[robot])[0],
+        model.oddness(scores, model.odd[robot])[0],
     )
 
 

@@ -21,7 +21,7 @@ from geodrake.fleet.columns import TypeColumns
 from geodrake.fleet.course import Course
 from geodrake.fleet.history import LogEquations
 from geodrake.fleet.marginals import calc_marginal
-from geodrake.fleet.robot_fit import RobotFit
+from geodrake.fleet.robot_fit import LogScores, RobotFit
 
 Array = NDArray[np.float64]
 
@@ -98,32 +98,39 @@ class TypeModel(Short):
         design = np.concatenate(parts, axis=2)
         return RobotFit(M, m - (M @ mean[..., None])[..., 0], design)
 
-    def oddness(
-        self, robot: int, logs: LogEquations, fit: RobotFit, odd: Array
-    ) -> tuple[Array, Array]:
+    def log_scores(self, robot: int, fit: RobotFit) -> LogScores:
+        """How large scores of a robot's logs are along each spread.
+
+        Args:
+            robot: Its number.
+            fit: A fit of them.
+        """
+        scale = self.scale(robot)[:, None]
+        return fit.scores([scale * spread.factor for spread in self.columns.spreads])
+
+    def oddness(self, scores: LogScores, odd: Array) -> tuple[Array, Array]:
         """How odd logs are in a fit, and what that costs.
 
         Deviations have the density exp(−½ z²) up to z² = `_USUAL` and (z²)^(−½ `_USUAL`) beyond,
         as those of Student's distribution have. Such a log counts as one of a larger scatter.
 
         Args:
-            robot: The robot's number.
-            logs: Its logs.
-            fit: A fit of them.
+            scores: What the fit leaves along each spread.
             odd: (T, K) what was added to τ² in the fit.
 
         Returns:
             (T, K) what is to be added to τ², and (T,) minus the logarithm of what a log's density
             loses by it, at the spread where that is most.
         """
-        squares, seen, _ = fit.squares(self.scale(robot)[:, None] * self.factor)
-        count = np.array(self.columns.sizes[:-1])
-        seen = np.maximum(self.columns.parts(seen)[:, :-1] / count, 1e-300)
-        squared = self.columns.parts(squares)[:, :-1] / count
-        # Scores and information know of what was odd before; these are without it.
-        before = 1.0 / seen - np.minimum(odd, (1.0 - _LEAST) / seen)
-        beyond = np.maximum(squared / seen**2 / (_USUAL * before), 1.0)
-        return (beyond - 1.0) * before, 0.5 * _USUAL * np.log(beyond).max(axis=1)
+        # Of directions of a spread count those of which a log tells: squared deviations and what
+        # they are expected to be. Where it tells nothing, both are 0.
+        norm = np.where(scores.norm > 0.0, scores.norm, 1.0)
+        squared, expected = scores.squares / norm, scores.trace / norm
+        # Both know of what was odd before; a log's own scatter does not.
+        before = np.maximum(expected - odd, _LEAST * expected)
+        beyond = np.maximum(squared / _USUAL - before, 0.0)
+        cost = 0.5 * _USUAL * np.log1p(beyond / np.maximum(before, 1e-300))
+        return beyond, cost.max(axis=1)
 
     @cached_property
     def factor(self) -> Array:

@@ -83,6 +83,14 @@ def test_an_odd_log_is_no_change():
     assert not any(found.changes)
 
 
+def test_joints_may_rest_in_logs():
+    """Their columns are zero: that is nothing odd, and no change."""
+    histories = fleet(3, 6, {})
+    for history in histories:
+        history.grams[::2, :, 2:4] = history.grams[::2, :, :, 2:4] = 0.0
+    assert not any(find_changes(histories, columns(), hypotheses(), passes=2).changes)
+
+
 def test_two_changes_of_one_robot():
     both = {
         3: lambda t: (

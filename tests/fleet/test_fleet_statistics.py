@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fleet_data import MEAN, NOISE, P, columns, hypotheses, robot
+from fleet_data import MEAN, NOISE, P, Rows, columns, hypotheses, robot
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
@@ -132,6 +132,26 @@ def test_scales_are_learnt():
     np.testing.assert_allclose(found.deviations, 0.1, rtol=0.3)
     np.testing.assert_allclose(found.scatter, 0.03, rtol=0.35)
     np.testing.assert_allclose(found.mean, MEAN, atol=4 * np.sqrt(0.01 / 40))
+
+
+def test_a_log_is_as_odd_whatever_of_a_spread_it_does_not_see():
+    """Nothing is seen of the second body column, nor of dry friction; log 4 has another body."""
+    rng = np.random.default_rng(9)
+    A = rng.normal(size=(10, 30, P)) * [1.0, 0.0, 0.0, 1.0]
+    b = A @ MEAN + NOISE * rng.normal(size=(10, 30))
+    b[4] += A[4, :, 0]
+    logs = Rows(A, b).history().equations()
+    whole = made([logs])
+    part = replace(columns(), spreads=(Spread("bodies", np.eye(P)[:, :1]), *columns().spreads[1:]))
+    found = []
+    for model in (whole, replace(whole, columns=part)):
+        odd = np.zeros((10, 3))
+        for _ in range(3):
+            odd, cost = model.oddness(model.log_scores(0, model.fit(0, logs, odd=odd)), odd)
+        found.append(odd)
+    np.testing.assert_allclose(*found)
+    assert odd[4, 0] == pytest.approx(0.25, abs=0.05)  # two deviations off, with that
+    assert cost.argmax() == 4 and not odd[:, 1].any()
 
 
 def test_levels_cover_what_logs_have():
