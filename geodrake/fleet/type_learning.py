@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from geodrake.boundary.arguments import instance, instances, integer
 from geodrake.errors import ArgumentError
 from geodrake.fleet.columns import TypeColumns
 from geodrake.fleet.course import Course
 from geodrake.fleet.history import LogEquations
-from geodrake.fleet.type_model import TypeModel, own_parameters
+from geodrake.fleet.type_model import TypeModel, kept_share, own_parameters
 
 Array = NDArray[np.float64]
 
@@ -97,7 +98,8 @@ class _RobotTells:
         links: (n, p) how its θ goes with μ.
         spread: (2, K + 1) squares of θ for each spread and the response, and their expectations
             for a known μ.
-        scattered: (2, K) the same of its logs' scatter.
+        scattered: (3, K) squares of its logs' scores along each spread, their expectations, and
+            what share of these half of robots have less than.
         course: (T, q, q) and (T, q): what it says of shares of the course.
         response: (q,) by how much it follows the course more.
         odd: (T, K) how odd its logs are.
@@ -121,7 +123,12 @@ def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | Non
     columns = model.columns
     scores = model.log_scores(robot, fit)
     expected = columns.parts(fit.expected_squares(scale[:, None] * model.factor))[:-1]
-    scattered = np.stack([scores.squares.sum(axis=0), expected])
+    norm = np.maximum(scores.norm.sum(axis=0), 1e-300)
+    count = np.maximum(expected * scores.trace.sum(axis=0) / norm, 1.0)
+    kept = kept_share(np.square(scores.trace).sum(axis=0) / norm)
+    # The middle of few squares is less than their mean; without large ones, they are less skew.
+    middle = np.minimum(2.0 * gammaincinv(0.5 * count, 0.5) / count, kept)
+    scattered = np.stack([scores.squares.sum(axis=0), expected, middle])
     squares = np.stack([fit.theta**2, 1.0 - np.diagonal(fit.covariance)])
     share, at = scale[columns.course], columns.course
     part = fit.information[:, at][:, :, at] * share[:, None] * share
@@ -145,7 +152,7 @@ def _improved(
 
     Squared scales go by what squares of scores are over what they would be, whose fixed point is
     the largest restricted likelihood. From log to log it is the median over robots, as a robot
-    that changed is none of the usual.
+    that changed is none of the usual; each counts as much as its logs tell.
     """
     told = [
         _told(model, r, each, None if changes is None else changes[r])
@@ -163,9 +170,6 @@ def _improved(
     pull = precision @ (model.columns.prior - mean)[free]
     mean[free] += covariance[np.ix_(free, free)] @ (side + pull)
     spread = _spread_ratio(model.columns, told, covariance)
-    scattered = np.median(
-        [each.scattered[0] / np.maximum(each.scattered[1], 1e-300) for each in told], axis=0
-    )
     course = model.course.improved(
         logs, [each.course[0] for each in told], [each.course[1] for each in told]
     )
@@ -175,7 +179,7 @@ def _improved(
         mean=mean,
         covariance=covariance,
         deviations=np.maximum(model.deviations * np.sqrt(spread[:-1]), _LEAST),
-        scatter=np.maximum(model.scatter * np.sqrt(scattered), _LEAST),
+        scatter=np.maximum(model.scatter * np.sqrt(_scatter_ratio(model, told)), _LEAST),
         response=max(model.response * float(np.sqrt(spread[-1])), _LEAST),
         course=course,
         own=np.array([each.own for each in told]),
@@ -195,6 +199,22 @@ def _spread_ratio(columns: TypeColumns, told: Sequence[_RobotTells], covariance:
     # Friction that changed in a robot is none of its response to a season.
     ratio[-1] = np.median(squares[:, -1] / expected[:, -1])
     return np.asarray(ratio)
+
+
+def _scatter_ratio(model: TypeModel, told: Sequence[_RobotTells]) -> Array:
+    """(K,) squares of scores over their expectations, of the robot in the middle.
+
+    Each robot counts as the deviations that its logs show, and what was known before as one.
+    """
+    squares, expected, middle = np.stack([each.scattered for each in told], axis=1)
+    ratio = squares / np.maximum(middle * expected, 1e-300)
+    ratio = np.vstack([ratio, np.ones_like(model.scatter)])
+    weight = np.vstack([model.scatter**2 * expected, np.ones_like(model.scatter)])
+    order = np.argsort(ratio, axis=0)
+    ratio, weight = (np.take_along_axis(each, order, axis=0) for each in (ratio, weight))
+    passed = np.cumsum(weight, axis=0) - 0.5 * weight
+    half = 0.5 * weight.sum(axis=0)
+    return np.array([np.interp(h, m, r) for h, m, r in zip(half, passed.T, ratio.T, strict=True)])
 
 
 def least_squares(information: Array, right: Array) -> Array:

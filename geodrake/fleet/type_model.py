@@ -10,10 +10,11 @@ those of the largest restricted likelihood; logs that scatter more than others h
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from geodrake.boundary.arguments import instance
 from geodrake.boundary.showing import Short
@@ -173,6 +174,25 @@ class TypeModel(Short):
         found = np.zeros((*together.shape, len(at)))
         found[:, at, np.arange(len(at))] = together[:, at]
         return found
+
+
+def kept_share(directions: Array) -> Array:
+    """(...) share of logs' squared scores that is left where odd ones count less, if none is odd.
+
+    Args:
+        directions: (...) in how many directions of a spread a log tells of it.
+    """
+    return np.interp(directions, *_kept_shares())
+
+
+@cache
+def _kept_shares() -> tuple[Array, Array]:
+    """Numbers of directions, and the share for each, over those of mean squares z² ~ χ²_r / r."""
+    directions = np.arange(1.0, 7.0)
+    middles = (np.arange(1000) + 0.5) / 1000
+    squares = 2.0 * gammaincinv(0.5 * directions[:, None], middles) / directions[:, None]
+    larger = np.maximum(squares / _USUAL, 1.0)  # the variance of an odd log, in that of others
+    return directions, (squares / larger**2).mean(axis=1) / (1.0 / larger).mean(axis=1)
 
 
 def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:

@@ -134,6 +134,27 @@ def test_scales_are_learnt():
     np.testing.assert_allclose(found.mean, MEAN, atol=4 * np.sqrt(0.01 / 40))
 
 
+def test_scatter_is_learnt_from_robots_that_show_it():
+    """Most have a single log, or one joint that rests in all."""
+    rng = np.random.default_rng(5)
+    single = [robot(rng, logs=1, rows=60).history() for _ in range(16)]
+    resting = [robot(rng, logs=4, rows=60).history() for _ in range(8)]
+    for each in resting:
+        each.grams[:, :, 2:4] = each.grams[:, :, :, 2:4] = 0.0
+    others = [robot(rng, logs=25, rows=60).history() for _ in range(6)]
+    found = learn_type([each.equations() for each in (*single, *resting, *others)], columns())
+    np.testing.assert_allclose(found.scatter[1:], 0.03, rtol=0.25)
+
+
+@pytest.mark.thorough
+def test_scatter_is_neither_too_small_nor_too_large():
+    for logs, tolerance in ((3, 0.2), (20, 0.08)):
+        rng = np.random.default_rng(6)
+        histories = [robot(rng, logs=logs, rows=60).history() for _ in range(150)]
+        found = learn_type([each.equations() for each in histories], columns(), rounds=20)
+        np.testing.assert_allclose(found.scatter, 0.03, rtol=tolerance)
+
+
 def test_a_log_is_as_odd_whatever_of_a_spread_it_does_not_see():
     """Nothing is seen of the second body column, nor of dry friction; log 4 has another body."""
     rng = np.random.default_rng(9)
