@@ -103,6 +103,7 @@ def type_layout(
         relative.copy(),
         n,
         (*_body_spreads(model, settings, p), *_column_spreads(parameters, bodies, p)),
+        tuple(each.unit for each in parameters),
     )
     hypotheses = _joint_changes(parameters, relative, dict(zip(model.joints, efforts, strict=True)))
     mass = payload or _USUAL_PAYLOAD * float(model.total_phi[:, 0].sum())

@@ -161,7 +161,7 @@ def _improved(
     free = model.columns.free
     typical = np.where(model.columns.relative, model.typical, 1.0)[:, None]
     weak = sum(((typical * s.factor) @ (typical * s.factor).T for s in model.columns.spreads), 0.0)
-    precision = np.linalg.pinv(_WEAK**2 * np.asarray(weak)[np.ix_(free, free)], hermitian=True)
+    precision = _inverse(_WEAK**2 * np.asarray(weak)[np.ix_(free, free)])
     seen = np.sum([each.seen for each in told], axis=0)[np.ix_(free, free)] + precision
     side = np.sum([each.side for each in told], axis=0)[free]
     covariance = np.zeros_like(model.covariance)
@@ -224,12 +224,18 @@ def least_squares(information: Array, right: Array) -> Array:
         information: (p, p) normal matrix.
         right: (p,) right side.
     """
-    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+    unit = _units(information)
     scaled = information * unit[:, None] * unit
     return np.asarray(unit * np.linalg.lstsq(scaled, unit * right, _FLAT)[0])
 
 
 def _inverse(matrix: Array) -> Array:
-    """The inverse of a positive definite matrix of columns in several units."""
-    unit = 1.0 / np.sqrt(np.diagonal(matrix))
-    return np.linalg.inv(matrix * unit[:, None] * unit) * unit[:, None] * unit
+    """The inverse of a matrix of columns in several units; 0 for those of which it has nothing."""
+    unit = _units(matrix)
+    return np.linalg.pinv(matrix * unit[:, None] * unit, hermitian=True) * unit[:, None] * unit
+
+
+def _units(matrix: Array) -> Array:
+    """(p,) units in which columns of a normal matrix are of size 1; 0 for those of size 0."""
+    size = np.diagonal(matrix)
+    return np.where(size > 0.0, 1.0 / np.sqrt(np.where(size > 0.0, size, 1.0)), 0.0)

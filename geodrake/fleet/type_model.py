@@ -59,10 +59,11 @@ class TypeModel(Short):
 
     @cached_property
     def typical(self) -> Array:
-        """(p,) size of each common value; one of nothing is a thousandth of the largest."""
-        size = np.abs(self.mean)
-        largest = size[self.columns.relative].max(initial=0.0)
-        return np.maximum(size, 1e-3 * largest if largest else 1.0)
+        """(p,) size of each common value; of one of nothing a thousandth of the largest like it."""
+        size, columns = np.abs(self.mean), self.columns
+        like = columns.alike() & columns.relative
+        largest = np.where(like, size, 0.0).max(axis=1)
+        return np.maximum(size, 1e-3 * np.where(largest > 0.0, largest, 1e3))
 
     def scale(self, robot: int) -> Array:
         """(p,) what a share of each column is to a robot: its own value, for relative columns."""

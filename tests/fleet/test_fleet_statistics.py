@@ -155,6 +155,29 @@ def test_scatter_is_neither_too_small_nor_too_large():
         np.testing.assert_allclose(found.scatter, 0.03, rtol=tolerance)
 
 
+@pytest.mark.parametrize("unit", [1e-8, 1e8])
+def test_units_change_nothing(unit):
+    """Bodies and friction in other units; the first body column is never seen."""
+    rng = np.random.default_rng(10)
+    histories = [robot(rng, logs=5).history() for _ in range(3)]
+    for each in histories:
+        each.grams[:, :, 0] = each.grams[:, :, :, 0] = 0.0
+    u = np.array([unit, 1.0, unit, 1.0, 1.0])
+    other = [replace(each, grams=each.grams * u[:, None] * u) for each in histories]
+    u, known = u[:P], replace(columns(), units=("kg", "kg·m", "N·m", "N·m·s"))
+    bodies = Spread("bodies", known.spreads[0].factor / u[:, None])
+    renamed = replace(known, prior=known.prior / u, spreads=(bodies, *known.spreads[1:]))
+    found = learn_type([each.equations() for each in histories], known)
+    again = learn_type([each.equations() for each in other], renamed)
+    assert found.mean[0] == pytest.approx(1.1 * MEAN[0])
+    np.testing.assert_allclose(again.mean * u, found.mean, rtol=1e-6)
+    np.testing.assert_allclose(
+        again.covariance * np.outer(u, u), found.covariance, rtol=1e-6, atol=1e-12
+    )
+    for name in ("deviations", "scatter"):
+        np.testing.assert_allclose(getattr(again, name), getattr(found, name), rtol=1e-5)
+
+
 def test_a_log_is_as_odd_whatever_of_a_spread_it_does_not_see():
     """Nothing is seen of the second body column, nor of dry friction; log 4 has another body."""
     rng = np.random.default_rng(9)
@@ -212,3 +235,5 @@ def test_wrong_histories_are_refused():
         weighted_history("a", [1.0, 2.0], np.triu(np.ones((2, 1, 3, 3))), weights)
     with pytest.raises(ArgumentError, match="free, relative"):
         replace(columns(), spreads=(Spread("short", np.eye(2)),))
+    with pytest.raises(ArgumentError, match="4 columns cannot have 1 units"):
+        replace(columns(), units=("kg",))
