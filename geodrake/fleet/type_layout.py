@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.showing import Short
 from geodrake.effects import Role
 from geodrake.effects.lookup import effect_of
+from geodrake.effects.shape import when_sliding
 from geodrake.fleet.columns import Spread, TypeColumns, body_spread, column_spreads
 from geodrake.fleet.digest_dataset import model_of_digests
 from geodrake.fleet.hypotheses import ChangeHypothesis, body_change, column_change
@@ -43,7 +44,7 @@ class FleetParameter:
         effect: Name of the effect; `BODIES` for combinations of inertial parameters.
         where: Its joint, or the body that names it.
         name: Name of the parameter, or of the combination.
-        unit: Its unit; empty for shares.
+        unit: Its unit; empty for plain numbers, such as shares.
     """
 
     effect: str
@@ -89,7 +90,7 @@ def type_layout(
     bodies = len(settings.independent)
     own = _model_values(model, settings)
     kept = np.concatenate([np.arange(bodies), np.array(sorted(own), np.intp)]).astype(np.intp)
-    parameters = _parameters(settings, kept, model.joints)
+    parameters = _parameters(settings, kept, model)
     n, p = len(model.joints), len(kept) + len(model.joints)
     prior = np.zeros(p)
     prior[:bodies] = settings.base_matrix @ model.total_phi.ravel()
@@ -138,17 +139,20 @@ def _model_values(model: RobotModel, settings: DigestSettings) -> dict[int, tupl
 
 
 def _parameters(
-    settings: DigestSettings, kept: Indices, joints: Sequence[str]
+    settings: DigestSettings, kept: Indices, model: RobotModel
 ) -> tuple[FleetParameter, ...]:
+    """What columns are of; units of effects are those of joints that turn, unless theirs slides."""
     found = []
     for at in kept.tolist():
         column = settings.columns[at]
         if column.kind == "body":
             found.append(FleetParameter(BODIES, column.where[0], column.name, column.unit))
         else:
-            where = ", ".join(column.where)
-            found.append(FleetParameter(column.name, where, column.parameter, column.unit))
-    gains = [FleetParameter(_GAIN, joint, "scale", "") for joint in joints]
+            where, unit = ", ".join(column.where), "" if column.unit == "1" else column.unit
+            if column.where[0] in model.sliding_joints:
+                unit = when_sliding(unit)
+            found.append(FleetParameter(column.name, where, column.parameter, unit))
+    gains = [FleetParameter(_GAIN, joint, "scale", "") for joint in model.joints]
     return (*found, *gains)
 
 
