@@ -63,6 +63,9 @@ class RobotChange(Short):
         kind: "step", or "ramp" for what goes on changing.
         day: First day after the step, or on which the ramp begins.
         interval: Days within which that is with a probability of 95 %.
+        coordinates: (d,) the change z in the coordinates of its hypothesis; of a ramp up to the
+            last log.
+        covariance: (d, d) its covariance.
         size: (p,) change of the robot's parameters; of a ramp up to the last log.
         deviation: (p,) its standard deviation.
         share: (p,) the size in shares of the robot's own values, for relative columns.
@@ -78,6 +81,8 @@ class RobotChange(Short):
     kind: str
     day: float
     interval: tuple[float, float]
+    coordinates: Array
+    covariance: Array
     size: Array
     deviation: Array
     share: Array
@@ -240,12 +245,15 @@ class RobotSearch(Short):
         end, found = state.fit.design.shape[2], []
         for at in range(len(places) - 1, -1, -1):
             place, others = places[at], [*places[:at], *places[at + 1 :]]
-            hypothesis, factor = self.hypotheses[place.hypothesis], self._factor(place)
-            evidence = self.instead(state, others)
+            hypothesis = self.hypotheses[place.hypothesis]
+            factor = self.model.scale(self.robot)[:, None] * hypothesis.factor
             part = slice(end - factor.shape[1], end)
             end = part.start
-            variance = np.einsum("pd,de,pe->p", factor, state.fit.covariance[part, part], factor)
-            size, shares = factor @ state.fit.theta[part], kind_shares(evidence)
+            z, covariance = _WIDE * state.fit.theta[part], state.fit.covariance[part, part]
+            covariance = _WIDE**2 * covariance
+            size, variance = factor @ z, np.einsum("pd,de,pe->p", factor, covariance, factor)
+            evidence = self.instead(state, others)
+            shares = kind_shares(evidence)
             chance = np.exp(min(0.0, -self.support(places, at)))
             found.append(
                 RobotChange(
@@ -255,6 +263,8 @@ class RobotSearch(Short):
                     place.kind,
                     float(self.history.days[place.first]),
                     self._interval(evidence, place),
+                    z,
+                    covariance,
                     size,
                     np.sqrt(variance),
                     size / self.model.scale(self.robot),

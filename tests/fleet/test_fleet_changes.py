@@ -41,6 +41,8 @@ def test_changes_are_told_with_day_effect_and_kind(found):
     assert ramp.share[3] == pytest.approx(0.36, abs=0.08)
     assert (load.effect, load.kind, load.day) == ("load", "step", 6.0)
     np.testing.assert_allclose(load.size[:2], [-0.4, -0.3], rtol=0.3)  # shares of its own
+    np.testing.assert_allclose(load.coordinates, load.size[:2])
+    np.testing.assert_allclose(np.diagonal(load.covariance), load.deviation[:2] ** 2)
     assert all(each.false_alarm_probability < 1e-4 for each in (step, ramp, load))
 
 
