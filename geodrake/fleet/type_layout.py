@@ -7,7 +7,7 @@ the model has, and friction and offsets of joints; and hypotheses of what change
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,16 +97,17 @@ def type_layout(
     prior[bodies : p - n] = [own[at][0] for at in kept[bodies:].tolist()]
     relative = np.zeros(p, bool)
     relative[bodies : p - n] = [own[at][1] for at in kept[bodies:].tolist()]
+    sizes = _sizes(parameters, relative, dict(zip(model.joints, efforts.tolist(), strict=True)))
     columns = TypeColumns(
         prior,
         np.arange(p) < p - n,
         relative,
         relative.copy(),
         n,
-        (*_body_spreads(model, settings, p), *_column_spreads(parameters, bodies, p)),
+        (*_body_spreads(model, settings, p), *_column_spreads(parameters, sizes, bodies)),
         tuple(each.unit for each in parameters),
     )
-    hypotheses = _joint_changes(parameters, relative, dict(zip(model.joints, efforts, strict=True)))
+    hypotheses = _joint_changes(parameters, relative, sizes)
     mass = payload or _USUAL_PAYLOAD * float(model.total_phi[:, 0].sum())
     roots = {}
     for body, name in enumerate(model.bodies):
@@ -167,13 +168,29 @@ def _body_spreads(model: RobotModel, settings: DigestSettings, p: int) -> list[S
     return found
 
 
-def _column_spreads(parameters: Sequence[FleetParameter], first: int, p: int) -> tuple[Spread, ...]:
+def _sizes(
+    parameters: Sequence[FleetParameter], relative: NDArray[np.bool_], efforts: dict[str, float]
+) -> Array:
+    """(p,) what is much of each column: of shares 1, of others what makes the usual efforts."""
+    usual = np.array([max(efforts.get(each.where, 1.0), 1e-9) for each in parameters])
+    shares = relative | np.array([each.effect == _GAIN for each in parameters])
+    return np.where(shares, 1.0, usual)
+
+
+def _column_spreads(
+    parameters: Sequence[FleetParameter], sizes: Array, first: int
+) -> tuple[Spread, ...]:
+    """How each column but those of bodies differs, each by itself."""
     names = [f"{each.effect} of {each.where}: {each.name}" for each in parameters[first:]]
-    return column_spreads(names, range(first, p), p)
+    found = column_spreads(names, range(first, len(parameters)), len(parameters))
+    return tuple(
+        replace(spread, factor=size * spread.factor)
+        for spread, size in zip(found, sizes[first:].tolist(), strict=True)
+    )
 
 
 def _joint_changes(
-    parameters: Sequence[FleetParameter], relative: NDArray[np.bool_], efforts: dict[str, float]
+    parameters: Sequence[FleetParameter], relative: NDArray[np.bool_], sizes: Array
 ) -> list[ChangeHypothesis]:
     """Each effect at each place changes; frictions of a joint also together."""
     p, found = len(parameters), []
@@ -188,7 +205,7 @@ def _joint_changes(
             found.append(column_change(effect, where, columns, p, size=size, kinds=kind))
             continue
         shares = bool(relative[columns].all())
-        size = 1.0 if shares else max(float(efforts.get(where, 1.0)), 1e-9)
+        size = 1.0 if shares else float(sizes[columns].max())
         found.append(column_change(effect, where, columns, p, size=size))
         if shares:
             joined.setdefault(where, []).append(effect)
