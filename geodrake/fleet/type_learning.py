@@ -18,7 +18,7 @@ from geodrake.errors import ArgumentError
 from geodrake.fleet.columns import TypeColumns
 from geodrake.fleet.course import Course
 from geodrake.fleet.history import LogEquations
-from geodrake.fleet.type_model import TypeModel, kept_share, own_parameters
+from geodrake.fleet.type_model import TypeModel, kept_share
 
 Array = NDArray[np.float64]
 
@@ -118,7 +118,7 @@ class _RobotTells:
 
 def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | None) -> _RobotTells:
     fit, scale = model.fit(robot, logs, changes), model.scale(robot)
-    linked = fit.seen.sum(axis=0)
+    linked, factor = fit.seen.sum(axis=0), np.hstack(model.deviation_factors())
     links = fit.solve(linked)
     columns = model.columns
     scores = model.log_scores(robot, fit)
@@ -133,7 +133,7 @@ def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | Non
     share, at = scale[columns.course], columns.course
     part = fit.information[:, at][:, :, at] * share[:, None] * share
     return _RobotTells(
-        own_parameters(model, fit)[0],
+        model.mean + factor @ fit.theta[: factor.shape[1]],
         fit.information.sum(axis=0) - linked.T @ links,
         fit.score.sum(axis=0),
         links,

@@ -211,4 +211,7 @@ def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
     factor = np.hstack(model.deviation_factors())
     part = slice(0, factor.shape[1])
     covariance = factor @ fit.covariance[part, part] @ factor.T
+    # If all robots have more of something, this one has it where its logs do not say otherwise.
+    silent = np.eye(len(factor)) - factor @ fit.solve(fit.seen.sum(axis=0))[part]
+    covariance += silent @ model.covariance @ silent.T
     return model.mean + factor @ fit.theta[part], covariance

@@ -125,6 +125,28 @@ def test_common_model_and_deviations_are_those_of_one_dense_fit():
     np.testing.assert_allclose(covariance, prior - gain @ stacked[1] @ prior, rtol=0.05, atol=1e-6)
 
 
+def test_a_robot_is_known_no_better_than_its_type():
+    """By the normal matrix of μ and all deviations at once; one column is never seen."""
+    rng = np.random.default_rng(11)
+    rows = [robot(rng, logs=3, rows=8) for _ in range(2)]
+    for each in rows:
+        each.A[..., 3] = 0.0
+    logs = [each.history().equations() for each in rows]
+    model = made(logs)
+    found = learn_type(logs, columns(), start=model, rounds=1)
+    unit = np.array([1.0, 1.0, *MEAN[2:]])
+    own = np.linalg.inv(spread_covariance(model.deviations))
+    whole = block_diag(np.diag(0.01 / unit**2), own, own)
+    for r, each in enumerate(rows):
+        design = np.hstack([each.A.reshape(-1, P), np.zeros((24, 2 * P))])
+        design[:, P * (r + 1) : P * (r + 2)] = design[:, :P]
+        noise = dense(replace(model, deviations=np.zeros(3)), each.A)
+        whole += design.T @ np.linalg.solve(noise, design)
+    both = np.linalg.inv(whole)[: 2 * P, : 2 * P].reshape(2, P, 2, P).sum(axis=(0, 2))
+    model = replace(model, covariance=found.covariance)
+    np.testing.assert_allclose(own_parameters(model, model.fit(0, logs[0]))[1], both, rtol=1e-6)
+
+
 def test_scales_are_learnt():
     rng = np.random.default_rng(5)
     logs = [robot(rng, logs=12, rows=40).history().equations() for _ in range(40)]
