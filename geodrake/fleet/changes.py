@@ -162,10 +162,11 @@ class RobotSearch(Short):
         fit = self.model.fit(self.robot, state.logs, self.design(others), state.odd)
         return self.evidence(replace(state, fit=fit))
 
-    def design(self, places: Sequence[ChangePlace]) -> Array | None:
+    def design(self, places: Sequence[ChangePlace]) -> Array:
         """(T, p, m) parameters of some changes, of sizes that are hardly limited."""
         parts = [self._values(place)[:, None, None] * self._factor(place) for place in places]
-        return np.concatenate(parts, axis=2) if parts else None
+        none = np.zeros((len(self.history.days), len(self.model.mean), 0))
+        return np.concatenate([none, *parts], axis=2)
 
     def _values(self, place: ChangePlace) -> Array:
         return Profiles(place.kind, np.array([place.first]), self.history.days).values[0]

@@ -80,7 +80,7 @@ def find_changes(
         model = learn_type(
             _at(histories, columns, references),
             columns,
-            changes=[_design(search, own) for search, own in found],
+            changes=[search.design(own) for search, own in found],
             start=replace(model, odd=tuple(state.odd for state in states)),
             rounds=_LATER,
         )
@@ -126,10 +126,3 @@ def _at(
 ) -> list[LogEquations]:
     pairs = zip(histories, references, strict=True)
     return [logs_at(history, columns.gains, reference) for history, reference in pairs]
-
-
-def _design(search: RobotSearch, places: Sequence[ChangePlace]) -> Array:
-    """(T, p, m) parameters of the changes of a robot, of which there may be none."""
-    found = search.design(places)
-    shape = (len(search.history.days), len(search.model.mean), 0)
-    return np.zeros(shape) if found is None else found
