@@ -267,7 +267,7 @@ class RobotSearch(Short):
                     z,
                     covariance,
                     size,
-                    np.sqrt(variance),
+                    np.sqrt(np.maximum(variance, 0.0)),
                     size / self.model.scale(self.robot),
                     shares[place.hypothesis, place.kind],
                     self._rivals(shares, place),
