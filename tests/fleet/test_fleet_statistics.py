@@ -73,6 +73,21 @@ def test_marginals_are_those_of_rows():
     np.testing.assert_allclose(m, A.T @ np.linalg.solve(V, b))
 
 
+def test_gains_are_columns_of_what_a_reference_says():
+    rng = np.random.default_rng(12)
+    A, b = rng.normal(size=(3, 2, 9, P)), rng.normal(size=(3, 2, 9))  # logs, joints, rows
+    weights, reference = rng.uniform(1.0, 2.0, size=(3, 2)), rng.normal(size=(3, P))
+    both = np.concatenate([A, b[..., None]], axis=3)
+    history = weighted_history("a", range(3), np.swapaxes(both, 2, 3) @ both, weights)
+    found = history.with_gains(reference)
+    for t in range(3):
+        said = A[t] @ reference[t]
+        rows = np.hstack([A[t].reshape(-1, P), block_diag(*said[..., None])])
+        weight = np.repeat(weights[t], 9)[:, None]
+        np.testing.assert_allclose(found.information[t], rows.T @ (weight * rows), atol=1e-12)
+        np.testing.assert_allclose(found.right[t], (weight * rows).T @ b[t].ravel(), atol=1e-12)
+
+
 def test_evidence_is_the_ratio_of_likelihoods_of_rows():
     rows = robot(np.random.default_rng(3), logs=6, rows=8)
     history = rows.history()
