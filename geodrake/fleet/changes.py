@@ -132,10 +132,10 @@ class RobotSearch(Short):
     def state(self, places: Sequence[ChangePlace]) -> SearchState:
         """The logs with some changes, where gains refer to the parameters of the day."""
         if tuple(places) not in self._states:
-            self._states[tuple(places)] = self._settled(places)
+            self._states[tuple(places)] = self._fitted(places)
         return self._states[tuple(places)]
 
-    def _settled(self, places: Sequence[ChangePlace]) -> SearchState:
+    def _fitted(self, places: Sequence[ChangePlace]) -> SearchState:
         changes, odd = self.design(places), self.model.odd[self.robot]
         reference = self.reference
         for _ in range(_REFITS):
@@ -146,6 +146,11 @@ class RobotSearch(Short):
         logs = logs_at(self.history, self.model.columns.gains, reference)
         fit = self.model.fit(self.robot, logs, changes, odd)
         return SearchState(logs, odd, float(cost.sum()), fit)
+
+    def settled(self, places: Sequence[ChangePlace]) -> tuple[Array, Array]:
+        """(T, p) parameters of the day with some changes, and (T, K) how odd logs are."""
+        state = self._fitted(places)
+        return self.model.parameters(self.robot, state.logs, state.fit), state.odd
 
     def evidence(self, state: SearchState) -> ChangeEvidence:
         """What logs say for a further change beside those of a state."""
