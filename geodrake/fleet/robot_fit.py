@@ -102,4 +102,5 @@ class RobotFit(Short):
         own = np.einsum("pr,tpr->r", factor, self.information @ factor)
         part = (self.seen @ factor).transpose(1, 0, 2)
         flat = part.reshape(len(part), -1)
-        return np.asarray(own - np.sum((flat * self.solve(flat)).reshape(part.shape), axis=(0, 1)))
+        fitted = np.sum((flat * self.solve(flat)).reshape(part.shape), axis=(0, 1))
+        return np.maximum(own - fitted, 0.0)  # what rounding makes of nothing
