@@ -63,6 +63,9 @@ class RobotChange(Short):
         kind: "step", or "ramp" for what goes on changing.
         day: First day after the step, or on which the ramp begins.
         interval: Days within which that is with a probability of 95 %.
+        coordinates: (d,) the change z in the coordinates of its hypothesis; of a ramp up to the
+            last log.
+        covariance: (d, d) its covariance.
         size: (p,) change of the robot's parameters; of a ramp up to the last log.
         deviation: (p,) its standard deviation.
         share: (p,) the size in shares of the robot's own values, for relative columns.
@@ -78,6 +81,8 @@ class RobotChange(Short):
     kind: str
     day: float
     interval: tuple[float, float]
+    coordinates: Array
+    covariance: Array
     size: Array
     deviation: Array
     share: Array
@@ -107,6 +112,8 @@ class SearchState(Short):
 class RobotSearch(Short):
     """One robot's logs, and what may have changed in it.
 
+    States are kept while changes are sought or told, and no longer: they are large.
+
     Attributes:
         model: What is known of its type.
         robot: Its number.
@@ -125,20 +132,25 @@ class RobotSearch(Short):
     def state(self, places: Sequence[ChangePlace]) -> SearchState:
         """The logs with some changes, where gains refer to the parameters of the day."""
         if tuple(places) not in self._states:
-            self._states[tuple(places)] = self._settled(places)
+            self._states[tuple(places)] = self._fitted(places)
         return self._states[tuple(places)]
 
-    def _settled(self, places: Sequence[ChangePlace]) -> SearchState:
+    def _fitted(self, places: Sequence[ChangePlace]) -> SearchState:
         changes, odd = self.design(places), self.model.odd[self.robot]
         reference = self.reference
         for _ in range(_REFITS):
             logs = logs_at(self.history, self.model.columns.gains, reference)
             fit = self.model.fit(self.robot, logs, changes, odd)
-            odd, cost = self.model.oddness(self.robot, logs, fit, odd)
+            odd, cost = self.model.oddness(self.model.log_scores(self.robot, fit), odd)
             reference = self.model.parameters(self.robot, logs, fit)
         logs = logs_at(self.history, self.model.columns.gains, reference)
         fit = self.model.fit(self.robot, logs, changes, odd)
         return SearchState(logs, odd, float(cost.sum()), fit)
+
+    def settled(self, places: Sequence[ChangePlace]) -> tuple[Array, Array]:
+        """(T, p) parameters of the day with some changes, and (T, K) how odd logs are."""
+        state = self._fitted(places)
+        return self.model.parameters(self.robot, state.logs, state.fit), state.odd
 
     def evidence(self, state: SearchState) -> ChangeEvidence:
         """What logs say for a further change beside those of a state."""
@@ -155,10 +167,11 @@ class RobotSearch(Short):
         fit = self.model.fit(self.robot, state.logs, self.design(others), state.odd)
         return self.evidence(replace(state, fit=fit))
 
-    def design(self, places: Sequence[ChangePlace]) -> Array | None:
+    def design(self, places: Sequence[ChangePlace]) -> Array:
         """(T, p, m) parameters of some changes, of sizes that are hardly limited."""
         parts = [self._values(place)[:, None, None] * self._factor(place) for place in places]
-        return np.concatenate(parts, axis=2) if parts else None
+        none = np.zeros((len(self.history.days), len(self.model.mean), 0))
+        return np.concatenate([none, *parts], axis=2)
 
     def _values(self, place: ChangePlace) -> Array:
         return Profiles(place.kind, np.array([place.first]), self.history.days).values[0]
@@ -181,6 +194,7 @@ class RobotSearch(Short):
             if better is None:
                 break  # it was too little, or made another one needless, and would again
             places = better
+        self._states.clear()
         return places
 
     def _candidates(self, places: list[ChangePlace]) -> list[list[ChangePlace]]:
@@ -204,10 +218,9 @@ class RobotSearch(Short):
                 others = places[:at] + places[at + 1 :]
                 state = self.state(places)
                 best = best_place(self.instead(state, others))
-                if best != places[at]:
-                    places = others if best in others else [*places[:at], best, *places[at + 1 :]]
-                if best in others or self.support(places, at) < least:
-                    places = others
+                exchanged = [*places[:at], best, *places[at + 1 :]]
+                keep = best not in others and self.support(exchanged, at) >= least
+                places = exchanged if keep else others
             if places == before:
                 break
         return places
@@ -238,12 +251,15 @@ class RobotSearch(Short):
         end, found = state.fit.design.shape[2], []
         for at in range(len(places) - 1, -1, -1):
             place, others = places[at], [*places[:at], *places[at + 1 :]]
-            hypothesis, factor = self.hypotheses[place.hypothesis], self._factor(place)
-            evidence = self.instead(state, others)
+            hypothesis = self.hypotheses[place.hypothesis]
+            factor = self.model.scale(self.robot)[:, None] * hypothesis.factor
             part = slice(end - factor.shape[1], end)
             end = part.start
-            variance = np.einsum("pd,de,pe->p", factor, state.fit.covariance[part, part], factor)
-            size, shares = factor @ state.fit.theta[part], kind_shares(evidence)
+            z, covariance = _WIDE * state.fit.theta[part], state.fit.covariance[part, part]
+            covariance = _WIDE**2 * covariance
+            size, variance = factor @ z, np.einsum("pd,de,pe->p", factor, covariance, factor)
+            evidence = self.instead(state, others)
+            shares = kind_shares(evidence)
             chance = np.exp(min(0.0, -self.support(places, at)))
             found.append(
                 RobotChange(
@@ -253,14 +269,17 @@ class RobotSearch(Short):
                     place.kind,
                     float(self.history.days[place.first]),
                     self._interval(evidence, place),
+                    z,
+                    covariance,
                     size,
-                    np.sqrt(variance),
+                    np.sqrt(np.maximum(variance, 0.0)),
                     size / self.model.scale(self.robot),
                     shares[place.hypothesis, place.kind],
                     self._rivals(shares, place),
                     float(chance),
                 )
             )
+        self._states.clear()
         return tuple(found[::-1])
 
     def _interval(self, evidence: ChangeEvidence, place: ChangePlace) -> tuple[float, float]:

@@ -51,6 +51,8 @@ class TypeColumns(Short):
             the season; such columns are relative.
         gains: Number of the last columns, which are gains of the joints' efforts.
         spreads: How robots differ from each other, and logs of one robot from each other.
+        units: (p,) unit of each column; empty if all have the same. Sizes of columns are compared
+            with those of the same unit alone.
     """
 
     prior: Array
@@ -59,6 +61,7 @@ class TypeColumns(Short):
     course: Mask
     gains: int
     spreads: tuple[Spread, ...]
+    units: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Checks that all fit each other."""
@@ -72,6 +75,8 @@ class TypeColumns(Short):
                 "the prior has, and the first three must be booleans."
             )
         integer(self.gains, "gains", lower=0, upper=size[0])
+        if len(instances(self.units, "units", str)) not in (0, size[0]):
+            raise ArgumentError(f"{size[0]} columns cannot have {len(self.units)} units.")
         if not spreads or (masks[2] & ~masks[1]).any():
             raise ArgumentError(
                 "There must be a spread, and columns with a common course must be relative."
@@ -81,6 +86,11 @@ class TypeColumns(Short):
     def sizes(self) -> list[int]:
         """Parameters of each spread, and of the response to the course."""
         return [s.factor.shape[1] for s in self.spreads] + [int(self.course.sum())]
+
+    def alike(self) -> Mask:
+        """(p, p) which columns have the same unit."""
+        units = np.array(self.units or [""] * len(self.prior))
+        return np.asarray(units[:, None] == units)
 
     def parts(self, values: Array) -> Array:
         """(..., K + 1) sums of (..., n) over the parameters of each spread, and of the response."""

@@ -75,13 +75,13 @@ def find_changes(
     model = learn_type(_at(histories, columns, references), columns, rounds=_FIRST)
     found = _search_all(model, histories, references, hypotheses, false_alarms)
     for _ in range(passes - 1):
-        states = [search.state(own) for search, own in found]
-        references = [model.parameters(r, state.logs, state.fit) for r, state in enumerate(states)]
+        settled = [search.settled(own) for search, own in found]
+        references = [reference for reference, _ in settled]
         model = learn_type(
             _at(histories, columns, references),
             columns,
-            changes=[_design(search, own) for search, own in found],
-            start=replace(model, odd=tuple(state.odd for state in states)),
+            changes=[search.design(own) for search, own in found],
+            start=replace(model, odd=tuple(odd for _, odd in settled)),
             rounds=_LATER,
         )
         found = _search_all(model, histories, references, hypotheses, false_alarms)
@@ -126,10 +126,3 @@ def _at(
 ) -> list[LogEquations]:
     pairs = zip(histories, references, strict=True)
     return [logs_at(history, columns.gains, reference) for history, reference in pairs]
-
-
-def _design(search: RobotSearch, places: Sequence[ChangePlace]) -> Array:
-    """(T, p, m) parameters of the changes of a robot, of which there may be none."""
-    found = search.design(places)
-    shape = (len(search.history.days), len(search.model.mean), 0)
-    return np.zeros(shape) if found is None else found

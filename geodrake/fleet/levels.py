@@ -86,9 +86,10 @@ def parameter_levels(
     covariance = np.linalg.inv(own)
     score = (m - (M @ mean[..., None])[..., 0])[:, at]
     # What is not known of the other parameters moves all logs' levels together.
-    known = fit.design[:, others] @ np.linalg.cholesky(fit.covariance)
-    moved = covariance @ M[:, at][:, :, others] @ known
-    variance = np.diagonal(covariance, axis1=1, axis2=2) + np.square(moved).sum(axis=2)
+    moved = covariance @ M[:, at][:, :, others] @ fit.design[:, others]
+    flat = moved.reshape(-1, moved.shape[2])
+    unknown = np.sum(flat * fit.solve(flat.T).T, axis=1).reshape(moved.shape[:2])
+    variance = np.diagonal(covariance, axis1=1, axis2=2) + unknown
     scattered = np.zeros_like(variance)
     for k, spread in enumerate(model.columns.spreads):
         if touch[k]:

@@ -59,11 +59,11 @@ class Profiles(Short):
         Args:
             per_log: (T, ...) X.
         """
+        zeroth = _from(per_log)[self.first]
         if self.kind == STEP:
-            return _from(per_log)[self.first]
-        begun, span = self._ramp(per_log)
-        moments = _from(_times(self.days, per_log))[self.first]
-        return np.asarray((moments - begun * _from(per_log)[self.first]) / span)
+            return zeroth
+        left, span = self._ramp(per_log)
+        return np.asarray(zeroth - _from(left * per_log)[self.first] / span)
 
     def squares(self, per_log: Array) -> Array:
         """(K, ...) sums Σ_t f_k(t)² X_t, of cumulative sums.
@@ -73,24 +73,21 @@ class Profiles(Short):
         """
         if self.kind == STEP:
             return self.sums(per_log)
-        begun, span = self._ramp(per_log)
-        first = _times(self.days, per_log)
+        left, span = self._ramp(per_log)
         zeroth, first, second = (
-            _from(each)[self.first] for each in (per_log, first, _times(self.days, first))
+            _from(each)[self.first] for each in (per_log, left * per_log, left**2 * per_log)
         )
-        return np.asarray((second - 2.0 * begun * first + begun**2 * zeroth) / span**2)
+        return np.asarray(zeroth - 2.0 * first / span + second / span**2)
 
     def _ramp(self, per_log: Array) -> tuple[Array, Array]:
-        """Days at which ramps begin, and how long they last, shaped to go with X."""
-        shape = (-1, *(1,) * (per_log.ndim - 1))
-        begun = self.days[self.first]
-        return begun.reshape(shape), (self.days[-1] - begun).reshape(shape)
+        """Days that are left after logs, and those of whole ramps, shaped to go with X.
+
+        A ramp is 1 − left / span. Counted from the last log, no sum is more than its parts.
+        """
+        left = (self.days[-1] - self.days).reshape(-1, *(1,) * (per_log.ndim - 1))
+        return left, left[self.first]
 
 
 def _from(per_log: Array) -> Array:
     """(T, ...) sums over each log and all later ones."""
     return np.cumsum(per_log[::-1], axis=0)[::-1]
-
-
-def _times(days: Array, per_log: Array) -> Array:
-    return np.asarray(days.reshape(-1, *(1,) * (per_log.ndim - 1)) * per_log)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,6 +13,23 @@ from scipy.linalg import cho_factor, cho_solve
 from geodrake.boundary.showing import Short
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LogScores(Short):
+    """How large scores of logs are along the directions of K factors F_k.
+
+    With G = F_kᵀ M_t F_k, scores of known parameters have the covariance G.
+
+    Attributes:
+        squares: (T, K) |F_kᵀ score_t|².
+        trace: (T, K) traces of G.
+        norm: (T, K) traces of G².
+    """
+
+    squares: Array
+    trace: Array
+    norm: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,18 +76,31 @@ class RobotFit(Short):
         """(T, p) what is left of every log's right side, rest_t − M_t L_t θ."""
         return np.asarray(self.rest - np.einsum("tnp,n->tp", self.seen, self.theta))
 
-    def squares(self, factor: Array) -> tuple[Array, Array, Array]:
-        """How large scores are along some directions.
+    def scores(self, factors: Sequence[Array]) -> LogScores:
+        """How large scores are along the directions of some factors.
+
+        Args:
+            factors: K factors F_k (p, r_k).
+        """
+        ends = np.cumsum([factor.shape[1] for factor in factors])[:-1]
+        every = np.hstack(factors)
+        along = np.split((self.score @ every) ** 2, ends, axis=1)
+        shown = np.split(self.information @ every, ends, axis=2)
+        blocks = [f.T @ each for f, each in zip(factors, shown, strict=True)]
+        return LogScores(
+            np.stack([each.sum(axis=1) for each in along], axis=1),
+            np.stack([np.trace(each, axis1=1, axis2=2) for each in blocks], axis=1),
+            np.stack([np.square(each).sum(axis=(1, 2)) for each in blocks], axis=1),
+        )
+
+    def expected_squares(self, factor: Array) -> Array:
+        """(r,) what squares of Fᵀ score_t are in the sum of all logs, if the model is right.
 
         Args:
             factor: (p, r) directions F.
-
-        Returns:
-            (T, r) squares of Fᵀ score_t; (T, r) diagonals of Fᵀ M_t F; and (r,) the sums over logs
-            of what the first are expected to be, if the model is right.
         """
-        own = np.einsum("pr,tpr->tr", factor, self.information @ factor)
+        own = np.einsum("pr,tpr->r", factor, self.information @ factor)
         part = (self.seen @ factor).transpose(1, 0, 2)
         flat = part.reshape(len(part), -1)
         fitted = np.sum((flat * self.solve(flat)).reshape(part.shape), axis=(0, 1))
-        return (self.score @ factor) ** 2, own, own.sum(axis=0) - fitted
+        return np.maximum(own - fitted, 0.0)  # what rounding makes of nothing

@@ -55,8 +55,9 @@ def type_findings(
         ) from error
     results = []
     for at, robot in enumerate(robots):
-        own = found.model.own[at]
-        search = RobotSearch(found.model, at, robot.history, own, layout.hypotheses)
+        search = RobotSearch(
+            found.model, at, robot.history, found.references[at], layout.hypotheses
+        )
         state = search.state(found.places[at])
         results.append(
             RobotResult(
@@ -64,7 +65,7 @@ def type_findings(
                 name,
                 robot.logs,
                 robot.history.days * DAY,
-                _findings(found, at, layout, state),
+                _findings(found.changes[at], found.places[at], layout),
                 _histories(found, at, layout, state),
                 _own(found, at, layout, state, models.get(robot.history.robot)),
             )
@@ -73,26 +74,19 @@ def type_findings(
 
 
 def _findings(
-    found: FleetChanges, robot: int, layout: TypeLayout, state: SearchState
+    changes: Sequence[RobotChange], places: Sequence[ChangePlace], layout: TypeLayout
 ) -> tuple[FleetFinding, ...]:
     """Changes of a robot, the surest first."""
-    findings, end = [], state.fit.design.shape[2]
-    pairs = list(zip(found.changes[robot], found.places[robot], strict=True))
-    for change, place in reversed(pairs):  # as the columns of changes are the last of the design
-        part = slice(end - layout.hypotheses[place.hypothesis].factor.shape[1], end)
-        end = part.start
-        findings.append(_finding(change, place, layout, state, part))
-    order = sorted(findings, key=lambda each: (each.false_alarm_probability, each.date))
-    return tuple(order)
+    pairs = zip(changes, places, strict=True)
+    findings = [_finding(change, place.hypothesis, layout) for change, place in pairs]
+    return tuple(sorted(findings, key=lambda each: (each.false_alarm_probability, each.date)))
 
 
-def _finding(
-    change: RobotChange, place: ChangePlace, layout: TypeLayout, state: SearchState, part: slice
-) -> FleetFinding:
-    if place.hypothesis in layout.payload_roots:
-        parameters = _payload(layout, place, state, part)
+def _finding(change: RobotChange, hypothesis: int, layout: TypeLayout) -> FleetFinding:
+    if hypothesis in layout.payload_roots:
+        parameters = _payload(change, layout.payload_roots[hypothesis])
     else:
-        parameters = _columns(change, layout, place)
+        parameters = _columns(change, layout, hypothesis)
     low, high = change.interval
     return FleetFinding(
         change.robot,
@@ -109,10 +103,10 @@ def _finding(
 
 
 def _columns(
-    change: RobotChange, layout: TypeLayout, place: ChangePlace
+    change: RobotChange, layout: TypeLayout, hypothesis: int
 ) -> tuple[ChangedParameter, ...]:
     """What changed of columns that are parameters themselves."""
-    moved = np.flatnonzero(layout.hypotheses[place.hypothesis].factor.any(axis=1))
+    moved = np.flatnonzero(layout.hypotheses[hypothesis].factor.any(axis=1))
     relative = layout.columns.relative
     return tuple(
         ChangedParameter(
@@ -126,22 +120,14 @@ def _columns(
     )
 
 
-def _payload(
-    layout: TypeLayout, place: ChangePlace, state: SearchState, part: slice
-) -> tuple[ChangedParameter, ...]:
+def _payload(change: RobotChange, root: Array) -> tuple[ChangedParameter, ...]:
     """Mass that was put on or taken off, and its first moment in the frame of the body.
 
     Of what logs do not tell apart, the least change is told, and a deviation that says so.
     """
-    factor, root = (
-        layout.hypotheses[place.hypothesis].factor,
-        layout.payload_roots[place.hypothesis],
-    )
-    at_last = state.fit.design[-1][:, part]
-    scale = float(np.linalg.norm(at_last) / np.linalg.norm(factor))
-    theta, covariance = state.fit.theta[part], state.fit.covariance[part, part]
-    rows = scale * root[:4]
-    size, spread = rows @ theta, np.sqrt(np.einsum("ij,jk,ik->i", rows, covariance, rows))
+    rows = root[:4]
+    size = rows @ change.coordinates
+    spread = np.sqrt(np.einsum("ij,jk,ik->i", rows, change.covariance, rows))
     names = (("mass", "kg"), ("hx", "kg·m"), ("hy", "kg·m"), ("hz", "kg·m"))
     return tuple(
         ChangedParameter(name, unit, float(x), float(deviation), np.nan)

@@ -7,7 +7,7 @@ the model has, and friction and offsets of joints; and hypotheses of what change
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.showing import Short
 from geodrake.effects import Role
 from geodrake.effects.lookup import effect_of
+from geodrake.effects.shape import when_sliding
 from geodrake.fleet.columns import Spread, TypeColumns, body_spread, column_spreads
 from geodrake.fleet.digest_dataset import model_of_digests
 from geodrake.fleet.hypotheses import ChangeHypothesis, body_change, column_change
@@ -43,7 +44,7 @@ class FleetParameter:
         effect: Name of the effect; `BODIES` for combinations of inertial parameters.
         where: Its joint, or the body that names it.
         name: Name of the parameter, or of the combination.
-        unit: Its unit; empty for shares.
+        unit: Its unit; empty for plain numbers, such as shares.
     """
 
     effect: str
@@ -89,22 +90,24 @@ def type_layout(
     bodies = len(settings.independent)
     own = _model_values(model, settings)
     kept = np.concatenate([np.arange(bodies), np.array(sorted(own), np.intp)]).astype(np.intp)
-    parameters = _parameters(settings, kept, model.joints)
+    parameters = _parameters(settings, kept, model)
     n, p = len(model.joints), len(kept) + len(model.joints)
     prior = np.zeros(p)
     prior[:bodies] = settings.base_matrix @ model.total_phi.ravel()
     prior[bodies : p - n] = [own[at][0] for at in kept[bodies:].tolist()]
     relative = np.zeros(p, bool)
     relative[bodies : p - n] = [own[at][1] for at in kept[bodies:].tolist()]
+    sizes = _sizes(parameters, relative, dict(zip(model.joints, efforts.tolist(), strict=True)))
     columns = TypeColumns(
         prior,
         np.arange(p) < p - n,
         relative,
         relative.copy(),
         n,
-        (*_body_spreads(model, settings, p), *_column_spreads(parameters, bodies, p)),
+        (*_body_spreads(model, settings, p), *_column_spreads(parameters, sizes, bodies)),
+        tuple(each.unit for each in parameters),
     )
-    hypotheses = _joint_changes(parameters, relative, dict(zip(model.joints, efforts, strict=True)))
+    hypotheses = _joint_changes(parameters, relative, sizes)
     mass = payload or _USUAL_PAYLOAD * float(model.total_phi[:, 0].sum())
     roots = {}
     for body, name in enumerate(model.bodies):
@@ -137,17 +140,20 @@ def _model_values(model: RobotModel, settings: DigestSettings) -> dict[int, tupl
 
 
 def _parameters(
-    settings: DigestSettings, kept: Indices, joints: Sequence[str]
+    settings: DigestSettings, kept: Indices, model: RobotModel
 ) -> tuple[FleetParameter, ...]:
+    """What columns are of; units of effects are those of joints that turn, unless theirs slides."""
     found = []
     for at in kept.tolist():
         column = settings.columns[at]
         if column.kind == "body":
             found.append(FleetParameter(BODIES, column.where[0], column.name, column.unit))
         else:
-            where = ", ".join(column.where)
-            found.append(FleetParameter(column.name, where, column.parameter, column.unit))
-    gains = [FleetParameter(_GAIN, joint, "scale", "") for joint in joints]
+            where, unit = ", ".join(column.where), "" if column.unit == "1" else column.unit
+            if column.where[0] in model.sliding_joints:
+                unit = when_sliding(unit)
+            found.append(FleetParameter(column.name, where, column.parameter, unit))
+    gains = [FleetParameter(_GAIN, joint, "scale", "") for joint in model.joints]
     return (*found, *gains)
 
 
@@ -162,13 +168,29 @@ def _body_spreads(model: RobotModel, settings: DigestSettings, p: int) -> list[S
     return found
 
 
-def _column_spreads(parameters: Sequence[FleetParameter], first: int, p: int) -> tuple[Spread, ...]:
+def _sizes(
+    parameters: Sequence[FleetParameter], relative: NDArray[np.bool_], efforts: dict[str, float]
+) -> Array:
+    """(p,) what is much of each column: of shares 1, of others what makes the usual efforts."""
+    usual = np.array([max(efforts.get(each.where, 1.0), 1e-9) for each in parameters])
+    shares = relative | np.array([each.effect == _GAIN for each in parameters])
+    return np.where(shares, 1.0, usual)
+
+
+def _column_spreads(
+    parameters: Sequence[FleetParameter], sizes: Array, first: int
+) -> tuple[Spread, ...]:
+    """How each column but those of bodies differs, each by itself."""
     names = [f"{each.effect} of {each.where}: {each.name}" for each in parameters[first:]]
-    return column_spreads(names, range(first, p), p)
+    found = column_spreads(names, range(first, len(parameters)), len(parameters))
+    return tuple(
+        replace(spread, factor=size * spread.factor)
+        for spread, size in zip(found, sizes[first:].tolist(), strict=True)
+    )
 
 
 def _joint_changes(
-    parameters: Sequence[FleetParameter], relative: NDArray[np.bool_], efforts: dict[str, float]
+    parameters: Sequence[FleetParameter], relative: NDArray[np.bool_], sizes: Array
 ) -> list[ChangeHypothesis]:
     """Each effect at each place changes; frictions of a joint also together."""
     p, found = len(parameters), []
@@ -183,7 +205,7 @@ def _joint_changes(
             found.append(column_change(effect, where, columns, p, size=size, kinds=kind))
             continue
         shares = bool(relative[columns].all())
-        size = 1.0 if shares else max(float(efforts.get(where, 1.0)), 1e-9)
+        size = 1.0 if shares else float(sizes[columns].max())
         found.append(column_change(effect, where, columns, p, size=size))
         if shares:
             joined.setdefault(where, []).append(effect)

@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from geodrake.boundary.arguments import instance, instances, integer
 from geodrake.errors import ArgumentError
 from geodrake.fleet.columns import TypeColumns
 from geodrake.fleet.course import Course
 from geodrake.fleet.history import LogEquations
-from geodrake.fleet.type_model import TypeModel, own_parameters
+from geodrake.fleet.type_model import TypeModel, kept_share
 
 Array = NDArray[np.float64]
 
@@ -97,7 +98,8 @@ class _RobotTells:
         links: (n, p) how its θ goes with μ.
         spread: (2, K + 1) squares of θ for each spread and the response, and their expectations
             for a known μ.
-        scattered: (2, K) the same of its logs' scatter.
+        scattered: (3, K) squares of its logs' scores along each spread, their expectations, and
+            what share of these half of robots have less than.
         course: (T, q, q) and (T, q): what it says of shares of the course.
         response: (q,) by how much it follows the course more.
         odd: (T, K) how odd its logs are.
@@ -116,24 +118,30 @@ class _RobotTells:
 
 def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | None) -> _RobotTells:
     fit, scale = model.fit(robot, logs, changes), model.scale(robot)
-    linked = fit.seen.sum(axis=0)
+    linked, factor = fit.seen.sum(axis=0), np.hstack(model.deviation_factors())
     links = fit.solve(linked)
     columns = model.columns
-    scores, _, expected = fit.squares(scale[:, None] * model.factor)
-    scattered = np.stack([scores.sum(axis=0), expected])
+    scores = model.log_scores(robot, fit)
+    expected = columns.parts(fit.expected_squares(scale[:, None] * model.factor))[:-1]
+    norm = np.maximum(scores.norm.sum(axis=0), 1e-300)
+    count = np.maximum(expected * scores.trace.sum(axis=0) / norm, 1.0)
+    kept = kept_share(np.square(scores.trace).sum(axis=0) / norm)
+    # The middle of few squares is less than their mean; without large ones, they are less skew.
+    middle = np.minimum(2.0 * gammaincinv(0.5 * count, 0.5) / count, kept)
+    scattered = np.stack([scores.squares.sum(axis=0), expected, middle])
     squares = np.stack([fit.theta**2, 1.0 - np.diagonal(fit.covariance)])
     share, at = scale[columns.course], columns.course
     part = fit.information[:, at][:, :, at] * share[:, None] * share
     return _RobotTells(
-        own_parameters(model, fit)[0],
+        model.mean + factor @ fit.theta[: factor.shape[1]],
         fit.information.sum(axis=0) - linked.T @ links,
         fit.score.sum(axis=0),
         links,
         columns.parts(squares),
-        columns.parts(scattered)[:, :-1],
+        scattered,
         (part, fit.score[:, at] * share),
         model.response * fit.theta[sum(columns.sizes[:-1]) : sum(columns.sizes)],
-        model.oddness(robot, logs, fit, model.odd[robot])[0],
+        model.oddness(scores, model.odd[robot])[0],
     )
 
 
@@ -144,7 +152,7 @@ def _improved(
 
     Squared scales go by what squares of scores are over what they would be, whose fixed point is
     the largest restricted likelihood. From log to log it is the median over robots, as a robot
-    that changed is none of the usual.
+    that changed is none of the usual; each counts as much as its logs tell.
     """
     told = [
         _told(model, r, each, None if changes is None else changes[r])
@@ -153,7 +161,7 @@ def _improved(
     free = model.columns.free
     typical = np.where(model.columns.relative, model.typical, 1.0)[:, None]
     weak = sum(((typical * s.factor) @ (typical * s.factor).T for s in model.columns.spreads), 0.0)
-    precision = np.linalg.pinv(_WEAK**2 * np.asarray(weak)[np.ix_(free, free)], hermitian=True)
+    precision = _inverse(_WEAK**2 * np.asarray(weak)[np.ix_(free, free)])
     seen = np.sum([each.seen for each in told], axis=0)[np.ix_(free, free)] + precision
     side = np.sum([each.side for each in told], axis=0)[free]
     covariance = np.zeros_like(model.covariance)
@@ -162,9 +170,6 @@ def _improved(
     pull = precision @ (model.columns.prior - mean)[free]
     mean[free] += covariance[np.ix_(free, free)] @ (side + pull)
     spread = _spread_ratio(model.columns, told, covariance)
-    scattered = np.median(
-        [each.scattered[0] / np.maximum(each.scattered[1], 1e-300) for each in told], axis=0
-    )
     course = model.course.improved(
         logs, [each.course[0] for each in told], [each.course[1] for each in told]
     )
@@ -174,7 +179,7 @@ def _improved(
         mean=mean,
         covariance=covariance,
         deviations=np.maximum(model.deviations * np.sqrt(spread[:-1]), _LEAST),
-        scatter=np.maximum(model.scatter * np.sqrt(scattered), _LEAST),
+        scatter=np.maximum(model.scatter * np.sqrt(_scatter_ratio(model, told)), _LEAST),
         response=max(model.response * float(np.sqrt(spread[-1])), _LEAST),
         course=course,
         own=np.array([each.own for each in told]),
@@ -196,6 +201,22 @@ def _spread_ratio(columns: TypeColumns, told: Sequence[_RobotTells], covariance:
     return np.asarray(ratio)
 
 
+def _scatter_ratio(model: TypeModel, told: Sequence[_RobotTells]) -> Array:
+    """(K,) squares of scores over their expectations, of the robot in the middle.
+
+    Each robot counts as the deviations that its logs show, and what was known before as one.
+    """
+    squares, expected, middle = np.stack([each.scattered for each in told], axis=1)
+    ratio = squares / np.maximum(middle * expected, 1e-300)
+    ratio = np.vstack([ratio, np.ones_like(model.scatter)])
+    weight = np.vstack([model.scatter**2 * expected, np.ones_like(model.scatter)])
+    order = np.argsort(ratio, axis=0)
+    ratio, weight = (np.take_along_axis(each, order, axis=0) for each in (ratio, weight))
+    passed = np.cumsum(weight, axis=0) - 0.5 * weight
+    half = 0.5 * weight.sum(axis=0)
+    return np.array([np.interp(h, m, r) for h, m, r in zip(half, passed.T, ratio.T, strict=True)])
+
+
 def least_squares(information: Array, right: Array) -> Array:
     """The shortest (p,) solution of normal equations, in units of the columns' own sizes.
 
@@ -203,12 +224,18 @@ def least_squares(information: Array, right: Array) -> Array:
         information: (p, p) normal matrix.
         right: (p,) right side.
     """
-    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+    unit = _units(information)
     scaled = information * unit[:, None] * unit
     return np.asarray(unit * np.linalg.lstsq(scaled, unit * right, _FLAT)[0])
 
 
 def _inverse(matrix: Array) -> Array:
-    """The inverse of a positive definite matrix of columns in several units."""
-    unit = 1.0 / np.sqrt(np.diagonal(matrix))
-    return np.linalg.inv(matrix * unit[:, None] * unit) * unit[:, None] * unit
+    """The inverse of a matrix of columns in several units; 0 for those of which it has nothing."""
+    unit = _units(matrix)
+    return np.linalg.pinv(matrix * unit[:, None] * unit, hermitian=True) * unit[:, None] * unit
+
+
+def _units(matrix: Array) -> Array:
+    """(p,) units in which columns of a normal matrix are of size 1; 0 for those of size 0."""
+    size = np.diagonal(matrix)
+    return np.where(size > 0.0, 1.0 / np.sqrt(np.where(size > 0.0, size, 1.0)), 0.0)

@@ -10,10 +10,11 @@ those of the largest restricted likelihood; logs that scatter more than others h
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from geodrake.boundary.arguments import instance
 from geodrake.boundary.showing import Short
@@ -21,7 +22,7 @@ from geodrake.fleet.columns import TypeColumns
 from geodrake.fleet.course import Course
 from geodrake.fleet.history import LogEquations
 from geodrake.fleet.marginals import calc_marginal
-from geodrake.fleet.robot_fit import RobotFit
+from geodrake.fleet.robot_fit import LogScores, RobotFit
 
 Array = NDArray[np.float64]
 
@@ -58,10 +59,11 @@ class TypeModel(Short):
 
     @cached_property
     def typical(self) -> Array:
-        """(p,) size of each common value; one of nothing is a thousandth of the largest."""
-        size = np.abs(self.mean)
-        largest = size[self.columns.relative].max(initial=0.0)
-        return np.maximum(size, 1e-3 * largest if largest else 1.0)
+        """(p,) size of each common value; of one of nothing a thousandth of the largest like it."""
+        size, columns = np.abs(self.mean), self.columns
+        like = columns.alike() & columns.relative
+        largest = np.where(like, size, 0.0).max(axis=1)
+        return np.maximum(size, 1e-3 * np.where(largest > 0.0, largest, 1e3))
 
     def scale(self, robot: int) -> Array:
         """(p,) what a share of each column is to a robot: its own value, for relative columns."""
@@ -98,32 +100,39 @@ class TypeModel(Short):
         design = np.concatenate(parts, axis=2)
         return RobotFit(M, m - (M @ mean[..., None])[..., 0], design)
 
-    def oddness(
-        self, robot: int, logs: LogEquations, fit: RobotFit, odd: Array
-    ) -> tuple[Array, Array]:
+    def log_scores(self, robot: int, fit: RobotFit) -> LogScores:
+        """How large scores of a robot's logs are along each spread.
+
+        Args:
+            robot: Its number.
+            fit: A fit of them.
+        """
+        scale = self.scale(robot)[:, None]
+        return fit.scores([scale * spread.factor for spread in self.columns.spreads])
+
+    def oddness(self, scores: LogScores, odd: Array) -> tuple[Array, Array]:
         """How odd logs are in a fit, and what that costs.
 
         Deviations have the density exp(−½ z²) up to z² = `_USUAL` and (z²)^(−½ `_USUAL`) beyond,
         as those of Student's distribution have. Such a log counts as one of a larger scatter.
 
         Args:
-            robot: The robot's number.
-            logs: Its logs.
-            fit: A fit of them.
+            scores: What the fit leaves along each spread.
             odd: (T, K) what was added to τ² in the fit.
 
         Returns:
             (T, K) what is to be added to τ², and (T,) minus the logarithm of what a log's density
             loses by it, at the spread where that is most.
         """
-        squares, seen, _ = fit.squares(self.scale(robot)[:, None] * self.factor)
-        count = np.array(self.columns.sizes[:-1])
-        seen = np.maximum(self.columns.parts(seen)[:, :-1] / count, 1e-300)
-        squared = self.columns.parts(squares)[:, :-1] / count
-        # Scores and information know of what was odd before; these are without it.
-        before = 1.0 / seen - np.minimum(odd, (1.0 - _LEAST) / seen)
-        beyond = np.maximum(squared / seen**2 / (_USUAL * before), 1.0)
-        return (beyond - 1.0) * before, 0.5 * _USUAL * np.log(beyond).max(axis=1)
+        # Of directions of a spread count those of which a log tells: squared deviations and what
+        # they are expected to be. Where it tells nothing, both are 0.
+        norm = np.where(scores.norm > 0.0, scores.norm, 1.0)
+        squared, expected = scores.squares / norm, scores.trace / norm
+        # Both know of what was odd before; a log's own scatter does not.
+        before = np.maximum(expected - odd, _LEAST * expected)
+        beyond = np.maximum(squared / _USUAL - before, 0.0)
+        cost = 0.5 * _USUAL * np.log1p(beyond / np.maximum(before, 1e-300))
+        return beyond, cost.max(axis=1)
 
     @cached_property
     def factor(self) -> Array:
@@ -168,6 +177,25 @@ class TypeModel(Short):
         return found
 
 
+def kept_share(directions: Array) -> Array:
+    """(...) share of logs' squared scores that is left where odd ones count less, if none is odd.
+
+    Args:
+        directions: (...) in how many directions of a spread a log tells of it.
+    """
+    return np.interp(directions, *_kept_shares())
+
+
+@cache
+def _kept_shares() -> tuple[Array, Array]:
+    """Numbers of directions, and the share for each, over those of mean squares z² ~ χ²_r / r."""
+    directions = np.arange(1.0, 7.0)
+    middles = (np.arange(1000) + 0.5) / 1000
+    squares = 2.0 * gammaincinv(0.5 * directions[:, None], middles) / directions[:, None]
+    larger = np.maximum(squares / _USUAL, 1.0)  # the variance of an odd log, in that of others
+    return directions, (squares / larger**2).mean(axis=1) / (1.0 / larger).mean(axis=1)
+
+
 def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
     """A robot's parameters (p,) without course and changes, and their covariance (p, p).
 
@@ -183,4 +211,7 @@ def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
     factor = np.hstack(model.deviation_factors())
     part = slice(0, factor.shape[1])
     covariance = factor @ fit.covariance[part, part] @ factor.T
+    # If all robots have more of something, this one has it where its logs do not say otherwise.
+    silent = np.eye(len(factor)) - factor @ fit.solve(fit.seen.sum(axis=0))[part]
+    covariance += silent @ model.covariance @ silent.T
     return model.mean + factor @ fit.theta[part], covariance

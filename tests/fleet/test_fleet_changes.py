@@ -41,6 +41,8 @@ def test_changes_are_told_with_day_effect_and_kind(found):
     assert ramp.share[3] == pytest.approx(0.36, abs=0.08)
     assert (load.effect, load.kind, load.day) == ("load", "step", 6.0)
     np.testing.assert_allclose(load.size[:2], [-0.4, -0.3], rtol=0.3)  # shares of its own
+    np.testing.assert_allclose(load.coordinates, load.size[:2])
+    np.testing.assert_allclose(np.diagonal(load.covariance), load.deviation[:2] ** 2)
     assert all(each.false_alarm_probability < 1e-4 for each in (step, ramp, load))
 
 
@@ -83,6 +85,14 @@ def test_an_odd_log_is_no_change():
     assert not any(found.changes)
 
 
+def test_joints_may_rest_in_logs():
+    """Their columns are zero: that is nothing odd, and no change."""
+    histories = fleet(3, 6, {})
+    for history in histories:
+        history.grams[::2, :, 2:4] = history.grams[::2, :, :, 2:4] = 0.0
+    assert not any(find_changes(histories, columns(), hypotheses(), passes=2).changes)
+
+
 def test_two_changes_of_one_robot():
     both = {
         3: lambda t: (
@@ -99,6 +109,14 @@ def test_one_log_tells_no_change():
     rng = np.random.default_rng(5)
     histories = [robot(rng, logs=1).history() for _ in range(3)]
     assert not any(find_changes(histories, columns(), hypotheses(), passes=1).changes)
+
+
+def test_no_states_are_kept_of_robots_that_were_searched(found):
+    history = fleet(1, 10, STEP, SEASON)[2]
+    search = RobotSearch(found.model, 2, history, found.model.mean, hypotheses())
+    places = search.find(0.01)
+    assert places and not search._states
+    assert search.told(places) and not search._states
 
 
 def test_wrong_calls_are_refused():

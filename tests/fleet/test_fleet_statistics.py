@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fleet_data import MEAN, NOISE, P, columns, hypotheses, robot
+from fleet_data import MEAN, NOISE, P, Rows, columns, hypotheses, robot
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
@@ -50,10 +50,12 @@ def dense(model, A):
     return stacked @ own @ stacked.T + each + NOISE**2 * np.eye(len(stacked))
 
 
+@pytest.mark.parametrize("unit", [1.0, 1.0 / 1440.0])
 @pytest.mark.parametrize("kind", KINDS)
-def test_cumulative_sums_are_those_of_profiles(kind):
+def test_cumulative_sums_are_those_of_profiles(kind, unit):
+    """Also of days since 1970, of logs a minute after another."""
     rng = np.random.default_rng(1)
-    days = np.sort(rng.choice(40, 12, replace=False)).astype(float)
+    days = 20_000.0 + unit * np.sort(rng.choice(40, 12, replace=False))
     days[4] = days[3]  # two logs on one day
     each, X = Profiles.of(kind, days), rng.normal(size=(12, 2, 3))
     values = each.values
@@ -69,6 +71,21 @@ def test_marginals_are_those_of_rows():
     M, m = calc_marginal(A.T @ A / NOISE**2, A.T @ b / NOISE**2, F)
     np.testing.assert_allclose(M, A.T @ np.linalg.solve(V, A))
     np.testing.assert_allclose(m, A.T @ np.linalg.solve(V, b))
+
+
+def test_gains_are_columns_of_what_a_reference_says():
+    rng = np.random.default_rng(12)
+    A, b = rng.normal(size=(3, 2, 9, P)), rng.normal(size=(3, 2, 9))  # logs, joints, rows
+    weights, reference = rng.uniform(1.0, 2.0, size=(3, 2)), rng.normal(size=(3, P))
+    both = np.concatenate([A, b[..., None]], axis=3)
+    history = weighted_history("a", range(3), np.swapaxes(both, 2, 3) @ both, weights)
+    found = history.with_gains(reference)
+    for t in range(3):
+        said = A[t] @ reference[t]
+        rows = np.hstack([A[t].reshape(-1, P), block_diag(*said[..., None])])
+        weight = np.repeat(weights[t], 9)[:, None]
+        np.testing.assert_allclose(found.information[t], rows.T @ (weight * rows), atol=1e-12)
+        np.testing.assert_allclose(found.right[t], (weight * rows).T @ b[t].ravel(), atol=1e-12)
 
 
 def test_evidence_is_the_ratio_of_likelihoods_of_rows():
@@ -123,6 +140,28 @@ def test_common_model_and_deviations_are_those_of_one_dense_fit():
     np.testing.assert_allclose(covariance, prior - gain @ stacked[1] @ prior, rtol=0.05, atol=1e-6)
 
 
+def test_a_robot_is_known_no_better_than_its_type():
+    """By the normal matrix of μ and all deviations at once; one column is never seen."""
+    rng = np.random.default_rng(11)
+    rows = [robot(rng, logs=3, rows=8) for _ in range(2)]
+    for each in rows:
+        each.A[..., 3] = 0.0
+    logs = [each.history().equations() for each in rows]
+    model = made(logs)
+    found = learn_type(logs, columns(), start=model, rounds=1)
+    unit = np.array([1.0, 1.0, *MEAN[2:]])
+    own = np.linalg.inv(spread_covariance(model.deviations))
+    whole = block_diag(np.diag(0.01 / unit**2), own, own)
+    for r, each in enumerate(rows):
+        design = np.hstack([each.A.reshape(-1, P), np.zeros((24, 2 * P))])
+        design[:, P * (r + 1) : P * (r + 2)] = design[:, :P]
+        noise = dense(replace(model, deviations=np.zeros(3)), each.A)
+        whole += design.T @ np.linalg.solve(noise, design)
+    both = np.linalg.inv(whole)[: 2 * P, : 2 * P].reshape(2, P, 2, P).sum(axis=(0, 2))
+    model = replace(model, covariance=found.covariance)
+    np.testing.assert_allclose(own_parameters(model, model.fit(0, logs[0]))[1], both, rtol=1e-6)
+
+
 def test_scales_are_learnt():
     rng = np.random.default_rng(5)
     logs = [robot(rng, logs=12, rows=40).history().equations() for _ in range(40)]
@@ -130,6 +169,70 @@ def test_scales_are_learnt():
     np.testing.assert_allclose(found.deviations, 0.1, rtol=0.3)
     np.testing.assert_allclose(found.scatter, 0.03, rtol=0.35)
     np.testing.assert_allclose(found.mean, MEAN, atol=4 * np.sqrt(0.01 / 40))
+
+
+def test_scatter_is_learnt_from_robots_that_show_it():
+    """Most have a single log, or one joint that rests in all."""
+    rng = np.random.default_rng(5)
+    single = [robot(rng, logs=1, rows=60).history() for _ in range(16)]
+    resting = [robot(rng, logs=4, rows=60).history() for _ in range(8)]
+    for each in resting:
+        each.grams[:, :, 2:4] = each.grams[:, :, :, 2:4] = 0.0
+    others = [robot(rng, logs=25, rows=60).history() for _ in range(6)]
+    found = learn_type([each.equations() for each in (*single, *resting, *others)], columns())
+    np.testing.assert_allclose(found.scatter[1:], 0.03, rtol=0.25)
+
+
+@pytest.mark.thorough
+def test_scatter_is_neither_too_small_nor_too_large():
+    for logs, tolerance in ((3, 0.2), (20, 0.08)):
+        rng = np.random.default_rng(6)
+        histories = [robot(rng, logs=logs, rows=60).history() for _ in range(150)]
+        found = learn_type([each.equations() for each in histories], columns(), rounds=20)
+        np.testing.assert_allclose(found.scatter, 0.03, rtol=tolerance)
+
+
+@pytest.mark.parametrize("unit", [1e-8, 1e8])
+def test_units_change_nothing(unit):
+    """Bodies and friction in other units; the first body column is never seen."""
+    rng = np.random.default_rng(10)
+    histories = [robot(rng, logs=5).history() for _ in range(3)]
+    for each in histories:
+        each.grams[:, :, 0] = each.grams[:, :, :, 0] = 0.0
+    u = np.array([unit, 1.0, unit, 1.0, 1.0])
+    other = [replace(each, grams=each.grams * u[:, None] * u) for each in histories]
+    u, known = u[:P], replace(columns(), units=("kg", "kg·m", "N·m", "N·m·s"))
+    bodies = Spread("bodies", known.spreads[0].factor / u[:, None])
+    renamed = replace(known, prior=known.prior / u, spreads=(bodies, *known.spreads[1:]))
+    found = learn_type([each.equations() for each in histories], known)
+    again = learn_type([each.equations() for each in other], renamed)
+    assert found.mean[0] == pytest.approx(1.1 * MEAN[0])
+    np.testing.assert_allclose(again.mean * u, found.mean, rtol=1e-6)
+    np.testing.assert_allclose(
+        again.covariance * np.outer(u, u), found.covariance, rtol=1e-6, atol=1e-12
+    )
+    for name in ("deviations", "scatter"):
+        np.testing.assert_allclose(getattr(again, name), getattr(found, name), rtol=1e-5)
+
+
+def test_a_log_is_as_odd_whatever_of_a_spread_it_does_not_see():
+    """Nothing is seen of the second body column, nor of dry friction; log 4 has another body."""
+    rng = np.random.default_rng(9)
+    A = rng.normal(size=(10, 30, P)) * [1.0, 0.0, 0.0, 1.0]
+    b = A @ MEAN + NOISE * rng.normal(size=(10, 30))
+    b[4] += A[4, :, 0]
+    logs = Rows(A, b).history().equations()
+    whole = made([logs])
+    part = replace(columns(), spreads=(Spread("bodies", np.eye(P)[:, :1]), *columns().spreads[1:]))
+    found = []
+    for model in (whole, replace(whole, columns=part)):
+        odd = np.zeros((10, 3))
+        for _ in range(3):
+            odd, cost = model.oddness(model.log_scores(0, model.fit(0, logs, odd=odd)), odd)
+        found.append(odd)
+    np.testing.assert_allclose(*found)
+    assert odd[4, 0] == pytest.approx(0.25, abs=0.05)  # two deviations off, with that
+    assert cost.argmax() == 4 and not odd[:, 1].any()
 
 
 def test_levels_cover_what_logs_have():
@@ -169,3 +272,5 @@ def test_wrong_histories_are_refused():
         weighted_history("a", [1.0, 2.0], np.triu(np.ones((2, 1, 3, 3))), weights)
     with pytest.raises(ArgumentError, match="free, relative"):
         replace(columns(), spreads=(Spread("short", np.eye(2)),))
+    with pytest.raises(ArgumentError, match="4 columns cannot have 1 units"):
+        replace(columns(), units=("kg",))
