@@ -81,8 +81,8 @@ def main() -> None:
     if options.figures is not None:
         save_days(rows, options.figures)
         save_history(result, options.figures)
-    failed = [vars(log) for log in result.failed]
-    write_json(options.json, {"summary": table, "rows": rows, "failed": failed})
+    unused = [vars(log) for log in result.unused]
+    write_json(options.json, {"summary": table, "rows": rows, "unused": unused})
 
 
 if __name__ == "__main__":

@@ -43,6 +43,7 @@ ELSEWHERE = {  # run by tests of their own, with --quick, too
     "cheetah_gallop",
     "cheetah_leg",
     "column_errors",
+    "fleet_kills",
     "human_identification",
     "identification_speed",
     "run_scenario",
@@ -187,6 +188,14 @@ def test_script(name, tmp_path):
     if name in SHOWS:
         SHOWS[name](found)
     assert list(figures.glob("*.png"))
+
+
+@pytest.mark.thorough
+def test_fleets_whose_runs_are_killed_tell_the_same(tmp_path):
+    call("fleet_kills", "--quick", "--seed", 3, "--json", tmp_path / "table.json")
+    found = json.loads((tmp_path / "table.json").read_text(encoding="utf-8"))["summary"]
+    assert found["the same results"] == found["runs"] > found["nothing killed"]
+    assert found["digests made again"] == 0
 
 
 @pytest.mark.thorough
