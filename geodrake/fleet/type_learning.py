@@ -18,6 +18,7 @@ from geodrake.errors import ArgumentError
 from geodrake.fleet.columns import TypeColumns
 from geodrake.fleet.course import Course
 from geodrake.fleet.history import LogEquations
+from geodrake.fleet.robot_fit import LogScores, RobotFit
 from geodrake.fleet.type_model import TypeModel, kept_share
 
 Array = NDArray[np.float64]
@@ -99,7 +100,7 @@ class _RobotTells:
         spread: (2, K + 1) squares of θ for each spread and the response, and their expectations
             for a known μ.
         scattered: (3, K) squares of its logs' scores along each spread, their expectations, and
-            what share of these half of robots have less than.
+            what share of these a robot in the middle has.
         course: (T, q, q) and (T, q): what it says of shares of the course.
         response: (q,) by how much it follows the course more.
         odd: (T, K) how odd its logs are.
@@ -122,13 +123,6 @@ def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | Non
     links = fit.solve(linked)
     columns = model.columns
     scores = model.log_scores(robot, fit)
-    expected = columns.parts(fit.expected_squares(scale[:, None] * model.factor))[:-1]
-    norm = np.maximum(scores.norm.sum(axis=0), 1e-300)
-    count = np.maximum(expected * scores.trace.sum(axis=0) / norm, 1.0)
-    kept = kept_share(np.square(scores.trace).sum(axis=0) / norm)
-    # The middle of few squares is less than their mean; without large ones, they are less skew.
-    middle = np.minimum(2.0 * gammaincinv(0.5 * count, 0.5) / count, kept)
-    scattered = np.stack([scores.squares.sum(axis=0), expected, middle])
     squares = np.stack([fit.theta**2, 1.0 - np.diagonal(fit.covariance)])
     share, at = scale[columns.course], columns.course
     part = fit.information[:, at][:, :, at] * share[:, None] * share
@@ -138,11 +132,22 @@ def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | Non
         fit.score.sum(axis=0),
         links,
         columns.parts(squares),
-        scattered,
+        _scattered(model, scale, fit, scores),
         (part, fit.score[:, at] * share),
         model.response * fit.theta[sum(columns.sizes[:-1]) : sum(columns.sizes)],
         model.oddness(scores, model.odd[robot])[0],
     )
+
+
+def _scattered(model: TypeModel, scale: Array, fit: RobotFit, scores: LogScores) -> Array:
+    """(3, K) what a robot's logs tell of their scatter, as `_RobotTells` has it."""
+    squares, norm = scores.squares.sum(axis=0), np.maximum(scores.norm.sum(axis=0), 1e-300)
+    expected = model.columns.parts(fit.expected_squares(scale[:, None] * model.factor))[:-1]
+    # The middle of few squares is less than their mean; without large ones, they are less skew.
+    count = np.maximum(expected * scores.trace.sum(axis=0) / norm, 1.0)
+    kept = kept_share(np.square(scores.trace).sum(axis=0) / norm)
+    middle = np.minimum(2.0 * gammaincinv(0.5 * count, 0.5) / count, kept)
+    return np.stack([squares, expected, middle])
 
 
 def _improved(
