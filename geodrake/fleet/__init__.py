@@ -23,7 +23,7 @@ from geodrake.fleet.fleet_result import (
     UnusedLog,
 )
 from geodrake.fleet.fleet_run import FleetWork, run_fleet
-from geodrake.fleet.history import LogEquations, RobotHistory, weighted_history
+from geodrake.fleet.history import JointHistory, LogEquations, RobotHistory, weighted_history
 from geodrake.fleet.hypotheses import ChangeHypothesis, body_change, column_change
 from geodrake.fleet.levels import ParameterLevels, parameter_levels
 from geodrake.fleet.making import LogFacts, Wanted, make_digest, make_settings
@@ -56,6 +56,7 @@ __all__ = [
     "FleetType",
     "FleetWork",
     "JointDigest",
+    "JointHistory",
     "LogEquations",
     "LogFacts",
     "OwnParameter",

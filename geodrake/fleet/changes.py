@@ -317,7 +317,7 @@ def logs_at(history: RobotHistory, gains: int, reference: Array) -> LogEquations
     """
     if not gains:
         return history.equations()
-    return history.with_gains(reference[..., : history.grams.shape[-1] - 1])
+    return history.with_gains(reference[..., : history.columns])
 
 
 def kind_shares(evidence: ChangeEvidence) -> dict[tuple[int, str], float]:

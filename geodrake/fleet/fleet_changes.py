@@ -105,20 +105,21 @@ def _search_all(
 
 
 def _check_shapes(histories: Sequence[RobotHistory], columns: TypeColumns) -> None:
-    joints = {history.grams.shape[1:3] for history in histories}
+    joints = {(len(history.joints), history.columns) for history in histories}
     wanted = len(columns.prior) - columns.gains
-    if len(joints) != 1 or any(p != wanted + 1 or columns.gains not in (0, n) for n, p in joints):
+    if len(joints) != 1 or any(p != wanted or columns.gains not in (0, n) for n, p in joints):
         raise ArgumentError(
             f"Robots of a type must have the same joints and {wanted} columns, and there must be a "
-            f"robot; they have (joints, columns) {sorted((n, p - 1) for n, p in joints)}.",
+            f"robot; they have (joints, columns) {sorted(joints)}.",
             advice="Gains are columns of the type, one a joint, and not of the logs.",
         )
 
 
 def _pooled(histories: Sequence[RobotHistory]) -> Array:
     """(p,) least squares of all robots, to which gains refer at first."""
-    total = np.sum([history.grams.sum(axis=(0, 1)) for history in histories], axis=0)
-    return least_squares(total[:-1, :-1], total[:-1, -1])
+    logs = [history.equations() for history in histories]
+    information = np.sum([each.information.sum(axis=0) for each in logs], axis=0)
+    return least_squares(information, np.sum([each.right.sum(axis=0) for each in logs], axis=0))
 
 
 def _at(

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.boundary.arguments import instance, real_array
+from geodrake.boundary.arguments import instance, instances, integer, integers, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
+from geodrake.fleet.columns import MOST_COLUMNS
 
 Array = NDArray[np.float64]
 
@@ -17,28 +18,58 @@ _SYMMETRIC = 1e-6  # share of the largest entry by which a normal matrix may dif
 
 
 @dataclass(frozen=True, eq=False)
+class JointHistory(Short):
+    """Weighted normal matrices of one joint, over the columns that its rows ever have.
+
+    Attributes:
+        columns: (m,) which of the p columns these are, ascending.
+        information: (T, m, m) Aᵀ W A of each log.
+        right: (T, m) Aᵀ W b.
+    """
+
+    columns: NDArray[np.intp]
+    information: Array
+    right: Array
+
+    def __post_init__(self) -> None:
+        """Checks that arrays fit each other."""
+        at = integers(self.columns, "columns", lower=0, upper=MOST_COLUMNS)
+        sizes: dict[str, tuple[int, ...]] = {"m": (len(at),)}
+        real_array(self.information, "information", ("T", "m", "m"), sizes)
+        real_array(self.right, "right", ("T", "m"), sizes)
+
+
+@dataclass(frozen=True, eq=False)
 class RobotHistory(Short):
-    """Weighted normal matrices of a robot's logs, in the order of time.
+    """What a robot's logs say, in the order of time.
 
     Attributes:
         robot: The robot's name.
         days: (T,) when each log was recorded, days, ascending.
-        grams: (T, n, p + 1, p + 1) weighted matrices [A | b]ᵀ W [A | b] of each log and joint.
+        joints: (n,) what they say of each joint.
+        columns: Number p of columns.
         temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
     """
 
     robot: str
     days: Array
-    grams: Array
+    joints: tuple[JointHistory, ...]
+    columns: int
     temperature: Array
 
     def __post_init__(self) -> None:
-        """Checks that arrays fit each other."""
+        """Checks that all fit each other."""
         instance(self.robot, "robot", str)
+        integer(self.columns, "columns", lower=0, upper=MOST_COLUMNS)
         sizes: dict[str, tuple[int, ...]] = {}
         real_array(self.days, "days", ("T",), sizes)
-        real_array(self.grams, "grams", ("T", "n", "p", "p"), sizes)
         real_array(self.temperature, "temperature", ("T",), sizes, finite=False)
+        for joint in instances(self.joints, "joints", JointHistory):
+            if len(joint.right) != len(self.days) or (joint.columns >= self.columns).any():
+                raise ArgumentError(
+                    f"{self.robot} has {len(self.days)} logs and {self.columns} columns, and a "
+                    f"joint of {len(joint.right)} logs with the columns {joint.columns.tolist()}."
+                )
         if not len(self.days) or (np.diff(self.days) < 0.0).any():
             raise ArgumentError(
                 f"The logs of {self.robot} must be at least one, in the order of their days.",
@@ -48,8 +79,7 @@ class RobotHistory(Short):
 
     def equations(self) -> LogEquations:
         """Normal equations of the p columns alone."""
-        total = self.grams.sum(axis=1)
-        return LogEquations(self.days, total[:, :-1, :-1], total[:, :-1, -1], self.temperature)
+        return self._equations(self.columns)
 
     def with_gains(self, reference: ArrayLike) -> LogEquations:
         """Normal equations with a further column for the gain of every joint's effort.
@@ -63,17 +93,26 @@ class RobotHistory(Short):
         Raises:
             ArgumentError: Shapes do not fit, or values are not finite.
         """
-        T, n, p = (*self.grams.shape[:2], self.grams.shape[3] - 1)
+        T, p = len(self.days), self.columns
         reference = np.broadcast_to(real_array(reference, "reference", ("...", p)), (T, p))
-        total = self.grams.sum(axis=1)
-        along = np.einsum("tjab,tb->tja", self.grams[..., :p], reference)
-        squares = np.einsum("tja,ta->tj", along[..., :p], reference)
-        information, right = np.zeros((T, p + n, p + n)), np.zeros((T, p + n))
-        information[:, :p, :p], right[:, :p] = total[:, :p, :p], total[:, :p, p]
-        information[:, p:, :p] = along[..., :p]
-        information[:, :p, p:] = np.swapaxes(along[..., :p], 1, 2)
-        gains = p + np.arange(n)
-        information[:, gains, gains], right[:, p:] = squares, along[..., p]
+        equations = self._equations(p + len(self.joints))
+        information, right = equations.information, equations.right
+        for gain, joint in enumerate(self.joints, start=p):
+            own = reference[:, joint.columns]
+            along = np.einsum("tab,tb->ta", joint.information, own)
+            information[:, gain, joint.columns] = information[:, joint.columns, gain] = along
+            information[:, gain, gain] = np.einsum("ta,ta->t", along, own)
+            right[:, gain] = np.einsum("ta,ta->t", joint.right, own)
+        return equations
+
+    def _equations(self, size: int) -> LogEquations:
+        """Sums over joints, in (T, size, size) matrices."""
+        T = len(self.days)
+        information, right = np.zeros((T, size, size)), np.zeros((T, size))
+        for joint in self.joints:
+            at = joint.columns
+            information[:, at[:, None], at] += joint.information
+            right[:, at] += joint.right
         return LogEquations(self.days, information, right, self.temperature)
 
 
@@ -136,5 +175,18 @@ def weighted_history(
     warm = np.full(len(days), np.nan) if temperature is None else temperature
     warm = real_array(warm, "temperature", ("T",), sizes, finite=False)
     order = np.argsort(days, kind="stable")
-    weighted = (weights[..., None, None] * grams)[order]
-    return RobotHistory(robot, days[order], weighted, warm[order])
+    joints = [
+        joint_history((weights[:, j, None, None] * grams[:, j])[order])
+        for j in range(grams.shape[1])
+    ]
+    return RobotHistory(robot, days[order], tuple(joints), grams.shape[2] - 1, warm[order])
+
+
+def joint_history(grams: Array) -> JointHistory:
+    """What logs say of a joint, without the columns that its rows never have.
+
+    Args:
+        grams: (T, p + 1, p + 1) weighted matrices [A | b]ᵀ W [A | b] of each log.
+    """
+    columns = np.flatnonzero(np.diagonal(grams, axis1=1, axis2=2)[:, :-1].any(axis=0))
+    return JointHistory(columns, grams[:, columns[:, None], columns], grams[:, columns, -1])

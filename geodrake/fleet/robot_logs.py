@@ -13,7 +13,7 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import DigestError
 from geodrake.fleet.digest import Digest, check_same
 from geodrake.fleet.digest_file import read_digest
-from geodrake.fleet.history import RobotHistory
+from geodrake.fleet.history import RobotHistory, joint_history
 from geodrake.fleet.log_records import LogRecord
 from geodrake.fleet.settings import DigestSettings
 
@@ -148,7 +148,8 @@ def robot_logs(
     if not (there := logs > 0).any():
         return None
     temperature = np.where(known > 0, warm / np.maximum(known, 1), np.nan)[there]
-    history = RobotHistory(robot, days[there] / logs[there], grams[there], temperature)
+    joints = tuple(joint_history(grams[there, j]) for j in range(n))
+    history = RobotHistory(robot, days[there] / logs[there], joints, len(kept), temperature)
     effort = np.sqrt(squares / np.maximum(samples, 1.0))
     return RobotLogs(history, effort, int(logs.sum()))
 

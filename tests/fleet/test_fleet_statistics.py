@@ -76,10 +76,12 @@ def test_marginals_are_those_of_rows():
 def test_gains_are_columns_of_what_a_reference_says():
     rng = np.random.default_rng(12)
     A, b = rng.normal(size=(3, 2, 9, P)), rng.normal(size=(3, 2, 9))  # logs, joints, rows
+    A[:, 1, :, :2] = 0.0  # which the second joint does not see
     weights, reference = rng.uniform(1.0, 2.0, size=(3, 2)), rng.normal(size=(3, P))
     both = np.concatenate([A, b[..., None]], axis=3)
     history = weighted_history("a", range(3), np.swapaxes(both, 2, 3) @ both, weights)
     found = history.with_gains(reference)
+    assert history.joints[1].columns.tolist() == [2, 3]
     for t in range(3):
         said = A[t] @ reference[t]
         rows = np.hstack([A[t].reshape(-1, P), block_diag(*said[..., None])])
@@ -175,9 +177,10 @@ def test_scatter_is_learnt_from_robots_that_show_it():
     """Most have a single log, or one joint that rests in all."""
     rng = np.random.default_rng(5)
     single = [robot(rng, logs=1, rows=60).history() for _ in range(16)]
-    resting = [robot(rng, logs=4, rows=60).history() for _ in range(8)]
+    resting = [robot(rng, logs=4, rows=60) for _ in range(8)]
     for each in resting:
-        each.grams[:, :, 2:4] = each.grams[:, :, :, 2:4] = 0.0
+        each.A[:, :, 2:4] = 0.0
+    resting = [each.history() for each in resting]
     others = [robot(rng, logs=25, rows=60).history() for _ in range(6)]
     found = learn_type([each.equations() for each in (*single, *resting, *others)], columns())
     np.testing.assert_allclose(found.scatter[1:], 0.03, rtol=0.25)
@@ -196,12 +199,13 @@ def test_scatter_is_neither_too_small_nor_too_large():
 def test_units_change_nothing(unit):
     """Bodies and friction in other units; the first body column is never seen."""
     rng = np.random.default_rng(10)
-    histories = [robot(rng, logs=5).history() for _ in range(3)]
-    for each in histories:
-        each.grams[:, :, 0] = each.grams[:, :, :, 0] = 0.0
-    u = np.array([unit, 1.0, unit, 1.0, 1.0])
-    other = [replace(each, grams=each.grams * u[:, None] * u) for each in histories]
-    u, known = u[:P], replace(columns(), units=("kg", "kg·m", "N·m", "N·m·s"))
+    rows = [robot(rng, logs=5) for _ in range(3)]
+    for each in rows:
+        each.A[:, :, 0] = 0.0
+    u = np.array([unit, 1.0, unit, 1.0])
+    histories = [each.history() for each in rows]
+    other = [Rows(each.A * u, each.b).history() for each in rows]
+    known = replace(columns(), units=("kg", "kg·m", "N·m", "N·m·s"))
     bodies = Spread("bodies", known.spreads[0].factor / u[:, None])
     renamed = replace(known, prior=known.prior / u, spreads=(bodies, *known.spreads[1:]))
     found = learn_type([each.equations() for each in histories], known)

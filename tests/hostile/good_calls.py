@@ -1770,10 +1770,16 @@ def _fleet(t):
             "where": Free("elbow"),
             "factor": np.ones((3, 1)),
         },
+        "JointHistory": {
+            "columns": [0, 1],
+            "information": np.ones((4, 2, 2)),
+            "right": np.ones((4, 2)),
+        },
         "RobotHistory": {
             "robot": Free("a"),
             "days": np.arange(4.0),
-            "grams": grams[0],
+            "joints": robots[0].joints,
+            "columns": 2,
             "temperature": np.ones(4),
         },
         "Spread": {"name": Free("dry"), "factor": np.ones((3, 1))},
