@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -26,7 +26,10 @@ import psutil
 from adaptive.options import positive_number, show, whole_number, write_json
 from fleets.draws import TYPES, FleetDraw
 from fleets.files import LogWriter, write_fleet_file
+from matplotlib.figure import Figure
 from rich.console import Console
+
+from geodrake.report import style
 
 _POLL = 0.01  # s
 WORKER, RUN = "a worker", "the run"
@@ -130,12 +133,30 @@ def killed_run(path: Path, expected: bytes, what: str, after: int) -> KilledRun:
     return KilledRun(what, at[0] if at else -1, digests.again, found == expected)
 
 
+def kills_figure(rows: Sequence[KilledRun], logs: int) -> Figure:
+    """How far runs were when something was killed, and those whose results differ."""
+    figure = style.new_figure(1.6)
+    ax = figure.subplots()
+    style.polish(ax, grid="x")
+    for at, what in enumerate((WORKER, RUN)):
+        for same, color in ((True, style.AFTER), (False, style.BEFORE)):
+            there = [row.there for row in rows if (row.killed, row.same) == (what, same)]
+            ax.plot(there, [at] * len(there), "o", color=color)
+    ax.set(xlim=(0, logs), ylim=(1.5, -0.5), yticks=(0, 1), yticklabels=(WORKER, RUN))
+    title = (
+        f"digests of {logs} that were there; results that differ: {sum(not r.same for r in rows)}"
+    )
+    ax.set_title(title, loc="left", **style.plain(fontweight="bold"))
+    return figure
+
+
 def main() -> None:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="two runs of few logs")
     parser.add_argument("--seed", type=whole_number, default=0, help="of logs and moments")
     parser.add_argument("--json", type=Path, help="file for the numbers")
+    parser.add_argument("--figures", type=Path, help="folder for the figure")
     parser.add_argument("--runs", type=positive_number, default=20, help="(%(default)s)")
     options = parser.parse_args()
     robots, days = (2, 3) if options.quick else (6, 12)
@@ -165,6 +186,9 @@ def main() -> None:
         {"figure": "", "value": ""},
         [{"figure": name, "value": value} for name, value in table.items()],
     )
+    if options.figures is not None:
+        options.figures.mkdir(parents=True, exist_ok=True)
+        kills_figure(rows, robots * days).savefig(options.figures / "fleet_kills.png")
     write_json(options.json, {"summary": table, "rows": [asdict(row) for row in rows]})
 
 

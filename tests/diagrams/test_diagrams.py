@@ -21,6 +21,7 @@ APART = "computed_torque_or_passivity"
 LONG = {  # whose parts are tested elsewhere, too
     "ambidex_sandbags",
     "criteria_worth",
+    "fleet_kills",
     "fleet_speed",
     "fleet_study",
     "hidden_effects",
@@ -43,7 +44,6 @@ ELSEWHERE = {  # run by tests of their own, with --quick, too
     "cheetah_gallop",
     "cheetah_leg",
     "column_errors",
-    "fleet_kills",
     "human_identification",
     "identification_speed",
     "run_scenario",
@@ -108,6 +108,13 @@ def finds_changes_of_a_fleet(table):
     assert table["summary"]["robots with nothing that are named"] == 0
 
 
+def goes_on_where_it_was_killed(table):
+    """With the same results, and no digest made again."""
+    found = table["summary"]
+    assert found["the same results"] == found["runs"] > found["nothing killed"]
+    assert found["digests made again"] == 0
+
+
 def orders_laws_as_the_source(table):
     """Tracking: the natural law best, then the Euclidean one, then none."""
     rows = table.get("summary", table["rows"])
@@ -149,6 +156,7 @@ SHOWS = {
     "scara_excitation": orders_normalizations_as_the_source,
     "wam_adaptation": orders_laws_as_the_source,
     "wam_payload": orders_laws_as_the_source,
+    "fleet_kills": goes_on_where_it_was_killed,
     "fleet_study": finds_changes_of_a_fleet,
     "hidden_effects": reaches_its_bars,
     "servo_gains": finds_servos,
@@ -188,14 +196,6 @@ def test_script(name, tmp_path):
     if name in SHOWS:
         SHOWS[name](found)
     assert list(figures.glob("*.png"))
-
-
-@pytest.mark.thorough
-def test_fleets_whose_runs_are_killed_tell_the_same(tmp_path):
-    call("fleet_kills", "--quick", "--seed", 3, "--json", tmp_path / "table.json")
-    found = json.loads((tmp_path / "table.json").read_text(encoding="utf-8"))["summary"]
-    assert found["the same results"] == found["runs"] > found["nothing killed"]
-    assert found["digests made again"] == 0
 
 
 @pytest.mark.thorough
