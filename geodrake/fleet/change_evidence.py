@@ -8,6 +8,11 @@ with Q = Σ f² M_t, C = Σ f L_tᵀ M_t and N of the robot's own parameters, al
 days. A mean of such ratios over hypotheses, kinds, days and scales s has the expectation 1 where
 nothing changed. By Markov's inequality it is above 1/α with a probability of at most α, whatever
 the number of hypotheses and however alike they are.
+
+T times that mean is a sum of T ratios, each of which goes on with the expectation 1 as logs come:
+by Doob's inequality it is above T_max/α before T_max with a probability of at most α. A history
+that is looked at anew with each log is thus as safe as one that is looked at once (exactly for
+steps and known scales; the sizes of ramps are those up to the last log).
 """
 
 from __future__ import annotations

@@ -278,3 +278,23 @@ def test_wrong_histories_are_refused():
         replace(columns(), spreads=(Spread("short", np.eye(2)),))
     with pytest.raises(ArgumentError, match="4 columns cannot have 1 units"):
         replace(columns(), units=("kg",))
+
+
+@pytest.mark.thorough
+def test_looking_every_night_is_as_safe_as_looking_once():
+    """Of robots in which nothing changes, few ever pass a bound that grows with the nights."""
+    rng, nights, largest = np.random.default_rng(11), 40, []
+    known = {"deviations": np.full(3, 0.1), "scatter": np.full(3, 0.03)}
+    for _ in range(80):
+        rows, passed = robot(rng, logs=nights, rows=6), 0.0
+        for night in range(3, nights + 1):
+            history = Rows(rows.A[:night], rows.b[:night]).history()
+            logs = history.equations()
+            model = made([logs], **known)
+            evidence = calc_change_evidence(
+                model.fit(0, logs), history.days, hypotheses(), model.scale(0)
+            )
+            passed = max(passed, night * np.exp(evidence.total))
+        largest.append(passed)
+    for bound in (2 * nights, 5 * nights, 10 * nights):
+        assert np.mean(np.array(largest) >= bound) <= nights / bound
