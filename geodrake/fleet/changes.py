@@ -136,8 +136,13 @@ class RobotSearch(Short):
         return self._states[tuple(places)]
 
     def _fitted(self, places: Sequence[ChangePlace]) -> SearchState:
-        changes, odd = self.design(places), self.model.odd[self.robot]
-        reference = self.reference
+        """The fit that finds logs least odd: they may be so for want of just these changes."""
+        odd = self.model.odd[self.robot]
+        starts = [odd, np.zeros_like(odd)] if odd.any() else [odd]
+        return min((self._fitted_from(places, each) for each in starts), key=lambda s: s.cost)
+
+    def _fitted_from(self, places: Sequence[ChangePlace], odd: Array) -> SearchState:
+        changes, reference = self.design(places), self.reference
         for _ in range(_REFITS):
             logs = logs_at(self.history, self.model.columns.gains, reference)
             fit = self.model.fit(self.robot, logs, changes, odd)

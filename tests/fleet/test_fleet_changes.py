@@ -125,3 +125,18 @@ def test_wrong_calls_are_refused():
         find_changes(histories, columns(), [])
     with pytest.raises(ArgumentError, match="false_alarms"):
         find_changes(histories, columns(), hypotheses(), false_alarms=0.0)
+
+
+def test_logs_are_not_odd_for_want_of_a_change():
+    """Those before a load were, while nobody knew of it; a fit that knows begins without that."""
+    histories = fleet(1, 10, LOAD)
+    logs = [each.equations() for each in histories]
+    model = learn_type(logs, columns())
+    odd = [each.copy() for each in model.odd]
+    odd[7][:6] = 1e4
+    search = RobotSearch(
+        replace(model, odd=tuple(odd)), 7, histories[7], model.own[7], hypotheses()
+    )
+    (place,) = search.find(0.01)
+    assert (hypotheses()[place.hypothesis].effect, place.kind, place.first) == ("load", "step", 6)
+    assert search.state([place]).odd.max() < 1.0
