@@ -1,11 +1,11 @@
-"""Evidence of a change in one robot: every hypothesis, as a step and a ramp, on every day.
+"""Evidence of a change in one robot: every hypothesis, as steps and a ramp, on every day.
 
 With z ~ N(0, s² 𝟙), what logs say for a change f(t) D z is the ratio of marginal likelihoods
 
     log E = ½ gᵀ (S + s⁻² 𝟙)⁻¹ g − ½ log det(𝟙 + s² S),   S = Dᵀ (Q − Cᵀ N⁻¹ C) D,
 
 with Q = Σ f² M_t, C = Σ f L_tᵀ M_t and N of the robot's own parameters, all of cumulative sums over
-days. A mean of such ratios over hypotheses, kinds, days and scales s has the expectation 1 where
+days. A mean of such ratios over hypotheses, forms, days and scales s has the expectation 1 where
 nothing changed. By Markov's inequality it is above 1/α with a probability of at most α, whatever
 the number of hypotheses and however alike they are.
 
@@ -26,7 +26,7 @@ from scipy.special import logsumexp
 
 from geodrake.boundary.showing import Short
 from geodrake.fleet.hypotheses import ChangeHypothesis
-from geodrake.fleet.profiles import KINDS, Profiles
+from geodrake.fleet.profiles import FORMS, STEP, Profiles, kind_of
 from geodrake.fleet.robot_fit import RobotFit
 
 Array = NDArray[np.float64]
@@ -37,16 +37,16 @@ SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
 
 @dataclass(frozen=True)
 class ChangePlace:
-    """A change in the space of all: hypothesis, kind and day, by their numbers.
+    """A change in the space of all: hypothesis, form and day, by their numbers.
 
     Attributes:
         hypothesis: Number of the hypothesis.
-        kind: "step" or "ramp".
+        form: "step", "until" or "ramp".
         first: Log at which it begins.
     """
 
     hypothesis: int
-    kind: str
+    form: str
     first: int
 
 
@@ -57,7 +57,7 @@ class ChangeEvidence(Short):
     Attributes:
         profiles: The steps and ramps that there may be.
         ratio: For each of them, (h, K) logarithms of ratios of each hypothesis and day, means over
-            sizes; −∞ for a hypothesis that is not of that kind.
+            sizes; −∞ for a hypothesis that is not of its kind.
         prior: (h, K) logarithms of their prior probabilities, which sum to 1.
     """
 
@@ -71,7 +71,7 @@ class ChangeEvidence(Short):
         return float(logsumexp(self._joint))
 
     def posterior(self) -> tuple[Array, ...]:
-        """For each kind, (h, K) probabilities, given that there is one change."""
+        """For each form, (h, K) probabilities, given that there is one change."""
         sizes = np.cumsum([each.size for each in self.ratio])[:-1]
         shares = np.exp(self._joint - self.total)
         parts = np.split(shares, sizes)
@@ -88,7 +88,7 @@ class ChangeEvidence(Short):
         return float(self.prior[at][chosen])
 
     def _chosen(self, place: ChangePlace) -> tuple[int, tuple[int, int]]:
-        at = [each.kind for each in self.profiles].index(place.kind)
+        at = [each.form for each in self.profiles].index(place.form)
         day = int(np.flatnonzero(self.profiles[at].first == place.first)[0])
         return at, (place.hypothesis, day)
 
@@ -110,20 +110,21 @@ def calc_change_evidence(
         scale: (p,) what a share of each column is to the robot.
     """
     usable = np.unique(days).size > 1
-    profiles = tuple(Profiles.of(kind, days) for kind in KINDS) if usable else ()
+    profiles = tuple(Profiles.of(form, days) for form in FORMS) if usable else ()
     ratios = [np.full((len(hypotheses), len(each.first)), -np.inf) for each in profiles]
     priors = [ratio.copy() for ratio in ratios]
     sizes = np.array([h.factor.shape[1] for h in hypotheses])
     for size in np.unique(sizes).tolist():
         for each, ratio, prior in zip(profiles, ratios, priors, strict=True):
             same = np.flatnonzero(sizes == size).tolist()
-            tried = [h for h in same if each.kind in hypotheses[h].kinds]
+            kind = kind_of(each.form)
+            tried = [h for h in same if kind in hypotheses[h].kinds]
             if not tried:
                 continue
             factor = scale[:, None] * np.hstack([hypotheses[h].factor for h in tried])
             ratio[tried] = _ratios(fit, each, factor, size)
-            kinds = np.array([len(hypotheses[h].kinds) for h in tried])
-            prior[tried] = -np.log(len(hypotheses) * len(each.first) * kinds)[:, None]
+            ways = np.array([len(hypotheses[h].kinds) for h in tried]) * (2 if kind == STEP else 1)
+            prior[tried] = -np.log(len(hypotheses) * len(each.first) * ways)[:, None]
     return ChangeEvidence(profiles, tuple(ratios), tuple(priors))
 
 

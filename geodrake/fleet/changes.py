@@ -12,11 +12,12 @@ from geodrake.boundary.showing import Short
 from geodrake.fleet.change_evidence import ChangeEvidence, ChangePlace, calc_change_evidence
 from geodrake.fleet.history import LogEquations, RobotHistory
 from geodrake.fleet.hypotheses import ChangeHypothesis
-from geodrake.fleet.profiles import STEP, Profiles
+from geodrake.fleet.profiles import RAMP, UNTIL, Profiles, kind_of
 from geodrake.fleet.robot_fit import RobotFit
 from geodrake.fleet.type_model import TypeModel
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 MONTH = 30.0
 """Days."""
@@ -136,13 +137,8 @@ class RobotSearch(Short):
         return self._states[tuple(places)]
 
     def _fitted(self, places: Sequence[ChangePlace]) -> SearchState:
-        """The fit that finds logs least odd: they may be so for want of just these changes."""
-        odd = self.model.odd[self.robot]
-        starts = [odd, np.zeros_like(odd)] if odd.any() else [odd]
-        return min((self._fitted_from(places, each) for each in starts), key=lambda s: s.cost)
-
-    def _fitted_from(self, places: Sequence[ChangePlace], odd: Array) -> SearchState:
-        changes, reference = self.design(places), self.reference
+        changes, odd = self.design(places), self.model.odd[self.robot]
+        reference = self.reference
         for _ in range(_REFITS):
             logs = logs_at(self.history, self.model.columns.gains, reference)
             fit = self.model.fit(self.robot, logs, changes, odd)
@@ -179,7 +175,7 @@ class RobotSearch(Short):
         return np.concatenate([none, *parts], axis=2)
 
     def _values(self, place: ChangePlace) -> Array:
-        return Profiles(place.kind, np.array([place.first]), self.history.days).values[0]
+        return Profiles(place.form, np.array([place.first]), self.history.days).values[0]
 
     def _factor(self, place: ChangePlace) -> Array:
         scale = self.model.scale(self.robot)[:, None]
@@ -245,7 +241,7 @@ class RobotSearch(Short):
         without = self.state(others)
         evidence = self.evidence(without)
         lost = without.cost - self.state(places).cost
-        few = places[at].first if places[at].kind == STEP else len(self.history.days)
+        few = len(self.history.days) if places[at].form == RAMP else places[at].first
         few = min(few, len(self.history.days) - places[at].first)
         most = evidence.log_prior(places[at]) - few * np.log(ODD_SHARE)
         return float(min(max(evidence.total, evidence.joint(places[at]) + lost), most))
@@ -260,10 +256,11 @@ class RobotSearch(Short):
             factor = self.model.scale(self.robot)[:, None] * hypothesis.factor
             part = slice(end - factor.shape[1], end)
             end = part.start
-            z, covariance = _WIDE * state.fit.theta[part], state.fit.covariance[part, part]
+            sign = -_WIDE if place.form == UNTIL else _WIDE
+            z, covariance = sign * state.fit.theta[part], state.fit.covariance[part, part]
             covariance = _WIDE**2 * covariance
             size, variance = factor @ z, np.einsum("pd,de,pe->p", factor, covariance, factor)
-            evidence = self.instead(state, others)
+            evidence, kind = self.instead(state, others), kind_of(place.form)
             shares = kind_shares(evidence)
             chance = np.exp(min(0.0, -self.support(places, at)))
             found.append(
@@ -271,7 +268,7 @@ class RobotSearch(Short):
                     self.history.robot,
                     hypothesis.effect,
                     hypothesis.where,
-                    place.kind,
+                    kind,
                     float(self.history.days[place.first]),
                     self._interval(evidence, place),
                     z,
@@ -279,8 +276,8 @@ class RobotSearch(Short):
                     size,
                     np.sqrt(np.maximum(variance, 0.0)),
                     size / self.model.scale(self.robot),
-                    shares[place.hypothesis, place.kind],
-                    self._rivals(shares, place),
+                    shares.pop((place.hypothesis, kind)),
+                    self._rivals(shares),
                     float(chance),
                 )
             )
@@ -289,25 +286,21 @@ class RobotSearch(Short):
 
     def _interval(self, evidence: ChangeEvidence, place: ChangePlace) -> tuple[float, float]:
         """Shortest days around that of a finding that hold the probability of an interval."""
-        kinds = [each.kind for each in evidence.profiles]
-        profiles = evidence.profiles[kinds.index(place.kind)]
-        share = evidence.posterior()[kinds.index(place.kind)][place.hypothesis]
+        first, share = _days(evidence, place.hypothesis, kind_of(place.form))
         share = share / max(share.sum(), _TINY)
-        low = high = int(np.flatnonzero(profiles.first == place.first)[0])
+        low = high = int(np.flatnonzero(first == place.first)[0])
         while share[low : high + 1].sum() < _WITHIN and (low > 0 or high < len(share) - 1):
             before = share[low - 1] if low > 0 else -1.0
             after = share[high + 1] if high < len(share) - 1 else -1.0
             low, high = (low - 1, high) if before > after else (low, high + 1)
-        days = self.history.days[profiles.first]
+        days = self.history.days[first]
         return float(days[low]), float(days[high])
 
-    def _rivals(
-        self, shares: dict[tuple[int, str], float], place: ChangePlace
-    ) -> tuple[ChangeRival, ...]:
+    def _rivals(self, shares: dict[tuple[int, str], float]) -> tuple[ChangeRival, ...]:
         told = [
             ChangeRival(self.hypotheses[h].effect, self.hypotheses[h].where, kind, share)
             for (h, kind), share in shares.items()
-            if share >= RIVAL and (h, kind) != (place.hypothesis, place.kind)
+            if share >= RIVAL
         ]
         return tuple(sorted(told, key=lambda rival: -rival.probability))
 
@@ -327,20 +320,33 @@ def logs_at(history: RobotHistory, gains: int, reference: Array) -> LogEquations
 
 def kind_shares(evidence: ChangeEvidence) -> dict[tuple[int, str], float]:
     """Probability of each hypothesis and kind, over all days."""
-    return {
-        (h, profiles.kind): float(share)
-        for profiles, posterior in zip(evidence.profiles, evidence.posterior(), strict=True)
-        for h, share in enumerate(posterior.sum(axis=1))
-    }
+    shares: dict[tuple[int, str], float] = {}
+    for profiles, posterior in zip(evidence.profiles, evidence.posterior(), strict=True):
+        for h, share in enumerate(posterior.sum(axis=1).tolist()):
+            key = h, kind_of(profiles.form)
+            shares[key] = shares.get(key, 0.0) + share
+    return shares
 
 
 def best_place(evidence: ChangeEvidence) -> ChangePlace:
     """The most probable hypothesis and kind over all days, on its most probable day."""
     shares = kind_shares(evidence)
     hypothesis, kind = max(shares, key=lambda key: shares[key])
-    at = [each.kind for each in evidence.profiles].index(kind)
-    day = int((evidence.ratio[at] + evidence.prior[at])[hypothesis].argmax())
-    return ChangePlace(hypothesis, kind, int(evidence.profiles[at].first[day]))
+    first, share = _days(evidence, hypothesis, kind)
+    begins = int(first[share.argmax()])
+    places = [
+        ChangePlace(hypothesis, profiles.form, begins)
+        for profiles in evidence.profiles
+        if kind_of(profiles.form) == kind
+    ]
+    return max(places, key=evidence.joint)
+
+
+def _days(evidence: ChangeEvidence, hypothesis: int, kind: str) -> tuple[Indices, Array]:
+    """(K,) logs at which a kind of change may begin, and how probable each is."""
+    pairs = zip(evidence.profiles, evidence.posterior(), strict=True)
+    same = [(each.first, p[hypothesis]) for each, p in pairs if kind_of(each.form) == kind]
+    return same[0][0], np.sum([share for _, share in same], axis=0)
 
 
 def months(history: RobotHistory) -> float:

@@ -1,4 +1,8 @@
-"""How changes go with time: steps that stay, and ramps that go on."""
+"""How changes go with time: steps that stay, and ramps that go on.
+
+A robot that is one of its type, but for the change, may be so before a step or after it: a payload
+is put on, or taken off. A step therefore has two forms.
+"""
 
 from __future__ import annotations
 
@@ -14,41 +18,55 @@ Indices = NDArray[np.intp]
 
 STEP, RAMP = "step", "ramp"
 KINDS = (STEP, RAMP)
+UNTIL = "until"
+FORMS = (STEP, UNTIL, RAMP)
+"""A step, what was there until a step, and a ramp."""
+
+
+def kind_of(form: str) -> str:
+    """The kind of change that a form is of.
+
+    Args:
+        form: One of `FORMS`.
+    """
+    return STEP if form == UNTIL else form
 
 
 @dataclass(frozen=True, eq=False)
 class Profiles(Short):
     """The steps or ramps that may begin at any of a robot's logs.
 
-    A step is 0 before the log and 1 from it on. A ramp is 0 up to the log and then rises in
-    proportion to the days, to 1 at the last log.
+    A step is 0 before the log and 1 from it on, or 1 until the log and 0 from it on. A ramp is 0 up
+    to the log and then rises in proportion to the days, to 1 at the last log.
 
     Attributes:
-        kind: "step" or "ramp".
+        form: One of `FORMS`.
         first: (K,) log at which each begins.
         days: (T,) days of the logs.
     """
 
-    kind: str
+    form: str
     first: Indices
     days: Array
 
     @classmethod
-    def of(cls, kind: str, days: Array) -> Profiles:
+    def of(cls, form: str, days: Array) -> Profiles:
         """All that the days of a robot's logs can show.
 
         Args:
-            kind: "step" or "ramp".
+            form: One of `FORMS`.
             days: (T,) days of the logs, ascending.
         """
         starts = np.unique(days, return_index=True)[1]  # logs of one day are not told apart
-        return cls(kind, starts[1:] if kind == STEP else starts[:-1], days)
+        return cls(form, starts[:-1] if form == RAMP else starts[1:], days)
 
     @property
     def values(self) -> Array:
         """(K, T) values."""
         after = np.arange(len(self.days)) >= self.first[:, None]
-        if self.kind == STEP:
+        if self.form == UNTIL:
+            return np.logical_not(after).astype(float)
+        if self.form == STEP:
             return after.astype(float)
         begun = self.days[self.first][:, None]
         return np.asarray(after * (self.days - begun) / (self.days[-1] - begun))
@@ -59,8 +77,10 @@ class Profiles(Short):
         Args:
             per_log: (T, ...) X.
         """
+        if self.form == UNTIL:
+            return np.asarray(np.cumsum(per_log, axis=0)[self.first - 1])
         zeroth = _from(per_log)[self.first]
-        if self.kind == STEP:
+        if self.form == STEP:
             return zeroth
         left, span = self._ramp(per_log)
         return np.asarray(zeroth - _from(left * per_log)[self.first] / span)
@@ -71,7 +91,7 @@ class Profiles(Short):
         Args:
             per_log: (T, ...) X.
         """
-        if self.kind == STEP:
+        if self.form != RAMP:
             return self.sums(per_log)
         left, span = self._ramp(per_log)
         zeroth, first, second = (

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fleet_data import P, columns, hypotheses, robot
+from fleet_data import MEAN, P, columns, hypotheses, robot
 
 from geodrake.errors import ArgumentError
 from geodrake.fleet.changes import RobotSearch
@@ -127,16 +127,14 @@ def test_wrong_calls_are_refused():
         find_changes(histories, columns(), hypotheses(), false_alarms=0.0)
 
 
-def test_logs_are_not_odd_for_want_of_a_change():
-    """Those before a load were, while nobody knew of it; a fit that knows begins without that."""
-    histories = fleet(1, 10, LOAD)
-    logs = [each.equations() for each in histories]
-    model = learn_type(logs, columns())
-    odd = [each.copy() for each in model.odd]
-    odd[7][:6] = 1e4
-    search = RobotSearch(
-        replace(model, odd=tuple(odd)), 7, histories[7], model.own[7], hypotheses()
-    )
-    (place,) = search.find(0.01)
-    assert (hypotheses()[place.hypothesis].effect, place.kind, place.first) == ("load", "step", 6)
-    assert search.state([place]).odd.max() < 1.0
+@pytest.mark.parametrize("size", [10.0, pytest.param(100.0, marks=pytest.mark.thorough)])
+def test_changes_are_found_however_large(size):
+    """Logs before them are as odd as any, and a robot may be one of its type after them only."""
+    load = {7: lambda t: size * LOAD[7](t)}
+    less = {3: lambda t: size * np.array([0.0, 0.0, 0.3, 0.0]) * (t < 9)}
+    changes = find_changes(fleet(1, 10, {**load, **less}), columns(), hypotheses()).changes
+    told = [(r, c.effect, c.kind, c.day) for r, each in enumerate(changes) for c in each]
+    assert told == [(3, "dry", "step", 9.0), (7, "load", "step", 6.0)]
+    assert changes[3][0].share[2] == pytest.approx(-0.3 * size, rel=0.1)
+    sizes = [-0.2 * size * MEAN[0], 0.3 * size * MEAN[1]]
+    np.testing.assert_allclose(changes[7][0].size[:2], sizes, rtol=0.2)

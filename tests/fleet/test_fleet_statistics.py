@@ -15,7 +15,7 @@ from geodrake.fleet.course import Course
 from geodrake.fleet.history import weighted_history
 from geodrake.fleet.levels import parameter_levels
 from geodrake.fleet.marginals import calc_marginal
-from geodrake.fleet.profiles import KINDS, Profiles
+from geodrake.fleet.profiles import FORMS, Profiles, kind_of
 from geodrake.fleet.type_learning import learn_type
 from geodrake.fleet.type_model import TypeModel, own_parameters
 from geodrake.inertia import pullback_distance
@@ -51,13 +51,13 @@ def dense(model, A):
 
 
 @pytest.mark.parametrize("unit", [1.0, 1.0 / 1440.0])
-@pytest.mark.parametrize("kind", KINDS)
-def test_cumulative_sums_are_those_of_profiles(kind, unit):
+@pytest.mark.parametrize("form", FORMS)
+def test_cumulative_sums_are_those_of_profiles(form, unit):
     """Also of days since 1970, of logs a minute after another."""
     rng = np.random.default_rng(1)
     days = 20_000.0 + unit * np.sort(rng.choice(40, 12, replace=False))
     days[4] = days[3]  # two logs on one day
-    each, X = Profiles.of(kind, days), rng.normal(size=(12, 2, 3))
+    each, X = Profiles.of(form, days), rng.normal(size=(12, 2, 3))
     values = each.values
     assert values.shape == (10, 12)
     np.testing.assert_allclose(each.sums(X), np.einsum("kt,tab->kab", values, X), atol=1e-9)
@@ -101,7 +101,7 @@ def test_evidence_is_the_ratio_of_likelihoods_of_rows():
     before = multivariate_normal(mean, V).logpdf(b)
     for profiles, ratio in zip(evidence.profiles, evidence.ratio, strict=True):
         for h, hypothesis in enumerate(hypotheses()):
-            if profiles.kind not in hypothesis.kinds:
+            if kind_of(profiles.form) not in hypothesis.kinds:
                 assert np.isneginf(ratio[h]).all()
                 continue
             D = np.array([1.0, 1.0, *MEAN[2:]])[:, None] * hypothesis.factor
