@@ -38,6 +38,8 @@ def diagnose(
 ) -> Diagnosis:
     """Rank the effects that a model may lack by the held-out error that each would take away.
 
+    Columns are taken at their word: `check_columns` tells of those that are not what they seem.
+
     Args:
         model: The model as it stands.
         logs: Logs or their files; several logs are several trajectories.

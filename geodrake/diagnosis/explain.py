@@ -69,6 +69,8 @@ def explain(
 ) -> Explanation:
     """Find what a model lacks, add it, refit, and repeat to the floor.
 
+    Columns are taken at their word: `check_columns` tells of those that are not what they seem.
+
     Args:
         model: The model as it stands.
         logs: Logs or their files; several logs are several trajectories.
