@@ -466,7 +466,8 @@ def rollout_fit_words(found: RolloutFit) -> str:
             f"what was fitted is taken: held-out windows depart less, {shares} (by chance with "
             f"probability {chance(found.chance)})."
         )
-    why = "which chance may do as well"
+    chances = f"probability {chance(found.chance)}, {sum(found.tested)} windows"
+    why = f"which chance may do as well ({chances}): further logs or more --windows tell more"
     if after.relative > before.relative:
         why = "which is more"
     return f"the model stays as it was: with what was fitted held-out windows go {shares}, {why}."

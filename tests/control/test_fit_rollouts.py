@@ -24,6 +24,7 @@ from geodrake.errors import LogError, ModelError
 from geodrake.identification.logs.case import open_case
 from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog
+from geodrake.report.words import rollout_fit_words
 
 LENGTH, MASS, BODY = 0.4, 1.5, 0.04
 INERTIA, WEIGHT, ROTOR, FRICTION = BODY + MASS * LENGTH**2, MASS * LENGTH * 9.81, 0.15, 0.4
@@ -111,6 +112,8 @@ def test_a_stiffness_that_is_off_is_found(pendulum, share, tmp_path):
     assert compliance(found) == pytest.approx(1.0, abs=0.02)
     before, after = found.held_out
     assert after.relative < before.relative
+    doubtful = rollout_fit_words(dataclasses.replace(found, taken=False, chance=0.2))
+    assert f"(probability 0.20, {sum(found.tested)} windows): further logs or more" in doubtful
     fitted = found.model.effects[-1]
     assert fitted.parameters == pytest.approx(found.values[0].after)
     assert fitted.deviations == pytest.approx(found.values[0].deviation)
