@@ -17,6 +17,7 @@ from geodrake.fleet.history import LogEquations, RobotHistory
 from geodrake.fleet.hypotheses import ChangeHypothesis
 from geodrake.fleet.type_learning import learn_type, least_squares
 from geodrake.fleet.type_model import Array, TypeModel
+from geodrake.fleet.workers import InThisProcess, Workers, in_order
 
 _FIRST, _LATER = 12, 4  # rounds of learning what robots share
 
@@ -71,37 +72,88 @@ def find_changes(
             f"Each hypothesis needs {len(columns.prior)} columns, and there must be one."
         )
     _check_shapes(histories, columns)
+    return changes_by(
+        InThisProcess(), histories, columns, hypotheses, false_alarms=false_alarms, passes=passes
+    )
+
+
+def changes_by(
+    team: Workers,
+    histories: Sequence[RobotHistory],
+    columns: TypeColumns,
+    hypotheses: Sequence[ChangeHypothesis],
+    *,
+    false_alarms: float,
+    passes: int = 3,
+) -> FleetChanges:
+    """`find_changes` where others search: what robots share is learnt here.
+
+    Args:
+        team: Who searches.
+        histories: Logs of each robot, over the same p columns.
+        columns: What the columns are.
+        hypotheses: What may change.
+        false_alarms: At most how many robots in which nothing changed are named, a robot-month.
+        passes: How often all is done.
+    """
     references: list[Array] = [_pooled(histories)] * len(histories)
     model = learn_type(_at(histories, columns, references), columns, rounds=_FIRST)
-    found = _search_all(model, histories, references, hypotheses, false_alarms)
     for _ in range(passes - 1):
-        settled = [search.settled(own) for search, own in found]
-        references = [reference for reference, _ in settled]
+        found = in_order(
+            team, _settled, _searches(model, histories, references, hypotheses, false_alarms)
+        )
+        references = [each.reference for each in found]
         model = learn_type(
             _at(histories, columns, references),
             columns,
-            changes=[search.design(own) for search, own in found],
-            start=replace(model, odd=tuple(odd for _, odd in settled)),
+            changes=[each.design for each in found],
+            start=replace(model, odd=tuple(each.odd for each in found)),
             rounds=_LATER,
         )
-        found = _search_all(model, histories, references, hypotheses, false_alarms)
-    told = tuple(search.told(own) for search, own in found)
-    return FleetChanges(model, told, tuple(tuple(own) for _, own in found), tuple(references))
+    told = in_order(team, _told, _searches(model, histories, references, hypotheses, false_alarms))
+    places, changes = zip(*told, strict=True)
+    return FleetChanges(model, changes, places, tuple(references))
 
 
-def _search_all(
+@dataclass(frozen=True, eq=False)
+class _SettledRobot:
+    """What learning needs of a robot: parameters of the day, changes, and how odd logs are."""
+
+    reference: Array
+    design: Array
+    odd: Array
+
+
+def _searches(
     model: TypeModel,
     histories: Sequence[RobotHistory],
     references: Sequence[Array],
     hypotheses: Sequence[ChangeHypothesis],
     false_alarms: float,
-) -> list[tuple[RobotSearch, list[ChangePlace]]]:
-    """What is found in each robot."""
-    found = []
-    for r, (history, reference) in enumerate(zip(histories, references, strict=True)):
-        search = RobotSearch(model, r, history, reference, hypotheses)
-        found.append((search, search.find(min(1.0, false_alarms * months(history)))))
-    return found
+) -> list[tuple[RobotSearch, float]]:
+    """Each robot, and the probability of a false alarm in the time of its logs."""
+    return [
+        (
+            RobotSearch(model.of(r), 0, history, reference, hypotheses),
+            min(1.0, false_alarms * months(history)),
+        )
+        for r, (history, reference) in enumerate(zip(histories, references, strict=True))
+    ]
+
+
+def _settled(piece: tuple[RobotSearch, float]) -> _SettledRobot:
+    search, level = piece
+    places = search.find(level)
+    reference, odd = search.settled(places)
+    return _SettledRobot(reference, search.design(places), odd)
+
+
+def _told(
+    piece: tuple[RobotSearch, float],
+) -> tuple[tuple[ChangePlace, ...], tuple[RobotChange, ...]]:
+    search, level = piece
+    places = search.find(level)
+    return tuple(places), search.told(places)
 
 
 def _check_shapes(histories: Sequence[RobotHistory], columns: TypeColumns) -> None:

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import instance, integer, number
 from geodrake.boundary.showing import Short
 from geodrake.boundary.whole_files import make_folder
-from geodrake.errors import DigestError
 from geodrake.fleet.digest_folder import Told
 from geodrake.fleet.digest_run import (
     DIGESTS,
     FleetDigests,
+    LogTask,
     check_places,
     digest_fleet,
     find_tasks,
@@ -23,12 +23,12 @@ from geodrake.fleet.digest_run import (
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
 from geodrake.fleet.fleet_result import FleetResult, RobotResult, UnusedLog
 from geodrake.fleet.log_records import LogRecord, look_again
-from geodrake.fleet.robot_logs import RobotLogs, robot_logs
+from geodrake.fleet.robot_logs import HistoryTask, RobotLogs, robot_logs
 from geodrake.fleet.settings import DigestSettings
 from geodrake.fleet.type_findings import type_findings
 from geodrake.fleet.type_layout import TypeLayout, type_layout
 from geodrake.fleet.type_source import own_model, type_source
-from geodrake.fleet.workers import workers
+from geodrake.fleet.workers import InThisProcess, Workers, in_order, workers
 from geodrake.model.holding import holding
 
 Array = NDArray[np.float64]
@@ -84,8 +84,10 @@ def run_fleet(
         OutputError: The folder cannot be written to.
     """
     work = instance(work or FleetWork(), "work", FleetWork)
-    digests = take_in_logs(fleet, work, told=told, said=said)
-    return fleet_result(fleet, digests, work.false_alarms, told), digests
+    tasks, known = _begun(fleet, work, (), told)
+    with workers(len(tasks), count=work.workers, scheduler=work.scheduler, told=said) as team:
+        digests = digest_fleet(fleet, tasks, known, team, told)
+        return fleet_result(fleet, digests, work.false_alarms, told, team), digests
 
 
 def take_in_logs(
@@ -108,17 +110,29 @@ def take_in_logs(
     Raises:
         GeodrakeError: As of `run_fleet`.
     """
+    tasks, known = _begun(fleet, work, failed, told)
+    with workers(len(tasks), count=work.workers, scheduler=work.scheduler, told=said) as team:
+        return digest_fleet(fleet, tasks, known, team, told)
+
+
+def _begun(
+    fleet: Fleet, work: FleetWork, failed: Sequence[LogRecord], told: Told
+) -> tuple[list[LogTask], dict[str, dict[str, LogRecord]]]:
+    """Logs that are to be digested, and what is known of others."""
     instance(fleet, "fleet", Fleet)
     check_places(fleet, local=work.workers == 0 and work.scheduler is None)
     told("Looking for logs", None)
     tasks, known = find_tasks(fleet, failed)
     make_folder(fleet.folder)
-    with workers(len(tasks), count=work.workers, scheduler=work.scheduler, told=said) as team:
-        return digest_fleet(fleet, tasks, known, team, told)
+    return tasks, known
 
 
 def fleet_result(
-    fleet: Fleet, digests: FleetDigests, false_alarms: float, told: Told
+    fleet: Fleet,
+    digests: FleetDigests,
+    false_alarms: float,
+    told: Told,
+    team: Workers | None = None,
 ) -> FleetResult:
     """Findings from digests.
 
@@ -127,10 +141,12 @@ def fleet_result(
         digests: What is known of its logs.
         false_alarms: At most how many robots in which nothing changed are named, a robot-month.
         told: Called with what is going on.
+        team: Who works; None for this process.
 
     Raises:
         OutputError: It cannot be written that a log is to be digested again.
     """
+    team = team or InThisProcess()
     unused = [UnusedLog(each.robot, each.address, each.reason) for each in digests.failed]
     robots: list[RobotResult] = []
     for kind in fleet.types.values():
@@ -142,9 +158,9 @@ def fleet_result(
         settings, found = digests.settings[kind.name], list[RobotResult]()
         if settings is not None:
             told(f"Looking for changes in {kind.name}", None)
-            logs, damaged = _logs_of_type(fleet, kind, records, settings)
+            logs, damaged = _logs_of_type(fleet, kind, records, settings, team)
             unused += damaged
-            found = _of_type(fleet, kind, logs, settings, false_alarms=false_alarms)
+            found = _of_type(fleet, kind, logs, settings, false_alarms=false_alarms, team=team)
         seen = {result.robot for result in found}
         lacking = [robot.name for robot in own if robot.name not in seen]
         robots += found
@@ -172,23 +188,23 @@ def _logs_of_type(
     kind: FleetType,
     records: Mapping[str, Sequence[LogRecord]],
     settings: DigestSettings,
+    team: Workers,
 ) -> tuple[list[RobotLogs], list[UnusedLog]]:
     """Histories of the robots of a type that have logs; and logs whose digest is damaged."""
     model, folder = type_source(kind).model, fleet.folder / kind.name
     kept = type_layout(model, settings, np.ones(len(settings.joints)), payload=kind.payload).kept
-    damaged: list[UnusedLog] = []
-
-    def refused(record: LogRecord, error: DigestError) -> None:
-        look_again(folder, record)
-        reason = f"{error.problem} It is made again by the next run, if the log is there."
-        damaged.append(UnusedLog(record.robot, record.address, reason))
-
-    found = [
-        robot_logs(name, own, folder / DIGESTS, settings, kept, refused=refused)
+    tasks = [
+        HistoryTask(name, own, folder / DIGESTS, settings, kept)
         for name, own in records.items()
         if own
     ]
-    return [each for each in found if each is not None], damaged
+    found = in_order(team, robot_logs, tasks)
+    damaged: list[UnusedLog] = []
+    for record, problem in (each for read in found for each in read.refused):
+        look_again(folder, record)
+        reason = f"{problem} It is made again by the next run, if the log is there."
+        damaged.append(UnusedLog(record.robot, record.address, reason))
+    return [read.logs for read in found if read.logs is not None], damaged
 
 
 def _of_type(
@@ -198,6 +214,7 @@ def _of_type(
     settings: DigestSettings,
     *,
     false_alarms: float,
+    team: Workers,
 ) -> list[RobotResult]:
     """Findings in the robots of a type that have logs."""
     if not logs:
@@ -209,7 +226,7 @@ def _of_type(
         for robot in fleet.of_type(kind.name)
         if robot.model is not None
     }
-    return type_findings(kind.name, logs, layout, models, false_alarms=false_alarms)
+    return type_findings(kind.name, logs, layout, models, false_alarms=false_alarms, team=team)
 
 
 def _efforts(logs: Sequence[RobotLogs]) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,25 +104,45 @@ class RobotLogs(Short):
     logs: int
 
 
-def robot_logs(
-    robot: str,
-    records: Sequence[LogRecord],
-    folder: Path,
-    settings: DigestSettings,
-    kept: Indices,
-    *,
-    refused: Callable[[LogRecord, DigestError], None],
-) -> RobotLogs | None:
-    """The history of a robot from its digests, in the order of time; None if none can be read.
+@dataclass(frozen=True, eq=False)
+class HistoryTask(Short):
+    """A robot whose digests are to be read.
 
-    Args:
+    Attributes:
         robot: Its name.
         records: Records of its logs, by date; at least one.
         folder: Folder of the digests.
         settings: Their settings.
         kept: (p,) which of the settings' columns count.
-        refused: Called with each record whose digest is damaged, or of other settings, and how.
     """
+
+    robot: str
+    records: Sequence[LogRecord]
+    folder: Path
+    settings: DigestSettings
+    kept: Indices
+
+
+@dataclass(frozen=True, eq=False)
+class ReadHistory(Short):
+    """What came of it.
+
+    Attributes:
+        logs: The history in the order of time; None if no digest can be read.
+        refused: Records whose digest is damaged, or of other settings, and how.
+    """
+
+    logs: RobotLogs | None
+    refused: tuple[tuple[LogRecord, str], ...]
+
+
+def robot_logs(task: HistoryTask) -> ReadHistory:
+    """The history of a robot from its digests, wherever this runs.
+
+    Args:
+        task: The robot.
+    """
+    records, settings, kept, refused = task.records, task.settings, task.kept, []
     dates = np.array([record.date for record in records])
     cells = time_cells(dates)
     count, size = int(cells[-1]) + 1, len(kept) + 1
@@ -132,10 +152,11 @@ def robot_logs(
     squares, samples = np.zeros(n), np.zeros(n)
     for record, cell in zip(records, cells.tolist(), strict=True):
         try:
-            digest = read_digest(folder / record.digest)
-            check_same(digest.settings, settings, str(folder / record.digest))
+            path = task.folder / record.digest
+            digest = read_digest(path)
+            check_same(digest.settings, settings, str(path))
         except DigestError as error:
-            refused(record, error)
+            refused.append((record, error.problem))
             continue
         own = reduced_log(digest, kept)
         grams[cell] += own.grams
@@ -146,12 +167,12 @@ def robot_logs(
             known[cell] += 1
         squares, samples = squares + own.effort_squares, samples + own.samples
     if not (there := logs > 0).any():
-        return None
+        return ReadHistory(None, tuple(refused))
     temperature = np.where(known > 0, warm / np.maximum(known, 1), np.nan)[there]
     joints = tuple(joint_history(grams[there, j]) for j in range(n))
-    history = RobotHistory(robot, days[there] / logs[there], joints, len(kept), temperature)
+    history = RobotHistory(task.robot, days[there] / logs[there], joints, len(kept), temperature)
     effort = np.sqrt(squares / np.maximum(samples, 1.0))
-    return RobotLogs(history, effort, int(logs.sum()))
+    return ReadHistory(RobotLogs(history, effort, int(logs.sum())), tuple(refused))
 
 
 def time_cells(dates: Array) -> NDArray[np.intp]:

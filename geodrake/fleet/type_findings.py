@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from geodrake.errors import FleetError
 from geodrake.fleet.change_evidence import ChangePlace
 from geodrake.fleet.changes import RobotChange, RobotSearch, SearchState
-from geodrake.fleet.fleet_changes import FleetChanges, find_changes
+from geodrake.fleet.fleet_changes import changes_by
 from geodrake.fleet.fleet_result import (
     ChangedParameter,
     FleetFinding,
@@ -21,9 +22,23 @@ from geodrake.fleet.fleet_result import (
 from geodrake.fleet.levels import parameter_levels
 from geodrake.fleet.robot_logs import DAY, RobotLogs
 from geodrake.fleet.type_layout import BODIES, TypeLayout
-from geodrake.fleet.type_model import own_parameters
+from geodrake.fleet.type_model import TypeModel, own_parameters
+from geodrake.fleet.workers import Workers, in_order
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A robot with its changes, of which more is to be told."""
+
+    type: str
+    logs: RobotLogs
+    layout: TypeLayout
+    search: RobotSearch
+    changes: tuple[RobotChange, ...]
+    places: tuple[ChangePlace, ...]
+    of_model: Array | None
 
 
 def type_findings(
@@ -33,6 +48,7 @@ def type_findings(
     models: Mapping[str, Array],
     *,
     false_alarms: float,
+    team: Workers,
 ) -> list[RobotResult]:
     """What changed in robots of a type, in their order.
 
@@ -42,35 +58,47 @@ def type_findings(
         layout: The columns of the type.
         models: Robot -> (p,) what its own model file says; others have that of the type.
         false_alarms: At most how many robots in which nothing changed are named, a robot-month.
+        team: Who searches.
     """
     histories = [robot.history for robot in robots]
     try:
-        found = find_changes(
-            histories, layout.columns, layout.hypotheses, false_alarms=false_alarms
+        found = changes_by(
+            team, histories, layout.columns, layout.hypotheses, false_alarms=false_alarms
         )
     except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
         raise FleetError(
             f"Robots of type {name} cannot be compared: what they share has no solution ({error}).",
             advice="More robots, or logs with more motion, may help; their digests are kept.",
         ) from error
-    results = []
-    for at, robot in enumerate(robots):
-        search = RobotSearch(
-            found.model, at, robot.history, found.references[at], layout.hypotheses
+    pieces = [
+        _Found(
+            name,
+            robot,
+            layout,
+            RobotSearch(
+                found.model.of(at), 0, robot.history, found.references[at], layout.hypotheses
+            ),
+            found.changes[at],
+            found.places[at],
+            models.get(robot.history.robot),
         )
-        state = search.state(found.places[at])
-        results.append(
-            RobotResult(
-                robot.history.robot,
-                name,
-                robot.logs,
-                robot.history.days * DAY,
-                _findings(found.changes[at], found.places[at], layout),
-                _histories(found, at, layout, state),
-                _own(found, at, layout, state, models.get(robot.history.robot)),
-            )
-        )
-    return results
+        for at, robot in enumerate(robots)
+    ]
+    return in_order(team, _result, pieces)
+
+
+def _result(found: _Found) -> RobotResult:
+    history = found.logs.history
+    state = found.search.state(found.places)
+    return RobotResult(
+        history.robot,
+        found.type,
+        found.logs.logs,
+        history.days * DAY,
+        _findings(found.changes, found.places, found.layout),
+        _histories(found.search.model, found.layout, state),
+        _own(found.search.model, found.layout, state, found.of_model),
+    )
 
 
 def _findings(
@@ -136,14 +164,14 @@ def _payload(change: RobotChange, root: Array) -> tuple[ChangedParameter, ...]:
 
 
 def _histories(
-    found: FleetChanges, robot: int, layout: TypeLayout, state: SearchState
+    model: TypeModel, layout: TypeLayout, state: SearchState
 ) -> tuple[ParameterHistory, ...]:
     """Parameters of effects and gains over time; those of bodies are only known together."""
     histories = []
     for at, parameter in enumerate(layout.parameters):
         if parameter.effect == BODIES:
             continue
-        levels = parameter_levels(found.model, robot, state.logs, state.fit, [at])
+        levels = parameter_levels(model, 0, state.logs, state.fit, [at])
         histories.append(
             ParameterHistory(
                 parameter, levels.values[:, 0], levels.with_scatter[:, 0], levels.shown[:, 0]
@@ -153,21 +181,15 @@ def _histories(
 
 
 def _own(
-    found: FleetChanges,
-    robot: int,
-    layout: TypeLayout,
-    state: SearchState,
-    of_model: Array | None,
+    model: TypeModel, layout: TypeLayout, state: SearchState, of_model: Array | None
 ) -> tuple[OwnParameter, ...]:
     """A robot's parameters without changes, beside those of others."""
-    values, covariance = own_parameters(found.model, state.fit)
+    values, covariance = own_parameters(model, state.fit)
     deviations = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    squares = [np.square(factor).sum(axis=1) for factor in found.model.deviation_factors()]
+    squares = [np.square(factor).sum(axis=1) for factor in model.deviation_factors()]
     spreads = np.sqrt(np.sum(squares, axis=0))
     of_model = layout.columns.prior if of_model is None else of_model
-    columns = zip(
-        layout.parameters, values, deviations, found.model.mean, spreads, of_model, strict=True
-    )
+    columns = zip(layout.parameters, values, deviations, model.mean, spreads, of_model, strict=True)
     return tuple(
         OwnParameter(parameter, *(float(number) for number in numbers))
         for parameter, *numbers in columns

@@ -9,7 +9,7 @@ those of the largest restricted likelihood; logs that scatter more than others h
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -64,6 +64,15 @@ class TypeModel(Short):
         like = columns.alike() & columns.relative
         largest = np.where(like, size, 0.0).max(axis=1)
         return np.maximum(size, 1e-3 * np.where(largest > 0.0, largest, 1e3))
+
+    def of(self, robot: int) -> TypeModel:
+        """The type as one of its robots alone needs it, whose number is 0.
+
+        Args:
+            robot: Its number.
+        """
+        one = slice(robot, robot + 1)
+        return replace(self, own=self.own[one], odd=self.odd[one])
 
     def scale(self, robot: int) -> Array:
         """(p,) what a share of each column is to a robot: its own value, for relative columns."""

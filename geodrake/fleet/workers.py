@@ -23,6 +23,7 @@ R = TypeVar("R")
 
 _AHEAD = 4  # pieces of work for each thread that the scheduler knows of
 _SECONDS = 20.0  # until a scheduler, and a worker of it, must have answered
+_QUIET = {"distributed.admin.large-graph-warning-threshold": "4 GiB"}
 _FEW = 4  # pieces of work for which no process is started
 
 
@@ -116,6 +117,19 @@ class OfDask:
             self.client.cancel(list(done.futures))
 
 
+def in_order(team: Workers, work: Callable[[T], R], pieces: Sequence[T]) -> list[R]:
+    """Results in the order of the pieces; what kills its workers is done by this process.
+
+    Args:
+        team: Who works.
+        work: A function that other processes can import.
+        pieces: Its arguments.
+    """
+    found = {done.at: done.result for done in team.each(work, pieces)}
+    results = (found[at] for at in range(len(pieces)))
+    return [work(p) if r is None else r for p, r in zip(pieces, results, strict=True)]
+
+
 @contextmanager
 def workers(
     pieces: int,
@@ -147,6 +161,10 @@ def workers(
             return
     dask: Any = optional_package("distributed", "fleet", "workers", FleetError)
     with ExitStack() as stack:
+        # A piece of work may hold all that is known of a robot.
+        stack.enter_context(
+            optional_package("dask", "fleet", "workers", FleetError).config.set(_QUIET)
+        )
         if scheduler is None:
             client = stack.enter_context(_local(dask, count or 1, stack))
         else:
