@@ -33,9 +33,9 @@ RATE = 200.0  # Hz
 FIRST = 1.78e9  # s since 1970
 DAY = 86400.0
 
-CASES = [(100, 12.0, 1), (100, 12.0, 2), (40, 60.0, 1), (40, 60.0, 2), (10, 4.0, 2), (1000, 4.0, 2)]
-"""Logs of each robot, their length in s, and workers: for times, and for memory."""
-SHORT = [(4, 4.0, 0), (16, 4.0, 0)]
+CASES = [(4, 100, 12.0, 1), (4, 100, 12.0, 2), (2, 10, 4.0, 2), (2, 1000, 4.0, 2)]
+"""Robots, logs of each, their length in s, and workers: two for times, and two for memory."""
+SHORT = [(3, 4, 4.0, 0), (3, 16, 4.0, 0)]
 
 
 @dataclass(frozen=True)
@@ -78,19 +78,22 @@ def friction(log: JointLog, robot: int, day: int) -> NDArray[np.float64]:
     return np.asarray(dry * np.tanh(v / 0.01) + viscous * v)
 
 
-def write_logs(folder: Path, name: str, *, logs: int, seconds: float, seed: int) -> Path:
+def write_logs(
+    folder: Path, name: str, *, robots: int, logs: int, seconds: float, seed: int
+) -> Path:
     """The logs and the file of a fleet.
 
     Args:
         folder: Where they go.
         name: Name of the model.
-        logs: Logs of each of three robots.
+        robots: How many robots there are.
+        logs: Logs of each.
         seconds: Length of a log, s.
         seed: Of motions and noise.
     """
     path = MODELS / f"{name}.urdf"
-    model, robots = load_model(path), [f"robot_{k}" for k in range(3)]
-    for k, robot in enumerate(robots):
+    model, names = load_model(path), [f"robot_{k}" for k in range(robots)]
+    for k, robot in enumerate(names):
         (folder / robot).mkdir(parents=True)
         for day in range(logs):
             log = swinging(model, RATE, seconds, 1.0, seed + 1000 * k + day)
@@ -98,7 +101,7 @@ def write_logs(folder: Path, name: str, *, logs: int, seconds: float, seed: int)
             write_log(
                 log, folder / robot / f"{time.strftime('%F', time.gmtime(FIRST + day * DAY))}.csv"
             )
-    listed = [{"name": each, "logs": f"{each}/*.csv", "dates": "%Y-%m-%d"} for each in robots]
+    listed = [{"name": each, "logs": f"{each}/*.csv", "dates": "%Y-%m-%d"} for each in names]
     said = {"to": "results", "types": {"arm": {"model": str(path)}}, "robots": listed}
     (folder / "fleet.yaml").write_text(json.dumps(said), encoding="utf-8")
     return folder / "fleet.yaml"
@@ -130,7 +133,9 @@ def measure(path: Path, logs: int, length: float, workers: int) -> RunCost:
 def cost_figure(costs: Sequence[RunCost]) -> Figure:
     """Time and memory of each run."""
     figure = style.new_figure(1.2 + 0.4 * len(costs))
-    labels = [f"{cost.logs} × {cost.length:g} s, {cost.workers} workers" for cost in costs]
+    labels = [
+        f"{cost.robots} × {cost.logs} × {cost.length:g} s, {cost.workers} workers" for cost in costs
+    ]
     for ax, name, unit in zip(
         figure.subplots(1, 2), ("seconds", "memory"), ("s", "MB"), strict=True
     ):
@@ -154,9 +159,10 @@ def main() -> None:
     options = parser.parse_args()
     name, cases = ("double_pendulum", SHORT) if options.quick else ("arm7", CASES)
     costs = []
-    for logs, length, workers in cases:
+    for robots, logs, length, workers in cases:
         with tempfile.TemporaryDirectory() as folder:
-            path = write_logs(Path(folder), name, logs=logs, seconds=length, seed=options.seed)
+            much = {"robots": robots, "logs": logs, "seconds": length}
+            path = write_logs(Path(folder), name, **much, seed=options.seed)
             costs.append(measure(path, logs, length, workers))
             print(costs[-1], flush=True)
     table = [asdict(cost) for cost in costs]

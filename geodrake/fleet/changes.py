@@ -33,6 +33,7 @@ _MOST_EXCHANGES = 4
 _WITHIN = 0.95  # probability of an interval of days
 _TINY = 1e-300
 _WIDE = 30.0  # scale of changes that were found, over the usual one
+_KEPT = 4  # states of a robot
 _REFITS = 2  # of a robot, until its gains and odd logs are settled
 
 
@@ -113,7 +114,7 @@ class SearchState(Short):
 class RobotSearch(Short):
     """One robot's logs, and what may have changed in it.
 
-    States are kept while changes are sought or told, and no longer: they are large.
+    The last few states are kept while changes are sought or told, and no longer: they are large.
 
     Attributes:
         model: What is known of its type.
@@ -132,9 +133,12 @@ class RobotSearch(Short):
 
     def state(self, places: Sequence[ChangePlace]) -> SearchState:
         """The logs with some changes, where gains refer to the parameters of the day."""
-        if tuple(places) not in self._states:
-            self._states[tuple(places)] = self._fitted(places)
-        return self._states[tuple(places)]
+        key = tuple(places)
+        if key not in self._states:
+            if len(self._states) >= _KEPT:
+                self._states.pop(next(iter(self._states)))
+            self._states[key] = self._fitted(places)
+        return self._states[key]
 
     def _fitted(self, places: Sequence[ChangePlace]) -> SearchState:
         changes, odd = self.design(places), self.model.odd[self.robot]

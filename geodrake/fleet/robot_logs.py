@@ -24,7 +24,7 @@ DAY = 86400.0
 """s."""
 
 MOST_TIMES = 100
-"""Most times of a history: neighbouring logs of a robot with more of them are added up."""
+"""Most times of a history: neighbouring logs of a robot with more of them count as one."""
 
 _FLAT = 1e-9  # share of information that is none
 
@@ -169,7 +169,9 @@ def robot_logs(task: HistoryTask) -> ReadHistory:
     if not (there := logs > 0).any():
         return ReadHistory(None, tuple(refused))
     temperature = np.where(known > 0, warm / np.maximum(known, 1), np.nan)[there]
-    joints = tuple(joint_history(grams[there, j]) for j in range(n))
+    # Several logs tell no more of a time than one: they scatter together, and noise is the least.
+    each = grams[there] / logs[there, None, None, None]
+    joints = tuple(joint_history(each[:, j]) for j in range(n))
     history = RobotHistory(task.robot, days[there] / logs[there], joints, len(kept), temperature)
     effort = np.sqrt(squares / np.maximum(samples, 1.0))
     return ReadHistory(RobotLogs(history, effort, int(logs.sum())), tuple(refused))

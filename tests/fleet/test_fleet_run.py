@@ -35,11 +35,12 @@ from small_fleet import (
 from geodrake.effects import CoulombFriction, FittedEffect, StribeckFriction
 from geodrake.errors import ArgumentError, DigestError, FleetError, OutputError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
-from geodrake.fleet.digest_run import digest_task, find_tasks
+from geodrake.fleet.digest_run import DIGESTS, digest_task, find_tasks
 from geodrake.fleet.log_dates import check_date_pattern, date_in_path, date_text
 from geodrake.fleet.log_places import absolute_pattern, find_logs, fits, local_log
 from geodrake.fleet.log_records import read_records
-from geodrake.fleet.robot_logs import DAY, MOST_TIMES, time_cells
+from geodrake.fleet.robot_logs import DAY, MOST_TIMES, HistoryTask, robot_logs, time_cells
+from geodrake.fleet.settings import read_settings
 from geodrake.logs.files import write_log
 from geodrake.model.saved_model import load_model, save_model
 from geodrake.report.fleet_json import fleet_dict
@@ -532,6 +533,22 @@ def test_logs_in_archives_and_by_caches_have_addresses_of_their_own():
         assert fits(place.address, pattern)
         with local_log(place) as path:
             assert path.read_text(encoding="utf-8") == "x"
+
+
+def test_logs_of_one_time_count_as_one(folder, whole, monkeypatch):
+    """Their mean: two that say the same say no more than one."""
+    fleet = read_fleet(folder / "fleet.yaml")
+    here = next(fleet.folder.glob(f"*/{DIGESTS}"))
+    settings = read_settings(here)
+    record = whole[1].records[HEAVY][0]
+    task = HistoryTask(HEAVY, [record], here, settings, np.arange(5))
+    later = replace(record, date=record.date + DAY)
+    monkeypatch.setattr("geodrake.fleet.robot_logs.MOST_TIMES", 1)
+    twice = robot_logs(replace(task, records=[record, later])).logs
+    assert (twice.logs, len(twice.history.days)) == (2, 1)
+    for one, two in zip(robot_logs(task).logs.history.joints, twice.history.joints, strict=True):
+        np.testing.assert_allclose(two.information, one.information)
+        np.testing.assert_allclose(two.right, one.right)
 
 
 def test_many_logs_are_few_times():
