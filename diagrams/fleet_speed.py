@@ -33,8 +33,15 @@ RATE = 200.0  # Hz
 FIRST = 1.78e9  # s since 1970
 DAY = 86400.0
 
-CASES = [(4, 100, 12.0, 1), (4, 100, 12.0, 2), (2, 10, 4.0, 2), (2, 1000, 4.0, 2)]
-"""Robots, logs of each, their length in s, and workers: two for times, and two for memory."""
+CASES = [
+    (4, 100, 12.0, 1),
+    (4, 100, 12.0, 2),
+    (4, 40, 60.0, 1),
+    (4, 40, 60.0, 2),
+    (2, 10, 4.0, 2),
+    (2, 1000, 4.0, 2),
+]
+"""Robots, logs of each, their length in s, and workers: four for times, and two for memory."""
 SHORT = [(3, 4, 4.0, 0), (3, 16, 4.0, 0)]
 
 
