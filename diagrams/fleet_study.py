@@ -69,7 +69,9 @@ def main() -> None:
     draws = [FleetDraw(kind, k, options.seed, **fixed) for kind in kinds for k in range(each)]
     with ExitStack() as stack:
         folder = options.folder or Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        result, seconds = study(folder, draws, 1 if options.quick else options.jobs)
+        # Logs of other draws are others.
+        own = f"seed_{options.seed}_{draws[0].days}_days" + "_still" * options.still
+        result, seconds = study(folder / own, draws, 1 if options.quick else options.jobs)
     rows = rows_of(result, draws)
     table = summary(rows) | {"seconds until findings are there": seconds}
     columns = {"figure": "", "value": ".3g", "found": ".0%", "or among rivals": ".0%", "of": ""}

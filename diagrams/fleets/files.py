@@ -7,12 +7,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fleets.draws import FleetDraw, type_file, type_model
 from fleets.simulation import robot_logs
 from geodrake.boundary.whole_files import write_whole
 from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog
+
+Times = TypeVar("Times", float, NDArray[np.float64])
 
 FIRST, DAY = 1.7776e9 // 86400 * 86400, 86400.0
 """Seconds since 1970 of the first day of logs, and of a day."""
@@ -31,7 +37,7 @@ class LogWriter:
     def __call__(self, draw: FleetDraw) -> int:
         """The number of logs that were written; those of an earlier run are kept."""
         folder = self.folder / draw.name
-        names = [f"{date_name(FIRST + day * DAY)}.npz" for day in range(draw.days)]
+        names = [f"{_date_name(FIRST + day * DAY)}.npz" for day in range(draw.days)]
         if (folder / names[-1]).is_file():
             return len(names)
         folder.mkdir(parents=True, exist_ok=True)
@@ -71,11 +77,11 @@ def write_fleet_file(folder: Path, draws: Sequence[FleetDraw]) -> Path:
     return path
 
 
-def date_name(seconds: float) -> str:
+def _date_name(seconds: float) -> str:
     """A date such as 2026-05-01."""
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d")
 
 
-def day_of(seconds: float) -> float:
-    """Days since the first."""
+def day_of(seconds: Times) -> Times:
+    """Days since the first, of one instant or of several, s since 1970."""
     return (seconds - FIRST) / DAY

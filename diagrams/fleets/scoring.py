@@ -8,10 +8,8 @@ from typing import Any
 from fleets.draws import GAIN, PAYLOAD, STICKIER, WEAR, FleetDraw, HiddenChange, type_model
 from fleets.files import day_of
 from geodrake.fleet import ChangeRival, FleetFinding
+from geodrake.fleet.changes import MONTH
 from geodrake.fleet.profiles import RAMP, STEP
-
-MONTH = 30.0
-"""Days."""
 
 _DRY, _VISCOUS = frozenset({"coulomb_friction"}), frozenset({"viscous_friction"})
 

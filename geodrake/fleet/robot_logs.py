@@ -169,7 +169,7 @@ def robot_logs(task: HistoryTask) -> ReadHistory:
     if not (there := logs > 0).any():
         return ReadHistory(None, tuple(refused))
     temperature = np.where(known > 0, warm / np.maximum(known, 1), np.nan)[there]
-    # Several logs tell no more of a time than one: they scatter together, and noise is the least.
+    # Logs of one time may scatter together, so that it is as sure as one log, by their mean.
     each = grams[there] / logs[there, None, None, None]
     joints = tuple(joint_history(each[:, j]) for j in range(n))
     history = RobotHistory(task.robot, days[there] / logs[there], joints, len(kept), temperature)

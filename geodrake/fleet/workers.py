@@ -23,7 +23,7 @@ R = TypeVar("R")
 
 _AHEAD = 4  # pieces of work for each thread that the scheduler knows of
 _SECONDS = 20.0  # until a scheduler, and a worker of it, must have answered
-_QUIET = {"distributed.admin.large-graph-warning-threshold": "4 GiB"}
+_LARGE = {"distributed.admin.large-graph-warning-threshold": "4 GiB"}  # pieces that Dask warns of
 _FEW = 4  # pieces of work for which no process is started
 
 
@@ -163,7 +163,7 @@ def workers(
     with ExitStack() as stack:
         # A piece of work may hold all that is known of a robot.
         stack.enter_context(
-            optional_package("dask", "fleet", "workers", FleetError).config.set(_QUIET)
+            optional_package("dask", "fleet", "workers", FleetError).config.set(_LARGE)
         )
         if scheduler is None:
             client = stack.enter_context(_local(dask, count or 1, stack))
