@@ -290,7 +290,7 @@ class RobotSearch(Short):
 
     def _interval(self, evidence: ChangeEvidence, place: ChangePlace) -> tuple[float, float]:
         """Shortest days around that of a finding that hold the probability of an interval."""
-        first, share = _days(evidence, place.hypothesis, kind_of(place.form))
+        first, share = _beginnings(evidence, place.hypothesis, kind_of(place.form))
         share = share / max(share.sum(), _TINY)
         low = high = int(np.flatnonzero(first == place.first)[0])
         while share[low : high + 1].sum() < _WITHIN and (low > 0 or high < len(share) - 1):
@@ -336,7 +336,7 @@ def best_place(evidence: ChangeEvidence) -> ChangePlace:
     """The most probable hypothesis and kind over all days, on its most probable day."""
     shares = kind_shares(evidence)
     hypothesis, kind = max(shares, key=lambda key: shares[key])
-    first, share = _days(evidence, hypothesis, kind)
+    first, share = _beginnings(evidence, hypothesis, kind)
     begins = int(first[share.argmax()])
     places = [
         ChangePlace(hypothesis, profiles.form, begins)
@@ -346,7 +346,7 @@ def best_place(evidence: ChangeEvidence) -> ChangePlace:
     return max(places, key=evidence.joint)
 
 
-def _days(evidence: ChangeEvidence, hypothesis: int, kind: str) -> tuple[Indices, Array]:
+def _beginnings(evidence: ChangeEvidence, hypothesis: int, kind: str) -> tuple[Indices, Array]:
     """(K,) logs at which a kind of change may begin, and how probable each is."""
     pairs = zip(evidence.profiles, evidence.posterior(), strict=True)
     same = [(each.first, p[hypothesis]) for each, p in pairs if kind_of(each.form) == kind]

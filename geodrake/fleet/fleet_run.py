@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,6 @@ from geodrake.fleet.digest_folder import Told
 from geodrake.fleet.digest_run import (
     DIGESTS,
     FleetDigests,
-    LogTask,
     check_places,
     digest_fleet,
     find_tasks,
@@ -84,9 +84,7 @@ def run_fleet(
         OutputError: The folder cannot be written to.
     """
     work = instance(work or FleetWork(), "work", FleetWork)
-    tasks, known = _begun(fleet, work, (), told)
-    with workers(len(tasks), count=work.workers, scheduler=work.scheduler, told=said) as team:
-        digests = digest_fleet(fleet, tasks, known, team, told)
+    with _taken_in(fleet, work, (), told, said) as (digests, team):
         return fleet_result(fleet, digests, work.false_alarms, told, team), digests
 
 
@@ -110,21 +108,26 @@ def take_in_logs(
     Raises:
         GeodrakeError: As of `run_fleet`.
     """
-    tasks, known = _begun(fleet, work, failed, told)
-    with workers(len(tasks), count=work.workers, scheduler=work.scheduler, told=said) as team:
-        return digest_fleet(fleet, tasks, known, team, told)
+    with _taken_in(fleet, work, failed, told, said) as (digests, _):
+        return digests
 
 
-def _begun(
-    fleet: Fleet, work: FleetWork, failed: Sequence[LogRecord], told: Told
-) -> tuple[list[LogTask], dict[str, dict[str, LogRecord]]]:
-    """Logs that are to be digested, and what is known of others."""
+@contextmanager
+def _taken_in(
+    fleet: Fleet,
+    work: FleetWork,
+    failed: Sequence[LogRecord],
+    told: Told,
+    said: Callable[[str], None],
+) -> Iterator[tuple[FleetDigests, Workers]]:
+    """What `take_in_logs` does, and who did it, as long as they are there."""
     instance(fleet, "fleet", Fleet)
     check_places(fleet, local=work.workers == 0 and work.scheduler is None)
     told("Looking for logs", None)
     tasks, known = find_tasks(fleet, failed)
     make_folder(fleet.folder)
-    return tasks, known
+    with workers(len(tasks), count=work.workers, scheduler=work.scheduler, told=said) as team:
+        yield digest_fleet(fleet, tasks, known, team, told), team
 
 
 def fleet_result(
