@@ -169,7 +169,7 @@ class RobotSearch(Short):
             state: The logs with all changes.
             others: Those of the changes that stay.
         """
-        fit = self.model.fit(self.robot, state.logs, self.design(others), state.odd)
+        fit = self.model.with_changes(state.fit, self.design(others))
         return self.evidence(replace(state, fit=fit))
 
     def design(self, places: Sequence[ChangePlace]) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,21 @@ from geodrake.fleet.columns import MOST_COLUMNS
 Array = NDArray[np.float64]
 
 _SYMMETRIC = 1e-6  # share of the largest entry by which a normal matrix may differ from its mirror
+
+
+class LogSource(Protocol):
+    """Where the normal equations of a robot's logs come from: a file, or what is at hand."""
+
+    @property
+    def days(self) -> Array:
+        """(T,) days of the logs, ascending."""
+
+    @property
+    def temperature(self) -> Array:
+        """(T,) mean temperature of each log, °C; NaN where it is not known."""
+
+    def equations(self) -> LogEquations:
+        """Their normal equations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +147,10 @@ class LogEquations(Short):
     information: Array
     right: Array
     temperature: Array
+
+    def equations(self) -> LogEquations:
+        """These."""
+        return self
 
 
 def weighted_history(

@@ -12,7 +12,7 @@ from geodrake.boundary.arguments import instance, integer, integers
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.fleet.history import LogEquations
-from geodrake.fleet.marginals import calc_marginal
+from geodrake.fleet.marginals import calc_marginal, narrow_factor
 from geodrake.fleet.robot_fit import RobotFit
 from geodrake.fleet.type_model import TypeModel
 
@@ -79,14 +79,15 @@ def parameter_levels(
     scale = model.scale(robot)[:, None]
     parts = zip(model.columns.spreads, model.scatter, touch, strict=True)
     rest = [tau * scale * s.factor for s, tau, touched in parts if not touched]
-    M, m = calc_marginal(logs.information, logs.right, np.hstack([np.zeros_like(scale), *rest]))
+    factor = narrow_factor(np.hstack([np.zeros_like(scale), *rest]))
+    M, m = calc_marginal(logs.information, logs.right, factor, at)
     mean = model.parameters(robot, logs, fit)
     usual = _variances(model, at)
-    own = M[:, at][:, :, at] + np.diag(1.0 / (_LOOSE**2 * usual))
+    own = M[:, at] + np.diag(1.0 / (_LOOSE**2 * usual))
     covariance = np.linalg.inv(own)
-    score = (m - (M @ mean[..., None])[..., 0])[:, at]
+    score = m - np.einsum("tpc,tp->tc", M, mean)
     # What is not known of the other parameters moves all logs' levels together.
-    moved = covariance @ M[:, at][:, :, others] @ fit.design[:, others]
+    moved = covariance @ np.swapaxes(M[:, others], 1, 2) @ fit.design[:, others]
     flat = moved.reshape(-1, moved.shape[2])
     unknown = np.sum(flat * fit.solve(flat.T).T, axis=1).reshape(moved.shape[:2])
     variance = np.diagonal(covariance, axis1=1, axis2=2) + unknown

@@ -21,7 +21,7 @@ from geodrake.boundary.showing import Short
 from geodrake.fleet.columns import TypeColumns
 from geodrake.fleet.course import Course
 from geodrake.fleet.history import LogEquations
-from geodrake.fleet.marginals import calc_marginal
+from geodrake.fleet.marginals import calc_marginal, narrow_factor
 from geodrake.fleet.robot_fit import LogScores, RobotFit
 
 Array = NDArray[np.float64]
@@ -94,20 +94,27 @@ class TypeModel(Short):
             odd: (T, K) what τ² has beyond that of the type; None for what was learnt.
         """
         odd = self.odd[robot] if odd is None else odd
-        scale, sizes = self.scale(robot), self.columns.sizes[:-1]
-        factor = scale[:, None] * self.factor
-        scales = np.repeat(np.sqrt(self.scatter**2 + odd), sizes, axis=1)
-        M, m = calc_marginal(logs.information, logs.right, scales[:, None] * factor)
+        scattered = self._scattered(self.scale(robot), odd)
+        M, m = calc_marginal(logs.information, logs.right, scattered)
+        M = 0.5 * (M + np.swapaxes(M, 1, 2))  # which rounding makes not quite symmetric
         together = self.together(robot, logs)
         mean = self.mean + together
         parts = [
             np.broadcast_to(part, (len(mean), *part.shape)) for part in self.deviation_factors()
         ]
         parts.append(self.response * self._spread_out(together))
-        if changes is not None:
-            parts.append(changes)
-        design = np.concatenate(parts, axis=2)
-        return RobotFit(M, m - (M @ mean[..., None])[..., 0], design)
+        fit = RobotFit(M, m - (M @ mean[..., None])[..., 0], np.concatenate(parts, axis=2))
+        return fit if changes is None else self.with_changes(fit, changes)
+
+    def with_changes(self, fit: RobotFit, changes: Array) -> RobotFit:
+        """A fit of the same logs with other changes.
+
+        Args:
+            fit: The fit.
+            changes: (T, p, m) further parameters, each N(0, 1).
+        """
+        own = fit.design[:, :, : sum(self.columns.sizes)]
+        return replace(fit, design=np.concatenate([own, changes], axis=2))
 
     def log_scores(self, robot: int, fit: RobotFit) -> LogScores:
         """How large scores of a robot's logs are along each spread.
@@ -177,6 +184,13 @@ class TypeModel(Short):
         """
         own = np.einsum("tpn,n->tp", fit.design, fit.theta)
         return np.asarray(self.mean + self.together(robot, logs) + own)
+
+    def _scattered(self, scale: Array, odd: Array) -> Array:
+        """(T, p, q) factors of the covariance by which logs scatter; most have the same."""
+        different, which = np.unique(odd, axis=0, return_inverse=True)
+        scales = np.repeat(np.sqrt(self.scatter**2 + different), self.columns.sizes[:-1], axis=1)
+        factors = narrow_factor(scales[:, None] * scale[:, None] * self.factor)
+        return np.asarray(factors[which.ravel()])
 
     def _spread_out(self, together: Array) -> Array:
         """(T, p, q) the course of each column as a column of its own."""
