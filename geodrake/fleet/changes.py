@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
 from geodrake.fleet.change_evidence import ChangeEvidence, ChangePlace, calc_change_evidence
-from geodrake.fleet.history import LogEquations, RobotHistory
+from geodrake.fleet.history import HistorySource, LogEquations, ReferredLogs, RobotHistory
 from geodrake.fleet.hypotheses import ChangeHypothesis
 from geodrake.fleet.profiles import RAMP, UNTIL, Profiles, kind_of
 from geodrake.fleet.robot_fit import RobotFit
@@ -144,11 +144,11 @@ class RobotSearch(Short):
         changes, odd = self.design(places), self.model.odd[self.robot]
         reference = self.reference
         for _ in range(_REFITS):
-            logs = logs_at(self.history, self.model.columns.gains, reference)
+            logs = ReferredLogs(self.history, self.model.columns.gains, reference).equations()
             fit = self.model.fit(self.robot, logs, changes, odd)
             odd, cost = self.model.oddness(self.model.log_scores(self.robot, fit), odd)
             reference = self.model.parameters(self.robot, logs, fit)
-        logs = logs_at(self.history, self.model.columns.gains, reference)
+        logs = ReferredLogs(self.history, self.model.columns.gains, reference).equations()
         fit = self.model.fit(self.robot, logs, changes, odd)
         return SearchState(logs, odd, float(cost.sum()), fit)
 
@@ -309,19 +309,6 @@ class RobotSearch(Short):
         return tuple(sorted(told, key=lambda rival: -rival.probability))
 
 
-def logs_at(history: RobotHistory, gains: int, reference: Array) -> LogEquations:
-    """A robot's logs over the columns of its type.
-
-    Args:
-        history: Its logs.
-        gains: Number of gains among the columns: one for each joint, or 0.
-        reference: (T, p) or (p,) parameters that gains refer to.
-    """
-    if not gains:
-        return history.equations()
-    return history.with_gains(reference[..., : history.columns])
-
-
 def kind_shares(evidence: ChangeEvidence) -> dict[tuple[int, str], float]:
     """Probability of each hypothesis and kind, over all days."""
     shares: dict[tuple[int, str], float] = {}
@@ -353,6 +340,6 @@ def _beginnings(evidence: ChangeEvidence, hypothesis: int, kind: str) -> tuple[I
     return same[0][0], np.sum([share for _, share in same], axis=0)
 
 
-def months(history: RobotHistory) -> float:
+def months(history: HistorySource) -> float:
     """Months of a robot's logs; a day more than from the first to the last."""
     return float(history.days[-1] - history.days[0] + 1.0) / MONTH

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
-from geodrake.fleet.history import LogEquations
+from geodrake.fleet.history import EquationSource
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class Course(Short):
     reference: float
 
     @classmethod
-    def begin(cls, logs: Sequence[LogEquations], columns: int) -> Course:
+    def begin(cls, logs: Sequence[EquationSource], columns: int) -> Course:
         """A course of zeros.
 
         Args:
@@ -52,7 +52,7 @@ class Course(Short):
         reference = float(known.mean()) if len(known) else 0.0
         return cls(days, np.zeros((len(days), columns)), np.zeros(columns), reference)
 
-    def of(self, logs: LogEquations) -> Array:
+    def of(self, logs: EquationSource) -> Array:
         """(T, q) shares at a robot's logs; between days with too few robots it is linear."""
         values = self._warmer(logs)[:, None] * self.slope
         if self.values.size:
@@ -61,7 +61,7 @@ class Course(Short):
         return np.asarray(values)
 
     def improved(
-        self, logs: Sequence[LogEquations], information: Sequence[Array], right: Sequence[Array]
+        self, logs: Sequence[EquationSource], information: Sequence[Array], right: Sequence[Array]
     ) -> Course:
         """The course after a step towards what logs say.
 
@@ -91,7 +91,7 @@ class Course(Short):
         return replace(self, values=self.values * (1.0 + share), slope=self.slope * (1.0 + share))
 
     def _day_by_day(
-        self, logs: Sequence[LogEquations], information: Sequence[Array], right: Sequence[Array]
+        self, logs: Sequence[EquationSource], information: Sequence[Array], right: Sequence[Array]
     ) -> Course:
         D, q = self.values.shape
         if not self.values.size:
@@ -106,7 +106,7 @@ class Course(Short):
         values = self.values + np.linalg.solve(seen, side[..., None])[..., 0]
         return replace(self, values=values - values.mean(axis=0))
 
-    def _warmer(self, logs: LogEquations) -> Array:
+    def _warmer(self, logs: EquationSource) -> Array:
         """(T,) degrees above the reference; 0 where the temperature is not known."""
         return np.nan_to_num(logs.temperature - self.reference)
 

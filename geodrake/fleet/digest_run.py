@@ -19,15 +19,19 @@ from geodrake.fleet.log_places import (
     find_logs,
     local_log,
 )
-from geodrake.fleet.log_records import LogRecord, changed_logs, read_records, said_of, write_record
+from geodrake.fleet.log_records import (
+    DIGESTS,
+    LogRecord,
+    changed_logs,
+    read_records,
+    said_of,
+    write_record,
+)
 from geodrake.fleet.settings import DigestSettings, read_settings
 from geodrake.fleet.type_source import own_model, type_source
 from geodrake.fleet.workers import Workers
 from geodrake.model.carried_payloads import carried_phi
 from geodrake.model.robot_model import RobotModel
-
-DIGESTS = "digests"
-"""Name of the folder of a type's digests."""
 
 _KILLED = (
     "The workers that read it died, three one after the other: there may not be memory enough."

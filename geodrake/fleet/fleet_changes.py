@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from geodrake.boundary.arguments import instance, instances, integer, number
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.fleet.change_evidence import ChangePlace
-from geodrake.fleet.changes import RobotChange, RobotSearch, logs_at, months
+from geodrake.fleet.changes import RobotChange, RobotSearch, months
 from geodrake.fleet.columns import TypeColumns
-from geodrake.fleet.history import LogEquations, RobotHistory
+from geodrake.fleet.history import HistorySource, ReferredLogs, RobotHistory
 from geodrake.fleet.hypotheses import ChangeHypothesis
-from geodrake.fleet.type_learning import learn_type, least_squares
+from geodrake.fleet.type_learning import begun, learnt, least_squares, pooled
 from geodrake.fleet.type_model import Array, TypeModel
 from geodrake.fleet.workers import InThisProcess, Workers, in_order
 
@@ -79,40 +77,66 @@ def find_changes(
 
 def changes_by(
     team: Workers,
-    histories: Sequence[RobotHistory],
+    histories: Sequence[HistorySource],
     columns: TypeColumns,
     hypotheses: Sequence[ChangeHypothesis],
     *,
     false_alarms: float,
     passes: int = 3,
 ) -> FleetChanges:
-    """`find_changes` where others search: what robots share is learnt here.
+    """`find_changes` where others look at robots, whose histories are not held here.
 
     Args:
-        team: Who searches.
-        histories: Logs of each robot, over the same p columns.
+        team: Who does.
+        histories: Where those of each robot are, over the same p columns.
         columns: What the columns are.
         hypotheses: What may change.
         false_alarms: At most how many robots in which nothing changed are named, a robot-month.
         passes: How often all is done.
     """
-    references: list[Array] = [_pooled(histories)] * len(histories)
-    model = learn_type(_at(histories, columns, references), columns, rounds=_FIRST)
+    # What gains refer to at first is what all robots are in the mean.
+    first = least_squares(*pooled(team, [ReferredLogs(h, 0, columns.prior) for h in histories]))
+    references: list[Array] = [first] * len(histories)
+    logs = _referred(histories, columns, references)
+    model = learnt(team, logs, begun(team, logs, columns), rounds=_FIRST)
     for _ in range(passes - 1):
         found = in_order(
             team, _settled, _searches(model, histories, references, hypotheses, false_alarms)
         )
         references = [each.reference for each in found]
-        model = learn_type(
-            _at(histories, columns, references),
-            columns,
+        model = learnt(
+            team,
+            _referred(histories, columns, references),
+            replace(model, odd=tuple(each.odd for each in found)),
             changes=[each.design for each in found],
-            start=replace(model, odd=tuple(each.odd for each in found)),
             rounds=_LATER,
         )
     told = in_order(team, _told, _searches(model, histories, references, hypotheses, false_alarms))
     places, changes = zip(*told, strict=True)
     return FleetChanges(model, changes, places, tuple(references))
+
+
+@dataclass(frozen=True, eq=False)
+class _SearchedRobot:
+    """A robot whose changes are to be found.
+
+    Attributes:
+        model: What is known of its type, as it alone needs it.
+        history: Where its logs are.
+        reference: (T, p) or (p,) parameters that gains refer to at first.
+        hypotheses: What may have changed.
+        level: Probability of a false alarm in the time of its logs.
+    """
+
+    model: TypeModel
+    history: HistorySource
+    reference: Array
+    hypotheses: Sequence[ChangeHypothesis]
+    level: float
+
+    def search(self) -> RobotSearch:
+        """What finds them."""
+        return RobotSearch(self.model, 0, self.history.read(), self.reference, self.hypotheses)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,33 +150,29 @@ class _SettledRobot:
 
 def _searches(
     model: TypeModel,
-    histories: Sequence[RobotHistory],
+    histories: Sequence[HistorySource],
     references: Sequence[Array],
     hypotheses: Sequence[ChangeHypothesis],
     false_alarms: float,
-) -> list[tuple[RobotSearch, float]]:
-    """Each robot, and the probability of a false alarm in the time of its logs."""
+) -> list[_SearchedRobot]:
     return [
-        (
-            RobotSearch(model.of(r), 0, history, reference, hypotheses),
-            min(1.0, false_alarms * months(history)),
+        _SearchedRobot(
+            model.of(r), history, reference, hypotheses, min(1.0, false_alarms * months(history))
         )
         for r, (history, reference) in enumerate(zip(histories, references, strict=True))
     ]
 
 
-def _settled(piece: tuple[RobotSearch, float]) -> _SettledRobot:
-    search, level = piece
-    places = search.find(level)
+def _settled(robot: _SearchedRobot) -> _SettledRobot:
+    search = robot.search()
+    places = search.find(robot.level)
     reference, odd = search.settled(places)
     return _SettledRobot(reference, search.design(places), odd)
 
 
-def _told(
-    piece: tuple[RobotSearch, float],
-) -> tuple[tuple[ChangePlace, ...], tuple[RobotChange, ...]]:
-    search, level = piece
-    places = search.find(level)
+def _told(robot: _SearchedRobot) -> tuple[tuple[ChangePlace, ...], tuple[RobotChange, ...]]:
+    search = robot.search()
+    places = search.find(robot.level)
     return tuple(places), search.told(places)
 
 
@@ -167,15 +187,8 @@ def _check_shapes(histories: Sequence[RobotHistory], columns: TypeColumns) -> No
         )
 
 
-def _pooled(histories: Sequence[RobotHistory]) -> Array:
-    """(p,) least squares of all robots, to which gains refer at first."""
-    logs = [history.equations() for history in histories]
-    information = np.sum([each.information.sum(axis=0) for each in logs], axis=0)
-    return least_squares(information, np.sum([each.right.sum(axis=0) for each in logs], axis=0))
-
-
-def _at(
-    histories: Sequence[RobotHistory], columns: TypeColumns, references: Sequence[Array]
-) -> list[LogEquations]:
+def _referred(
+    histories: Sequence[HistorySource], columns: TypeColumns, references: Sequence[Array]
+) -> list[ReferredLogs]:
     pairs = zip(histories, references, strict=True)
-    return [logs_at(history, columns.gains, reference) for history, reference in pairs]
+    return [ReferredLogs(history, columns.gains, reference) for history, reference in pairs]

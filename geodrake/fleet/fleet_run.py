@@ -14,7 +14,6 @@ from geodrake.boundary.showing import Short
 from geodrake.boundary.whole_files import make_folder
 from geodrake.fleet.digest_folder import Told
 from geodrake.fleet.digest_run import (
-    DIGESTS,
     FleetDigests,
     check_places,
     digest_fleet,
@@ -84,7 +83,7 @@ def run_fleet(
         OutputError: The folder cannot be written to.
     """
     work = instance(work or FleetWork(), "work", FleetWork)
-    with _taken_in(fleet, work, (), told, said) as (digests, team):
+    with _taken_in(fleet, work, (), told, said, pieces=len(fleet.robots)) as (digests, team):
         return fleet_result(fleet, digests, work.false_alarms, told, team), digests
 
 
@@ -119,14 +118,17 @@ def _taken_in(
     failed: Sequence[LogRecord],
     told: Told,
     said: Callable[[str], None],
+    *,
+    pieces: int = 0,
 ) -> Iterator[tuple[FleetDigests, Workers]]:
-    """What `take_in_logs` does, and who did it, as long as they are there."""
+    """What `take_in_logs` does, and who did it: for so many further pieces of work, or for logs."""
     instance(fleet, "fleet", Fleet)
     check_places(fleet, local=work.workers == 0 and work.scheduler is None)
     told("Looking for logs", None)
     tasks, known = find_tasks(fleet, failed)
     make_folder(fleet.folder)
-    with workers(len(tasks), count=work.workers, scheduler=work.scheduler, told=said) as team:
+    most = max(len(tasks), pieces)
+    with workers(most, count=work.workers, scheduler=work.scheduler, told=said) as team:
         yield digest_fleet(fleet, tasks, known, team, told), team
 
 
@@ -196,11 +198,7 @@ def _logs_of_type(
     """Histories of the robots of a type that have logs; and logs whose digest is damaged."""
     model, folder = type_source(kind).model, fleet.folder / kind.name
     kept = type_layout(model, settings, np.ones(len(settings.joints)), payload=kind.payload).kept
-    tasks = [
-        HistoryTask(name, own, folder / DIGESTS, settings, kept)
-        for name, own in records.items()
-        if own
-    ]
+    tasks = [HistoryTask(name, own, folder, settings, kept) for name, own in records.items() if own]
     found = in_order(team, robot_logs, tasks)
     damaged: list[UnusedLog] = []
     for record, problem in (each for read in found for each in read.refused):

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _SYMMETRIC = 1e-6  # share of the largest entry by which a normal matrix may differ from its mirror
 
 
-class LogSource(Protocol):
+class EquationSource(Protocol):
     """Where the normal equations of a robot's logs come from: a file, or what is at hand."""
 
     @property
@@ -31,6 +31,25 @@ class LogSource(Protocol):
 
     def equations(self) -> LogEquations:
         """Their normal equations."""
+
+
+class HistorySource(Protocol):
+    """Where a robot's history comes from: a file, or what is at hand."""
+
+    @property
+    def robot(self) -> str:
+        """The robot's name."""
+
+    @property
+    def days(self) -> Array:
+        """(T,) days of its logs, ascending."""
+
+    @property
+    def temperature(self) -> Array:
+        """(T,) mean temperature of each log, °C; NaN where it is not known."""
+
+    def read(self) -> RobotHistory:
+        """The history."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +112,10 @@ class RobotHistory(Short):
                 robot=self.robot,
             )
 
+    def read(self) -> RobotHistory:
+        """This one, which is at hand."""
+        return self
+
     def equations(self) -> LogEquations:
         """Normal equations of the p columns alone."""
         return self._equations(self.columns)
@@ -153,6 +176,38 @@ class LogEquations(Short):
         return self
 
 
+@dataclass(frozen=True, eq=False)
+class ReferredLogs(Short):
+    """Logs over the columns of a type, whose gains refer to some parameters of the robot.
+
+    Attributes:
+        history: Where the logs are.
+        gains: Number of gains among the columns: one for each joint, or 0.
+        reference: (T, p) or (p,) parameters that gains refer to.
+    """
+
+    history: HistorySource
+    gains: int
+    reference: Array
+
+    @property
+    def days(self) -> Array:
+        """(T,) days of the logs, ascending."""
+        return self.history.days
+
+    @property
+    def temperature(self) -> Array:
+        """(T,) mean temperature of each log, °C; NaN where it is not known."""
+        return self.history.temperature
+
+    def equations(self) -> LogEquations:
+        """Their normal equations."""
+        history = self.history.read()
+        if not self.gains:
+            return history.equations()
+        return history.with_gains(self.reference[..., : history.columns])
+
+
 def weighted_history(
     robot: str,
     days: ArrayLike,
@@ -195,18 +250,20 @@ def weighted_history(
     warm = np.full(len(days), np.nan) if temperature is None else temperature
     warm = real_array(warm, "temperature", ("T",), sizes, finite=False)
     order = np.argsort(days, kind="stable")
+    every = np.arange(grams.shape[2] - 1)
     joints = [
-        joint_history((weights[:, j, None, None] * grams[:, j])[order])
+        joint_history(every, (weights[:, j, None, None] * grams[:, j])[order])
         for j in range(grams.shape[1])
     ]
     return RobotHistory(robot, days[order], tuple(joints), grams.shape[2] - 1, warm[order])
 
 
-def joint_history(grams: Array) -> JointHistory:
+def joint_history(columns: NDArray[np.intp], grams: Array) -> JointHistory:
     """What logs say of a joint, without the columns that its rows never have.
 
     Args:
-        grams: (T, p + 1, p + 1) weighted matrices [A | b]ᵀ W [A | b] of each log.
+        columns: (m,) columns of the matrices, ascending.
+        grams: (T, m + 1, m + 1) weighted matrices [A | b]ᵀ W [A | b] of each log.
     """
-    columns = np.flatnonzero(np.diagonal(grams, axis1=1, axis2=2)[:, :-1].any(axis=0))
-    return JointHistory(columns, grams[:, columns[:, None], columns], grams[:, columns, -1])
+    seen = np.flatnonzero(np.diagonal(grams, axis1=1, axis2=2)[:, :-1].any(axis=0))
+    return JointHistory(columns[seen], grams[:, seen[:, None], seen], grams[:, seen, -1])

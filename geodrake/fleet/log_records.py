@@ -17,6 +17,9 @@ from geodrake.fleet.fleet_file import FleetRobot
 from geodrake.fleet.log_places import LogPlace, fits
 from geodrake.fleet.model_hash import text_hash
 
+DIGESTS = "digests"
+"""Name of the folder of a type's digests."""
+
 _FOLDER = "logs"
 _LETTERS = 24  # of a file's name
 _NAME = 40  # letters of a robot's name in that of its folder

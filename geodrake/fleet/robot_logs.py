@@ -1,4 +1,4 @@
-"""Digests of one robot's logs as its history: read one at a time, and of each a matrix is kept."""
+"""What a robot's logs say, by their digests: each is read once, and what it adds is kept."""
 
 from __future__ import annotations
 
@@ -11,10 +11,18 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
 from geodrake.errors import DigestError
-from geodrake.fleet.digest import Digest, check_same
+from geodrake.fleet.digest import Digest, JointDigest, check_same
 from geodrake.fleet.digest_file import read_digest
-from geodrake.fleet.history import RobotHistory, joint_history
-from geodrake.fleet.log_records import LogRecord
+from geodrake.fleet.history import RobotHistory
+from geodrake.fleet.history_sums import (
+    HistorySums,
+    JointGrams,
+    ReducedLog,
+    read_sums,
+    write_sums,
+)
+from geodrake.fleet.log_records import DIGESTS, LogRecord, robot_folder
+from geodrake.fleet.model_hash import text_hash
 from geodrake.fleet.settings import DigestSettings
 
 Array = NDArray[np.float64]
@@ -26,24 +34,8 @@ DAY = 86400.0
 MOST_TIMES = 100
 """Most times of a history: neighbouring logs of a robot with more of them count as one."""
 
+_HISTORY = "history.npz"  # beside the records of a robot's logs
 _FLAT = 1e-9  # share of information that is none
-
-
-@dataclass(frozen=True, eq=False)
-class ReducedLog(Short):
-    """What statistics need of a log.
-
-    Attributes:
-        grams: (n, p + 1, p + 1) weighted normal matrices [A | b]ᵀ W [A | b] of its joints.
-        temperature: Mean temperature of its joints, °C; NaN where it is not known.
-        effort_squares: (n,) sums of squares of its efforts, (N·m)² or N².
-        samples: (n,) their number.
-    """
-
-    grams: Array
-    temperature: float
-    effort_squares: Array
-    samples: Array
 
 
 def reduced_log(digest: Digest, kept: Indices) -> ReducedLog:
@@ -55,26 +47,36 @@ def reduced_log(digest: Digest, kept: Indices) -> ReducedLog:
 
     Args:
         digest: Its digest.
-        kept: (p,) which of the settings' columns count.
+        kept: (p,) which of the settings' columns count, ascending.
     """
-    every = digest.normal_matrices()
-    at = np.append(kept, every.shape[1] - 1)
-    grams = every[:, at[:, None], at]
     samples = digest.samples.astype(float)
-    weights = [
-        share / max(_variance(gram, count), noise**2) if count else 0.0
-        for share, gram, count, noise in zip(
-            digest.effective_share, grams, samples, digest.noise_floor, strict=True
-        )
-    ]
+    joints = [_kept_grams(joint, kept) for joint in digest.joints]
+    squares = np.array([float(joint.grams[-1, -1]) for joint in joints])
+    shares = zip(joints, digest.effective_share, samples, digest.noise_floor, strict=True)
     warm = np.concatenate([log.temperature for log in digest.logs])
     warm = warm[np.isfinite(warm)]
     return ReducedLog(
-        np.array(weights)[:, None, None] * grams,
+        tuple(
+            JointGrams(
+                joint.columns,
+                joint.grams * (share / max(_variance(joint.grams, count), noise**2)),
+            )
+            if count
+            else JointGrams(joint.columns, 0.0 * joint.grams)
+            for joint, share, count, noise in shares
+        ),
         float(warm.mean()) if len(warm) else np.nan,
-        grams[:, -1, -1],
+        squares,
         samples,
     )
+
+
+def _kept_grams(joint: JointDigest, kept: Indices) -> JointGrams:
+    """The normal matrix of a joint over those of its columns that count, by their numbers."""
+    own = np.flatnonzero(np.isin(joint.columns, kept))
+    at = np.append(own, len(joint.columns))
+    gram = joint.normal_matrix()[at[:, None], at]
+    return JointGrams(np.searchsorted(kept, joint.columns[own]), gram)
 
 
 def _variance(gram: Array, samples: float) -> float:
@@ -90,6 +92,64 @@ def _variance(gram: Array, samples: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
+class HistoryTask(Short):
+    """A robot whose digests are to be read.
+
+    Attributes:
+        robot: Its name.
+        records: Records of its logs, by date; at least one.
+        folder: Folder of its type.
+        settings: Settings of the digests.
+        kept: (p,) which of the settings' columns count, ascending.
+    """
+
+    robot: str
+    records: Sequence[LogRecord]
+    folder: Path
+    settings: DigestSettings
+    kept: Indices
+
+    @property
+    def file(self) -> Path:
+        """Where the sums of its logs are kept."""
+        return robot_folder(self.folder, self.robot) / _HISTORY
+
+    @property
+    def key(self) -> str:
+        """What these sums are of, beside logs."""
+        return text_hash((self.settings.hash, self.kept.tolist(), MOST_TIMES))
+
+
+@dataclass(frozen=True, eq=False)
+class KeptHistory(Short):
+    """A robot's history, which is read from its file by whoever needs it: it is large.
+
+    Attributes:
+        task: What it is of.
+        logs: What says which logs are in it.
+        days: (T,) when each log was recorded, days, ascending.
+        temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
+    """
+
+    task: HistoryTask
+    logs: str
+    days: Array
+    temperature: Array
+
+    @property
+    def robot(self) -> str:
+        """The robot's name."""
+        return self.task.robot
+
+    def read(self) -> RobotHistory:
+        """The history; its logs are summed up again if another run has replaced the file."""
+        kept = read_sums(self.task.file, self.task.key)
+        if kept is None or text_hash(kept[0]) != self.logs:
+            kept = _summed(self.task)[:2]
+        return kept[1].history(self.task.robot, len(self.task.kept))
+
+
+@dataclass(frozen=True, eq=False)
 class RobotLogs(Short):
     """A robot's history, and how large its efforts are.
 
@@ -99,36 +159,17 @@ class RobotLogs(Short):
         logs: How many logs it is of.
     """
 
-    history: RobotHistory
+    history: KeptHistory
     effort: Array
     logs: int
 
 
 @dataclass(frozen=True, eq=False)
-class HistoryTask(Short):
-    """A robot whose digests are to be read.
-
-    Attributes:
-        robot: Its name.
-        records: Records of its logs, by date; at least one.
-        folder: Folder of the digests.
-        settings: Their settings.
-        kept: (p,) which of the settings' columns count.
-    """
-
-    robot: str
-    records: Sequence[LogRecord]
-    folder: Path
-    settings: DigestSettings
-    kept: Indices
-
-
-@dataclass(frozen=True, eq=False)
 class ReadHistory(Short):
-    """What came of it.
+    """What came of a robot's digests.
 
     Attributes:
-        logs: The history in the order of time; None if no digest can be read.
+        logs: What they say; None if no digest can be read.
         refused: Records whose digest is damaged, or of other settings, and how.
     """
 
@@ -137,44 +178,61 @@ class ReadHistory(Short):
 
 
 def robot_logs(task: HistoryTask) -> ReadHistory:
-    """The history of a robot from its digests, wherever this runs.
+    """What a robot's digests say, wherever this runs.
 
     Args:
         task: The robot.
+
+    Raises:
+        OutputError: What they say cannot be kept.
     """
-    records, settings, kept, refused = task.records, task.settings, task.kept, []
-    dates = np.array([record.date for record in records])
-    cells = time_cells(dates)
-    count, size = int(cells[-1]) + 1, len(kept) + 1
-    n = len(settings.joints)
-    grams = np.zeros((count, n, size, size))
-    days, logs, warm, known = (np.zeros(count) for _ in range(4))
-    squares, samples = np.zeros(n), np.zeros(n)
-    for record, cell in zip(records, cells.tolist(), strict=True):
+    logs, sums, refused = _summed(task)
+    if not sums.logs:
+        return ReadHistory(None, refused)
+    history = sums.history(task.robot, len(task.kept))
+    kept = KeptHistory(task, text_hash(logs), history.days, history.temperature)
+    return ReadHistory(RobotLogs(kept, sums.effort, sums.logs), refused)
+
+
+def _summed(
+    task: HistoryTask,
+) -> tuple[list[str], HistorySums, tuple[tuple[LogRecord, str], ...]]:
+    """What says which logs of a robot are summed up, their sums, and those that cannot be read.
+
+    Logs that follow what was summed up before are added to it, and the sums are the same as if all
+    were read anew.
+    """
+    dates = np.array([record.date for record in task.records])
+    times = time_cells(dates).tolist()
+    digests = [task.folder / DIGESTS / record.digest for record in task.records]
+    wanted = [_said_of(*each) for each in zip(task.records, digests, times, strict=True)]
+    logs, sums = read_sums(task.file, task.key) or ([], HistorySums.none(0))
+    if not logs or logs != wanted[: len(logs)]:
+        logs, sums = [], HistorySums.none(len(task.settings.joints))
+    known, refused = len(logs), list[tuple[LogRecord, str]]()
+    for at in range(known, len(wanted)):
+        record, path = task.records[at], digests[at]
         try:
-            path = task.folder / record.digest
             digest = read_digest(path)
-            check_same(digest.settings, settings, str(path))
+            check_same(digest.settings, task.settings, str(path))
         except DigestError as error:
             refused.append((record, error.problem))
             continue
-        own = reduced_log(digest, kept)
-        grams[cell] += own.grams
-        days[cell] += record.date / DAY
-        logs[cell] += 1
-        if np.isfinite(own.temperature):
-            warm[cell] += own.temperature
-            known[cell] += 1
-        squares, samples = squares + own.effort_squares, samples + own.samples
-    if not (there := logs > 0).any():
-        return ReadHistory(None, tuple(refused))
-    temperature = np.where(known > 0, warm / np.maximum(known, 1), np.nan)[there]
-    # Logs of one time may scatter together, so that it is as sure as one log, by their mean.
-    each = grams[there] / logs[there, None, None, None]
-    joints = tuple(joint_history(each[:, j]) for j in range(n))
-    history = RobotHistory(task.robot, days[there] / logs[there], joints, len(kept), temperature)
-    effort = np.sqrt(squares / np.maximum(samples, 1.0))
-    return ReadHistory(RobotLogs(history, effort, int(logs.sum())), tuple(refused))
+        sums.add(times[at], record.date / DAY, reduced_log(digest, task.kept))
+        logs.append(wanted[at])
+    if len(logs) > known:
+        write_sums(task.file, task.key, logs, sums)
+    return logs, sums, tuple(refused)
+
+
+def _said_of(record: LogRecord, digest: Path, time: int) -> str:
+    """What says that a log is in sums: its digest as it is now, its date, and the time it is of."""
+    try:
+        status = digest.stat()
+        now = f"{status.st_size} {status.st_mtime_ns}"
+    except OSError:
+        now = "gone"
+    return f"{record.digest} {now} {record.date!r} {time}"
 
 
 def time_cells(dates: Array) -> NDArray[np.intp]:

@@ -35,7 +35,8 @@ class _Found:
     type: str
     logs: RobotLogs
     layout: TypeLayout
-    search: RobotSearch
+    model: TypeModel
+    reference: Array
     changes: tuple[RobotChange, ...]
     places: tuple[ChangePlace, ...]
     of_model: Array | None
@@ -75,9 +76,8 @@ def type_findings(
             name,
             robot,
             layout,
-            RobotSearch(
-                found.model.of(at), 0, robot.history, found.references[at], layout.hypotheses
-            ),
+            found.model.of(at),
+            found.references[at],
             found.changes[at],
             found.places[at],
             models.get(robot.history.robot),
@@ -88,16 +88,18 @@ def type_findings(
 
 
 def _result(found: _Found) -> RobotResult:
-    history = found.logs.history
-    state = found.search.state(found.places)
+    history, model = found.logs.history, found.model
+    hypotheses = found.layout.hypotheses
+    search = RobotSearch(model, 0, history.read(), found.reference, hypotheses)
+    state = search.state(found.places)
     return RobotResult(
         history.robot,
         found.type,
         found.logs.logs,
         history.days * DAY,
         _findings(found.changes, found.places, found.layout),
-        _histories(found.search.model, found.layout, state),
-        _own(found.search.model, found.layout, state, found.of_model),
+        _histories(model, found.layout, state),
+        _own(model, found.layout, state, found.of_model),
     )
 
 

@@ -17,9 +17,10 @@ from geodrake.boundary.arguments import instance, instances, integer
 from geodrake.errors import ArgumentError
 from geodrake.fleet.columns import TypeColumns
 from geodrake.fleet.course import Course
-from geodrake.fleet.history import LogEquations
+from geodrake.fleet.history import EquationSource, LogEquations
 from geodrake.fleet.robot_fit import LogScores, RobotFit
 from geodrake.fleet.type_model import TypeModel, kept_share
+from geodrake.fleet.workers import InThisProcess, Workers, in_order
 
 Array = NDArray[np.float64]
 
@@ -60,17 +61,61 @@ def learn_type(
         )
     if changes is not None and len(changes) != len(logs):
         raise ArgumentError(f"{len(logs)} robots have {len(changes)} arrays of changes.")
-    found = _begin(logs, columns) if start is None else start
+    team = InThisProcess()
+    start = begun(team, logs, columns) if start is None else start
+    return learnt(team, logs, start, changes=changes, rounds=rounds)
+
+
+def learnt(
+    team: Workers,
+    logs: Sequence[EquationSource],
+    start: TypeModel,
+    *,
+    changes: Sequence[Array] | None = None,
+    rounds: int,
+) -> TypeModel:
+    """`learn_type` where others look at robots.
+
+    Args:
+        team: Who does.
+        logs: Where those of each robot are.
+        start: Where to begin.
+        changes: As of `learn_type`.
+        rounds: Steps of the iteration.
+    """
+    every = [None] * len(logs) if changes is None else changes
     for _ in range(rounds):
-        found = _improved(found, logs, changes)
-    return found
+        pieces = [(start.of(r), *each) for r, each in enumerate(zip(logs, every, strict=True))]
+        start = _improved(start, logs, in_order(team, _told, pieces))
+    return start
 
 
-def _begin(logs: Sequence[LogEquations], columns: TypeColumns) -> TypeModel:
-    """Pooled least squares, with the prior where logs say nothing."""
+def pooled(team: Workers, logs: Sequence[EquationSource]) -> tuple[Array, Array]:
+    """Sums of all normal matrices (p, p), and of right sides (p,).
+
+    Args:
+        team: Who adds those of each robot.
+        logs: Where they are.
+    """
+    information, right = zip(*in_order(team, _sums, logs), strict=True)
+    return np.sum(information, axis=0), np.sum(right, axis=0)
+
+
+def _sums(logs: EquationSource) -> tuple[Array, Array]:
+    equations = logs.equations()
+    return equations.information.sum(axis=0), equations.right.sum(axis=0)
+
+
+def begun(team: Workers, logs: Sequence[EquationSource], columns: TypeColumns) -> TypeModel:
+    """Pooled least squares, with the prior where logs say nothing.
+
+    Args:
+        team: Who adds those of each robot.
+        logs: Where they are.
+        columns: What the columns are.
+    """
     K, p, free = len(columns.spreads), len(columns.prior), columns.free
-    information = np.sum([each.information.sum(axis=0) for each in logs], axis=0)
-    right = np.sum([each.right.sum(axis=0) for each in logs], axis=0)
+    information, right = pooled(team, logs)
     mean = columns.prior.copy()
     mean[free] += least_squares(
         information[np.ix_(free, free)], (right - information @ columns.prior)[free]
@@ -117,12 +162,14 @@ class _RobotTells:
     odd: Array
 
 
-def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | None) -> _RobotTells:
-    fit, scale = model.fit(robot, logs, changes), model.scale(robot)
+def _told(piece: tuple[TypeModel, EquationSource, Array | None]) -> _RobotTells:
+    """What one robot tells, where the model of its type has that of it alone."""
+    model, logs, changes = piece
+    fit, scale = model.fit(0, logs.equations(), changes), model.scale(0)
     linked, factor = fit.seen.sum(axis=0), np.hstack(model.deviation_factors())
     links = fit.solve(linked)
     columns = model.columns
-    scores = model.log_scores(robot, fit)
+    scores = model.log_scores(0, fit)
     squares = np.stack([fit.theta**2, 1.0 - np.diagonal(fit.covariance)])
     share, at = scale[columns.course], columns.course
     part = fit.information[:, at][:, :, at] * share[:, None] * share
@@ -135,7 +182,7 @@ def _told(model: TypeModel, robot: int, logs: LogEquations, changes: Array | Non
         _scattered(model, scale, fit, scores),
         (part, fit.score[:, at] * share),
         model.response * fit.theta[sum(columns.sizes[:-1]) : sum(columns.sizes)],
-        model.oddness(scores, model.odd[robot])[0],
+        model.oddness(scores, model.odd[0])[0],
     )
 
 
@@ -151,7 +198,7 @@ def _scattered(model: TypeModel, scale: Array, fit: RobotFit, scores: LogScores)
 
 
 def _improved(
-    model: TypeModel, logs: Sequence[LogEquations], changes: Sequence[Array] | None
+    model: TypeModel, logs: Sequence[EquationSource], told: Sequence[_RobotTells]
 ) -> TypeModel:
     """One step of all that is learnt.
 
@@ -159,10 +206,6 @@ def _improved(
     the largest restricted likelihood. From log to log it is the median over robots, as a robot
     that changed is none of the usual; each counts as much as its logs tell.
     """
-    told = [
-        _told(model, r, each, None if changes is None else changes[r])
-        for r, each in enumerate(logs)
-    ]
     free = model.columns.free
     typical = np.where(model.columns.relative, model.typical, 1.0)[:, None]
     weak = sum(((typical * s.factor) @ (typical * s.factor).T for s in model.columns.spreads), 0.0)

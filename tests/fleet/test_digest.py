@@ -183,7 +183,7 @@ def test_a_log_of_few_rows_is_worth_no_more_than_its_sensors_are(digests):
     few = replace(joint, factors=factors, samples=np.array([p, 0, 0, 0]))
     short = replace(digest, joints=(*digest.joints[:3], few, *digest.joints[4:]))
     every = np.arange(len(digest.columns))
-    weight = reduced_log(short, every).grams[3, -1, -1] / short.normal_matrices()[3, -1, -1]
+    weight = reduced_log(short, every).joints[3].grams[-1, -1] / short.normal_matrices()[3, -1, -1]
     assert weight <= 1.0 / digest.noise_floor[3] ** 2
 
 

@@ -35,10 +35,12 @@ from small_fleet import (
 from geodrake.effects import CoulombFriction, FittedEffect, StribeckFriction
 from geodrake.errors import ArgumentError, DigestError, FleetError, OutputError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
-from geodrake.fleet.digest_run import DIGESTS, digest_task, find_tasks
+from geodrake.fleet.digest_file import read_digest
+from geodrake.fleet.digest_run import digest_task, find_tasks
+from geodrake.fleet.fleet_run import take_in_logs
 from geodrake.fleet.log_dates import check_date_pattern, date_in_path, date_text
 from geodrake.fleet.log_places import absolute_pattern, find_logs, fits, local_log
-from geodrake.fleet.log_records import read_records
+from geodrake.fleet.log_records import DIGESTS, read_records
 from geodrake.fleet.robot_logs import DAY, MOST_TIMES, HistoryTask, robot_logs, time_cells
 from geodrake.fleet.settings import read_settings
 from geodrake.logs.files import write_log
@@ -535,20 +537,26 @@ def test_logs_in_archives_and_by_caches_have_addresses_of_their_own():
             assert path.read_text(encoding="utf-8") == "x"
 
 
-def test_logs_of_one_time_count_as_one(folder, whole, monkeypatch):
+@pytest.fixture
+def task(own):
+    """A robot of three logs that have digests."""
+    fleet = read_fleet(own([HEAVY], days=(0, 1, 2)))
+    records = take_in_logs(fleet, HERE).records[HEAVY]
+    folder = fleet.folder / "pendulum"
+    return HistoryTask(HEAVY, records, folder, read_settings(folder / DIGESTS), np.arange(5))
+
+
+def test_logs_of_one_time_count_as_one(task, monkeypatch):
     """Their mean: two that say the same say no more than one."""
-    fleet = read_fleet(folder / "fleet.yaml")
-    here = next(fleet.folder.glob(f"*/{DIGESTS}"))
-    settings = read_settings(here)
-    record = whole[1].records[HEAVY][0]
-    task = HistoryTask(HEAVY, [record], here, settings, np.arange(5))
-    later = replace(record, date=record.date + DAY)
+    one = replace(task, records=task.records[:1])
+    later = replace(one.records[0], date=one.records[0].date + DAY)
     monkeypatch.setattr("geodrake.fleet.robot_logs.MOST_TIMES", 1)
-    twice = robot_logs(replace(task, records=[record, later])).logs
+    single = robot_logs(one).logs.history.read()
+    twice = robot_logs(replace(one, records=[*one.records, later])).logs
     assert (twice.logs, len(twice.history.days)) == (2, 1)
-    for one, two in zip(robot_logs(task).logs.history.joints, twice.history.joints, strict=True):
-        np.testing.assert_allclose(two.information, one.information)
-        np.testing.assert_allclose(two.right, one.right)
+    for a, b in zip(single.joints, twice.history.read().joints, strict=True):
+        np.testing.assert_allclose(b.information, a.information)
+        np.testing.assert_allclose(b.right, a.right)
 
 
 def test_many_logs_are_few_times():
@@ -562,3 +570,55 @@ def test_many_logs_are_few_times():
     more = time_cells(np.append(dates, dates[-1] + 1.0))
     assert (more[:-1] == cells).all()
     assert (time_cells(dates[:MOST_TIMES]) == np.arange(MOST_TIMES)).all()
+
+
+def same_history(one, other):
+    assert len(one.joints) == len(other.joints)
+    for a, b in zip(one.joints, other.joints, strict=True):
+        assert np.array_equal(a.columns, b.columns)
+        assert np.array_equal(a.information, b.information)
+        assert np.array_equal(a.right, b.right)
+    assert np.array_equal(one.days, other.days)
+    assert np.array_equal(one.temperature, other.temperature, equal_nan=True)
+
+
+def test_what_logs_say_is_kept_and_added_to(task, monkeypatch):
+    """To the same numbers, whether logs come one by one or all at once."""
+    whole = robot_logs(task)
+    assert not whole.refused
+    anew = whole.logs.history.read()
+    task.file.unlink()
+    reads = []
+    monkeypatch.setattr(
+        "geodrake.fleet.robot_logs.read_digest",
+        lambda path: reads.append(path) or read_digest(path),
+    )
+    for count in (1, 2, 3, 3):
+        found = robot_logs(replace(task, records=task.records[:count])).logs
+    assert len(reads) == 3
+    same_history(found.history.read(), anew)
+    np.testing.assert_array_equal(found.effort, whole.logs.effort)
+    assert len(reads) == 3
+
+
+def test_a_log_before_others_is_added_to_none(task):
+    """Its time is another one's: all are read anew."""
+    late = robot_logs(replace(task, records=task.records[1:])).logs
+    assert late.logs == 2
+    found = robot_logs(task).logs.history.read()
+    task.file.unlink()
+    same_history(robot_logs(task).logs.history.read(), found)
+
+
+def test_a_history_that_another_run_replaced_is_summed_up_again(task):
+    """Or one that is damaged, or gone."""
+    kept = robot_logs(task).logs.history
+    before = kept.read()
+    robot_logs(replace(task, records=task.records[:2]))
+    same_history(kept.read(), before)
+    for spoil in (lambda file: file.write_bytes(b"x"), Path.unlink):
+        spoil(task.file)
+        same_history(kept.read(), before)
+    content = task.file.read_bytes()
+    task.file.write_bytes(content[:-500] + bytes(500))
+    same_history(kept.read(), before)
