@@ -131,7 +131,7 @@ def calc_change_evidence(
 def _ratios(fit: RobotFit, profiles: Profiles, factor: Array, size: int) -> Array:
     """(h, K) logarithms of ratios of hypotheses (p, h · size) that have as many columns each."""
     count, T = factor.shape[1] // size, len(profiles.days)
-    cross, side = profiles.sums(fit.seen @ factor), profiles.sums(fit.score @ factor)
+    cross, side = profiles.sums(fit.seen_along(factor)), profiles.sums(fit.score @ factor)
     K, n = cross.shape[:2]
     solved = fit.solve(cross.transpose(1, 0, 2).reshape(n, -1)).reshape(n, K, -1)
     blocks = cross.reshape(K, n, count, size).transpose(0, 2, 3, 1)

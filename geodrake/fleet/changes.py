@@ -253,7 +253,7 @@ class RobotSearch(Short):
     def told(self, places: Sequence[ChangePlace]) -> tuple[RobotChange, ...]:
         """What there is to say of some changes."""
         state = self.state(places)
-        end, found = state.fit.design.shape[2], []
+        end, found = state.fit.size, []
         for at in range(len(places) - 1, -1, -1):
             place, others = places[at], [*places[:at], *places[at + 1 :]]
             hypothesis = self.hypotheses[place.hypothesis]

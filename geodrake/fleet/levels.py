@@ -87,7 +87,8 @@ def parameter_levels(
     covariance = np.linalg.inv(own)
     score = m - np.einsum("tpc,tp->tc", M, mean)
     # What is not known of the other parameters moves all logs' levels together.
-    moved = covariance @ np.swapaxes(M[:, others], 1, 2) @ fit.design[:, others]
+    M[:, at] = 0.0
+    moved = fit.mapped(covariance @ np.swapaxes(M, 1, 2))
     flat = moved.reshape(-1, moved.shape[2])
     unknown = np.sum(flat * fit.solve(flat.T).T, axis=1).reshape(moved.shape[:2])
     variance = np.diagonal(covariance, axis1=1, axis2=2) + unknown

@@ -34,27 +34,55 @@ class LogScores(Short):
 
 @dataclass(frozen=True, eq=False)
 class RobotFit(Short):
-    """Parameters x_t = x̄_t + L_t θ of logs t, with θ ~ N(0, 𝟙).
+    """Parameters x_t = x̄_t + L_t θ of logs t, with θ ~ N(0, 𝟙) and L_t = [A, B_t].
 
     Attributes:
         information: (T, p, p) normal matrices M_t of the logs' means.
         rest: (T, p) right sides less what x̄_t explains, m_t − M_t x̄_t.
-        design: (T, p, n) maps L_t.
+        common: (p, a) map A, which all logs have.
+        own: (T, p, b) maps B_t.
     """
 
     information: Array
     rest: Array
-    design: Array
+    common: Array
+    own: Array
+
+    @property
+    def size(self) -> int:
+        """Number n of parameters θ."""
+        return self.common.shape[1] + self.own.shape[2]
+
+    def mapped(self, rows: Array) -> Array:
+        """(T, c, n) products of rows (T, c, p) and L_t."""
+        return np.concatenate([rows @ self.common, rows @ self.own], axis=2)
+
+    def seen_along(self, factor: Array) -> Array:
+        """(T, n, r) products L_tᵀ M_t F.
+
+        Args:
+            factor: (p, r) directions F.
+        """
+        return np.swapaxes(self.mapped(np.swapaxes(self.information @ factor, 1, 2)), 1, 2)
 
     @cached_property
     def seen(self) -> Array:
-        """(T, n, p) products L_tᵀ M_t."""
-        return np.swapaxes(self.design, 1, 2) @ self.information
+        """(n, p) sum of all products L_tᵀ M_t."""
+        return np.vstack([self.common.T @ self.information.sum(axis=0), self._seen_by_own])
+
+    @cached_property
+    def _seen_by_own(self) -> Array:
+        """(b, p) sum of all B_tᵀ M_t."""
+        return np.einsum("tpb,tpq->bq", self.own, self.information, optimize=True)
 
     @cached_property
     def _factor(self) -> tuple[Array, bool]:
-        normal = (self.seen @ self.design).sum(axis=0)
-        found: tuple[Array, bool] = cho_factor(normal + np.eye(len(normal)), lower=True)
+        a, n = self.common.shape[1], self.size
+        seen, own = self.information @ self.own, self.own
+        normal = np.eye(n)
+        normal[:, :a] += self.seen @ self.common
+        normal[a:, a:] += np.einsum("tpb,tpc->bc", own, seen, optimize=True)
+        found: tuple[Array, bool] = cho_factor(normal, lower=True)  # what is above does not count
         return found
 
     def solve(self, right: Array) -> Array:
@@ -64,17 +92,24 @@ class RobotFit(Short):
     @cached_property
     def covariance(self) -> Array:
         """(n, n) covariance N⁻¹ of θ."""
-        return self.solve(np.eye(self.design.shape[2]))
+        return self.solve(np.eye(self.size))
 
     @cached_property
     def theta(self) -> Array:
         """(n,) the best θ."""
-        return self.solve(np.einsum("tpn,tp->n", self.design, self.rest))
+        of_own = np.einsum("tpb,tp->b", self.own, self.rest)
+        return self.solve(np.append(self.common.T @ self.rest.sum(axis=0), of_own))
+
+    @cached_property
+    def deviation(self) -> Array:
+        """(T, p) what θ adds to the parameters of every log, L_t θ."""
+        a = self.common.shape[1]
+        return np.asarray(self.common @ self.theta[:a] + self.own @ self.theta[a:])
 
     @cached_property
     def score(self) -> Array:
         """(T, p) what is left of every log's right side, rest_t − M_t L_t θ."""
-        return np.asarray(self.rest - np.einsum("tnp,n->tp", self.seen, self.theta))
+        return np.asarray(self.rest - (self.information @ self.deviation[..., None])[..., 0])
 
     def scores(self, factors: Sequence[Array]) -> LogScores:
         """How large scores are along the directions of some factors.
@@ -99,8 +134,8 @@ class RobotFit(Short):
         Args:
             factor: (p, r) directions F.
         """
-        own = np.einsum("pr,tpr->r", factor, self.information @ factor)
-        part = (self.seen @ factor).transpose(1, 0, 2)
+        own = np.einsum("pr,pr->r", factor, self.information.sum(axis=0) @ factor)
+        part = self.seen_along(factor).transpose(1, 0, 2)
         flat = part.reshape(len(part), -1)
         fitted = np.sum((flat * self.solve(flat)).reshape(part.shape), axis=(0, 1))
         return np.maximum(own - fitted, 0.0)  # what rounding makes of nothing

@@ -166,7 +166,7 @@ def _told(piece: tuple[TypeModel, EquationSource, Array | None]) -> _RobotTells:
     """What one robot tells, where the model of its type has that of it alone."""
     model, logs, changes = piece
     fit, scale = model.fit(0, logs.equations(), changes), model.scale(0)
-    linked, factor = fit.seen.sum(axis=0), np.hstack(model.deviation_factors())
+    linked, factor = fit.seen, np.hstack(model.deviation_factors())
     links = fit.solve(linked)
     columns = model.columns
     scores = model.log_scores(0, fit)

@@ -99,11 +99,9 @@ class TypeModel(Short):
         M = 0.5 * (M + np.swapaxes(M, 1, 2))  # which rounding makes not quite symmetric
         together = self.together(robot, logs)
         mean = self.mean + together
-        parts = [
-            np.broadcast_to(part, (len(mean), *part.shape)) for part in self.deviation_factors()
-        ]
-        parts.append(self.response * self._spread_out(together))
-        fit = RobotFit(M, m - (M @ mean[..., None])[..., 0], np.concatenate(parts, axis=2))
+        common = np.hstack(self.deviation_factors())
+        response = self.response * self._spread_out(together)
+        fit = RobotFit(M, m - (M @ mean[..., None])[..., 0], common, response)
         return fit if changes is None else self.with_changes(fit, changes)
 
     def with_changes(self, fit: RobotFit, changes: Array) -> RobotFit:
@@ -113,8 +111,8 @@ class TypeModel(Short):
             fit: The fit.
             changes: (T, p, m) further parameters, each N(0, 1).
         """
-        own = fit.design[:, :, : sum(self.columns.sizes)]
-        return replace(fit, design=np.concatenate([own, changes], axis=2))
+        response = fit.own[:, :, : self.columns.sizes[-1]]
+        return replace(fit, own=np.concatenate([response, changes], axis=2))
 
     def log_scores(self, robot: int, fit: RobotFit) -> LogScores:
         """How large scores of a robot's logs are along each spread.
@@ -182,8 +180,7 @@ class TypeModel(Short):
             logs: Its logs.
             fit: The fit.
         """
-        own = np.einsum("tpn,n->tp", fit.design, fit.theta)
-        return np.asarray(self.mean + self.together(robot, logs) + own)
+        return np.asarray(self.mean + self.together(robot, logs) + fit.deviation)
 
     def _scattered(self, scale: Array, odd: Array) -> Array:
         """(T, p, q) factors of the covariance by which logs scatter; most have the same."""
@@ -235,6 +232,6 @@ def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
     part = slice(0, factor.shape[1])
     covariance = factor @ fit.covariance[part, part] @ factor.T
     # If all robots have more of something, this one has it where its logs do not say otherwise.
-    silent = np.eye(len(factor)) - factor @ fit.solve(fit.seen.sum(axis=0))[part]
+    silent = np.eye(len(factor)) - factor @ fit.solve(fit.seen)[part]
     covariance += silent @ model.covariance @ silent.T
     return model.mean + factor @ fit.theta[part], covariance
