@@ -1,8 +1,8 @@
 """What a run of `geodrake fleet` costs: time with one and two workers, memory with ever more logs.
 
 Logs are made by the arm's own model, with friction that differs from robot to robot. Times are
-those of a clock, with the start of the workers; memory is the most that Python holds while digests
-become findings.
+those of a clock, with the start of the workers; memory is the most that one process takes in which
+digests become findings, libraries included.
 
     OMP_NUM_THREADS=1 python diagrams/fleet_speed.py --json fleet_speed.json --figures figures
 """
@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import subprocess
+import sys
 import tempfile
 import time
-import tracemalloc
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -56,7 +58,7 @@ class RunCost:
         workers: Processes that digest.
         seconds: Time of a clock until findings are there, s.
         again: The same when digests are there, s.
-        memory: Most memory while digests become findings, MB.
+        memory: Most memory of a process in which digests become findings, MB.
     """
 
     robots: int
@@ -129,12 +131,29 @@ def measure(path: Path, logs: int, length: float, workers: int) -> RunCost:
     middle = time.monotonic()
     run_fleet(fleet, work)
     end = time.monotonic()
-    tracemalloc.start()
-    run_fleet(fleet, work)
-    memory = tracemalloc.get_traced_memory()[1] / 1e6
-    tracemalloc.stop()
     times = middle - begin, end - middle
-    return RunCost(len(fleet.robots), logs, length, workers, *times, memory)
+    return RunCost(len(fleet.robots), logs, length, workers, *times, most_memory(path))
+
+
+def most_memory(path: Path) -> float:
+    """Most memory of a process that makes findings of digests, and does it all, MB.
+
+    Args:
+        path: File of the fleet, whose digests are there.
+
+    Raises:
+        SystemExit: The run failed.
+    """
+    for kept in path.parent.glob("results/*/logs/*/history.npz"):
+        kept.unlink()
+    command = [sys.executable, "-m", "geodrake", "fleet", str(path), "--workers", "0", "-q"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as run:
+        _, status, usage = os.wait4(run.pid, 0)
+        run.returncode = os.waitstatus_to_exitcode(status)
+    if run.returncode:
+        sys.exit(f"The run ended with exit code {run.returncode}.")
+    unit = 1.0 if sys.platform == "darwin" else 1024.0
+    return usage.ru_maxrss * unit / 1e6
 
 
 def cost_figure(costs: Sequence[RunCost]) -> Figure:
