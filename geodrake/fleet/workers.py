@@ -170,7 +170,8 @@ def workers(
         else:
             stack.enter_context(_silent())
             client = stack.enter_context(_remote(dask, scheduler))
-        told(f"Dashboard of the workers: {client.dashboard_link}")
+        shown = "" if find_spec("bokeh") else " (it needs: pip install bokeh)"
+        told(f"Dashboard of the workers: {client.dashboard_link}{shown}")
         yield OfDask(client)
 
 
