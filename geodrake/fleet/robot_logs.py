@@ -51,22 +51,18 @@ def reduced_log(digest: Digest, kept: Indices) -> ReducedLog:
     """
     samples = digest.samples.astype(float)
     joints = [_kept_grams(joint, kept) for joint in digest.joints]
-    squares = np.array([float(joint.grams[-1, -1]) for joint in joints])
-    shares = zip(joints, digest.effective_share, samples, digest.noise_floor, strict=True)
+    weights = [
+        share / max(_variance(joint.grams, count), noise**2) if count else 0.0
+        for joint, share, count, noise in zip(
+            joints, digest.effective_share, samples, digest.noise_floor, strict=True
+        )
+    ]
     warm = np.concatenate([log.temperature for log in digest.logs])
     warm = warm[np.isfinite(warm)]
     return ReducedLog(
-        tuple(
-            JointGrams(
-                joint.columns,
-                joint.grams * (share / max(_variance(joint.grams, count), noise**2)),
-            )
-            if count
-            else JointGrams(joint.columns, 0.0 * joint.grams)
-            for joint, share, count, noise in shares
-        ),
+        tuple(JointGrams(j.columns, w * j.grams) for j, w in zip(joints, weights, strict=True)),
         float(warm.mean()) if len(warm) else np.nan,
-        squares,
+        np.array([joint.grams[-1, -1] for joint in joints]),
         samples,
     )
 
