@@ -7,6 +7,7 @@ another one, and a piece of work that kills three of them is given up.
 from __future__ import annotations
 
 import logging
+import pickle
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
@@ -43,6 +44,10 @@ class Done(Generic[R]):
 class Workers(Protocol):
     """What does pieces of work."""
 
+    @property
+    def ahead(self) -> int:
+        """How many pieces are given out before one is done."""
+
     def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[Done[R]]:
         """The results, as they come.
 
@@ -54,6 +59,8 @@ class Workers(Protocol):
 
 class InThisProcess:
     """Does one after the other."""
+
+    ahead = 1
 
     def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[Done[R]]:
         """The results, in order.
@@ -76,6 +83,11 @@ class OfDask:
 
     client: Any
 
+    @property
+    def ahead(self) -> int:
+        """How many pieces are given out before one is done."""
+        return _AHEAD * max(1, sum(self.client.nthreads().values()))
+
     def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[Done[R]]:
         """The results, as they come; what is not begun is given up if one raises.
 
@@ -87,24 +99,23 @@ class OfDask:
             FleetError: The scheduler is lost.
         """
         dask: Any = optional_package("distributed", "fleet", "workers", FleetError)
-        most = _AHEAD * max(1, sum(self.client.nthreads().values()))
         todo, futures = iter(enumerate(pieces)), {}
         done = dask.as_completed()
 
         def begin() -> None:
             for at, piece in todo:
-                future = self.client.submit(work, piece, pure=False)
+                future = self.client.submit(_packed, pickle.dumps((work, piece)), pure=False)
                 futures[future.key] = at
                 done.add(future)
                 return
 
         try:
-            for _ in range(most):
+            for _ in range(self.ahead):
                 begin()
             for future in done:
                 at = futures.pop(future.key)
                 try:
-                    yield Done(at, future.result())
+                    yield Done(at, pickle.loads(future.result()))
                 except dask.KilledWorker:
                     yield Done(at, None)
                 begin()
@@ -117,17 +128,30 @@ class OfDask:
             self.client.cancel(list(done.futures))
 
 
+def _packed(piece: bytes) -> bytes:
+    """What a worker does: Dask takes far longer for many small arrays than for one packet."""
+    work, argument = pickle.loads(piece)
+    return pickle.dumps(work(argument))
+
+
 def in_order(team: Workers, work: Callable[[T], R], pieces: Sequence[T]) -> list[R]:
     """Results in the order of the pieces; what kills its workers is done by this process.
 
     Args:
-        team: Who works.
+        team: Who works, on several pieces at a time if there are many.
         work: A function that other processes can import.
         pieces: Its arguments.
     """
-    found = {done.at: done.result for done in team.each(work, pieces)}
-    results = (found[at] for at in range(len(pieces)))
-    return [work(p) if r is None else r for p, r in zip(pieces, results, strict=True)]
+    size = -(-len(pieces) // team.ahead)
+    batches = [pieces[at : at + size] for at in range(0, len(pieces), size)] if size else []
+    done = {d.at: d.result for d in team.each(_each_of, [(work, batch) for batch in batches])}
+    results = (done[at] or [work(piece) for piece in batch] for at, batch in enumerate(batches))
+    return [result for batch in results for result in batch]
+
+
+def _each_of(batch: tuple[Callable[[T], R], Sequence[T]]) -> list[R]:
+    work, pieces = batch
+    return [work(piece) for piece in pieces]
 
 
 @contextmanager
