@@ -59,7 +59,7 @@ LONGEST_DELAY = 0.06
 """Commands are late by no more, s."""
 
 _STEP, _COARSE_STEP = 2.5e-4, 1e-3  # s, of simulations at most: of all, and of first searches
-_WINDOWS = 8  # of a log, of which every other one is left out for a test
+_WINDOWS = 8  # of all logs, two of a stretch at least; every other one is left out for a test
 _MOST_EVALUATIONS = 60
 _INSIDE = 0.01  # of parameters' sizes from their bounds, where searches begin
 _RATE, _DELAY, _INTEGRAL = 1, 5, 6  # which parameter is which
@@ -196,9 +196,15 @@ class JointMotions:
 
     @property
     def tested(self) -> NDArray[np.bool_]:
-        """(N,) rows of every other window, which a test leaves out of the fit."""
-        count = sum(map(len, self.rows))
-        return (np.arange(count) * _WINDOWS // max(count, 1)) % 2 == 1
+        """(N,) rows of every other window, which a test leaves out of the fit.
+
+        Each stretch begins in a window that the fit sees: what its integral begins with shows only
+        there, and a servo that was left to guess it would not be told from one without.
+        """
+        counts = np.array([len(each) for each in self.rows])
+        pairs = np.maximum(1, np.rint(0.5 * _WINDOWS * counts / max(counts.sum(), 1)).astype(int))
+        windows = zip(counts.tolist(), pairs.tolist(), strict=True)
+        return np.concatenate([np.arange(n) * 2 * k // max(n, 1) % 2 == 1 for n, k in windows])
 
 
 def _runs(values: Array, kept: NDArray[np.bool_]) -> list[Array]:
