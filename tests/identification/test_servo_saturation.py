@@ -103,8 +103,21 @@ def test_velocity_feedback_is_within_the_limit(tmp_path):
     assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.05)
     assert sum(fit.parameters[1:3]) == pytest.approx(TRUTH[2], rel=0.1)
     assert fit.own or fit.parameters[1] == pytest.approx(TRUTH[2] - 1.0, rel=0.1)
-    unlimited = fit_servo(motions, EffortSignal("hinge", "command", 50.0))
-    assert unlimited is None or fit.error < 0.2 * unlimited.error
+    found = fit_servo(motions, EffortSignal("hinge", "command", 50.0))
+    assert found.limit == pytest.approx(5.0, rel=0.02) and found.error < 1.1 * fit.error
+
+
+@pytest.mark.thorough  # by default, test_velocity_feedback_is_within_the_limit
+@pytest.mark.parametrize("integral", [0.0, 90.0])
+@pytest.mark.parametrize("told", [14.0, 1e4])
+def test_a_limit_that_the_model_does_not_have_is_found(integral, told, tmp_path):
+    model = pendulum(tmp_path, told)
+    known, (log,), _ = with_efforts(model, [servo_log(integral=integral, limit=7.0)])
+    (signal,) = known.effort_signals
+    assert signal.limit == pytest.approx(7.0, rel=0.01)
+    assert signal.gain == pytest.approx(TRUTH[0], rel=0.05)
+    assert signal.integral == pytest.approx(integral, rel=0.05)
+    assert np.abs(log.effort).max() == signal.limit
 
 
 def test_a_limit_that_the_servo_does_not_keep_is_none(tmp_path):

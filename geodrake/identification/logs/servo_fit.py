@@ -18,9 +18,10 @@ An integral that goes on since before the log has left an effort w where a stret
 nobody knows; without an integral w would be a constant effort. A servo therefore has an integral
 only if windows that a fit did not see are predicted better with ki than with such a constant alone.
 
-A servo whose joint has a limit of effort saturates in the simulation, its integral held, where such
-windows are predicted better for it. Damping d is the joint's, beyond the limit, or the servo's own,
-within: only a servo at its limit tells them apart.
+A servo saturates in the simulation, its integral held, where such windows are predicted better for
+it: at the limit of effort that the model states, or at one of its own, which is sought like another
+parameter, from what bodies need at most on. Damping d is the joint's, beyond the limit, or the
+servo's own, within: only a servo at its limit tells them apart.
 """
 
 from __future__ import annotations
@@ -61,6 +62,7 @@ LONGEST_DELAY = 0.06
 _STEP, _COARSE_STEP = 2.5e-4, 1e-3  # s, of simulations at most: of all, and of first searches
 _WINDOWS = 8  # of all logs, two of a stretch at least; every other one is left out for a test
 _MOST_EVALUATIONS = 60
+_LIMIT_STEP = 1e-3  # of a limit's size, for differences
 _INSIDE = 0.01  # of parameters' sizes from their bounds, where searches begin
 _RATE, _DELAY, _INTEGRAL = 1, 5, 6  # which parameter is which
 _PLAIN = _INTEGRAL  # parameters of servos without an integral, which come first
@@ -273,7 +275,8 @@ def fit_servo(
     Args:
         motions: The joint.
         signal: The servo by a linear fit, at which the search begins.
-        limit: Largest effort of the joint, N·m or N, which the servo may or may not keep.
+        limit: Largest effort of the joint, N·m or N, by the model: the servo may keep it, or
+            another one, or none.
 
     Returns:
         The servo; None if windows that the fit did not see are predicted no better than from where
@@ -284,14 +287,8 @@ def fit_servo(
     damping = 0.05 * stiffness
     start = np.array([stiffness, signal.damping, damping, friction, inertia, signal.delay])
     tested, every = motions.tested, np.ones(len(rows), bool)
-    half, scale = _by_half(motions, start, signal.integral)
-    held = replace(motions, limit=limit)
-    if any((held.residual(each) != motions.residual(each)).any() for each in (start, half)):
-        for limited in (held, replace(held, own=True)):
-            other, sizes = _by_half(limited, start, signal.integral)
-            residuals = motions.residual(half), limited.residual(other)
-            if motions.gain_of(*residuals, tested) >= PENALTY:
-                motions, half, scale = limited, other, sizes
+    found = _limited(motions, start, signal.integral, limit)
+    motions, half, scale = found.motions, found.servo, found.scale
     summed = len(half) > _INTEGRAL
     told = signal.integral if summed else 0.0
     began = _with_integral(motions, start, told) if told else start
@@ -319,6 +316,145 @@ def fit_servo(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Half:
+    """A servo by the windows that a test does not need.
+
+    Attributes:
+        motions: The joint, and at which effort the servo saturates.
+        servo: (p,) its parameters.
+        scale: (p,) their sizes.
+    """
+
+    motions: JointMotions
+    servo: Array
+    scale: Array
+
+    @classmethod
+    def of(cls, motions: JointMotions, start: Array, told: float) -> _Half:
+        """That of a joint; see `_by_half`."""
+        return cls(motions, *_by_half(motions, start, told))
+
+    def gain(self, motions: JointMotions, servo: Array) -> float:
+        """What another joint and servo gain on the other windows."""
+        residuals = self.motions.residual(self.servo), motions.residual(servo)
+        return motions.gain_of(*residuals, motions.tested)
+
+
+def _limited(motions: JointMotions, start: Array, told: float, limit: float) -> _Half:
+    """The servo by half of the windows, at the limit that the others ask for: of the model, or own.
+
+    Args:
+        motions: The joint, without a limit.
+        start: (6,) where searches begin.
+        told: The integral gain by a linear fit; 0 if it has none.
+        limit: Largest effort of the joint by the model, N·m or N.
+    """
+    best = _Half.of(motions, start, told)
+    held, plain = replace(motions, limit=limit), best.servo
+    if any((held.residual(each) != motions.residual(each)).any() for each in (start, plain)):
+        for limited in (held, replace(held, own=True)):
+            other = _Half.of(limited, start, told)
+            if best.gain(limited, other.servo) >= PENALTY:
+                best = other
+    integrals = (told,) if told else (0.0, start[0])
+    starts = [best.servo, *(_with_integral(motions, start, each) for each in integrals)]
+    scale = _scale(motions, start, told)
+    for free in (motions, replace(motions, own=True)):
+        limited, servo = _with_limit(free, starts, scale, step=_COARSE_STEP)
+        if best.gain(limited, servo) >= PENALTY:
+            summed = float(servo[_INTEGRAL]) if len(servo) > _INTEGRAL else told
+            other = _Half.of(limited, servo[:_PLAIN], summed)
+            limited, servo = _with_limit(limited, [other.servo], scale, step=_STEP)
+            if best.gain(limited, servo) >= PENALTY:
+                best = _Half(limited, servo, other.scale)
+    return best
+
+
+def _with_limit(
+    motions: JointMotions, starts: Sequence[Array], scale: Array, *, step: float
+) -> tuple[JointMotions, Array]:
+    """The joint whose servo saturates where windows that a fit sees ask for it, and this servo.
+
+    Args:
+        motions: The joint, with a limit to begin with; else it is what bodies need at most.
+        starts: Servos to begin with.
+        scale: (7 + S,) sizes of parameters.
+        step: Of simulations at most, s.
+    """
+    needed = float(np.abs(np.concatenate(motions.rows)[:, 0]).max())
+    limit = motions.limit if np.isfinite(motions.limit) else needed
+    found = []
+    for start in starts:
+        sizes = np.append(scale[: len(start)], needed)
+        search = _LimitSearch(motions, sizes, step)
+        lower, upper = _bounds(sizes[:-1])
+        lower, upper = np.append(lower, _INSIDE), np.append(upper, np.inf)
+        begin = np.append(start, limit) / sizes
+        fit = least_squares(
+            search.residual,
+            np.clip(begin, lower + _INSIDE, upper - _INSIDE),
+            search.slopes,
+            bounds=(lower, upper),
+            max_nfev=_MOST_EVALUATIONS,
+        )
+        found.append((fit.cost, fit.x * sizes))
+    *servo, limit = min(found, key=lambda each: each[0])[1].tolist()
+    return replace(motions, limit=limit), np.array(servo)
+
+
+@dataclass(frozen=True, eq=False)
+class _LimitSearch:
+    """Residuals and slopes of a search that moves the limit, too.
+
+    Attributes:
+        motions: The joint.
+        sizes: (p + 1,) of parameters, and of the limit, by which they are divided.
+        step: Of simulations at most, s.
+    """
+
+    motions: JointMotions
+    sizes: Array
+    step: float
+
+    def _simulated(self, x: Array, *, slopes: bool = False) -> tuple[Array, Array]:
+        *servo, limit = (x * self.sizes).tolist()
+        limited = replace(self.motions, limit=limit)
+        return limited.simulated(np.array(servo), step=self.step, slopes=slopes)
+
+    def residual(self, x: Array) -> Array:
+        """Residuals of rows that no test needs, rad or m."""
+        return (self._simulated(x)[0] - self.motions.measured)[~self.motions.tested]
+
+    def slopes(self, x: Array) -> Array:
+        """Their slopes with parameters in their sizes; those with the limit are differences."""
+        found, J = self._simulated(x, slopes=True)
+        step = np.append(np.zeros(len(x) - 1), _LIMIT_STEP)
+        along = (self._simulated(x + step)[0] - found) / _LIMIT_STEP
+        return np.column_stack([J * self.sizes[:-1], along])[~self.motions.tested]
+
+
+def _scale(motions: JointMotions, start: Array, told: float) -> Array:
+    """(7 + S,) sizes of parameters.
+
+    Args:
+        motions: The joint.
+        start: (6,) the servo by a linear fit.
+        told: Its integral gain; 0 if it has none.
+    """
+    plain = np.maximum(start, [0.0, 0.02 * start[0], 0.0, 1e-3, 1e-4, 0.01])
+    effort = np.std(np.concatenate(motions.rows)[:, 0])
+    return np.concatenate([plain, [max(told, start[0])], np.full(len(motions.rows), effort)])
+
+
+def _bounds(scale: Array) -> tuple[Array, Array]:
+    """(p,) least and largest values of parameters in their sizes."""
+    upper, lower = np.full((2, len(scale)), np.inf)
+    upper[_DELAY] = LONGEST_DELAY / scale[_DELAY]
+    lower[: len(PARAMETERS)], lower[len(PARAMETERS) :] = 0.0, -np.inf
+    return lower, upper
+
+
 def _by_half(motions: JointMotions, start: Array, told: float) -> tuple[Array, Array]:
     """A servo by the windows that a test does not need, and sizes of its parameters (p,).
 
@@ -327,10 +463,11 @@ def _by_half(motions: JointMotions, start: Array, told: float) -> tuple[Array, A
         start: (6,) where searches begin.
         told: The integral gain by a linear fit; 0 if it has none.
     """
-    scale = np.maximum(start, [0.0, 0.02 * start[0], 0.0, 1e-3, 1e-4, 0.01])
+    whole = _scale(motions, start, told)
+    scale = whole[:_PLAIN]
     begun = _best(motions, _starts(start), scale, ~motions.tested, step=_COARSE_STEP)
     half = _best(motions, [begun], scale, ~motions.tested)
-    return _integral(motions, (start, half), scale, told) or (half, scale)
+    return _integral(motions, (start, half), whole, told) or (half, scale)
 
 
 def _with_integral(motions: JointMotions, servo: Array, integral: float) -> Array:
@@ -347,7 +484,7 @@ def _integral(
     Args:
         motions: The joint.
         known: (6,) the servo by a linear fit, and without an integral by the same windows.
-        scale: (6,) sizes of its parameters.
+        scale: (7 + S,) sizes of its parameters.
         told: The integral gain by a linear fit; 0 if it has none.
 
     Returns:
@@ -356,8 +493,6 @@ def _integral(
     """
     start, plain = known
     tested, zero = motions.tested, np.zeros(len(motions.rows))
-    effort = np.std(np.concatenate(motions.rows)[:, 0])
-    scale = np.concatenate([scale, [max(told, start[0])], np.full(len(zero), effort)])
     constant = np.concatenate([plain, [0.0], zero])
     if told:
         starts = [_with_integral(motions, each, told) for each in _starts(start)]
@@ -421,9 +556,7 @@ def _best(
         step: Of simulations at most, s.
     """
     free = np.ones(len(scale), bool) if free is None else free
-    upper, lower = np.full((2, len(scale)), np.inf)
-    upper[_DELAY] = LONGEST_DELAY / scale[_DELAY]
-    lower[: len(PARAMETERS)], lower[len(PARAMETERS) :] = 0.0, -np.inf
+    lower, upper = _bounds(scale)
     found = []
     for start in starts:
         search = _MotionSearch(motions, start, scale, free, rows, step)
