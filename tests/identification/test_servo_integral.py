@@ -221,6 +221,10 @@ def test_it_is_saved_shown_and_named_by_exports(fitted, log, tmp_path):
     assert load_saved(tmp_path / "fitted.yaml").effort_signals == model.effort_signals
     table = signals_table(model.effort_signals, Units())
     assert "integral" in str(table) and "N·m/(rad·s)" in str(table)
+    assert "limit" not in table.head
+    limited = replace(model.effort_signals[0], limit=7.25)
+    assert signals_table((limited,), Units()).head[-1] == "limit"
+    assert "7.25 N·m" in str(signals_table((limited,), Units()))
     for form, cost in (("mjcf", [log]), ("isaac", [])):
         notes = " ".join(export_to(form, model, tmp_path / form, cost).notes)
         assert f"servos of {form} have no integral, such as that of hinge" in notes
