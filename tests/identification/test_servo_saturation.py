@@ -127,6 +127,15 @@ def test_a_limit_that_the_servo_does_not_keep_is_none(tmp_path):
     assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.03)
 
 
+def test_a_joint_that_stands_exactly_still_has_no_servo():
+    """Of no effort, too: no number is divided by what is not there."""
+    rows = np.zeros((400, 8))
+    rows[:, 1] = 0.5
+    motions = JointMotions((rows,), (rows[:, 4],), (0.004,))
+    for integral in (0.0, 3.0):
+        assert fit_servo(motions, EffortSignal("a", "command", 5.0, integral=integral), 3.0) is None
+
+
 def test_a_servo_that_is_always_at_its_limit_is_refused(tmp_path):
     with pytest.raises(LogError, match="it is saturated"):
         open_case(pendulum(tmp_path, 2.0), [servo_log(limit=2.0)], candidates=False)

@@ -61,12 +61,13 @@ LONGEST_DELAY = 0.06
 
 _STEP, _COARSE_STEP = 2.5e-4, 1e-3  # s, of simulations at most: of all, and of first searches
 _WINDOWS = 8  # of all logs, two of a stretch at least; every other one is left out for a test
-_MOST_EVALUATIONS = 60
+_MOST_EVALUATIONS, _FIRST_EVALUATIONS = 60, 20
 _LIMIT_STEP = 1e-3  # of a limit's size, for differences
 _INSIDE = 0.01  # of parameters' sizes from their bounds, where searches begin
 _RATE, _DELAY, _INTEGRAL = 1, 5, 6  # which parameter is which
 _PLAIN = _INTEGRAL  # parameters of servos without an integral, which come first
 _RESETS = (1.0, 5.0)  # ki / kp, 1/s, that searches begin from
+_NOTHING = float(np.finfo(float).tiny)  # rad² or m², of a joint that stands exactly still
 _FAR = 1e3  # rad or m, from the measured motion, and no farther: squares stay numbers
 _TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
 
@@ -193,7 +194,7 @@ class JointMotions:
         rows = np.ones(len(after), bool) if rows is None else rows
         pieces = zip(np.split(after, ends), np.split(rows, ends), strict=True)
         blocks = [block for piece, kept in pieces for block in _runs(piece, kept)]
-        squares = [float(each[rows] @ each[rows]) for each in (before, after)]
+        squares = [max(float(each[rows] @ each[rows]), _NOTHING) for each in (before, after)]
         return effective_samples(blocks) * float(np.log(squares[0] / squares[1]))
 
     @property
@@ -361,18 +362,19 @@ def _limited(motions: JointMotions, start: Array, told: float, limit: float) -> 
     starts = [best.servo, *(_with_integral(motions, start, each) for each in integrals)]
     scale = _scale(motions, start, told)
     for free in (motions, replace(motions, own=True)):
-        limited, servo = _with_limit(free, starts, scale, step=_COARSE_STEP)
+        limited, servo = _with_limit(free, starts, scale, first=True)
+        starts = [servo]
         if best.gain(limited, servo) >= PENALTY:
             summed = float(servo[_INTEGRAL]) if len(servo) > _INTEGRAL else told
             other = _Half.of(limited, servo[:_PLAIN], summed)
-            limited, servo = _with_limit(limited, [other.servo], scale, step=_STEP)
+            limited, servo = _with_limit(limited, [other.servo], scale, first=False)
             if best.gain(limited, servo) >= PENALTY:
                 best = _Half(limited, servo, other.scale)
     return best
 
 
 def _with_limit(
-    motions: JointMotions, starts: Sequence[Array], scale: Array, *, step: float
+    motions: JointMotions, starts: Sequence[Array], scale: Array, *, first: bool
 ) -> tuple[JointMotions, Array]:
     """The joint whose servo saturates where windows that a fit sees ask for it, and this servo.
 
@@ -380,9 +382,10 @@ def _with_limit(
         motions: The joint, with a limit to begin with; else it is what bodies need at most.
         starts: Servos to begin with.
         scale: (7 + S,) sizes of parameters.
-        step: Of simulations at most, s.
+        first: Whether it is a first search, which need not settle.
     """
-    needed = float(np.abs(np.concatenate(motions.rows)[:, 0]).max())
+    step, most = (_COARSE_STEP, _FIRST_EVALUATIONS) if first else (_STEP, _MOST_EVALUATIONS)
+    needed = float(np.abs(np.concatenate(motions.rows)[:, 0]).max()) or 1.0
     limit = motions.limit if np.isfinite(motions.limit) else needed
     found = []
     for start in starts:
@@ -396,7 +399,7 @@ def _with_limit(
             np.clip(begin, lower + _INSIDE, upper - _INSIDE),
             search.slopes,
             bounds=(lower, upper),
-            max_nfev=_MOST_EVALUATIONS,
+            max_nfev=most,
         )
         found.append((fit.cost, fit.x * sizes))
     *servo, limit = min(found, key=lambda each: each[0])[1].tolist()
@@ -443,7 +446,7 @@ def _scale(motions: JointMotions, start: Array, told: float) -> Array:
         told: Its integral gain; 0 if it has none.
     """
     plain = np.maximum(start, [0.0, 0.02 * start[0], 0.0, 1e-3, 1e-4, 0.01])
-    effort = np.std(np.concatenate(motions.rows)[:, 0])
+    effort = float(np.std(np.concatenate(motions.rows)[:, 0])) or 1.0  # of none, any size
     return np.concatenate([plain, [max(told, start[0])], np.full(len(motions.rows), effort)])
 
 
