@@ -74,11 +74,11 @@ class ReadingOptions:
         ),
     ] = None
     topic: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
             metavar="NAME",
             help="Topic of a bag, or channel of an LCM log, where several have joints; an "
-            "unknown one such as x lists them.",
+            "unknown one such as x lists them. Repeatable: topics of a bag are joined by time.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -122,7 +122,7 @@ class ReadingOptions:
             gain_deviations={j: spread for j, (_, spread) in gains.items() if spread is not None},
             kinds=self._kinds,
             skip_bad_rows=self.skip_bad_rows,
-            topic=self.topic,
+            topic=tuple(self.topic or ()),
             episode=self.episode,
         )
 

@@ -1,4 +1,7 @@
-"""Integrals of servos along logs: how they grow is measured, where they began is not."""
+"""Integrals of servos along logs: how they grow is measured, where they began is not.
+
+In a long gap nothing is measured, and they begin anew after it.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,9 @@ from numpy.typing import NDArray
 from geodrake.compiling import compiled, contiguous
 
 Array = NDArray[np.float64]
+
+LONGEST_BRIDGE = 0.1
+"""Gaps over which an error is taken as on a straight line, s; in longer ones it is not known."""
 
 
 def error_integral(time: Array, error: Array) -> Array:
@@ -61,16 +67,36 @@ def calc_limited_integral(rows: Array, gain: float, limit: float, out: Array) ->
         out[k + 1] = out[k] + (0.0 if beyond else (rows[k + 1, 0] - rows[k, 0]) * error)
 
 
-def constant_beside_friction(effort: Array, velocity: Array) -> float:
-    """The constant in an effort, N·m or N, that is no friction; 0 if nothing is known.
+def runs_between_gaps(time: Array, error: Array) -> NDArray[np.intp]:
+    """(N,) numbers, from 0 on, of the runs of rows over which an integral is known to grow.
+
+    A new one begins after each gap that is longer than `LONGEST_BRIDGE`.
+
+    Args:
+        time: (N,) instants, s.
+        error: (N,) commanded less measured position; NaN where one is not known.
+    """
+    known = np.flatnonzero(np.isfinite(error) & np.isfinite(time))
+    begins = known[1:][np.diff(time[known]) > LONGEST_BRIDGE]
+    return np.searchsorted(begins, np.arange(len(time)), side="right")
+
+
+def constants_beside_friction(effort: Array, velocity: Array, runs: NDArray[np.intp]) -> Array:
+    """(N,) the constant of each run in an effort, N·m or N, that is no friction.
+
+    Friction is that of all runs together; a run of which nothing is known has none.
 
     Args:
         effort: (N,) the effort; NaN where it is not known.
         velocity: (N,) velocity of the joint, rad/s or m/s.
+        runs: (N,) numbers of the runs, from 0 on.
     """
     known = np.isfinite(effort) & np.isfinite(velocity)
-    if not known.any():
-        return 0.0
-    v = velocity[known]
-    columns = np.stack([np.ones_like(v), v, np.sign(v)], axis=1)
-    return float(np.linalg.lstsq(columns, effort[known], rcond=None)[0][0])
+    run, v = runs[known], velocity[known]
+    columns = np.stack([v, np.sign(v), effort[known]], axis=1)
+    means, counts = np.zeros((int(runs.max(initial=0)) + 1, 3)), np.bincount(run)
+    for k, column in enumerate(columns.T):
+        means[: len(counts), k] = np.bincount(run, column) / np.maximum(counts, 1)
+    within = columns - means[run]
+    friction = np.linalg.lstsq(within[:, :2], within[:, 2], rcond=None)[0]
+    return np.asarray((means[:, 2] - means[:, :2] @ friction)[runs])

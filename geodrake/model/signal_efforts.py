@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from geodrake.logs.motion import JointLog
 from geodrake.model.effort_signal import COMMAND, EffortSignal, signal_of
 from geodrake.model.servo_integrals import (
-    constant_beside_friction,
+    constants_beside_friction,
     error_integral,
     limited_integral,
+    runs_between_gaps,
 )
 
 Array = NDArray[np.float64]
@@ -107,12 +108,13 @@ def _parts(
     plain = signal.gain * error + (signal.damping * rate if signal.damping else 0.0)
     if not signal.integral:
         return plain, np.zeros(len(plain))
-    summed, began = signal.integral * error_integral(log.time, error), 0.0
+    summed, began = signal.integral * error_integral(log.time, error), np.zeros(len(plain))
+    runs = runs_between_gaps(log.time, error)
     for _ in range(_ROUNDS if np.isfinite(signal.limit) else 1):
         if needed is not None:
             inside = np.abs(plain + summed + began) < signal.limit
             left = np.where(inside, needed - plain - summed, np.nan)
-            began = constant_beside_friction(left, _velocity(log, at))
+            began = constants_beside_friction(left, _velocity(log, at), runs)
         if np.isfinite(signal.limit):
             start = plain + began, signal.integral, signal.limit
             summed = signal.integral * limited_integral(log.time, error, *start)

@@ -254,6 +254,7 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
     """
     rows, served = [], any(signal.kind == COMMAND for signal in signals)
     summed = any(signal.integral for signal in signals)
+    limited = any(signal.limit < math.inf for signal in signals)
     for signal in signals:
         gain = with_deviation(signal.gain, signal.deviation)
         row = [signal.joint, signal.kind, gain, units.at(signal.joint, signal.unit)]
@@ -266,9 +267,12 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
             integral = with_deviation(signal.integral, signal.integral_deviation)
             unit = units.at(signal.joint, "N·m/(rad·s)")
             row += [f"{integral} {unit}" if signal.integral else UNKNOWN]
+        if limited:
+            most = f"{number(signal.limit)} {units.at(signal.joint, 'N·m')}"
+            row += [most if signal.limit < math.inf else UNKNOWN]
         rows.append(cells(*row))
     more = ("damping", "late by") if served else ()
-    more = (*more, "integral") if summed else more
+    more = (*more, *(["integral"] if summed else []), *(["limit"] if limited else []))
     head = ("joint", "in place of efforts", "gain", "unit", *more)
     return Table(head, tuple(rows), words=2)
 

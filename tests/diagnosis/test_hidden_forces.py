@@ -237,7 +237,19 @@ def dragged(joint, point, drag):
 
 
 class TestAerodynamicDrag:
-    @pytest.mark.thorough
+    def test_found_on_the_smallest_robot(self):
+        """Which moves in a plane, where two coordinates of the centre of pressure show."""
+        recording = effort_log(
+            "double_pendulum", 1, dragged(2, (0.0, 0.0, -0.3), 3.0), off=0.2, duration=16, rate=100
+        )
+        places = {"aerodynamic_drag": ("lower_link",)}
+        steps, _ = assert_found(model_file("double_pendulum"), recording, places)
+        values = steps["aerodynamic_drag"]["lower_link"]
+        assert values["drag"] == pytest.approx(3.0, rel=0.05)
+        center = [values[axis] + values[f"drag_lever_{axis}"] / values["drag"] for axis in "xz"]
+        np.testing.assert_allclose(center, (0.0, -0.3), atol=0.02)
+
+    @pytest.mark.thorough  # by default, test_found_on_the_smallest_robot
     @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize(
         ("joint", "body", "point", "size"),

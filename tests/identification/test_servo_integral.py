@@ -20,7 +20,11 @@ from geodrake.model import EffortSignal
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.saved_model import load_model as load_saved
 from geodrake.model.saved_model import save_model
-from geodrake.model.servo_integrals import constant_beside_friction, error_integral
+from geodrake.model.servo_integrals import (
+    constants_beside_friction,
+    error_integral,
+    runs_between_gaps,
+)
 from geodrake.model.signal_efforts import servo_effort
 from geodrake.report.numbers import Units
 from geodrake.report.tables import signals_table
@@ -48,6 +52,14 @@ def fitted(model, log):
 def alone(model, log):
     sharp = prepare_logs(signals_as_efforts([log], ["command"]), bandwidth=5.0, motion_bandwidth=20)
     return motions_of(model, [log], sharp, [0])[0]
+
+
+def with_gaps(log, instants, length):
+    """The log without the rows of a time, s, after each instant."""
+    time = log.time - log.time[0]
+    kept = np.all([(time < at) | (time > at + length) for at in instants], axis=0)
+    columns = ("time", "position", "effort", "command")
+    return replace(log, **{name: getattr(log, name)[kept] for name in columns})
 
 
 def test_simulation_is_that_of_the_equation():
@@ -160,11 +172,47 @@ def test_integrals_of_errors_and_constants():
     time = np.array([0.0, 1.0, 2.0, 4.0])
     grown = error_integral(time, np.array([1.0, 3.0, np.nan, 1.0]))
     np.testing.assert_allclose(grown, [0.0, 2.0, 4.0, 8.0])  # straight over what is not known
-    v = np.sin(np.linspace(0.0, 9.0, 200))
-    effort = 0.7 + 0.2 * v + 0.4 * np.sign(v)
+    v, runs = np.sin(np.linspace(0.0, 9.0, 200)), np.repeat([0, 1], 100)
+    effort = 0.7 - 1.1 * runs + 0.2 * v + 0.4 * np.sign(v)
     effort[3] = np.nan
-    assert constant_beside_friction(effort, v) == pytest.approx(0.7)
-    assert constant_beside_friction(np.full(3, np.nan), np.ones(3)) == 0.0
+    found = constants_beside_friction(effort, v, runs)
+    np.testing.assert_allclose(found, 0.7 - 1.1 * runs)
+    assert not constants_beside_friction(np.full(3, np.nan), np.ones(3), np.arange(3)).any()
+
+
+def test_integrals_begin_anew_after_long_gaps(model, log):
+    """What a joint was behind in a gap of a second is not known, and not made up."""
+    signal = EffortSignal("hinge", "command", TRUTH[0], delay=LATE, integral=INTEGRAL)
+    known = replace(model, effort_signals=(signal,))
+    short = with_gaps(log, [5.0, 9.0], 1.0)
+    runs = runs_between_gaps(short.time, short.position[:, 0])
+    assert [np.count_nonzero(runs == k) > 500 for k in range(runs[-1] + 1)] == 3 * [True]
+    whole, parts = (with_efforts(known, [each])[1][0] for each in (log, short))
+    expected = np.interp(short.time, log.time, whole.effort[:, 0])
+    off = np.sqrt(np.mean((parts.effort[:, 0] - expected) ** 2))
+    assert off < 0.02 * np.std(expected)
+
+
+def test_each_stretch_begins_where_the_fit_sees_it(model, log):
+    """Or nobody would know what its integral begins with."""
+    motions = alone(model, with_gaps(log, [3.0, 6.0, 9.0, 12.0], 0.1))
+    counts = [len(rows) for rows in motions.rows]
+    for tested in np.split(motions.tested, np.cumsum(counts)[:-1]):
+        assert not tested[0] and tested[-1] and 0.4 < np.mean(tested) < 0.6
+    whole = alone(model, log)
+    assert np.count_nonzero(np.diff(whole.tested)) == 7
+
+
+@pytest.mark.thorough  # by default, test_each_stretch_begins_where_the_fit_sees_it
+@pytest.mark.parametrize("length", [0.05, 0.1, 1.0])
+@pytest.mark.parametrize("count", [4, 12])
+def test_it_is_found_in_logs_with_gaps(model, length, count):
+    log = servo_log(integral=INTEGRAL, seconds=41.0)
+    gaps = np.linspace(0.0, 40.0, count + 2)[1:-1]
+    motions = alone(model, with_gaps(log, gaps, length))
+    fit = fit_servo(motions, EffortSignal("hinge", "command", 50.0))
+    assert fit.integral == pytest.approx(INTEGRAL, rel=0.05)
+    assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.05)
 
 
 def test_it_is_saved_shown_and_named_by_exports(fitted, log, tmp_path):
@@ -173,6 +221,10 @@ def test_it_is_saved_shown_and_named_by_exports(fitted, log, tmp_path):
     assert load_saved(tmp_path / "fitted.yaml").effort_signals == model.effort_signals
     table = signals_table(model.effort_signals, Units())
     assert "integral" in str(table) and "N·m/(rad·s)" in str(table)
+    assert "limit" not in table.head
+    limited = replace(model.effort_signals[0], limit=7.25)
+    assert signals_table((limited,), Units()).head[-1] == "limit"
+    assert "7.25 N·m" in str(signals_table((limited,), Units()))
     for form, cost in (("mjcf", [log]), ("isaac", [])):
         notes = " ".join(export_to(form, model, tmp_path / form, cost).notes)
         assert f"servos of {form} have no integral, such as that of hinge" in notes

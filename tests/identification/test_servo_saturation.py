@@ -103,8 +103,21 @@ def test_velocity_feedback_is_within_the_limit(tmp_path):
     assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.05)
     assert sum(fit.parameters[1:3]) == pytest.approx(TRUTH[2], rel=0.1)
     assert fit.own or fit.parameters[1] == pytest.approx(TRUTH[2] - 1.0, rel=0.1)
-    unlimited = fit_servo(motions, EffortSignal("hinge", "command", 50.0))
-    assert unlimited is None or fit.error < 0.2 * unlimited.error
+    found = fit_servo(motions, EffortSignal("hinge", "command", 50.0))
+    assert found.limit == pytest.approx(5.0, rel=0.02) and found.error < 1.1 * fit.error
+
+
+@pytest.mark.thorough  # by default, test_velocity_feedback_is_within_the_limit
+@pytest.mark.parametrize("integral", [0.0, 90.0])
+@pytest.mark.parametrize("told", [14.0, 1e4])
+def test_a_limit_that_the_model_does_not_have_is_found(integral, told, tmp_path):
+    model = pendulum(tmp_path, told)
+    known, (log,), _ = with_efforts(model, [servo_log(integral=integral, limit=7.0)])
+    (signal,) = known.effort_signals
+    assert signal.limit == pytest.approx(7.0, rel=0.01)
+    assert signal.gain == pytest.approx(TRUTH[0], rel=0.05)
+    assert signal.integral == pytest.approx(integral, rel=0.05)
+    assert np.abs(log.effort).max() == signal.limit
 
 
 def test_a_limit_that_the_servo_does_not_keep_is_none(tmp_path):
@@ -112,6 +125,15 @@ def test_a_limit_that_the_servo_does_not_keep_is_none(tmp_path):
     fit = fit_servo(motions, EffortSignal("hinge", "command", 50.0), 5.0)
     assert fit.limit == np.inf
     assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.03)
+
+
+def test_a_joint_that_stands_exactly_still_has_no_servo():
+    """Of no effort, too: no number is divided by what is not there."""
+    rows = np.zeros((400, 8))
+    rows[:, 1] = 0.5
+    motions = JointMotions((rows,), (rows[:, 4],), (0.004,))
+    for integral in (0.0, 3.0):
+        assert fit_servo(motions, EffortSignal("a", "command", 5.0, integral=integral), 3.0) is None
 
 
 def test_a_servo_that_is_always_at_its_limit_is_refused(tmp_path):

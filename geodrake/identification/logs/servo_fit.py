@@ -18,9 +18,10 @@ An integral that goes on since before the log has left an effort w where a stret
 nobody knows; without an integral w would be a constant effort. A servo therefore has an integral
 only if windows that a fit did not see are predicted better with ki than with such a constant alone.
 
-A servo whose joint has a limit of effort saturates in the simulation, its integral held, where such
-windows are predicted better for it. Damping d is the joint's, beyond the limit, or the servo's own,
-within: only a servo at its limit tells them apart.
+A servo saturates in the simulation, its integral held, where such windows are predicted better for
+it: at the limit of effort that the model states, or at one of its own, which is sought like another
+parameter, from what bodies need at most on. Damping d is the joint's, beyond the limit, or the
+servo's own, within: only a servo at its limit tells them apart.
 """
 
 from __future__ import annotations
@@ -59,12 +60,14 @@ LONGEST_DELAY = 0.06
 """Commands are late by no more, s."""
 
 _STEP, _COARSE_STEP = 2.5e-4, 1e-3  # s, of simulations at most: of all, and of first searches
-_WINDOWS = 8  # of a log, of which every other one is left out for a test
-_MOST_EVALUATIONS = 60
+_WINDOWS = 8  # of all logs, two of a stretch at least; every other one is left out for a test
+_MOST_EVALUATIONS, _FIRST_EVALUATIONS = 60, 20
+_LIMIT_STEP = 1e-3  # of a limit's size, for differences
 _INSIDE = 0.01  # of parameters' sizes from their bounds, where searches begin
 _RATE, _DELAY, _INTEGRAL = 1, 5, 6  # which parameter is which
 _PLAIN = _INTEGRAL  # parameters of servos without an integral, which come first
 _RESETS = (1.0, 5.0)  # ki / kp, 1/s, that searches begin from
+_NOTHING = float(np.finfo(float).tiny)  # rad² or m², of a joint that stands exactly still
 _FAR = 1e3  # rad or m, from the measured motion, and no farther: squares stay numbers
 _TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
 
@@ -191,14 +194,20 @@ class JointMotions:
         rows = np.ones(len(after), bool) if rows is None else rows
         pieces = zip(np.split(after, ends), np.split(rows, ends), strict=True)
         blocks = [block for piece, kept in pieces for block in _runs(piece, kept)]
-        squares = [float(each[rows] @ each[rows]) for each in (before, after)]
+        squares = [max(float(each[rows] @ each[rows]), _NOTHING) for each in (before, after)]
         return effective_samples(blocks) * float(np.log(squares[0] / squares[1]))
 
     @property
     def tested(self) -> NDArray[np.bool_]:
-        """(N,) rows of every other window, which a test leaves out of the fit."""
-        count = sum(map(len, self.rows))
-        return (np.arange(count) * _WINDOWS // max(count, 1)) % 2 == 1
+        """(N,) rows of every other window, which a test leaves out of the fit.
+
+        Each stretch begins in a window that the fit sees: what its integral begins with shows only
+        there, and a servo that was left to guess it would not be told from one without.
+        """
+        counts = np.array([len(each) for each in self.rows])
+        pairs = np.maximum(1, np.rint(0.5 * _WINDOWS * counts / max(counts.sum(), 1)).astype(int))
+        windows = zip(counts.tolist(), pairs.tolist(), strict=True)
+        return np.concatenate([np.arange(n) * 2 * k // max(n, 1) % 2 == 1 for n, k in windows])
 
 
 def _runs(values: Array, kept: NDArray[np.bool_]) -> list[Array]:
@@ -267,7 +276,8 @@ def fit_servo(
     Args:
         motions: The joint.
         signal: The servo by a linear fit, at which the search begins.
-        limit: Largest effort of the joint, N·m or N, which the servo may or may not keep.
+        limit: Largest effort of the joint, N·m or N, by the model: the servo may keep it, or
+            another one, or none.
 
     Returns:
         The servo; None if windows that the fit did not see are predicted no better than from where
@@ -278,14 +288,8 @@ def fit_servo(
     damping = 0.05 * stiffness
     start = np.array([stiffness, signal.damping, damping, friction, inertia, signal.delay])
     tested, every = motions.tested, np.ones(len(rows), bool)
-    half, scale = _by_half(motions, start, signal.integral)
-    held = replace(motions, limit=limit)
-    if any((held.residual(each) != motions.residual(each)).any() for each in (start, half)):
-        for limited in (held, replace(held, own=True)):
-            other, sizes = _by_half(limited, start, signal.integral)
-            residuals = motions.residual(half), limited.residual(other)
-            if motions.gain_of(*residuals, tested) >= PENALTY:
-                motions, half, scale = limited, other, sizes
+    found = _limited(motions, start, signal.integral, limit)
+    motions, half, scale = found.motions, found.servo, found.scale
     summed = len(half) > _INTEGRAL
     told = signal.integral if summed else 0.0
     began = _with_integral(motions, start, told) if told else start
@@ -313,6 +317,147 @@ def fit_servo(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Half:
+    """A servo by the windows that a test does not need.
+
+    Attributes:
+        motions: The joint, and at which effort the servo saturates.
+        servo: (p,) its parameters.
+        scale: (p,) their sizes.
+    """
+
+    motions: JointMotions
+    servo: Array
+    scale: Array
+
+    @classmethod
+    def of(cls, motions: JointMotions, start: Array, told: float) -> _Half:
+        """That of a joint; see `_by_half`."""
+        return cls(motions, *_by_half(motions, start, told))
+
+    def gain(self, motions: JointMotions, servo: Array) -> float:
+        """What another joint and servo gain on the other windows."""
+        residuals = self.motions.residual(self.servo), motions.residual(servo)
+        return motions.gain_of(*residuals, motions.tested)
+
+
+def _limited(motions: JointMotions, start: Array, told: float, limit: float) -> _Half:
+    """The servo by half of the windows, at the limit that the others ask for: of the model, or own.
+
+    Args:
+        motions: The joint, without a limit.
+        start: (6,) where searches begin.
+        told: The integral gain by a linear fit; 0 if it has none.
+        limit: Largest effort of the joint by the model, N·m or N.
+    """
+    best = _Half.of(motions, start, told)
+    held, plain = replace(motions, limit=limit), best.servo
+    if any((held.residual(each) != motions.residual(each)).any() for each in (start, plain)):
+        for limited in (held, replace(held, own=True)):
+            other = _Half.of(limited, start, told)
+            if best.gain(limited, other.servo) >= PENALTY:
+                best = other
+    integrals = (told,) if told else (0.0, start[0])
+    starts = [best.servo, *(_with_integral(motions, start, each) for each in integrals)]
+    scale = _scale(motions, start, told)
+    for free in (motions, replace(motions, own=True)):
+        limited, servo = _with_limit(free, starts, scale, first=True)
+        starts = [servo]
+        if best.gain(limited, servo) >= PENALTY:
+            summed = float(servo[_INTEGRAL]) if len(servo) > _INTEGRAL else told
+            other = _Half.of(limited, servo[:_PLAIN], summed)
+            limited, servo = _with_limit(limited, [other.servo], scale, first=False)
+            if best.gain(limited, servo) >= PENALTY:
+                best = _Half(limited, servo, other.scale)
+    return best
+
+
+def _with_limit(
+    motions: JointMotions, starts: Sequence[Array], scale: Array, *, first: bool
+) -> tuple[JointMotions, Array]:
+    """The joint whose servo saturates where windows that a fit sees ask for it, and this servo.
+
+    Args:
+        motions: The joint, with a limit to begin with; else it is what bodies need at most.
+        starts: Servos to begin with.
+        scale: (7 + S,) sizes of parameters.
+        first: Whether it is a first search, which need not settle.
+    """
+    step, most = (_COARSE_STEP, _FIRST_EVALUATIONS) if first else (_STEP, _MOST_EVALUATIONS)
+    needed = float(np.abs(np.concatenate(motions.rows)[:, 0]).max()) or 1.0
+    limit = motions.limit if np.isfinite(motions.limit) else needed
+    found = []
+    for start in starts:
+        sizes = np.append(scale[: len(start)], needed)
+        search = _LimitSearch(motions, sizes, step)
+        lower, upper = _bounds(sizes[:-1])
+        lower, upper = np.append(lower, _INSIDE), np.append(upper, np.inf)
+        begin = np.append(start, limit) / sizes
+        fit = least_squares(
+            search.residual,
+            np.clip(begin, lower + _INSIDE, upper - _INSIDE),
+            search.slopes,
+            bounds=(lower, upper),
+            max_nfev=most,
+        )
+        found.append((fit.cost, fit.x * sizes))
+    *servo, limit = min(found, key=lambda each: each[0])[1].tolist()
+    return replace(motions, limit=limit), np.array(servo)
+
+
+@dataclass(frozen=True, eq=False)
+class _LimitSearch:
+    """Residuals and slopes of a search that moves the limit, too.
+
+    Attributes:
+        motions: The joint.
+        sizes: (p + 1,) of parameters, and of the limit, by which they are divided.
+        step: Of simulations at most, s.
+    """
+
+    motions: JointMotions
+    sizes: Array
+    step: float
+
+    def _simulated(self, x: Array, *, slopes: bool = False) -> tuple[Array, Array]:
+        *servo, limit = (x * self.sizes).tolist()
+        limited = replace(self.motions, limit=limit)
+        return limited.simulated(np.array(servo), step=self.step, slopes=slopes)
+
+    def residual(self, x: Array) -> Array:
+        """Residuals of rows that no test needs, rad or m."""
+        return (self._simulated(x)[0] - self.motions.measured)[~self.motions.tested]
+
+    def slopes(self, x: Array) -> Array:
+        """Their slopes with parameters in their sizes; those with the limit are differences."""
+        found, J = self._simulated(x, slopes=True)
+        step = np.append(np.zeros(len(x) - 1), _LIMIT_STEP)
+        along = (self._simulated(x + step)[0] - found) / _LIMIT_STEP
+        return np.column_stack([J * self.sizes[:-1], along])[~self.motions.tested]
+
+
+def _scale(motions: JointMotions, start: Array, told: float) -> Array:
+    """(7 + S,) sizes of parameters.
+
+    Args:
+        motions: The joint.
+        start: (6,) the servo by a linear fit.
+        told: Its integral gain; 0 if it has none.
+    """
+    plain = np.maximum(start, [0.0, 0.02 * start[0], 0.0, 1e-3, 1e-4, 0.01])
+    effort = float(np.std(np.concatenate(motions.rows)[:, 0])) or 1.0  # of none, any size
+    return np.concatenate([plain, [max(told, start[0])], np.full(len(motions.rows), effort)])
+
+
+def _bounds(scale: Array) -> tuple[Array, Array]:
+    """(p,) least and largest values of parameters in their sizes."""
+    upper, lower = np.full((2, len(scale)), np.inf)
+    upper[_DELAY] = LONGEST_DELAY / scale[_DELAY]
+    lower[: len(PARAMETERS)], lower[len(PARAMETERS) :] = 0.0, -np.inf
+    return lower, upper
+
+
 def _by_half(motions: JointMotions, start: Array, told: float) -> tuple[Array, Array]:
     """A servo by the windows that a test does not need, and sizes of its parameters (p,).
 
@@ -321,10 +466,11 @@ def _by_half(motions: JointMotions, start: Array, told: float) -> tuple[Array, A
         start: (6,) where searches begin.
         told: The integral gain by a linear fit; 0 if it has none.
     """
-    scale = np.maximum(start, [0.0, 0.02 * start[0], 0.0, 1e-3, 1e-4, 0.01])
+    whole = _scale(motions, start, told)
+    scale = whole[:_PLAIN]
     begun = _best(motions, _starts(start), scale, ~motions.tested, step=_COARSE_STEP)
     half = _best(motions, [begun], scale, ~motions.tested)
-    return _integral(motions, (start, half), scale, told) or (half, scale)
+    return _integral(motions, (start, half), whole, told) or (half, scale)
 
 
 def _with_integral(motions: JointMotions, servo: Array, integral: float) -> Array:
@@ -341,7 +487,7 @@ def _integral(
     Args:
         motions: The joint.
         known: (6,) the servo by a linear fit, and without an integral by the same windows.
-        scale: (6,) sizes of its parameters.
+        scale: (7 + S,) sizes of its parameters.
         told: The integral gain by a linear fit; 0 if it has none.
 
     Returns:
@@ -350,8 +496,6 @@ def _integral(
     """
     start, plain = known
     tested, zero = motions.tested, np.zeros(len(motions.rows))
-    effort = np.std(np.concatenate(motions.rows)[:, 0])
-    scale = np.concatenate([scale, [max(told, start[0])], np.full(len(zero), effort)])
     constant = np.concatenate([plain, [0.0], zero])
     if told:
         starts = [_with_integral(motions, each, told) for each in _starts(start)]
@@ -415,9 +559,7 @@ def _best(
         step: Of simulations at most, s.
     """
     free = np.ones(len(scale), bool) if free is None else free
-    upper, lower = np.full((2, len(scale)), np.inf)
-    upper[_DELAY] = LONGEST_DELAY / scale[_DELAY]
-    lower[: len(PARAMETERS)], lower[len(PARAMETERS) :] = 0.0, -np.inf
+    lower, upper = _bounds(scale)
     found = []
     for start in starts:
         search = _MotionSearch(motions, start, scale, free, rows, step)

@@ -155,7 +155,7 @@ def _read(
 
 def _unused(path: Path, reading: Reading) -> list[str]:
     """What was said of topics and episodes, which a table has none of, in words."""
-    said = {"topic": reading.topic, "episode": reading.episode}
+    said = {"topic": ", ".join(reading.topics) or None, "episode": reading.episode}
     return [
         f"{path.name} has no {name}s, so that {value!r} chooses nothing in it"
         for name, value in said.items()

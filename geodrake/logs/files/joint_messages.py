@@ -1,4 +1,7 @@
-"""Messages about joints, in ROS as in LCM: which fields they have, and rows that grow with them."""
+"""Messages about joints, in ROS as in LCM: which fields they have, and rows that grow with them.
+
+A message may have all that is known of its joints, or a part, as one of commands has.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
-from geodrake.logs.files.joint_series import JointKey, JointSeries, is_complete
+from geodrake.logs.files.joint_series import JointKey, JointSeries, Stamps, is_complete
+from geodrake.logs.motion import EFFORT_KINDS
 
 Array = NDArray[np.float64]
+
+NUMBERS = "data"
+"""What the numbers of a message are called that says nothing of them."""
 
 _NAMES = ("name", "names", "joint_name", "joint_names")
 _PLACES = ((), ("feedback",), ("actual",))  # of the arrays in a message
@@ -23,6 +30,7 @@ _COMMANDS = (
     ("desired", "positions"),
     ("joint_position_commanded",),
     ("joint_position_desired",),
+    ("points", "positions"),
 )
 """Where messages have what joints were told, which stands for efforts that nobody measures."""
 _ARRAYS = {
@@ -61,21 +69,32 @@ _ARRAYS = {
 }
 
 
+_INTERFACES = {
+    **{name: name for name in ("position", "velocity", "acceleration", *EFFORT_KINDS)},
+    "torque": "effort",
+    "temperature": "temperature",
+}
+"""What hardware interfaces of ros2_control are called -> quantity."""
+
+
 @dataclass(frozen=True)
 class JointFields:
     """Where messages of a type have the names of joints and what is measured at them.
 
     Attributes:
         names: The field with the names, if there is one.
-        arrays: Quantity -> where its array may be; the first that is not empty counts.
+        arrays: Quantity -> where its array may be; the first with numbers counts. `NUMBERS` of
+            which the message says no more.
+        by_joint: Whether every joint has a list of its own, of values and what they are.
     """
 
     names: str | None
     arrays: Mapping[str, tuple[tuple[str, ...], ...]]
+    by_joint: bool = False
 
     @classmethod
     def of(cls, message: Any) -> JointFields | None:
-        """The fields of messages such as this one; None if it has no arrays of positions."""
+        """The fields of messages such as this one; None if it has nothing that a log needs."""
         names = next(
             (n for n in _NAMES if isinstance(getattr(message, n, None), list | tuple)), None
         )
@@ -91,27 +110,30 @@ class JointFields:
         if _at(message, _OUTPUT) is not None:
             arrays["effort"] += (_OUTPUT,)
         arrays["command"] = tuple(path for path in _COMMANDS if np.ndim(_at(message, path)) == 1)
-        says = arrays["effort"] or arrays["command"]
-        return cls(names, arrays) if arrays["position"] and says else None
+        if hasattr(message, "layout") and np.ndim(_at(message, (NUMBERS,))) == 1:
+            arrays[NUMBERS] = ((NUMBERS,),)
+        by_joint = hasattr(message, "interface_values")
+        says = by_joint or any(arrays.get(q) for q in ("position", "effort", "command", NUMBERS))
+        return cls(names, arrays, by_joint) if says else None
 
     def sample(self, message: Any) -> tuple[tuple[JointKey, ...], dict[str, Any], bool]:
         """Joints and arrays of a message, and whether efforts are those of a controller.
 
         Joints without names are numbers from 0 on.
         """
-        found, output = {}, False
+        found: dict[str, Any] = _by_interface(message) if self.by_joint else {}
+        output = False
         for quantity, paths in self.arrays.items():
             for path in paths:
                 values = _at(message, path)
-                if values is not None and len(values):
+                if values is not None and len(values) and not np.isnan(values).all():
                     found[quantity] = values
                     output |= path == _OUTPUT
                     break
         if "effort" in found:
             found.pop("command", None)
-        if self.names is not None:
-            return tuple(getattr(message, self.names)), found, output
-        return tuple(range(len(found.get("position", ())))), found, output
+        names = () if self.names is None else tuple(getattr(message, self.names))
+        return names or tuple(range(len(next(iter(found.values()), ())))), found, output
 
 
 @dataclass
@@ -179,6 +201,16 @@ class MessageRows:
         """Whether every message says when it was measured."""
         return all(min(group.stamps) > 0 for group in self._groups.values())
 
+    @property
+    def clock(self) -> tuple[Stamps, Stamps]:
+        """(N,) when messages were measured, and (N,) when they were received, ns."""
+        groups = self._groups.values()
+        stamps, received = (
+            np.concatenate([np.frombuffer(numbers, np.int64) for numbers in each])
+            for each in ([g.stamps for g in groups], [g.received for g in groups])
+        )
+        return stamps, received
+
     def series(self) -> list[JointSeries]:
         """What was measured, by groups of joints that came together, each in order."""
         stamped = self.all_stamped
@@ -207,7 +239,23 @@ def _completeness(quantities: Sequence[str]) -> tuple[bool, int]:
 
 
 def _at(message: Any, path: Sequence[str]) -> Any:
-    """What a message has at a place, None for nothing."""
+    """What a message has at a place, None for nothing; a list of one is what is in it."""
     for name in path:
+        if isinstance(message, list):
+            message = message[0] if len(message) == 1 else None
         message = getattr(message, name, None)
     return message
+
+
+def _by_interface(message: Any) -> dict[str, Array]:
+    """Quantity -> (n,) numbers of a message with a list of values for each joint, NaN for none."""
+    rows = [
+        {
+            _INTERFACES.get(name): value
+            for name, value in zip(i.interface_names, i.values, strict=True)
+        }
+        for i in message.interface_values
+    ]
+    quantities = dict.fromkeys(q for row in rows for q in row if q is not None)
+    found = {q: np.array([row.get(q, np.nan) for row in rows]) for q in quantities}
+    return {q: numbers for q, numbers in found.items() if not np.isnan(numbers).all()}

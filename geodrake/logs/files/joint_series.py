@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
+from geodrake.logs.motion import EFFORT_KINDS
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -59,13 +60,13 @@ class JointSeries:
 
 
 def is_complete(quantities: Iterable[str]) -> bool:
-    """Whether a joint with these quantities says something of its efforts.
+    """Whether positions and something of efforts are among quantities.
 
     Args:
         quantities: Names of quantities.
     """
     known = set(quantities)
-    return "position" in known and not known.isdisjoint(("effort", "command"))
+    return "position" in known and not known.isdisjoint((*EFFORT_KINDS, "command"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,13 +97,14 @@ class _Track:
 
 
 def joint_columns(
-    series: Sequence[JointSeries], topic: str
+    series: Sequence[JointSeries], topic: str, *, part: bool = False
 ) -> tuple[dict[str, Array], tuple[str, ...], int]:
     """One table of what several series say: `time` and `<joint>.<quantity>`.
 
     Args:
         series: At least one with positions and efforts; others are left out.
         topic: What messages call the topic.
+        part: Whether it is a part of a log, of which nothing is left out.
 
     Returns:
         The columns, what was noticed, in words, and when time is zero, ns since 1970. Joints
@@ -111,7 +113,7 @@ def joint_columns(
     Raises:
         LogError: Stamps run backwards, or joints come at rates that do not go together.
     """
-    complete = [each for each in series if each.is_complete]
+    complete = [each for each in series if (each.values if part else each.is_complete)]
     notes = _order_notes(complete, topic)
     heard = {joint for each in complete for joint in each.joints}
     silent = dict.fromkeys(j for each in series for j in each.joints if j not in heard)

@@ -13,7 +13,7 @@ from geodrake.errors import LogError
 from geodrake.logs.files.joint_messages import JointFields, MessageRows
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
-from geodrake.logs.files.topics import Topic, chosen_topic, topic_table
+from geodrake.logs.files.topics import Topic, chosen_topics, topic_table
 
 MAGIC = b"\xed\xa1\xda\x01"
 """What each event of a log begins with."""
@@ -38,7 +38,12 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
                 advice="Record it by lcm-logger.",
             )
     topics = _topics(lcm.EventLog(str(path), "r"), _types())
-    topic = chosen_topic(path, topics, reading)
+    topic, *others = chosen_topics(path, topics, reading)
+    if others:
+        raise LogError(
+            f"Log {str(path)!r} is asked for channels {', '.join(reading.topics)}: each is a log.",
+            advice="Name one of them.",
+        )
     table = topic_table(path, topic, topics)
     if topic.kind not in _NEGATIVE:
         return table

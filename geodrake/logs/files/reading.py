@@ -94,7 +94,8 @@ class Reading:
         kinds: Joint -> what its efforts are, of `KINDS`; by the name "", those of all joints whose
             columns do not say it.
         skip_bad_rows: Leave out rows that no recorder meant, if they are at most 1 %.
-        topic: Topic of a bag or channel of an LCM log; None for the only one that fits.
+        topic: Topic of a bag or channel of an LCM log, or several of a bag, which are joined by
+            time; None for what fits.
         episode: Episode of a dataset; None for all of them, one after the other.
         ignored: Columns that are not used.
 
@@ -108,7 +109,7 @@ class Reading:
     units: Mapping[str, str] = field(default_factory=dict)
     gains: Mapping[str, float] = field(default_factory=dict)
     skip_bad_rows: bool = False
-    topic: str | None = None
+    topic: str | Sequence[str] | None = None
     episode: int | None = None
     gain_deviations: Mapping[str, float] = field(default_factory=dict)
     kinds: Mapping[str, str] = field(default_factory=dict)
@@ -120,8 +121,7 @@ class Reading:
         for name in ("gains", "gain_deviations", "kinds"):
             instance(getattr(self, name), name, Mapping)
         check_rate(self.rate, "A log's rate")
-        if self.topic is not None:
-            instance(self.topic, "topic", str)
+        instances(self.topics, "topic", str)
         if self.episode is not None:
             integer(self.episode, "episode", lower=0)
         for quantity, unit in self.units.items():
@@ -138,6 +138,11 @@ class Reading:
                     f"{kind!r} is no known kind of efforts{whose}.",
                     advice=f"Kinds are {', '.join(KINDS)}.",
                 )
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Names of the topics that were asked for."""
+        return (self.topic,) if isinstance(self.topic, str) else tuple(self.topic or ())
 
     def kind_of(self, joint: str) -> str | None:
         """What the efforts of a joint were said to be; None if nothing was."""

@@ -13,16 +13,20 @@ from typing import Any
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.damage import readable
+from geodrake.logs.files.joined_topics import joined_topics
 from geodrake.logs.files.joint_messages import JointFields, MessageRows
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
-from geodrake.logs.files.topics import Topic, chosen_topic, topic_table
+from geodrake.logs.files.topics import Topic, chosen_topics, topic_table
 
 _FIRST = 20  # messages by which a topic is known; publishers of other joints may take turns
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
+_DYNAMIC_STATE = "control_msgs/msg/DynamicJointState"
+_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+_NUMBERS = re.compile(r"std_msgs/msg/(Float|Int)\d+MultiArray")
 _WORDS = re.compile(r"effort|torque|\btau")  # in the definition of a type that has efforts
-_COMMAND = re.compile(r"command|goal", re.IGNORECASE)  # topics of what is wanted, not measured
+_WANTED = re.compile(r"command|cmd|goal|target|desired|reference|setpoint", re.IGNORECASE)
 _IDL_RULE = "=" * 80 + "\n"  # between definitions in IDL
 _REPAIR = (
     "If the recording was cut off, repair it: `ros2 bag reindex` for a folder, `mcap recover` for "
@@ -48,6 +52,13 @@ _UNDEFINED = (
 """What controllers publish, for bags of SQLite that do not say it: until Foxy, and in Humble."""
 
 
+_INTERFACES = (
+    "std_msgs/Header header\nstring[] joint_names\nInterfaceValue[] interface_values\n"
+    + 80 * "="
+    + "\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[] values\n"
+)
+
+
 def read_bag(path: Path, reading: Reading) -> LogTable:
     """The columns of a ROS bag.
 
@@ -56,7 +67,8 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
         reading: Which part of it is read.
 
     Raises:
-        LogError: It cannot be read, or has not one topic with positions and efforts of joints.
+        LogError: It cannot be read, or has not one topic with positions and efforts of joints, or
+            one of each.
     """
     is_first = path.suffix.lower() == ".bag"
     method = "deserialize_ros1" if is_first else "deserialize_cdr"
@@ -68,9 +80,9 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
             _probed(reader, [*each], method) for _, each in groupby(spoken, key=lambda c: c.topic)
         ]
         topics = [source.topic for source in found]
-        chosen = chosen_topic(path, topics, reading)
-        whole = found[topics.index(chosen)].read(reader)
-        return topic_table(path, whole, topics)
+        chosen = chosen_topics(path, topics, reading)
+        whole = [found[topics.index(each)].read(reader) for each in chosen]
+    return joined_topics(path, whole, reading) if whole[1:] else topic_table(path, whole[0], topics)
 
 
 def _storage(path: Path) -> Path:
@@ -121,7 +133,8 @@ def _probed(reader: Any, connections: Sequence[Any], method: str) -> _Source:
     """A topic by its first messages."""
     name, kind, definition = (getattr(connections[0], x) for x in ("topic", "msgtype", "msgdef"))
     is_state = kind == _JOINT_STATE
-    topic = Topic(name, kind, made_for_joints=is_state and not _COMMAND.search(name))
+    is_wanted = bool(_WANTED.search(name))
+    topic = Topic(name, kind, None, is_state and not is_wanted, is_wanted)
     for text in _definitions(kind, definition):
         try:
             decode = getattr(_store(kind, text, definition.format.name), method)
@@ -135,9 +148,12 @@ def _probed(reader: Any, connections: Sequence[Any], method: str) -> _Source:
 
 def _definitions(kind: str, definition: Any) -> tuple[str, ...]:
     """What the messages of a type may be, if it can be about joints at all."""
+    numbers = kind == _DYNAMIC_STATE or _NUMBERS.fullmatch(kind)
     if definition.data:
-        return (definition.data,) if _WORDS.search(definition.data) else ()
-    return {_JOINT_STATE: ("",), _CONTROLLER_STATE: _UNDEFINED}.get(kind, ())
+        return (definition.data,) if numbers or _WORDS.search(definition.data) else ()
+    if kind in (_JOINT_STATE, _TRAJECTORY) or _NUMBERS.fullmatch(kind):
+        return ("",)
+    return {_CONTROLLER_STATE: _UNDEFINED, _DYNAMIC_STATE: (_INTERFACES,)}.get(kind, ())
 
 
 def _store(kind: str, definition: str, form: str) -> Any:
@@ -160,7 +176,7 @@ def _store(kind: str, definition: str, form: str) -> Any:
 def _problems() -> tuple[type[Exception], ...]:
     """What types raise that cannot be understood, and messages that are not of their type."""
     serde, typesys = map(importlib.import_module, ("rosbags.serde", "rosbags.typesys"))
-    return serde.SerdeError, typesys.TypesysError, LogError
+    return serde.SerdeError, typesys.TypesysError, LogError, TypeError, ValueError
 
 
 def _stamp(message: Any) -> int:

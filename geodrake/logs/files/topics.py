@@ -1,4 +1,4 @@
-"""Topics of a recording, and which of them is the log."""
+"""Topics of a recording, and which of them is the log, or which two are its parts."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from geodrake.errors import LogError
-from geodrake.logs.files.joint_messages import MessageRows
+from geodrake.logs.files.joint_messages import NUMBERS, MessageRows
 from geodrake.logs.files.joint_series import is_complete, joint_columns
 from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.recognition import meaning_of
 from geodrake.logs.files.table import LogTable
+from geodrake.logs.motion import EFFORT_KINDS
 
 _MOST_LISTED = 8
 
@@ -25,12 +27,14 @@ class Topic:
         kind: Its message type.
         rows: What its messages, or the first of them, say of joints; None if none of it is known.
         made_for_joints: Whether the type is for the state of joints, and nothing else.
+        is_wanted: Whether positions in it are what joints are told, by its name.
     """
 
     name: str
     kind: str
     rows: MessageRows | None = None
     made_for_joints: bool = False
+    is_wanted: bool = False
 
     @property
     def fits(self) -> bool:
@@ -38,26 +42,43 @@ class Topic:
         return self.rows is not None and is_complete(self.rows.quantities)
 
     @property
+    def part(self) -> frozenset[str]:
+        """Quantities that it has as a part of a log; a topic of what is wanted has commands."""
+        found = frozenset[str]() if self.rows is None else self.rows.quantities
+        if NUMBERS in found:
+            meaning = meaning_of(f"{self.name}/{NUMBERS}[0]")
+            return frozenset(() if meaning is None else (meaning.quantity,))
+        return frozenset(("command",)) if self.is_wanted and "position" in found else found
+
+    @property
     def has_efforts(self) -> bool:
-        """Whether efforts are among what it has."""
-        return self.rows is not None and "effort" in self.rows.quantities
+        """Whether efforts, or what is measured in their place, are among these."""
+        return not self.part.isdisjoint(EFFORT_KINDS)
+
+    @property
+    def has_names(self) -> bool:
+        """Whether it says which joints it is about."""
+        return self.rows is not None and any(isinstance(j, str) for j in self.rows.joints)
 
     def __str__(self) -> str:
-        if self.rows is None or not self.rows.quantities:
+        if self.rows is None or not self.part:
             return f"{self.name} ({self.kind})"
-        missing = [q for q in ("position", "effort") if q not in self.rows.quantities]
+        if not self.fits and "command" in self.part:
+            return f"{self.name} ({self.kind}, commands alone)"
+        missing = [] if "position" in self.part else ["position"]
+        missing += [] if self.has_efforts else ["effort"]
         missing = [] if self.fits else missing
         words = f"without {' and '.join(missing)}" if missing else f"{len(self.rows.joints)} joints"
         return f"{self.name} ({self.kind}, {words})"
 
 
-def chosen_topic(path: Path, topics: Sequence[Topic], reading: Reading) -> Topic:
-    """The topic that is the log.
+def chosen_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> tuple[Topic, ...]:
+    """The topic that is the log, or those that are parts of it.
 
     Args:
         path: The recording, for messages.
         topics: All its topics.
-        reading: Whether the user named one.
+        reading: Whether the user named some.
 
     Raises:
         LogError: None fits, several do, or there is no such topic.
@@ -66,13 +87,12 @@ def chosen_topic(path: Path, topics: Sequence[Topic], reading: Reading) -> Topic
         raise LogError(
             f"Log {str(path)!r} has no messages.", advice="Check how it was recorded.", path=path
         )
-    if reading.topic is not None:
-        return _named(path, topics, reading.topic)
-    fitting = [topic for topic in topics if topic.fits]
-    fitting = [topic for topic in fitting if topic.has_efforts] or fitting
-    best = [topic for topic in fitting if topic.made_for_joints] or fitting
+    if reading.topics:
+        alone = len(reading.topics) == 1
+        return tuple(_named(path, topics, name, alone=alone) for name in reading.topics)
+    best = _best([topic for topic in topics if topic.fits])
     if len(best) == 1:
-        return best[0]
+        return (best[0],)
     if best:
         raise LogError(
             f"Log {str(path)!r} has {len(best)} topics with positions and efforts of joints: "
@@ -80,11 +100,39 @@ def chosen_topic(path: Path, topics: Sequence[Topic], reading: Reading) -> Topic
             advice=f"Choose one of them, as in --topic {best[0].name}.",
             topics=[topic.name for topic in best],
         )
+    return _parts(path, topics)
+
+
+def _best(topics: Sequence[Topic]) -> Sequence[Topic]:
+    """Those with efforts, if there are some, and of these those that are made for joints."""
+    heard = [topic for topic in topics if topic.has_efforts] or topics
+    return [topic for topic in heard if topic.made_for_joints] or heard
+
+
+def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
+    """The topic of positions, and that of efforts or commands, which no topic has both of.
+
+    Raises:
+        LogError: There is not one of each.
+    """
+    moved = _best([topic for topic in topics if "position" in topic.part and topic.has_names])
+    heard = _best([t for t in topics if is_complete(("position", *t.part)) and t not in moved])
+    if len(moved) == len(heard) == 1:
+        return moved[0], heard[0]
+    if moved and heard:
+        raise LogError(
+            f"Log {str(path)!r} has no topic with both positions and efforts of joints: positions "
+            f"are in {_listed(moved)}; efforts or commands in {_listed(heard)}.",
+            advice="Choose one of each, which are joined by time, as in "
+            f"--topic {moved[0].name} --topic {heard[0].name}.",
+            topics=[topic.name for topic in (*moved, *heard)],
+        )
     raise LogError(
         f"Log {str(path)!r} has no topic with both positions and efforts of joints; it has "
         f"{_listed(topics)}.",
-        advice="Record joint states with efforts, such as sensor_msgs/JointState of all joints, or "
-        "the state of a controller, which has positions and commands.",
+        advice="Record joint states with efforts, such as sensor_msgs/JointState of all joints, "
+        "the state of a controller, which has positions and commands, or its commands beside "
+        "joint states.",
         topics=[topic.name for topic in topics],
     )
 
@@ -116,10 +164,17 @@ def topic_table(path: Path, topic: Topic, others: Sequence[Topic]) -> LogTable:
     return LogTable(path, columns, notes=(*said, *notes), origins={"time": origin})
 
 
-def _named(path: Path, topics: Sequence[Topic], name: str) -> Topic:
+def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> Topic:
+    """A topic by its name, which has all of the log if it is alone."""
     found = [topic for topic in topics if topic.name.strip("/") == name.strip("/")]
-    if found and found[0].fits:
+    if found and (found[0].fits if alone else found[0].part):
         return found[0]
+    if found and not alone:
+        raise LogError(
+            f"Topic {found[0]} of log {str(path)!r} says nothing of joints.",
+            advice=f"Topics that do: {_listed([topic for topic in topics if topic.part])}.",
+            topic=name,
+        )
     if found:
         raise LogError(
             f"Topic {found[0]} of log {str(path)!r} has not both positions and efforts of joints.",
