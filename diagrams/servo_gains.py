@@ -46,6 +46,9 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "after the first step": _on_the_way(rows, 1),
         "at the end": _on_the_way(rows, -1),
         "seconds a log, median": float(np.median([row["seconds"] for row in rows])),
+        "with motions before, on the way and after, most": max(
+            row["seconds"] + row["seconds of motions"] for row in rows
+        ),
     }
     for what in dict.fromkeys(value["what"] for value in values):
         same = [value for value in values if value["what"] == what]

@@ -125,12 +125,15 @@ def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
         ),
     )
     between = [step.model for step in found.steps if step.model is not None]
+    began = time.process_time()
     motions = commanded_motions(model, found.model, [made.log], between=between)
+    seconds = time.process_time() - began
     if motions is None:
         raise RuntimeError("A log of commands has servos.")
     best = command_rollout(truth, [made.log], most=_WINDOWS)
     on_the_way = [[joint.relative for joint in motion.joints] for motion in motions]
     return {
+        "seconds of motions": seconds,
         "motion": on_the_way[-1],
         "motion on the way": on_the_way,
         "motion of the true model": [joint.relative for joint in best.joints],
