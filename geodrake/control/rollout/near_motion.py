@@ -1,13 +1,17 @@
 """Simulations of soft joints near the measured motion, where all but their couplings is linear.
 
-A rollout stays within milliradians of what was measured. There the efforts of bodies and effects
-are linear in how far links and motors are from it, y (s = n + m, of the n links and then of the m
+A rollout stays within milliradians of what was measured. There the efforts of bodies, effects and
+servos are linear in how far links and motors are from it, y (of the n links and then of the m
 motors of soft joints), with slopes along the measured motion:
 
     H(t) ÿ + C(t) ẏ + K(t) y + r(t) = (L − A)ᵀ τ(lag, rate of the lag).
 
-r is what the measured motion needs beyond the measured effort; A and L lead from accelerations of
-links and motors to those of all motors and of all links (`geodrake.model.simulation.force_law`).
+r is what the measured motion needs beyond the effort that acts along it, measured or of servos; A
+and L lead from accelerations of links and motors to those of all motors and of all links
+(`geodrake.model.simulation.force_law`). A servo is a spring and a damper at its motor, and nothing
+where it is at its limit along the measured motion. If it has an integral, what that is more than
+along the measured motion is one more of y, after the motors: without inertia, ẏ is what the servo
+is more behind.
 Springs and dead bands τ are as they are. Compiled, that is some hundred times as fast as a diagram,
 for a fit that needs many simulations. What it finds is judged by the diagram.
 """
@@ -21,14 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.compiling import compiled, contiguous
+from geodrake.control.rollout.acting import EffortAlong
 from geodrake.control.rollout.loose_links import AT_START, first_lag, motion_before, thrown
 from geodrake.control.rollout.passages import Passage
+from geodrake.control.rollout.simulation import Simulation
 from geodrake.effects import FittedEffect, RobotMotion, Role
 from geodrake.effects.robot_motion import log_number
 from geodrake.logs.motion import Motion
-from geodrake.logs.temperatures import Temperatures
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.simulation.force_law import ForceLaw
 from geodrake.model.simulation.soft_joints import Coupling
 
 Array = NDArray[np.float64]
@@ -36,6 +40,7 @@ Array = NDArray[np.float64]
 _STEP = 2.5e-4  # s, of a simulation at most
 _MOVED = 1e-4  # rad or m, by which positions change for slopes of effects
 _LAG_ITERATIONS = 20
+_EFFORTS = ("effort", "position", "velocity", "integral")  # and slopes, which gains scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +49,11 @@ class NearMotion:
 
     Attributes:
         period: Time between samples, s.
-        rest: (N, s) r.
+        rest: (N, s) r, with s = n + m and how many servos have an integral.
         inertia: (N, s, s) H.
         damping: (N, s, s) C.
         stiffness: (N, s, s) K.
+        motors: (nv,) where in y the motor of each joint is.
         soft: (m,) velocities of the soft joints.
         names: Their names.
         load: (k, m) efforts of their links at the first samples, N·m or N.
@@ -61,6 +67,7 @@ class NearMotion:
     inertia: Array
     damping: Array
     stiffness: Array
+    motors: NDArray[np.intp]
     soft: NDArray[np.intp]
     names: tuple[str, ...]
     load: Array
@@ -69,42 +76,22 @@ class NearMotion:
     before: RobotMotion
 
     @classmethod
-    def of(
-        cls,
-        model: RobotModel,
-        law: ForceLaw,
-        passage: Passage,
-        sign_width: Array,
-        temperatures: Temperatures | None,
-    ) -> NearMotion:
+    def of(cls, simulation: Simulation, passage: Passage) -> NearMotion:
         """A passage of a log.
 
         Args:
-            model: The model.
-            law: The force law of its effects.
+            simulation: That of the log, with soft joints.
             passage: The passage.
-            sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
-            temperatures: Those of the joints, if any are known.
         """
-        segment = passage.segment
-        motion = Motion(
-            model.positions(segment.position),
-            segment.velocity,
-            segment.acceleration,
-            passage.time,
-            model.positions(passage.before),
-        )
-        if temperatures is not None:
-            warmth = temperatures.at(passage.time, model.joints)
-            motion = replace(motion, temperature=warmth)
-        seen = model.motion(motion, sign_width=sign_width)
-        seen = replace(seen, log=log_number(passage.log))
+        model, law, segment = simulation.model, simulation.law, passage.segment
+        seen, along = _seen(simulation, passage), simulation.acting.along(passage)
+        along = replace(along, **{n: law.applied(getattr(along, n).T, law.mu).T for n in _EFFORTS})
         slopes, A, L = seen.effort_slopes, law.of_motors, law.of_links
         at_motors, own = _at_motors(model, seen)
-        applied = np.array([law.applied(u, law.mu) for u in segment.effort])
+        own = own[0] - along.position, own[1] - along.velocity, own[2]
         at_links = seen.load + _effort(model, seen, at_motor=False)
         soft, added = law.soft.velocities, law.added_inertia
-        rest = (at_motors - applied) @ A + at_links @ L
+        rest = (at_motors - along.effort) @ A + at_links @ L
         rest[:, len(L) :] += added * segment.acceleration[:, soft]
         position, velocity, acceleration = (
             A.T @ (f[:, :, None] * A) + L.T @ D @ L
@@ -114,18 +101,21 @@ class NearMotion:
         )
         places = len(L) + np.arange(len(soft))
         acceleration[:, places, places] += added
+        equations = rest, acceleration, velocity, position
+        r, H, C, K = _with_integrals(equations, A, along)
         return cls(
             segment.period,
-            contiguous(rest),
-            contiguous(acceleration),
-            contiguous(velocity),
-            contiguous(position),
+            contiguous(r),
+            contiguous(H),
+            contiguous(C),
+            contiguous(K),
+            A.argmax(axis=1),
             soft,
             law.soft.names,
             at_links[:AT_START, soft],
             slopes.position[:AT_START, soft, soft],
             passage.time[:AT_START],
-            motion_before(model, passage, sign_width),
+            motion_before(model, passage, simulation.sign_width),
         )
 
     def departure(
@@ -140,22 +130,22 @@ class NearMotion:
         Args:
             effects: All effects, for where links in dead bands begin.
             couplings: What holds motors and links together.
-            slopes: Whether those with positions and velocities of all links and motors at the start
-                are asked for; there are none (k = 0) if not.
+            slopes: Whether those with positions and velocities of all links and motors, and with
+                integrals of servos, at the start are asked for; there are none (k = 0) if not.
         """
         lag, rate = self._start(effects, couplings)
         s = self.rest.shape[1]
-        n = s - len(self.soft)
-        start = np.zeros((2, s, 1 + (2 * s if slopes else 0)))
+        moving = len(self.motors) + len(self.soft)  # as integrals do not
+        start = np.zeros((2, s, 1 + (s + moving if slopes else 0)))
         start[0, self.soft, 0], start[1, self.soft, 0] = -lag, -rate
         start[:, :, 1:] = np.eye(2 * s)[:, : start.shape[2] - 1].reshape(2, s, -1)
         held = np.array([[c.stiffness, c.play, c.damping, c.ramp] for c in couplings])
         out = np.empty((len(self.rest), *start.shape[1:]))
         steps = max(1, int(np.ceil(self.period / _STEP)))
         equations = self.rest, self.inertia, self.damping, self.stiffness
-        calc_near_motion(equations, (self.period, steps), (self.soft, held), start, out)
-        found = out[:, :n].copy()
-        found[:, self.soft] = out[:, n:]
+        soft = self.soft, self.motors[self.soft], held
+        calc_near_motion(equations, (self.period, steps), soft, start, out)
+        found = out[:, self.motors]
         return found[..., 0], found[..., 1:]
 
     def _start(
@@ -170,6 +160,40 @@ class NearMotion:
                 lags[:, i] += coupling.play * np.sign(torques[:, i])
         plays = np.array([coupling.play for coupling in couplings])
         return first_lag(lags, plays, self.time, lambda: thrown(effects, self.before, self.names))
+
+
+def _seen(simulation: Simulation, passage: Passage) -> RobotMotion:
+    """The measured motion as the effects of a model see it."""
+    model, segment = simulation.model, passage.segment
+    motion = Motion(
+        model.positions(segment.position),
+        segment.velocity,
+        segment.acceleration,
+        passage.time,
+        model.positions(passage.before),
+    )
+    if simulation.temperatures is not None:
+        warmth = simulation.temperatures.at(passage.time, model.joints)
+        motion = replace(motion, temperature=warmth)
+    seen = model.motion(motion, sign_width=simulation.sign_width)
+    return replace(seen, log=log_number(passage.log))
+
+
+def _with_integrals(equations: tuple[Array, ...], A: Array, along: EffortAlong) -> list[Array]:
+    """r, H, C and K with the integrals of servos.
+
+    Args:
+        equations: Those of links and motors alone.
+        A: (nv, n + m) from links and motors to all motors.
+        along: What acts along the measured motion.
+    """
+    servos = np.flatnonzero(along.integral.any(axis=0))
+    s, count = A.shape[1], len(servos)
+    r, H, C, K = (np.pad(f, [(0, 0)] + [(0, count)] * (f.ndim - 1)) for f in equations)
+    C[:, s:, s:] = np.eye(count)
+    K[:, s:, :s] = along.grows[:, servos, None] * A[servos]
+    K[:, :s, s:] = -along.integral[:, None, servos] * A[servos].T
+    return [r, H, C, K]
 
 
 def _effort(model: RobotModel, seen: RobotMotion, *, at_motor: bool) -> Array:
@@ -200,7 +224,7 @@ def _at_motors(model: RobotModel, seen: RobotMotion) -> tuple[Array, tuple[Array
 def calc_near_motion(
     equations: tuple[Array, Array, Array, Array],
     steps: tuple[float, int],
-    soft: tuple[NDArray[np.intp], Array],
+    soft: tuple[NDArray[np.intp], NDArray[np.intp], Array],
     start: Array,
     out: Array,
 ) -> None:
@@ -211,15 +235,14 @@ def calc_near_motion(
     Args:
         equations: (N, s) r, (N, s, s) H, C and K.
         steps: Time between rows, s, and steps between two.
-        soft: (m,) velocities of soft joints, and (m, 4) stiffness, play, damping and ramp.
+        soft: (m,) places of links and of motors of soft joints in y, and (m, 4) stiffness, play,
+            damping and ramp.
         start: (2, s, 1 + k) y and ẏ, and k changes of them.
         out: (N, s, 1 + k) y, and its changes.
     """
     r, H, C, K = equations
-    at, held = soft
+    links, motors, held = soft
     h = steps[0] / steps[1]
-    s, m = start.shape[1], len(at)
-    n = s - m
     y, v = start[0].copy(), start[1].copy()
     out[0] = y
     for k in range(len(r) - 1):
@@ -231,9 +254,9 @@ def calc_near_motion(
             S = (1.0 - f) * H[k] + f * H[k + 1] + 0.5 * h * C_now + 0.25 * h * h * K_now
             b = -(C_now @ v) - K_now @ middle
             b[:, 0] -= (1.0 - f) * r[k] + f * r[k + 1]
-            for i in range(m):
+            for i in range(len(links)):
                 stiffness, play, damping, ramp = held[i]
-                link, motor = at[i], n + i
+                link, motor = links[i], motors[i]
                 lag, rate = middle[motor] - middle[link], v[motor] - v[link]
                 side = 1.0 if lag[0] > 0.0 else -1.0
                 over = side * lag[0] - play
