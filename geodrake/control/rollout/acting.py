@@ -11,12 +11,11 @@ from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import MatrixGain, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from geodrake.control.motors import ServoError, ServoGains, integral_rate, servo_effort
+from geodrake.control.motors import ServoError, ServoGains, servo_effort
 from geodrake.control.rollout.passages import Passage
 from geodrake.control.systems.position_servo import PositionServo
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.servo_integrals import limited_integral
 from geodrake.model.servos import command_delays, servo_gains, servos_of
 from geodrake.model.signal_efforts import integral_effort
 
@@ -27,21 +26,19 @@ _APART = 1e-9  # s, between instants of a trajectory
 
 @dataclass(frozen=True, eq=False)
 class EffortAlong:
-    """What acts along a measured motion, and how it differs where motors are elsewhere.
+    """What acts along a measured motion, and what servos add where motors are elsewhere.
 
     Attributes:
-        effort: (K, n) efforts, N·m or N.
-        position: (K, n) their slopes with the position of the joint's motor, N·m/rad or N/m.
-        velocity: (K, n) their slopes with its velocity.
-        integral: (K, n) their slopes with the integral of what a servo is behind.
-        grows: (K, n) whether this integral grows, rather than be held at a limit.
+        effort: (K, n) efforts, N·m or N, without the integrals and limits of servos.
+        behind: (K, n) commanded less measured position, rad or m; 0 without a servo.
+        gains: Those of the servos (n,); 0 without one.
+        begun: (n,) their integrals at first, rad·s or m·s.
     """
 
     effort: Array
-    position: Array
-    velocity: Array
-    integral: Array
-    grows: NDArray[np.bool_]
+    behind: Array
+    gains: ServoGains
+    begun: Array
 
 
 class Acting(abc.ABC):
@@ -109,8 +106,8 @@ class LoggedEffort(Acting):
     def along(self, passage: Passage) -> EffortAlong:
         """See `Acting`."""
         effort = np.asarray(passage.segment.effort)
-        none = np.zeros_like(effort)
-        return EffortAlong(effort, none, none, none, none > 0.0)
+        behind, none = np.zeros_like(effort), np.zeros(effort.shape[1])
+        return EffortAlong(effort, behind, ServoGains(none, none, none, none + np.inf, none), none)
 
 
 class ServoedCommand(Acting):
@@ -153,20 +150,14 @@ class ServoedCommand(Acting):
             source.UpdateTrajectory(course)
 
     def along(self, passage: Passage) -> EffortAlong:
-        """Slopes of what servos give are 0 where they are at their limits along the motion."""
-        segment, gains = passage.segment, self._gains
-        courses = self._courses(passage)
+        """See `Acting`."""
+        segment, courses = passage.segment, self._courses(passage)
         command, rate, beside = (each.vector_values(passage.time).T for each in courses)
-        behind = command - segment.position, rate - segment.velocity
-        error = ServoError(*behind, self._begun(passage) + np.zeros_like(command), beside)
-        error = replace(error, integral=self._integrals(passage.time, error))
-        effort = servo_effort(gains, error)
-        inside = np.abs(effort) < gains.limit
-        position, velocity, integral = (
-            np.where(inside, slope, 0.0) for slope in (-gains.kp, -gains.kd, gains.ki)
-        )
-        grows = inside | (integral_rate(gains, error) != 0.0)
-        return EffortAlong(effort, position, velocity, integral, grows)
+        behind = np.where(self._told, command - segment.position, 0.0)
+        error = ServoError(behind, rate - segment.velocity, np.zeros_like(behind), beside)
+        unlimited = replace(self._gains, limit=np.full(len(self._ki), np.inf))
+        effort = servo_effort(unlimited, error)
+        return EffortAlong(effort, behind, self._gains, self._begun(passage))
 
     def remember(self, passage: Passage, root: Context) -> None:
         """Integrals are what they have grown to in the log, by its efforts."""
@@ -185,16 +176,6 @@ class ServoedCommand(Acting):
                 effort = integral_effort(self._log, j, servo)
                 begun[j] = np.interp(passage.time[0], instants[known], effort[known]) / self._ki[j]
         return begun
-
-    def _integrals(self, time: Array, error: ServoError) -> Array:
-        """(K, n) integrals along a passage, which begin as those of an error that is given."""
-        unlimited = replace(self._gains, limit=np.full(len(self._ki), np.inf))
-        effort, grown = servo_effort(unlimited, error), np.array(error.integral)
-        for j in np.flatnonzero(self._ki).tolist():
-            of_joint = error.position[:, j], effort[:, j]
-            limit = float(self._gains.limit[j])
-            grown[:, j] += limited_integral(time, *of_joint, float(self._ki[j]), limit)
-        return grown
 
     def _courses(self, passage: Passage) -> tuple[PiecewisePolynomial, ...]:
         """Late commands, their rates, and efforts beside the servos, in the order of sources."""

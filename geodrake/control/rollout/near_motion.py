@@ -1,18 +1,15 @@
 """Simulations of soft joints near the measured motion, where all but their couplings is linear.
 
-A rollout stays within milliradians of what was measured. There the efforts of bodies, effects and
-servos are linear in how far links and motors are from it, y (of the n links and then of the m
+A rollout stays within milliradians of what was measured. There the efforts of bodies and effects
+are linear in how far links and motors are from it, y (s = n + m, of the n links and then of the m
 motors of soft joints), with slopes along the measured motion:
 
-    H(t) ÿ + C(t) ẏ + K(t) y + r(t) = (L − A)ᵀ τ(lag, rate of the lag).
+    H(t) ÿ + C(t) ẏ + K(t) y + r(t) = (L − A)ᵀ τ(lag, rate of the lag) + Aᵀ (u(y, ẏ, z, t) − u(t)).
 
-r is what the measured motion needs beyond the effort that acts along it, measured or of servos; A
-and L lead from accelerations of links and motors to those of all motors and of all links
-(`geodrake.model.simulation.force_law`). A servo is a spring and a damper at its motor, and nothing
-where it is at its limit along the measured motion. If it has an integral, what that is more than
-along the measured motion is one more of y, after the motors: without inertia, ẏ is what the servo
-is more behind.
-Springs and dead bands τ are as they are. Compiled, that is some hundred times as fast as a diagram,
+r is what the measured motion needs beyond the effort u(t) that acts along it, measured or of
+servos; A and L lead from accelerations of links and motors to those of all motors and of all links
+(`geodrake.model.simulation.force_law`). Springs and dead bands τ, and servos u with their integrals
+z and limits, are as they are. Compiled, that is some hundred times as fast as a diagram,
 for a fit that needs many simulations. What it finds is judged by the diagram.
 """
 
@@ -33,14 +30,64 @@ from geodrake.effects import FittedEffect, RobotMotion, Role
 from geodrake.effects.robot_motion import log_number
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.simulation.force_law import ForceLaw
 from geodrake.model.simulation.soft_joints import Coupling
 
 Array = NDArray[np.float64]
+_Held = tuple[NDArray[np.intp], NDArray[np.intp], Array]
+_Driven = tuple[Array, Array, NDArray[np.intp], Array]
 
 _STEP = 2.5e-4  # s, of a simulation at most
 _MOVED = 1e-4  # rad or m, by which positions change for slopes of effects
 _LAG_ITERATIONS = 20
-_EFFORTS = ("effort", "position", "velocity", "integral")  # and slopes, which gains scale
+
+
+@dataclass(frozen=True, eq=False)
+class NearServos:
+    """The p servos that act near a measured motion.
+
+    Attributes:
+        effort: (N, p) what they give along it without integrals and limits, N·m or N.
+        behind: (N, p) commanded less measured position, rad or m.
+        motors: (p,) where in y their motors are.
+        gains: (p, 4) stiffness, damping, integral gain, and largest effort.
+        begun: (p,) integrals at first, rad·s or m·s.
+    """
+
+    effort: Array
+    behind: Array
+    motors: NDArray[np.intp]
+    gains: Array
+    begun: Array
+
+    @classmethod
+    def of(
+        cls, law: ForceLaw, along: EffortAlong, motors: NDArray[np.intp]
+    ) -> tuple[NearServos, Array]:
+        """Servos, and efforts (N, nv) at joints without any.
+
+        Args:
+            law: The force law, which scales efforts.
+            along: What acts.
+            motors: (nv,) where in y the motor of each joint is.
+        """
+        kp, kd, ki, limit = along.gains.kp, along.gains.kd, along.gains.ki, along.gains.limit
+        effort = law.applied(along.effort.T, law.mu).T
+        gains = np.stack([law.applied(gain, law.mu) for gain in (kp, kd, ki, limit)], axis=1)
+        some = gains[:, :3].any(axis=1)
+        servos = cls(
+            contiguous(effort[:, some]),
+            contiguous(along.behind[:, some]),
+            motors[some],
+            contiguous(gains[some]),
+            along.begun[some],
+        )
+        return servos, np.where(some, 0.0, effort)
+
+    @property
+    def numbers(self) -> _Driven:
+        """Efforts, what servos are behind, places and gains."""
+        return self.effort, self.behind, self.motors, self.gains
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +96,12 @@ class NearMotion:
 
     Attributes:
         period: Time between samples, s.
-        rest: (N, s) r, with s = n + m and how many servos have an integral.
+        rest: (N, s) r, without efforts of servos.
         inertia: (N, s, s) H.
         damping: (N, s, s) C.
         stiffness: (N, s, s) K.
         motors: (nv,) where in y the motor of each joint is.
+        servos: What servos give.
         soft: (m,) velocities of the soft joints.
         names: Their names.
         load: (k, m) efforts of their links at the first samples, N·m or N.
@@ -68,6 +116,7 @@ class NearMotion:
     damping: Array
     stiffness: Array
     motors: NDArray[np.intp]
+    servos: NearServos
     soft: NDArray[np.intp]
     names: tuple[str, ...]
     load: Array
@@ -85,13 +134,13 @@ class NearMotion:
         """
         model, law, segment = simulation.model, simulation.law, passage.segment
         seen, along = _seen(simulation, passage), simulation.acting.along(passage)
-        along = replace(along, **{n: law.applied(getattr(along, n).T, law.mu).T for n in _EFFORTS})
         slopes, A, L = seen.effort_slopes, law.of_motors, law.of_links
         at_motors, own = _at_motors(model, seen)
-        own = own[0] - along.position, own[1] - along.velocity, own[2]
         at_links = seen.load + _effort(model, seen, at_motor=False)
         soft, added = law.soft.velocities, law.added_inertia
-        rest = (at_motors - along.effort) @ A + at_links @ L
+        motors = A.argmax(axis=1)
+        servos, beside = NearServos.of(law, along, motors)
+        rest = (at_motors - beside) @ A + at_links @ L
         rest[:, len(L) :] += added * segment.acceleration[:, soft]
         position, velocity, acceleration = (
             A.T @ (f[:, :, None] * A) + L.T @ D @ L
@@ -101,15 +150,14 @@ class NearMotion:
         )
         places = len(L) + np.arange(len(soft))
         acceleration[:, places, places] += added
-        equations = rest, acceleration, velocity, position
-        r, H, C, K = _with_integrals(equations, A, along)
         return cls(
             segment.period,
-            contiguous(r),
-            contiguous(H),
-            contiguous(C),
-            contiguous(K),
-            A.argmax(axis=1),
+            contiguous(rest),
+            contiguous(acceleration),
+            contiguous(velocity),
+            contiguous(position),
+            motors,
+            servos,
             soft,
             law.soft.names,
             at_links[:AT_START, soft],
@@ -135,16 +183,18 @@ class NearMotion:
         """
         lag, rate = self._start(effects, couplings)
         s = self.rest.shape[1]
-        moving = len(self.motors) + len(self.soft)  # as integrals do not
-        start = np.zeros((2, s, 1 + (s + moving if slopes else 0)))
-        start[0, self.soft, 0], start[1, self.soft, 0] = -lag, -rate
-        start[:, :, 1:] = np.eye(2 * s)[:, : start.shape[2] - 1].reshape(2, s, -1)
+        free = self.servos.gains[:, 2].astype(bool)  # integrals
+        units = np.eye(2 * s + len(free))[:, np.append(np.ones(2 * s, bool), free)]
+        start = np.zeros((len(units), 1 + (units.shape[1] if slopes else 0)))
+        start[self.soft, 0], start[s + self.soft, 0] = -lag, -rate
+        start[2 * s :, 0] = self.servos.begun
+        start[:, 1:] = units[:, : start.shape[1] - 1]
         held = np.array([[c.stiffness, c.play, c.damping, c.ramp] for c in couplings])
-        out = np.empty((len(self.rest), *start.shape[1:]))
+        out = np.empty((len(self.rest), s, start.shape[1]))
         steps = max(1, int(np.ceil(self.period / _STEP)))
         equations = self.rest, self.inertia, self.damping, self.stiffness
         soft = self.soft, self.motors[self.soft], held
-        calc_near_motion(equations, (self.period, steps), soft, start, out)
+        calc_near_motion(equations, (self.period, steps), (soft, self.servos.numbers), start, out)
         found = out[:, self.motors]
         return found[..., 0], found[..., 1:]
 
@@ -179,23 +229,6 @@ def _seen(simulation: Simulation, passage: Passage) -> RobotMotion:
     return replace(seen, log=log_number(passage.log))
 
 
-def _with_integrals(equations: tuple[Array, ...], A: Array, along: EffortAlong) -> list[Array]:
-    """r, H, C and K with the integrals of servos.
-
-    Args:
-        equations: Those of links and motors alone.
-        A: (nv, n + m) from links and motors to all motors.
-        along: What acts along the measured motion.
-    """
-    servos = np.flatnonzero(along.integral.any(axis=0))
-    s, count = A.shape[1], len(servos)
-    r, H, C, K = (np.pad(f, [(0, 0)] + [(0, count)] * (f.ndim - 1)) for f in equations)
-    C[:, s:, s:] = np.eye(count)
-    K[:, s:, :s] = along.grows[:, servos, None] * A[servos]
-    K[:, :s, s:] = -along.integral[:, None, servos] * A[servos].T
-    return [r, H, C, K]
-
-
 def _effort(model: RobotModel, seen: RobotMotion, *, at_motor: bool) -> Array:
     """(N, nv) effort of effects at motors, or at bodies; without scales and soft joints."""
     effort = np.zeros_like(seen.v)
@@ -224,26 +257,27 @@ def _at_motors(model: RobotModel, seen: RobotMotion) -> tuple[Array, tuple[Array
 def calc_near_motion(
     equations: tuple[Array, Array, Array, Array],
     steps: tuple[float, int],
-    soft: tuple[NDArray[np.intp], NDArray[np.intp], Array],
+    held: tuple[_Held, _Driven],
     start: Array,
     out: Array,
 ) -> None:
     """Writes how far links and motors are from the measured motion, by the midpoint rule.
 
-    Couplings are linear within a step. Beside the motion, changes of it are followed.
+    Couplings and servos are linear within a step. Beside the motion, changes of it are followed.
 
     Args:
         equations: (N, s) r, (N, s, s) H, C and K.
         steps: Time between rows, s, and steps between two.
-        soft: (m,) places of links and of motors of soft joints in y, and (m, 4) stiffness, play,
-            damping and ramp.
-        start: (2, s, 1 + k) y and ẏ, and k changes of them.
+        held: Of soft joints (m,) places of links and of motors in y, and (m, 4) stiffness, play,
+            damping and ramp; of servos (N, p) efforts and what they are behind, along the motion,
+            (p,) places of their motors, and (p, 4) stiffness, damping, integral gain and limit.
+        start: (2 s + p, 1 + k) y, ẏ and the integrals of servos, and k changes of them.
         out: (N, s, 1 + k) y, and its changes.
     """
     r, H, C, K = equations
-    links, motors, held = soft
-    h = steps[0] / steps[1]
-    y, v = start[0].copy(), start[1].copy()
+    (links, motors, couplings), (along, behind, driven, gains) = held
+    h, s = steps[0] / steps[1], r.shape[1]
+    y, v, z = start[:s].copy(), start[s : 2 * s].copy(), start[2 * s :].copy()
     out[0] = y
     for k in range(len(r) - 1):
         for step in range(steps[1]):
@@ -255,7 +289,7 @@ def calc_near_motion(
             b = -(C_now @ v) - K_now @ middle
             b[:, 0] -= (1.0 - f) * r[k] + f * r[k + 1]
             for i in range(len(links)):
-                stiffness, play, damping, ramp = held[i]
+                stiffness, play, damping, ramp = couplings[i]
                 link, motor = links[i], motors[i]
                 lag, rate = middle[motor] - middle[link], v[motor] - v[link]
                 side = 1.0 if lag[0] > 0.0 else -1.0
@@ -273,6 +307,21 @@ def calc_near_motion(
                 S[motor, motor] += slope
                 S[link, motor] -= slope
                 S[motor, link] -= slope
+            for i in range(len(driven)):
+                kp, kd, ki, limit = gains[i]
+                motor = driven[i]
+                error = -middle[motor]
+                error[0] += (1.0 - f) * behind[k, i] + f * behind[k + 1, i]
+                effort = ki * (z[i] + 0.5 * h * error) - kp * middle[motor] - kd * v[motor]
+                effort[0] += (1.0 - f) * along[k, i] + f * along[k + 1, i]
+                if abs(effort[0]) < limit:
+                    b[motor] += effort
+                    S[motor, motor] += 0.5 * h * kd + 0.25 * h * h * kp
+                else:
+                    b[motor, 0] += limit if effort[0] > 0.0 else -limit
+                    if effort[0] * error[0] > 0.0:
+                        continue
+                z[i] += h * error
             a = np.linalg.solve(S, b)
             y = middle + 0.5 * h * v + 0.5 * h * h * a
             v = v + h * a

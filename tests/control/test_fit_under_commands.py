@@ -1,0 +1,213 @@
+"""Fits of soft joints under commands; logs are of two masses under a servo, by scipy and MuJoCo."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from flexible_arm import KD, KP, arm_log, soft_arm
+from two_masses import STIFFNESS, URDF, followed, springy, swung
+from typer.testing import CliRunner
+
+from geodrake import effects, load_model, save_model
+from geodrake.cli.app import app
+from geodrake.control.rollout import RolloutFit, command_rollout, fit_rollouts
+from geodrake.control.rollout.near_motion import NearMotion
+from geodrake.control.rollout.rollout_values import rollout_values, with_values
+from geodrake.control.rollout.simulations import Simulations, chosen_passages
+from geodrake.errors import ArgumentError, LogError
+from geodrake.identification.logs.case import open_case
+from geodrake.logs.files import write_log
+from geodrake.model import EffortSignal
+from geodrake.report.json_output import rollout_fit_dict
+from geodrake.report.rollout_fit import render_rollout_fit
+
+PD = EffortSignal("hinge", "command", 100.0, damping=6.0, delay=0.013)
+LIMITED = dataclasses.replace(PD, limit=6.5)
+SERVOS = {
+    "pd": PD,
+    "weak": dataclasses.replace(PD, gain=40.0, damping=3.0),
+    "stiff": dataclasses.replace(PD, gain=1000.0, damping=25.0),
+    "pid": dataclasses.replace(PD, integral=200.0),
+    "limited": LIMITED,
+    "limited pid": dataclasses.replace(LIMITED, integral=200.0),
+}
+FILES = {"json": "fit.json", "report": "fit.html", "save": "better.yaml"}
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory):
+    path = tmp_path_factory.mktemp("pendulum") / "pendulum.urdf"
+    path.write_text(URDF)
+    return load_model(path)
+
+
+def servoed(model, share, *servos):
+    """A pendulum with a spring of a share of the true compliance, and servos."""
+    return dataclasses.replace(springy(model, share), effort_signals=servos)
+
+
+def departures(case, compliance, horizon, most):
+    """In the diagram and near the motion, window by window, and servos at their limits."""
+    values = rollout_values(case.model)
+    new = [compliance, *(value.value for value in values[1:])]
+    model = with_values(case.model, values, new, new)
+    passages = chosen_passages(case, horizon, most)
+    case = dataclasses.replace(case, model=model)
+    simulation = Simulations(case, passages, commands=True)(case.asked.logs[0].name)
+    couplings = simulation.law.soft.couplings(simulation.law.mu)
+    for passage in passages:
+        near, along = NearMotion.of(simulation, passage), simulation.acting.along(passage)
+        found, _ = near.departure(model.effects, couplings)
+        exact = simulation.positions(passage) - passage.segment.position
+        yield exact, found, not along.grows.all()
+
+
+def check_changes(case, compliance, *, share=0.02, horizon=0.3, most=2):
+    """Whether departures change with the compliance near the motion as in the diagram."""
+    both = (departures(case, size * compliance, horizon, most) for size in (1.0, 1.1))
+    held = []
+    for (exact, found, at_limit), (exact_next, found_next, _) in zip(*both, strict=True):
+        change = exact_next - exact
+        error = found_next - found - change
+        assert np.sqrt(np.mean(error**2)) < share * np.sqrt(np.mean(change**2))
+        held.append(at_limit)
+    return held
+
+
+def test_near_the_motion_servos_are_as_in_the_diagram(pendulum):
+    """Also where gains are not those of the logs, which are a tenth off here."""
+    servo = SERVOS["limited pid"]
+    scale = effects.FittedEffect(effects.EffortScale("hinge"), np.array([0.1]))
+    model = servoed(pendulum, 2.0, servo)
+    model = dataclasses.replace(model, effects=(*model.effects, scale))
+    log = followed(0, servo, seconds=1.5)
+    case = open_case(model, [log], candidates=False, bandwidth=12.0)
+    held = check_changes(case, 2.0 / STIFFNESS, horizon=0.15, most=3)
+    assert any(held) and not all(held)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", SERVOS)
+def test_all_servos_are_as_in_the_diagram(pendulum, name):
+    log = followed(1, SERVOS[name])
+    case = open_case(servoed(pendulum, 2.0, SERVOS[name]), [log], candidates=False)
+    check_changes(case, 2.0 / STIFFNESS, horizon=0.5, most=6, share=0.15)
+
+
+def test_slopes_with_integrals_are_differences(pendulum):
+    """They are one more of what a window begins with, and have no velocities."""
+    servo = SERVOS["pid"]
+    log = followed(0, servo, seconds=1.5)
+    case = open_case(servoed(pendulum, 2.0, servo), [log], candidates=False, bandwidth=12.0)
+    (passage,) = chosen_passages(case, 0.2, 1)
+    simulation = Simulations(case, [passage], commands=True)("followed0")
+    near, law = NearMotion.of(simulation, passage), simulation.law
+    couplings = law.soft.couplings(law.mu)
+    plain, slopes = near.departure(case.model.effects, couplings, slopes=True)
+    assert slopes.shape[2] == 2 * 2 + 1
+    more = near.rest.copy()  # an integral that is larger by 1 gives as much more as its gain
+    more[:, 1] -= servo.integral
+    pushed = dataclasses.replace(near, rest=more)
+    found, _ = pushed.departure(case.model.effects, couplings)
+    np.testing.assert_allclose(found - plain, slopes[..., 2], atol=1e-9)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3])
+@pytest.mark.parametrize("name", SERVOS)
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_off_is_found_and_what_is_right_stays_as_good(pendulum, seed, name, noise):
+    log = followed(seed, SERVOS[name], noise=noise)
+    assert not np.isfinite(log.effort).any()
+    for share in (0.5, 1.0, 2.0):
+        found = fit_rollouts(servoed(pendulum, share, SERVOS[name]), [log], commands=True)
+        before, after = found.held_out
+        assert before.commands and after.commands
+        assert not found.taken or after.relative <= before.relative
+        value, *_ = found.values
+        deviation = STIFFNESS * value.deviation
+        assert abs(STIFFNESS * value.after - 1.0) < max(0.02, 3.5 * deviation)
+        if noise <= 1e-4 and share != 1.0 and deviation < 0.1:
+            assert found.taken
+
+
+@pytest.mark.thorough
+def test_an_arm_is_found_under_its_servos():
+    """One soft joint among seven servos, twice as soft as it is."""
+    log = arm_log(2000.0, weight=0.0)
+    log = dataclasses.replace(log, effort=np.full_like(log.effort, np.nan))
+    found = fit_rollouts(servoed_arm(2.0, range(7)), [log], commands=True)
+    assert found.taken
+    assert 2000.0 * found.values[0].after == pytest.approx(1.0, abs=0.05)
+    before, after = found.held_out
+    assert after.relative < before.relative
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("servos", [(3,), (0, 1, 2), (2, 3, 4)])
+def test_joints_without_servos_get_their_efforts(servos):
+    """Soft or not: what is measured is where motors are."""
+    log = arm_log(2000.0, weight=0.0)
+    case = open_case(servoed_arm(0.8, servos), [log], candidates=False)
+    check_changes(case, 0.8 / 2000.0, horizon=0.4, share=0.1)
+
+
+def servoed_arm(share, servos):
+    model = soft_arm(share)
+    signals = [
+        EffortSignal(model.joints[j], "command", KP[j], damping=KD[j], delay=2e-4) for j in servos
+    ]
+    return dataclasses.replace(model, effort_signals=tuple(signals))
+
+
+@pytest.mark.thorough
+def test_logs_without_commands_are_under_their_efforts(pendulum):
+    """The one is fitted, the other held out."""
+    logs = [followed(0, PD, noise=1e-4), swung(0, noise=1e-4)]
+    found = fit_rollouts(servoed(pendulum, 0.5, PD), logs, commands=True)
+    assert found.taken
+    value, *_ = found.values
+    assert STIFFNESS * value.after == pytest.approx(1.0, abs=0.03)
+    assert {window.log for window in found.held_out[0].windows} == {"swung0"}
+
+
+def test_what_cannot_follow_commands_is_said(pendulum):
+    log = followed(0, PD, seconds=1.5)
+    with pytest.raises(LogError, match="commands of a servo"):
+        fit_rollouts(servoed(pendulum, 0.5, PD), [swung(0)], commands=True)
+    with pytest.raises(ArgumentError, match="commands"):
+        fit_rollouts(servoed(pendulum, 0.5, PD), [log], commands="all")
+
+
+def test_results_say_what_they_are_under(pendulum):
+    model = servoed(pendulum, 0.5, PD)
+    log = followed(0, PD, seconds=1.5)
+    rollout = command_rollout(model, [log], horizon=0.1, most=2, bandwidth=12.0)
+    found = RolloutFit(model, (), rollout, rollout, (False, True), 1.0, False)
+    page = render_rollout_fit(found, title="t", model_name="arm", log_names=["log"])
+    assert "arm under the commands of log" in page
+    assert "under the logged commands" in page
+    assert "efforts" not in page
+    told = rollout_fit_dict(found)
+    for part in ("fitted", "held_out"):
+        assert {stage["under"] for stage in told[part].values()} == {"commands"}
+
+
+@pytest.mark.thorough
+def test_the_command_says_under_what(pendulum, tmp_path):
+    save_model(servoed(pendulum, 0.5, PD), tmp_path / "soft.yaml")
+    write_log(followed(0, PD, seconds=2.5), tmp_path / "log.csv")
+    options = ["--fit", "--commands", "--quiet", "--horizon", "0.2", "--windows", "8"]
+    options += [f"--{name}={tmp_path / file}" for name, file in FILES.items()]
+    words = ["rollout", str(tmp_path / "soft.yaml"), str(tmp_path / "log.csv"), *options]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert "under the logged commands" in done.output
+    found = json.loads((tmp_path / "fit.json").read_text())
+    assert found["held_out"]["after"]["under"] == "commands"
+    assert "under the commands of log" in (tmp_path / "fit.html").read_text()
+    saved = load_model(tmp_path / "better.yaml")
+    assert saved.effort_signals == (PD,)
+    if found["taken"]:
+        assert STIFFNESS * saved.effects[-1].parameters[0] == pytest.approx(1.0, abs=0.1)
