@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from geodrake import effects, load_model, save_model
 from geodrake.cli.app import app
-from geodrake.control.rollout import RolloutFit, command_rollout, fit_rollouts
+from geodrake.control.rollout import RolloutFit, command_rollout, fit_rollouts, simulation
 from geodrake.control.rollout.near_motion import NearMotion
 from geodrake.control.rollout.rollout_values import rollout_values, with_values
 from geodrake.control.rollout.simulations import Simulations, chosen_passages
@@ -54,13 +54,13 @@ def departures(case, compliance, horizon, most):
     model = with_values(case.model, values, new, new)
     passages = chosen_passages(case, horizon, most)
     case = dataclasses.replace(case, model=model)
-    simulation = Simulations(case, passages, commands=True)(case.asked.logs[0].name)
-    couplings = simulation.law.soft.couplings(simulation.law.mu)
+    made = Simulations(case, passages, commands=True)(case.asked.logs[0].name)
+    couplings = made.law.soft.couplings(made.law.mu)
     for passage in passages:
-        near, along = NearMotion.of(simulation, passage), simulation.acting.along(passage)
+        near, along = NearMotion.of(made, passage), made.acting.along(passage)
         found, _ = near.departure(model.effects, couplings)
-        exact = simulation.positions(passage) - passage.segment.position
-        yield exact, found, not along.grows.all()
+        exact = made.positions(passage) - passage.segment.position
+        yield exact, found, bool((np.abs(along.effort) > along.gains.limit).any())
 
 
 def check_changes(case, compliance, *, share=0.02, horizon=0.3, most=2):
@@ -75,24 +75,28 @@ def check_changes(case, compliance, *, share=0.02, horizon=0.3, most=2):
     return held
 
 
-def test_near_the_motion_servos_are_as_in_the_diagram(pendulum):
-    """Also where gains are not those of the logs, which are a tenth off here."""
-    servo = SERVOS["limited pid"]
+@pytest.mark.parametrize("name", ["limited", "pid"])
+def test_near_the_motion_servos_are_as_in_the_diagram(pendulum, name):
+    """Also where efforts are not what servos mean to give: a tenth less here."""
+    servo = SERVOS[name]
     scale = effects.FittedEffect(effects.EffortScale("hinge"), np.array([0.1]))
     model = servoed(pendulum, 2.0, servo)
     model = dataclasses.replace(model, effects=(*model.effects, scale))
     log = followed(0, servo, seconds=1.5)
     case = open_case(model, [log], candidates=False, bandwidth=12.0)
     held = check_changes(case, 2.0 / STIFFNESS, horizon=0.15, most=3)
-    assert any(held) and not all(held)
+    assert any(held) == (name == "limited") and not all(held)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", SERVOS)
-def test_all_servos_are_as_in_the_diagram(pendulum, name):
+def test_all_servos_are_as_in_the_diagram(pendulum, name, monkeypatch):
+    """An integral that is held or not takes the diagram small steps."""
+    monkeypatch.setattr(simulation, "_ACCURACY", 1e-6)
+    monkeypatch.setattr(simulation, "LARGEST_STEP", 5e-4)
     log = followed(1, SERVOS[name])
     case = open_case(servoed(pendulum, 2.0, SERVOS[name]), [log], candidates=False)
-    check_changes(case, 2.0 / STIFFNESS, horizon=0.5, most=6, share=0.15)
+    check_changes(case, 2.0 / STIFFNESS, horizon=0.5, most=6, share=0.05)
 
 
 def test_slopes_with_integrals_are_differences(pendulum):
@@ -101,16 +105,15 @@ def test_slopes_with_integrals_are_differences(pendulum):
     log = followed(0, servo, seconds=1.5)
     case = open_case(servoed(pendulum, 2.0, servo), [log], candidates=False, bandwidth=12.0)
     (passage,) = chosen_passages(case, 0.2, 1)
-    simulation = Simulations(case, [passage], commands=True)("followed0")
-    near, law = NearMotion.of(simulation, passage), simulation.law
+    made = Simulations(case, [passage], commands=True)("followed0")
+    near, law = NearMotion.of(made, passage), made.law
     couplings = law.soft.couplings(law.mu)
     plain, slopes = near.departure(case.model.effects, couplings, slopes=True)
     assert slopes.shape[2] == 2 * 2 + 1
-    more = near.rest.copy()  # an integral that is larger by 1 gives as much more as its gain
-    more[:, 1] -= servo.integral
-    pushed = dataclasses.replace(near, rest=more)
+    more = near.servos.effort + servo.integral  # what an integral that is larger by 1 gives
+    pushed = dataclasses.replace(near, servos=dataclasses.replace(near.servos, effort=more))
     found, _ = pushed.departure(case.model.effects, couplings)
-    np.testing.assert_allclose(found - plain, slopes[..., 2], atol=1e-9)
+    np.testing.assert_allclose(found - plain, slopes[..., -1], atol=1e-9)
 
 
 @pytest.mark.thorough
@@ -156,7 +159,7 @@ def test_joints_without_servos_get_their_efforts(servos):
 def servoed_arm(share, servos):
     model = soft_arm(share)
     signals = [
-        EffortSignal(model.joints[j], "command", KP[j], damping=KD[j], delay=2e-4) for j in servos
+        EffortSignal(model.joints[j], "command", KP[j], damping=KD[j]) for j in servos
     ]
     return dataclasses.replace(model, effort_signals=tuple(signals))
 

@@ -63,19 +63,19 @@ class MotionSearch:
     def fit(self) -> tuple[Array, Array]:
         """Logarithms (k,) of values over those at the start, and their standard deviations."""
         x = np.zeros(len(self.values))
-        round_ = self._round(x)
+        scale = self._scale(x)
         for tried in range(_ROUNDS):
             if not tried:
-                x = self._tried(x, round_)
+                x = self._tried(x, scale)
             x = least_squares(
-                lambda y, at=round_: np.concatenate([*at.residuals(y), y]),
+                lambda y, scale=scale: np.concatenate([*self._residuals(y, scale), y]),
                 x,
                 bounds=(-_REACH, _REACH),
                 diff_step=_STEP,
                 max_nfev=_MOST_EVALUATIONS,
             ).x
-            round_ = self._round(x)
-        return x, self._deviations(x, round_)
+            scale = self._scale(x)
+        return x, self._deviations(x, scale)
 
     def near(self, x: Array, *, slopes: bool = False) -> list[tuple[Array, Array]]:
         """Departures of the windows near their motion, and slopes with their starts.
@@ -102,30 +102,39 @@ class MotionSearch:
         start = self.near(np.zeros(len(self.values)))
         return [w.departure - d for w, (d, _) in zip(self.windows, start, strict=True)]
 
-    def _round(self, x: Array) -> _Round:
-        """How departures count from now on, by where the search is."""
+    def _scale(self, x: Array) -> Array:
+        """(nv,) how departures count from now on, rad or m, by where the search is."""
         here = self.near(x, slopes=True)
         departures = [r + d for r, (d, _) in zip(self.rest, here, strict=True)]
-        return _Round(self, blinds([slopes for _, slopes in here], departures))
+        return blinds([slopes for _, slopes in here], departures)[0].scale
 
-    def _tried(self, x: Array, round_: _Round) -> Array:
+    def _residuals(self, x: Array, scale: Array) -> list[Array]:
+        """Residuals of each window, blind to what other starts make there."""
+        return [
+            blind_to(slopes, scale)(rest + departure)
+            for rest, (departure, slopes) in zip(self.rest, self.near(x, slopes=True), strict=True)
+        ]
+
+    def _tried(self, x: Array, scale: Array) -> Array:
         """The best of some values, one after another."""
         for i in range(len(x)):
             tries = np.repeat(x[None], len(_TRIED) + 1, axis=0)
             tries[1:, i] += _TRIED
-            costs = [sum(r @ r for r in round_.residuals(each)) + each @ each for each in tries]
+            costs = [
+                sum(r @ r for r in self._residuals(each, scale)) + each @ each for each in tries
+            ]
             x = tries[int(np.argmin(costs))]
         return x
 
-    def _deviations(self, x: Array, round_: _Round) -> Array:
+    def _deviations(self, x: Array, scale: Array) -> Array:
         """(k,) standard deviations of the logarithms.
 
         From the information of the windows, or from how their pulls differ, whichever is more.
         """
-        at = round_.residuals(x)
+        at = self._residuals(x, scale)
         columns = []
         for unit in _STEP * np.eye(len(x)):
-            ahead, behind = round_.residuals(x + unit), round_.residuals(x - unit)
+            ahead, behind = (self._residuals(x + way * unit, scale) for way in (1.0, -1.0))
             columns.append([(a - b) / (2.0 * _STEP) for a, b in zip(ahead, behind, strict=True)])
         J = [np.column_stack(each) for each in zip(*columns, strict=True)]
         covariance = np.linalg.inv(sum((j.T @ j for j in J), np.eye(len(x))))
@@ -203,24 +212,3 @@ def blind_to(slopes: Array, scale: Array) -> Blind:
     columns = (slopes / scale[:, None]).reshape(-1, slopes.shape[2])
     size = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
     return Blind(scale, np.linalg.qr(columns / size)[0])
-
-
-@dataclass(frozen=True, eq=False)
-class _Round:
-    """One round of a search.
-
-    Attributes:
-        search: The search.
-        blinds: How departures count.
-    """
-
-    search: MotionSearch
-    blinds: list[Blind]
-
-    def residuals(self, x: Array) -> list[Array]:
-        """Residuals of each window, at logarithms (k,)."""
-        near, rests = self.search.near(x), self.search.rest
-        return [
-            blind(rest + departure)
-            for blind, rest, (departure, _) in zip(self.blinds, rests, near, strict=True)
-        ]
