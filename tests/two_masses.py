@@ -58,7 +58,7 @@ def swung(seed, *, stiffness=STIFFNESS, gap=0.0, noise=0.0, seconds=18.0):
 
 
 @cache
-def followed(seed, servo, *, stiffness=STIFFNESS, gap=0.0, noise=0.0, seconds=18.0):
+def followed(seed, servo, *, noise=0.0, seconds=18.0, period=4e-3):
     """A log of motor position and command, of the same two masses under a servo, by scipy.
 
     Its integral stays where the servo is at its limit and would go beyond.
@@ -76,7 +76,7 @@ def followed(seed, servo, *, stiffness=STIFFNESS, gap=0.0, noise=0.0, seconds=18
         given = np.clip(effort, -servo.limit, servo.limit)
         return given, behind if given == effort or behind * effort < 0.0 else 0.0
 
-    t, position = _moved(acting, (stiffness, gap), seconds)
+    t, position = _moved(acting, (STIFFNESS, 0.0), seconds, period)
     position += noise * rng.standard_normal(position.shape)
     unknown = np.full_like(position, np.nan)
     told = command(t)[:, None]
@@ -89,7 +89,7 @@ def _angles(rng):
     return lambda t: np.multiply.outer(t, rates) + phases
 
 
-def _moved(acting, coupling, seconds):
+def _moved(acting, coupling, seconds, period=4e-3):
     """Instants, and positions of the motor (N, 1), once it has swung in.
 
     `acting` gives an effort and the rate of an integral, of time, position and speed of the motor,
@@ -106,7 +106,7 @@ def _moved(acting, coupling, seconds):
         pull = effort - FRICTION * speed - torque
         return [speed, pull / ROTOR, v, (torque - WEIGHT * np.sin(link)) / INERTIA, rate]
 
-    instants = np.arange(0.0, seconds + 3.0, 4e-3)
+    instants = np.arange(0.0, seconds + 3.0, period)
     span, start = instants[[0, -1]], [0.5, 0.0, 0.5 - gap, 0.0, 0.0]
     x = solve_ivp(slope, span, start, "LSODA", instants, rtol=1e-8).y
     later = instants >= 3.0
