@@ -188,6 +188,10 @@ def test_results_say_what_they_are_under(pendulum):
     log = followed(0, PD, seconds=1.5)
     rollout = command_rollout(model, [log], horizon=0.1, most=2, bandwidth=12.0)
     found = RolloutFit(model, (), rollout, rollout, (False, True), 1.0, False)
+    model = servoed(pendulum, 0.5, dataclasses.replace(PD, deviation=1.0))
+    unsure = dataclasses.replace(found, model=model)
+    assert "servos of hinge are not known exactly" in unsure.notes[-1]
+    assert found.notes == rollout.notes
     page = render_rollout_fit(found, title="t", model_name="arm", log_names=["log"])
     assert "arm under the commands of log" in page
     assert "under the logged commands" in page

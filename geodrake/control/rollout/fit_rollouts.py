@@ -70,9 +70,10 @@ def fit_rollouts(
     other log, is held out. The fit is taken if it departs less in those, by more than chance: they
     are compared window by window, as the folds of a diagnosis are. Else the model stays as it was.
 
-    Simulations are those of `roll_out`, under the efforts of logs, or of `command_rollout`: servos
-    close the loop, and are what the model takes them for, with their limits and integrals. What
-    they hold against shows less in the motion, the stiffer they are.
+    Simulations are those of `roll_out`, under the efforts of logs, or those of `command_rollout`,
+    in which servos close the loop, with delays, limits and integrals as the model has them. The
+    stiffer they are, the less soft joints show in the motion, and the more counts what logs do not
+    know: what commands are between samples, and what the gains are off by.
 
     Args:
         model: The model.
