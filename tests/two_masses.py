@@ -58,10 +58,10 @@ def swung(seed, *, stiffness=STIFFNESS, gap=0.0, noise=0.0, seconds=18.0):
 
 
 @cache
-def followed(seed, servo, *, noise=0.0, seconds=18.0, period=4e-3):
+def followed(seed, servo, *, coupling=(STIFFNESS, 0.0), noise=0.0, seconds=18.0, period=4e-3):
     """A log of motor position and command, of the same two masses under a servo, by scipy.
 
-    Its integral stays where the servo is at its limit and would go beyond.
+    They have a spring beyond a gap. The servo's integral stays where the servo is at its limit and would go beyond.
     """
     rng = np.random.default_rng(seed)
     angles = _angles(rng)
@@ -76,7 +76,7 @@ def followed(seed, servo, *, noise=0.0, seconds=18.0, period=4e-3):
         given = np.clip(effort, -servo.limit, servo.limit)
         return given, behind if given == effort or behind * effort < 0.0 else 0.0
 
-    t, position = _moved(acting, (STIFFNESS, 0.0), seconds, period)
+    t, position = _moved(acting, coupling, seconds, period)
     position += noise * rng.standard_normal(position.shape)
     unknown = np.full_like(position, np.nan)
     told = command(t)[:, None]

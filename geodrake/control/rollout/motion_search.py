@@ -26,7 +26,8 @@ Array = NDArray[np.float64]
 _REACH = np.log(30.0)  # of a value from where it begins
 _TRIED = np.log([0.1, 0.2, 0.4, 0.7, 1.4, 2.5, 5.0, 10.0])  # of one value alone, at first
 _STEP = 0.02  # of logarithms, for slopes
-_ROUNDS = 3  # with what joints depart by, which falls
+_MOST_ROUNDS = 12  # with what joints depart by, which falls, and with starts as values have them
+_SETTLED = 2e-3  # of logarithms, by which the last round changes them at most
 _MOST_EVALUATIONS = 20
 _LEAST = 1e-9  # rad or m, by which joints depart at least
 
@@ -62,20 +63,19 @@ class MotionSearch:
 
     def fit(self) -> tuple[Array, Array]:
         """Logarithms (k,) of values over those at the start, and their standard deviations."""
-        x = np.zeros(len(self.values))
-        scale = self._scale(x)
-        for tried in range(_ROUNDS):
-            if not tried:
-                x = self._tried(x, scale)
+        x = self._tried(np.zeros(len(self.values)))
+        for _ in range(_MOST_ROUNDS):
+            before, found = x, self._blinds(x)
             x = least_squares(
-                lambda y, scale=scale: np.concatenate([*self._residuals(y, scale), y]),
+                lambda y, blinds=found: np.concatenate([*self._residuals(y, blinds), y]),
                 x,
                 bounds=(-_REACH, _REACH),
                 diff_step=_STEP,
                 max_nfev=_MOST_EVALUATIONS,
             ).x
-            scale = self._scale(x)
-        return x, self._deviations(x, scale)
+            if np.abs(x - before).max() < _SETTLED:
+                break
+        return x, self._deviations(x, self._blinds(x))
 
     def near(self, x: Array, *, slopes: bool = False) -> list[tuple[Array, Array]]:
         """Departures of the windows near their motion, and slopes with their starts.
@@ -102,39 +102,45 @@ class MotionSearch:
         start = self.near(np.zeros(len(self.values)))
         return [w.departure - d for w, (d, _) in zip(self.windows, start, strict=True)]
 
-    def _scale(self, x: Array) -> Array:
-        """(nv,) how departures count from now on, rad or m, by where the search is."""
+    def _blinds(self, x: Array) -> list[Blind]:
+        """How departures count from now on, by where the search is."""
         here = self.near(x, slopes=True)
         departures = [r + d for r, (d, _) in zip(self.rest, here, strict=True)]
-        return blinds([slopes for _, slopes in here], departures)[0].scale
+        return blinds([slopes for _, slopes in here], departures)
 
-    def _residuals(self, x: Array, scale: Array) -> list[Array]:
-        """Residuals of each window, blind to what other starts make there."""
-        return [
-            blind_to(slopes, scale)(rest + departure)
-            for rest, (departure, slopes) in zip(self.rest, self.near(x, slopes=True), strict=True)
-        ]
+    def _residuals(self, x: Array, blinds: Sequence[Blind]) -> list[Array]:
+        """Residuals of each window."""
+        each = zip(blinds, self.rest, self.near(x), strict=True)
+        return [blind(rest + departure) for blind, rest, (departure, _) in each]
 
-    def _tried(self, x: Array, scale: Array) -> Array:
-        """The best of some values, one after another."""
+    def _tried(self, x: Array) -> Array:
+        """The best of some values, one after another, each blind to starts as it has them.
+
+        Other values ring otherwise: blind to starts as they are elsewhere, the best would be those
+        that are not far.
+        """
+        scale = self._blinds(x)[0].scale
+
+        def cost(y: Array) -> float:
+            each = zip(self.rest, self.near(y, slopes=True), strict=True)
+            left = [blind_to(slopes, scale)(rest + d) for rest, (d, slopes) in each]
+            return float(sum(r @ r for r in left) + y @ y)
+
         for i in range(len(x)):
             tries = np.repeat(x[None], len(_TRIED) + 1, axis=0)
             tries[1:, i] += _TRIED
-            costs = [
-                sum(r @ r for r in self._residuals(each, scale)) + each @ each for each in tries
-            ]
-            x = tries[int(np.argmin(costs))]
+            x = tries[int(np.argmin([cost(each) for each in tries]))]
         return x
 
-    def _deviations(self, x: Array, scale: Array) -> Array:
+    def _deviations(self, x: Array, blinds: Sequence[Blind]) -> Array:
         """(k,) standard deviations of the logarithms.
 
         From the information of the windows, or from how their pulls differ, whichever is more.
         """
-        at = self._residuals(x, scale)
+        at = self._residuals(x, blinds)
         columns = []
         for unit in _STEP * np.eye(len(x)):
-            ahead, behind = (self._residuals(x + way * unit, scale) for way in (1.0, -1.0))
+            ahead, behind = (self._residuals(x + way * unit, blinds) for way in (1.0, -1.0))
             columns.append([(a - b) / (2.0 * _STEP) for a, b in zip(ahead, behind, strict=True)])
         J = [np.column_stack(each) for each in zip(*columns, strict=True)]
         covariance = np.linalg.inv(sum((j.T @ j for j in J), np.eye(len(x))))
