@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 from flexible_arm import KD, KP, arm_log, soft_arm
-from two_masses import STIFFNESS, URDF, followed, springy, swung
+from two_masses import GAP, STIFFNESS, URDF, followed, loose, springy, swung
 from typer.testing import CliRunner
 
 from geodrake import effects, load_model, save_model
@@ -173,6 +173,17 @@ def test_logs_without_commands_are_under_their_efforts():
     found = fit_rollouts(servoed_arm(2.0, range(7)), logs, commands=True)
     assert found.taken
     assert {window.log for window in found.held_out[0].windows} == {"silent"}
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_gap_is_found_under_commands(pendulum, seed):
+    """Its sides are not those of the log, so that it comes out a little narrow."""
+    log = followed(seed, PD, coupling=(2e3, GAP))
+    model = dataclasses.replace(loose(pendulum, 1.3), effort_signals=(PD,))
+    found = fit_rollouts(model, [log], commands=True)
+    assert found.taken
+    assert abs(found.values[0].after / GAP - 1.0) < 0.2
 
 
 def test_what_cannot_follow_commands_is_said(pendulum):

@@ -8,7 +8,7 @@ the start of a window would make of them does not count: those are smoothed, and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -122,9 +122,7 @@ class MotionSearch:
         scale = self._blinds(x)[0].scale
 
         def cost(y: Array) -> float:
-            each = zip(self.rest, self.near(y, slopes=True), strict=True)
-            left = [blind_to(slopes, scale)(rest + d) for rest, (d, slopes) in each]
-            return float(sum(r @ r for r in left) + y @ y)
+            return float(sum(r @ r for r in self._free(y, scale)) + y @ y)
 
         for i in range(len(x)):
             tries = np.repeat(x[None], len(_TRIED) + 1, axis=0)
@@ -132,22 +130,37 @@ class MotionSearch:
             x = tries[int(np.argmin([cost(each) for each in tries]))]
         return x
 
+    def _free(self, x: Array, scale: Array) -> list[Array]:
+        """Residuals of each window, blind to starts as the values have them."""
+        each = zip(self.rest, self.near(x, slopes=True), strict=True)
+        return [blind_to(slopes, scale)(rest + d) for rest, (d, slopes) in each]
+
     def _deviations(self, x: Array, blinds: Sequence[Blind]) -> Array:
         """(k,) standard deviations of the logarithms.
 
-        From the information of the windows, or from how their pulls differ, whichever is more.
+        The search ends where pulls, slopes times residuals, are 0. They differ by noise, or from
+        window to window, whichever is more; and change with the values only by what no start makes.
         """
-        at = self._residuals(x, blinds)
-        columns = []
-        for unit in _STEP * np.eye(len(x)):
-            ahead, behind = (self._residuals(x + way * unit, blinds) for way in (1.0, -1.0))
-            columns.append([(a - b) / (2.0 * _STEP) for a, b in zip(ahead, behind, strict=True)])
-        J = [np.column_stack(each) for each in zip(*columns, strict=True)]
-        covariance = np.linalg.inv(sum((j.T @ j for j in J), np.eye(len(x))))
+        at, scale = self._residuals(x, blinds), blinds[0].scale
+        J = _slopes(lambda y: self._residuals(y, blinds), x)
+        free = _slopes(lambda y: self._free(y, scale), x)
+        free = [f - b.basis @ (b.basis.T @ f) for f, b in zip(free, blinds, strict=True)]
+        change = np.linalg.inv(sum((j.T @ f for j, f in zip(J, free, strict=True)), np.eye(len(x))))
         pulls = np.array([j.T @ r for j, r in zip(J, at, strict=True)])
         pulls = pulls - pulls.mean(axis=0)
-        spread = covariance @ (pulls.T @ pulls) @ covariance * len(at) / max(len(at) - 1, 1)
-        return np.asarray(np.sqrt(np.maximum(np.diag(covariance), np.diag(spread))))
+        spread = pulls.T @ pulls * len(at) / max(len(at) - 1, 1)
+        noise = sum((j.T @ j for j in J), np.eye(len(x)))
+        both = [np.diag(change @ each @ change.T) for each in (noise, spread)]
+        return np.asarray(np.sqrt(np.maximum(*both)))
+
+
+def _slopes(residuals: Callable[[Array], list[Array]], x: Array) -> list[Array]:
+    """Of each window (N nv, k) slopes of its residuals."""
+    columns = []
+    for unit in _STEP * np.eye(len(x)):
+        ahead, behind = residuals(x + unit), residuals(x - unit)
+        columns.append([(a - b) / (2.0 * _STEP) for a, b in zip(ahead, behind, strict=True)])
+    return [np.column_stack(each) for each in zip(*columns, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
