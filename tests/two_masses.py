@@ -61,7 +61,8 @@ def swung(seed, *, stiffness=STIFFNESS, gap=0.0, noise=0.0, seconds=18.0):
 def followed(seed, servo, *, coupling=(STIFFNESS, 0.0), noise=0.0, seconds=18.0, period=4e-3):
     """A log of motor position and command, of the same two masses under a servo, by scipy.
 
-    They have a spring beyond a gap. The servo's integral stays where the servo is at its limit and would go beyond.
+    They have a spring beyond a gap. The servo's integral stays where the servo is at its limit and
+    would go beyond.
     """
     rng = np.random.default_rng(seed)
     angles = _angles(rng)

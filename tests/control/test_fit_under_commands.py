@@ -125,6 +125,7 @@ def test_what_is_off_is_found_and_what_is_right_stays_as_good(pendulum, seed, na
     period = 1e-3 if name == "stiff" else 4e-3
     log = followed(seed, SERVOS[name], noise=noise, period=period)
     assert not np.isfinite(log.effort).any()
+    ends = []
     for share in (0.5, 1.0, 2.0):
         found = fit_rollouts(servoed(pendulum, share, SERVOS[name]), [log], commands=True)
         before, after = found.held_out
@@ -135,6 +136,8 @@ def test_what_is_off_is_found_and_what_is_right_stays_as_good(pendulum, seed, na
         assert abs(STIFFNESS * value.after - 1.0) < max(0.02, 3.5 * deviation)
         if share == 2.0 and noise == 1e-4:
             assert found.taken
+        ends.append(STIFFNESS * value.after)
+    assert np.ptp(ends) < max(0.02, deviation)  # wherever it begins
 
 
 @pytest.mark.thorough
