@@ -1,16 +1,16 @@
-"""Simulations of soft joints near the measured motion, where all but their couplings is linear.
+"""Soft joints near the measured motion, where all but couplings and servos is linear.
 
 A rollout stays within milliradians of what was measured. There the efforts of bodies and effects
 are linear in how far links and motors are from it, y (s = n + m, of the n links and then of the m
 motors of soft joints), with slopes along the measured motion:
 
-    H(t) ÿ + C(t) ẏ + K(t) y + r(t) = (L − A)ᵀ τ(lag, rate of the lag) + Aᵀ (u(y, ẏ, z, t) − u(t)).
+    H(t) ÿ + C(t) ẏ + K(t) y + r(t) = (L − A)ᵀ τ(lag, rate of the lag) + Aᵀ u(y, ẏ, z, t).
 
-r is what the measured motion needs beyond the effort u(t) that acts along it, measured or of
-servos; A and L lead from accelerations of links and motors to those of all motors and of all links
-(`geodrake.model.simulation.force_law`). Springs and dead bands τ, and servos u with their integrals
-z and limits, are as they are. Compiled, that is some hundred times as fast as a diagram,
-for a fit that needs many simulations. What it finds is judged by the diagram.
+r is what the measured motion needs beyond the measured effort of joints without a servo; A and L
+lead from accelerations of links and motors to those of all motors and of all links
+(`geodrake.model.simulation.force_law`). Springs and dead bands τ are as they are, and so are servos
+u, which act on motors, with their integrals z and limits. Compiled, that is some hundred times as
+fast as a diagram, for a fit that needs many simulations. What it finds is judged by the diagram.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from geodrake.model.simulation.force_law import ForceLaw
 from geodrake.model.simulation.soft_joints import Coupling
 
 Array = NDArray[np.float64]
-_Held = tuple[NDArray[np.intp], NDArray[np.intp], Array]
-_Driven = tuple[Array, Array, NDArray[np.intp], Array]
+_Held = tuple[NDArray[np.intp], NDArray[np.intp], Array]  # links, motors, what couples them
+_Driven = tuple[Array, Array, NDArray[np.intp], Array]  # as `NearServos.numbers`
 
 _STEP = 2.5e-4  # s, of a simulation at most
 _MOVED = 1e-4  # rad or m, by which positions change for slopes of effects
@@ -96,7 +96,7 @@ class NearMotion:
 
     Attributes:
         period: Time between samples, s.
-        rest: (N, s) r, without efforts of servos.
+        rest: (N, s) r.
         inertia: (N, s, s) H.
         damping: (N, s, s) C.
         stiffness: (N, s, s) K.
