@@ -216,8 +216,8 @@ class RolloutOptions(LogOptions):
         bool,
         typer.Option(
             "--fit",
-            help="Fit the model's soft joints and play to how the simulated robot moves; every "
-            "other block of windows, or every other log, is held out.",
+            help="Fit the model's soft joints and play to how the simulated robot moves, under "
+            "efforts or --commands; every other block of windows, or every other log, is held out.",
         ),
     ] = False
     save: Annotated[

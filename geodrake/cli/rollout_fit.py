@@ -32,13 +32,12 @@ def check_fit(options: RolloutOptions) -> None:
             "write what is there.",
             advice="Add --fit, or leave --save out.",
         )
-    for name, given in (("--before", options.before), ("--commands", options.commands)):
-        if options.fit and given:
-            raise ArgumentError(
-                f"--fit and {name} do not go together: a fit begins with the model as it is, under "
-                "the logged efforts.",
-                advice=f"Fit and save the model first, then roll it out with {name}.",
-            )
+    if options.fit and options.before is not None:
+        raise ArgumentError(
+            "--fit and --before do not go together: a fit begins with the model as it is, and is "
+            "compared with that.",
+            advice="Fit and save the model first, then roll it out with --before.",
+        )
 
 
 def run_rollout_fit(options: RolloutOptions) -> None:
@@ -57,6 +56,7 @@ def run_rollout_fit(options: RolloutOptions) -> None:
             given.logs,
             horizon=options.horizon,
             most=options.windows,
+            commands=options.commands,
             **given.settings,
             progress=given.progress,
         )
@@ -87,8 +87,9 @@ def run_rollout_fit(options: RolloutOptions) -> None:
 
 
 def _show(console: Console, found: RolloutFit, units: Units) -> None:
-    count, tested = len(found.tested), sum(found.tested)
-    head(console, f"Fitted to {count - tested} windows of {found.after.horizon:g} s")
+    count, tested, after = len(found.tested), sum(found.tested), found.after
+    windows = f"{count - tested} windows of {after.horizon:g} s"
+    head(console, f"Fitted to {windows} under the logged {after.under}")
     show_table(console, rollout_values_table(found, units))
     head(console, f"Departure from the measured motion, RMS; {tested} windows are held out")
     show_table(console, rollout_fit_table(found, units))

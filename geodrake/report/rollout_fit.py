@@ -40,7 +40,7 @@ def render_rollout_fit(
     )
     page = Page(
         title,
-        f"{model_name} under the efforts of {', '.join(log_names)}",
+        f"{model_name} under the {after.under} of {', '.join(log_names)}",
         "compared",
         "fitted" if found.taken else "stays",
         f"{words[:1].upper()}{words[1:]}",
@@ -59,7 +59,8 @@ def render_rollout_fit(
                 charts=(rollout_chart(found.after, found.before, units),),
             ),
         ),
-        "Made by geodrake: a plant with the model's inertias and effects under the logged efforts.",
+        f"Made by geodrake: a plant with the model's inertias and effects under the logged "
+        f"{after.under}.",
         links or {},
     )
     return render(page)

@@ -3,16 +3,15 @@
 import dataclasses
 import json
 import time
-from functools import cache
-from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
+from flexible_arm import arm_log, soft_arm
 from scipy.integrate import solve_ivp
+from two_masses import FRICTION, GAP, ROTOR, STIFFNESS, URDF, having, loose, springy, swung
 from typer.testing import CliRunner
 
-from geodrake import effects, load_model, save_model
+from geodrake import load_model, save_model
 from geodrake.cli.app import app
 from geodrake.control.rollout import fit_rollouts
 from geodrake.control.rollout.fit_rollouts import better_model, held_out
@@ -23,24 +22,7 @@ from geodrake.control.rollout.simulations import Simulations, chosen_passages
 from geodrake.errors import LogError, ModelError
 from geodrake.identification.logs.case import open_case
 from geodrake.logs.files import write_log
-from geodrake.logs.motion import JointLog
 from geodrake.report.words import rollout_fit_words
-
-LENGTH, MASS, BODY = 0.4, 1.5, 0.04
-INERTIA, WEIGHT, ROTOR, FRICTION = BODY + MASS * LENGTH**2, MASS * LENGTH * 9.81, 0.15, 0.4
-STIFFNESS, DAMPING, GAP = 600.0, 1.5, 0.05
-URDF = f"""
-<robot name="pendulum">
-  <link name="base"/>
-  <link name="rod"><inertial><origin xyz="0 0 -{LENGTH}"/><mass value="{MASS}"/>
-    <inertia ixx="{BODY}" iyy="{BODY}" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="hinge" type="revolute">
-    <parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>
-    <limit lower="-9" upper="9" effort="99" velocity="99"/>
-  </joint>
-</robot>
-"""
-ARM = Path(__file__).parents[2] / "models" / "arm7.urdf"
 
 
 @pytest.fixture(scope="module")
@@ -48,50 +30,6 @@ def pendulum(tmp_path_factory):
     path = tmp_path_factory.mktemp("pendulum") / "pendulum.urdf"
     path.write_text(URDF)
     return load_model(path)
-
-
-def having(model, rotor, friction, *more):
-    """A model with rotors and friction at all joints, and further effects."""
-    pairs = [(effects.RotorInertia(j), rotor) for j in model.joints]
-    pairs += [(effects.ViscousFriction(j), friction) for j in model.joints]
-    fitted = (effects.FittedEffect(e, np.array([value])) for e, value in (*pairs, *more))
-    return dataclasses.replace(model, effects=tuple(fitted))
-
-
-def springy(model, share, **shape):
-    """A pendulum with a spring of a share of the true compliance."""
-    spring = effects.JointElasticity("hinge", **shape), share / STIFFNESS
-    return having(model, ROTOR, FRICTION, spring)
-
-
-def loose(model, share):
-    return having(model, ROTOR, FRICTION, (effects.Backlash("hinge", share * GAP), 1.0))
-
-
-@cache
-def swung(seed, *, stiffness=STIFFNESS, gap=0.0, noise=0.0, seconds=18.0):
-    """A log of motor position and effort, of two masses with a spring beyond a gap, by scipy."""
-    rng = np.random.default_rng(seed)
-    rates, phases = rng.uniform(0.9, 1.1, 3) * [2.1, 5.3, 11.0], rng.uniform(0.0, 6.28, 3)
-
-    def effort(t):
-        return np.sin(np.multiply.outer(t, rates) + phases) @ [2.0, 2.0, 1.0]
-
-    def slope(t, x):
-        motor, speed, link, v = x
-        lag = motor - link
-        over = lag - np.clip(lag, -gap, gap)
-        torque = stiffness * over + (DAMPING * (speed - v) if over or not gap else 0.0)
-        pull = effort(t) - FRICTION * speed - torque
-        return [speed, pull / ROTOR, v, (torque - WEIGHT * np.sin(link)) / INERTIA]
-
-    instants = np.arange(0.0, seconds + 3.0, 4e-3)
-    span = instants[[0, -1]]
-    x = solve_ivp(slope, span, [0.5, 0.0, 0.5 - gap, 0.0], "LSODA", instants, rtol=1e-8).y
-    later = instants >= 3.0  # once it has swung in
-    position = x[0, later, None] + noise * rng.standard_normal((later.sum(), 1))
-    t = instants[later]
-    return JointLog(f"swung{seed}", ("hinge",), t, position, effort(t)[:, None])
 
 
 def compliance(found):
@@ -164,67 +102,14 @@ def test_a_gap_that_is_too_wide_is_found(pendulum, seed):
         assert found.model.effects[-1].effect.half_width == value.after
 
 
-@cache
-def arm_log(stiffness, seed=1, seconds=14.0, step=4e-4):
-    """An arm of which joint 4 has a spring behind its motor, by MuJoCo; servos by hand."""
-    spec = mujoco.MjSpec.from_file(str(ARM))
-    spec.option.timestep = step
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    names = [joint.name for joint in spec.joints]
-    motor = spec.joint(names[3])  # the link turns by a second joint about the same axis
-    motor.parent.add_joint(name="bend", axis=motor.axis, pos=motor.pos)
-    compiled = mujoco.MjModel.from_xml_string(_with_rotors(spec))
-    bend = compiled.joint("bend")
-    compiled.jnt_stiffness[bend.id], compiled.dof_damping[bend.dofadr[0]] = stiffness, 2.0
-    data, rng = mujoco.MjData(compiled), np.random.default_rng(seed)
-    at = [compiled.joint(name).dofadr[0] for name in names]
-    rates, phases = rng.uniform(1.0, 7.5, (7, 5)), rng.uniform(0.0, 6.28, (7, 5))
-    sizes = 0.2 * rng.uniform(0.5, 1.0, (7, 5))
-    kp = np.array([3e3, 3e3, 1.5e3, 1.5e3, 400.0, 400.0, 200.0])
-    middle, rows = np.array([0.3, 0.6, 0.1, 1.2, 0.2, 0.5, 0.0]), []
-
-    def told(t):
-        angle = rates * t + phases
-        position = middle + (sizes * np.sin(angle)).sum(1)
-        return position, (sizes * rates * np.cos(angle)).sum(1)
-
-    data.qpos[at], data.qvel[at] = told(0.0)
-    for k in range(round(seconds / step)):
-        q, v = told(k * step)
-        u = data.qfrc_bias[at] + kp * (q - data.qpos[at]) + 0.05 * kp * (v - data.qvel[at])
-        if k % 10 == 0:
-            rows.append([k * step, *data.qpos[at], *data.qvel[at], *u])
-        data.qfrc_applied[at] = u
-        mujoco.mj_step(compiled, data)
-    t, position, velocity, effort = np.split(np.array(rows)[125:], [1, 8, 15], axis=1)
-    return JointLog("arm", tuple(names), t[:, 0], position, effort, velocity)
-
-
-def _with_rotors(spec):
-    for joint in spec.joints:
-        if joint.name != "bend":
-            joint.armature = 0.3
-        joint.limited = 0
-    spec.compile()
-    return spec.to_xml()
-
-
-def soft_arm(share):
-    model = load_model(ARM)
-    joint = model.joints[3]
-    return having(model, 0.3, 0.0, (effects.JointElasticity(joint), share / 2000.0))
-
-
 def near_motion(model, log, most=2):
     """Windows of a log, and how they are simulated near their motion."""
     case = open_case(model, [log], candidates=False)
     passages = chosen_passages(case, 0.4, most)
-    simulations = Simulations(case, passages)
-    simulation = simulations(log.name)
-    law = simulation.law
+    simulation = Simulations(case, passages)(log.name)
     for passage in passages:
-        near = NearMotion.of(model, law, passage, simulations.sign_width, None)
-        yield passage, simulation, near, law.soft.couplings(law.mu)
+        near, soft = NearMotion.of(simulation, passage), simulation.law.soft
+        yield passage, simulation, near, soft.couplings(simulation.law.mu)
 
 
 def test_near_the_motion_is_as_in_the_diagram():
@@ -335,7 +220,7 @@ class TestCommand:
         [
             ("stiff.yaml log.csv --fit", "no soft joint and no play"),
             ("soft.yaml log.csv --save new.yaml", "Without --fit"),
-            ("soft.yaml log.csv --fit --commands", "do not go together"),
+            ("soft.yaml log.csv --fit --commands", "commands of a servo"),
             ("soft.yaml log.csv --fit --before stiff.yaml", "do not go together"),
             ("soft.yaml log.csv --fit --windows 2", "windows to fit and"),
         ],

@@ -1658,6 +1658,7 @@ def _diagnosis(t):
                 "horizon": 0.2,
                 "most": 4,
                 "bandwidth": 8.0,
+                "commands": False,
                 "progress": lambda *_: None,
             },
             slow=True,

@@ -131,7 +131,7 @@ LOG_OPTIONS = [
     *rows(f"rollout {DATA}", "--windows", NO_INTEGERS, "'--windows'"),
     Row("a fit of nothing", f"rollout {DATA} --fit", ("no soft joint and no play",)),
     Row("a rollout saved", f"rollout {DATA} --save new.yaml", ("Without --fit",)),
-    Row("a fit under commands", f"rollout {DATA} --fit --commands", ("do not go together",)),
+    Row("a fit under commands", f"rollout {DATA} --fit --commands", ("no soft joint and no play",)),
     *rows(f"rollout {DATA}", "--windows", HUGE[-1:], "departs", code=0),
     *rows(f"identify {DATA}", "--gamma", ("nan", "inf", "-inf", "0", "-1"), "gamma must be"),
     *rows(f"identify {DATA}", "--gamma", ("1e-300",), "gamma 1.00·10⁻³⁰⁰", "·10¹⁵", code=0),

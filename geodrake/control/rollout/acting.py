@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import MatrixGain, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
+from geodrake.control.motors import ServoError, ServoGains, servo_effort
 from geodrake.control.rollout.passages import Passage
 from geodrake.control.systems.position_servo import PositionServo
 from geodrake.logs.motion import JointLog
@@ -20,6 +22,23 @@ from geodrake.model.signal_efforts import integral_effort
 Array = NDArray[np.float64]
 
 _APART = 1e-9  # s, between instants of a trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class EffortAlong:
+    """What acts along a measured motion, and what servos add where motors are elsewhere.
+
+    Attributes:
+        effort: (K, n) efforts, N·m or N, without the integrals and limits of servos.
+        behind: (K, n) commanded less measured position, rad or m; 0 without a servo.
+        gains: Those of the servos (n,); 0 without one.
+        begun: (n,) their integrals at first, rad·s or m·s.
+    """
+
+    effort: Array
+    behind: Array
+    gains: ServoGains
+    begun: Array
 
 
 class Acting(abc.ABC):
@@ -40,6 +59,14 @@ class Acting(abc.ABC):
     @abc.abstractmethod
     def begin(self, passage: Passage) -> None:
         """Has a passage act, in the time since its log began.
+
+        Args:
+            passage: The passage.
+        """
+
+    @abc.abstractmethod
+    def along(self, passage: Passage) -> EffortAlong:
+        """What acts in a passage whose motors move as they were measured.
 
         Args:
             passage: The passage.
@@ -76,6 +103,12 @@ class LoggedEffort(Acting):
         effort = np.asarray(passage.segment.effort)
         self._source.UpdateTrajectory(_lines(passage.time, effort))
 
+    def along(self, passage: Passage) -> EffortAlong:
+        """See `Acting`."""
+        effort = np.asarray(passage.segment.effort)
+        behind, none = np.zeros_like(effort), np.zeros(effort.shape[1])
+        return EffortAlong(effort, behind, ServoGains(none, none, none, none + np.inf, none), none)
+
 
 class ServoedCommand(Acting):
     """The commands of a log, through the servos of a model; at other joints the log's efforts.
@@ -96,6 +129,7 @@ class ServoedCommand(Acting):
         self._servos, self._told = servos_of(model), told_joints(model, log)
         kp, kd, self._ki = (np.where(self._told, gain, 0.0) for gain in gains)
         limits = np.where(self._told, limit, np.inf)
+        self._gains = ServoGains(kp, kd, self._ki, limits, np.zeros(len(kp)))
         self._servo = PositionServo(kp, kd=kd, ki=self._ki, limit=limits)
         zero = PiecewisePolynomial(np.zeros(len(kp)))
         names = ("commanded_position", "commanded_velocity", "feedforward")
@@ -112,24 +146,42 @@ class ServoedCommand(Acting):
 
     def begin(self, passage: Passage) -> None:
         """See `Acting`."""
-        effort = np.where(self._told, 0.0, np.asarray(passage.segment.effort))
-        time, command, rate = self._commands(passage)
-        self._sources["feedforward"].UpdateTrajectory(_lines(passage.time, effort))
-        self._sources["commanded_position"].UpdateTrajectory(_lines(time, command))
-        self._sources["commanded_velocity"].UpdateTrajectory(_lines(time, rate))
+        for source, course in zip(self._sources.values(), self._courses(passage), strict=True):
+            source.UpdateTrajectory(course)
+
+    def along(self, passage: Passage) -> EffortAlong:
+        """See `Acting`."""
+        segment, courses = passage.segment, self._courses(passage)
+        command, rate, beside = (each.vector_values(passage.time).T for each in courses)
+        behind = np.where(self._told, command - segment.position, 0.0)
+        error = ServoError(behind, rate - segment.velocity, np.zeros_like(behind), beside)
+        unlimited = replace(self._gains, limit=np.full(len(self._ki), np.inf))
+        effort = servo_effort(unlimited, error)
+        return EffortAlong(effort, behind, self._gains, self._begun(passage))
 
     def remember(self, passage: Passage, root: Context) -> None:
         """Integrals are what they have grown to in the log, by its efforts."""
         if not self._ki.any():
             return
+        context = self._servo.GetMyMutableContextFromRoot(root)
+        state = context.get_mutable_continuous_state_vector()
+        state.SetFromVector(self._begun(passage))
+
+    def _begun(self, passage: Passage) -> Array:
+        """(n,) integrals when a passage begins, rad·s or m·s; 0 of servos without one."""
         begun, instants = np.zeros(len(self._ki)), self._log.time - passage.began
         known = np.isfinite(instants)
         for j in np.flatnonzero(self._ki).tolist():
             if (servo := self._servos[j]) is not None:
                 effort = integral_effort(self._log, j, servo)
                 begun[j] = np.interp(passage.time[0], instants[known], effort[known]) / self._ki[j]
-        context = self._servo.GetMyMutableContextFromRoot(root)
-        context.get_mutable_continuous_state_vector().SetFromVector(begun)
+        return begun
+
+    def _courses(self, passage: Passage) -> tuple[PiecewisePolynomial, ...]:
+        """Late commands, their rates, and efforts beside the servos, in the order of sources."""
+        effort = np.where(self._told, 0.0, np.asarray(passage.segment.effort))
+        time, command, rate = self._commands(passage)
+        return _lines(time, command), _lines(time, rate), _lines(passage.time, effort)
 
     def _commands(self, passage: Passage) -> tuple[Array, Array, Array]:
         """Instants (K,) at which late commands bend, commands and their rates (K, n)."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from geodrake.boundary.showing import Short, Shown
 from geodrake.control.rollout.results import Rollout
+from geodrake.model.effort_signal import COMMAND
 from geodrake.model.robot_model import RobotModel
 
 
@@ -33,6 +34,8 @@ class FittedValue(Short):
 @dataclass(frozen=True, eq=False)
 class RolloutFit(Shown):
     """What a model's soft joints and play are by its simulated motion.
+
+    `before` and `after` say what they are under: logged efforts, or logged commands.
 
     Attributes:
         model: The model with what was fitted, or as it was if that was not taken.
@@ -66,4 +69,17 @@ class RolloutFit(Shown):
     @property
     def notes(self) -> tuple[str, ...]:
         """What was done to the logs, noticed about the model, and assumed in the simulation."""
-        return self.after.notes
+        return (*self.after.notes, *self._unsure_servos())
+
+    def _unsure_servos(self) -> list[str]:
+        """A note on servos that were found, and are taken for what they were found to be."""
+        unsure = [
+            signal.joint
+            for signal in self.model.effort_signals
+            if signal.kind == COMMAND
+            and (signal.deviation or signal.damping_deviation or signal.integral_deviation)
+        ]
+        if not (unsure and self.after.commands):
+            return []
+        words = "soft joints and play make up for what they are off by"
+        return [f"servos of {', '.join(unsure)} are not known exactly: {words}"]

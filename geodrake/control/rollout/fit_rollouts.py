@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import instance
 from geodrake.control.rollout.fit_results import FittedValue, RolloutFit
 from geodrake.control.rollout.motion_search import (
     MotionSearch,
@@ -57,9 +59,10 @@ def fit_rollouts(
     horizon: float = HORIZON,
     most: int = MOST_WINDOWS,
     bandwidth: float | None = None,
+    commands: bool = False,
     progress: Progress | None = None,
 ) -> RolloutFit:
-    """Fit the soft joints and the play of a model to how it moves under the efforts of logs.
+    """Fit the soft joints and the play of a model to how it moves in simulation.
 
     Values that effects declare (`DeflectionEffect.rollout_values`: compliance, damping and half
     width of a dead band) are fitted by least squares of what windows depart by, from the model's
@@ -67,26 +70,35 @@ def fit_rollouts(
     other log, is held out. The fit is taken if it departs less in those, by more than chance: they
     are compared window by window, as the folds of a diagnosis are. Else the model stays as it was.
 
+    Simulations are those of `roll_out`, under the efforts of logs, or those of `command_rollout`,
+    in which servos close the loop, with delays, limits and integrals as the model has them. The
+    stiffer they are, the less soft joints show in the motion, and the more counts what logs do not
+    know: what commands are between samples, and what the gains are off by.
+
     Args:
         model: The model.
         logs: Logs or their files.
         horizon: Length of a window, s.
         most: Most windows, fitted and held out together.
         bandwidth: As for `roll_out`.
+        commands: Whether joints with servos follow the commands of logs, as in `command_rollout`.
         progress: Called with what is simulated, and the share of that which is done.
 
     Raises:
         ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
-        LogError: A log cannot be used, or there are fewer windows than two to fit and two to test.
+        LogError: A log cannot be used, there are fewer windows than two to fit and two to test, or
+            no log has commands of servos that are to be followed.
         ModelError: The model has no soft joint and no play, or one that cannot be simulated.
     """
     check_windows(horizon, most, progress)
+    instance(commands, "commands", bool)
     checked_logs(model, logs, (), None, None)
     values = rollout_values(model)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
     passages = chosen_passages(case, horizon, most)
     tested = held_out([passage.log for passage in passages])
-    before = case_rollout(case, horizon=horizon, most=most, progress=_named("before", progress))
+    simulated = partial(case_rollout, horizon=horizon, most=most, commands=commands)
+    before = simulated(case, progress=_named("before", progress))
     usable = _usable(before)
     fitted, seen = np.flatnonzero(usable & ~tested), np.flatnonzero(usable & tested)
     if min(len(fitted), len(seen)) < _FEWEST:
@@ -101,9 +113,7 @@ def fit_rollouts(
     x, deviations = MotionSearch(case.model, values, [windows[k] for k in fitted]).fit()
     found = np.array([value.value for value in values]) * np.exp(x)
     better = better_model(case.model, values, found, found * deviations)
-    after = case_rollout(
-        replace(case, model=better), horizon=horizon, most=most, progress=_named("after", progress)
-    )
+    after = simulated(replace(case, model=better), progress=_named("after", progress))
     departures = [after.windows[k].simulated - passages[k].logged for k in seen]
     chance = _chance(MotionSearch(case.model, values, [windows[k] for k in seen]), x, departures)
     taken = chance <= Criteria().tie and not _departs_more(before, after, tested)
@@ -135,12 +145,11 @@ def held_out(logs: Sequence[str]) -> Mask:
 
 def _windows(case: Case, passages: Sequence[Passage], before: Rollout) -> list[SearchWindow]:
     """All windows, ready to be simulated with other soft joints."""
-    simulations, found = Simulations(case, passages), []
+    simulations, found = Simulations(case, passages, commands=before.commands), []
     for passage, window in zip(passages, before.windows, strict=True):
         simulation = simulations(passage.log)
         if isinstance(simulation, Simulation):  # as it is wherever joints are soft
-            known = simulations.sign_width, simulations.temperatures(passage.log)
-            near = NearMotion.of(simulations.model(passage.log), simulation.law, passage, *known)
+            near = NearMotion.of(simulation, passage)
             found.append(SearchWindow(simulation.law, near, window.simulated - passage.logged))
     return found
 

@@ -8,7 +8,7 @@ the start of a window would make of them does not count: those are smoothed, and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,7 +26,8 @@ Array = NDArray[np.float64]
 _REACH = np.log(30.0)  # of a value from where it begins
 _TRIED = np.log([0.1, 0.2, 0.4, 0.7, 1.4, 2.5, 5.0, 10.0])  # of one value alone, at first
 _STEP = 0.02  # of logarithms, for slopes
-_ROUNDS = 3  # with what joints depart by, which falls
+_MOST_ROUNDS = 12  # with what joints depart by, which falls, and with starts as values have them
+_SETTLED = 2e-3  # of logarithms, by which the last round changes them at most
 _MOST_EVALUATIONS = 20
 _LEAST = 1e-9  # rad or m, by which joints depart at least
 
@@ -62,20 +63,19 @@ class MotionSearch:
 
     def fit(self) -> tuple[Array, Array]:
         """Logarithms (k,) of values over those at the start, and their standard deviations."""
-        x = np.zeros(len(self.values))
-        round_ = self._round(x)
-        for tried in range(_ROUNDS):
-            if not tried:
-                x = self._tried(x, round_)
+        x = self._tried(np.zeros(len(self.values)))
+        for _ in range(_MOST_ROUNDS):
+            before, found = x, self._blinds(x)
             x = least_squares(
-                lambda y, at=round_: np.concatenate([*at.residuals(y), y]),
+                lambda y, blinds=found: np.concatenate([*self._residuals(y, blinds), y]),
                 x,
                 bounds=(-_REACH, _REACH),
                 diff_step=_STEP,
                 max_nfev=_MOST_EVALUATIONS,
             ).x
-            round_ = self._round(x)
-        return x, self._deviations(x, round_)
+            if np.abs(x - before).max() < _SETTLED:
+                break
+        return x, self._deviations(x, self._blinds(x))
 
     def near(self, x: Array, *, slopes: bool = False) -> list[tuple[Array, Array]]:
         """Departures of the windows near their motion, and slopes with their starts.
@@ -102,37 +102,65 @@ class MotionSearch:
         start = self.near(np.zeros(len(self.values)))
         return [w.departure - d for w, (d, _) in zip(self.windows, start, strict=True)]
 
-    def _round(self, x: Array) -> _Round:
+    def _blinds(self, x: Array) -> list[Blind]:
         """How departures count from now on, by where the search is."""
         here = self.near(x, slopes=True)
         departures = [r + d for r, (d, _) in zip(self.rest, here, strict=True)]
-        return _Round(self, blinds([slopes for _, slopes in here], departures))
+        return blinds([slopes for _, slopes in here], departures)
 
-    def _tried(self, x: Array, round_: _Round) -> Array:
-        """The best of some values, one after another."""
+    def _residuals(self, x: Array, blinds: Sequence[Blind]) -> list[Array]:
+        """Residuals of each window."""
+        each = zip(blinds, self.rest, self.near(x), strict=True)
+        return [blind(rest + departure) for blind, rest, (departure, _) in each]
+
+    def _tried(self, x: Array) -> Array:
+        """The best of some values, one after another, each blind to starts as it has them.
+
+        Other values ring otherwise: blind to starts as they are elsewhere, the best would be those
+        that are not far.
+        """
+        scale = self._blinds(x)[0].scale
+
+        def cost(y: Array) -> float:
+            return float(sum(r @ r for r in self._free(y, scale)) + y @ y)
+
         for i in range(len(x)):
             tries = np.repeat(x[None], len(_TRIED) + 1, axis=0)
             tries[1:, i] += _TRIED
-            costs = [sum(r @ r for r in round_.residuals(each)) + each @ each for each in tries]
-            x = tries[int(np.argmin(costs))]
+            x = tries[int(np.argmin([cost(each) for each in tries]))]
         return x
 
-    def _deviations(self, x: Array, round_: _Round) -> Array:
+    def _free(self, x: Array, scale: Array) -> list[Array]:
+        """Residuals of each window, blind to starts as the values have them."""
+        each = zip(self.rest, self.near(x, slopes=True), strict=True)
+        return [blind_to(slopes, scale)(rest + d) for rest, (d, slopes) in each]
+
+    def _deviations(self, x: Array, blinds: Sequence[Blind]) -> Array:
         """(k,) standard deviations of the logarithms.
 
-        From the information of the windows, or from how their pulls differ, whichever is more.
+        The search ends where pulls, slopes times residuals, are 0. They differ by noise, or from
+        window to window, whichever is more; and change with the values only by what no start makes.
         """
-        at = round_.residuals(x)
-        columns = []
-        for unit in _STEP * np.eye(len(x)):
-            ahead, behind = round_.residuals(x + unit), round_.residuals(x - unit)
-            columns.append([(a - b) / (2.0 * _STEP) for a, b in zip(ahead, behind, strict=True)])
-        J = [np.column_stack(each) for each in zip(*columns, strict=True)]
-        covariance = np.linalg.inv(sum((j.T @ j for j in J), np.eye(len(x))))
+        at, scale = self._residuals(x, blinds), blinds[0].scale
+        J = _slopes(lambda y: self._residuals(y, blinds), x)
+        free = _slopes(lambda y: self._free(y, scale), x)
+        free = [f - b.basis @ (b.basis.T @ f) for f, b in zip(free, blinds, strict=True)]
+        change = np.linalg.inv(sum((j.T @ f for j, f in zip(J, free, strict=True)), np.eye(len(x))))
         pulls = np.array([j.T @ r for j, r in zip(J, at, strict=True)])
         pulls = pulls - pulls.mean(axis=0)
-        spread = covariance @ (pulls.T @ pulls) @ covariance * len(at) / max(len(at) - 1, 1)
-        return np.asarray(np.sqrt(np.maximum(np.diag(covariance), np.diag(spread))))
+        spread = pulls.T @ pulls * len(at) / max(len(at) - 1, 1)
+        noise = sum((j.T @ j for j in J), np.eye(len(x)))
+        both = [np.diag(change @ each @ change.T) for each in (noise, spread)]
+        return np.asarray(np.sqrt(np.maximum(*both)))
+
+
+def _slopes(residuals: Callable[[Array], list[Array]], x: Array) -> list[Array]:
+    """Of each window (N nv, k) slopes of its residuals."""
+    columns = []
+    for unit in _STEP * np.eye(len(x)):
+        ahead, behind = residuals(x + unit), residuals(x - unit)
+        columns.append([(a - b) / (2.0 * _STEP) for a, b in zip(ahead, behind, strict=True)])
+    return [np.column_stack(each) for each in zip(*columns, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,24 +231,3 @@ def blind_to(slopes: Array, scale: Array) -> Blind:
     columns = (slopes / scale[:, None]).reshape(-1, slopes.shape[2])
     size = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
     return Blind(scale, np.linalg.qr(columns / size)[0])
-
-
-@dataclass(frozen=True, eq=False)
-class _Round:
-    """One round of a search.
-
-    Attributes:
-        search: The search.
-        blinds: How departures count.
-    """
-
-    search: MotionSearch
-    blinds: list[Blind]
-
-    def residuals(self, x: Array) -> list[Array]:
-        """Residuals of each window, at logarithms (k,)."""
-        near, rests = self.search.near(x), self.search.rest
-        return [
-            blind(rest + departure)
-            for blind, rest, (departure, _) in zip(self.blinds, rests, near, strict=True)
-        ]

@@ -1,15 +1,16 @@
-"""Simulations of soft joints near the measured motion, where all but their couplings is linear.
+"""Soft joints near the measured motion, where all but couplings and servos is linear.
 
 A rollout stays within milliradians of what was measured. There the efforts of bodies and effects
 are linear in how far links and motors are from it, y (s = n + m, of the n links and then of the m
 motors of soft joints), with slopes along the measured motion:
 
-    H(t) ÿ + C(t) ẏ + K(t) y + r(t) = (L − A)ᵀ τ(lag, rate of the lag).
+    H(t) ÿ + C(t) ẏ + K(t) y + r(t) = (L − A)ᵀ τ(lag, rate of the lag) + Aᵀ u(y, ẏ, z, t).
 
-r is what the measured motion needs beyond the measured effort; A and L lead from accelerations of
-links and motors to those of all motors and of all links (`geodrake.model.simulation.force_law`).
-Springs and dead bands τ are as they are. Compiled, that is some hundred times as fast as a diagram,
-for a fit that needs many simulations. What it finds is judged by the diagram.
+r is what the measured motion needs beyond the measured effort of joints without a servo; A and L
+lead from accelerations of links and motors to those of all motors and of all links
+(`geodrake.model.simulation.force_law`). Springs and dead bands τ are as they are, and so are servos
+u, which act on motors, with their integrals z and limits. Compiled, that is some hundred times as
+fast as a diagram, for a fit that needs many simulations. What it finds is judged by the diagram.
 """
 
 from __future__ import annotations
@@ -21,21 +22,72 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.compiling import compiled, contiguous
+from geodrake.control.rollout.acting import EffortAlong
 from geodrake.control.rollout.loose_links import AT_START, first_lag, motion_before, thrown
 from geodrake.control.rollout.passages import Passage
+from geodrake.control.rollout.simulation import Simulation
 from geodrake.effects import FittedEffect, RobotMotion, Role
 from geodrake.effects.robot_motion import log_number
 from geodrake.logs.motion import Motion
-from geodrake.logs.temperatures import Temperatures
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.simulation.force_law import ForceLaw
 from geodrake.model.simulation.soft_joints import Coupling
 
 Array = NDArray[np.float64]
+_Held = tuple[NDArray[np.intp], NDArray[np.intp], Array]  # links, motors, what couples them
+_Driven = tuple[Array, Array, NDArray[np.intp], Array]  # as `NearServos.numbers`
 
 _STEP = 2.5e-4  # s, of a simulation at most
 _MOVED = 1e-4  # rad or m, by which positions change for slopes of effects
 _LAG_ITERATIONS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class NearServos:
+    """The p servos that act near a measured motion.
+
+    Attributes:
+        effort: (N, p) what they give along it without integrals and limits, N·m or N.
+        behind: (N, p) commanded less measured position, rad or m.
+        motors: (p,) where in y their motors are.
+        gains: (p, 4) stiffness, damping, integral gain, and largest effort.
+        begun: (p,) integrals at first, rad·s or m·s.
+    """
+
+    effort: Array
+    behind: Array
+    motors: NDArray[np.intp]
+    gains: Array
+    begun: Array
+
+    @classmethod
+    def of(
+        cls, law: ForceLaw, along: EffortAlong, motors: NDArray[np.intp]
+    ) -> tuple[NearServos, Array]:
+        """Servos, and efforts (N, nv) at joints without any.
+
+        Args:
+            law: The force law, which scales efforts.
+            along: What acts.
+            motors: (nv,) where in y the motor of each joint is.
+        """
+        kp, kd, ki, limit = along.gains.kp, along.gains.kd, along.gains.ki, along.gains.limit
+        effort = law.applied(along.effort.T, law.mu).T
+        gains = np.stack([law.applied(gain, law.mu) for gain in (kp, kd, ki, limit)], axis=1)
+        some = gains[:, :3].any(axis=1)
+        servos = cls(
+            contiguous(effort[:, some]),
+            contiguous(along.behind[:, some]),
+            motors[some],
+            contiguous(gains[some]),
+            along.begun[some],
+        )
+        return servos, np.where(some, 0.0, effort)
+
+    @property
+    def numbers(self) -> _Driven:
+        """Efforts, what servos are behind, places and gains."""
+        return self.effort, self.behind, self.motors, self.gains
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +100,8 @@ class NearMotion:
         inertia: (N, s, s) H.
         damping: (N, s, s) C.
         stiffness: (N, s, s) K.
+        motors: (nv,) where in y the motor of each joint is.
+        servos: What servos give.
         soft: (m,) velocities of the soft joints.
         names: Their names.
         load: (k, m) efforts of their links at the first samples, N·m or N.
@@ -61,6 +115,8 @@ class NearMotion:
     inertia: Array
     damping: Array
     stiffness: Array
+    motors: NDArray[np.intp]
+    servos: NearServos
     soft: NDArray[np.intp]
     names: tuple[str, ...]
     load: Array
@@ -69,42 +125,22 @@ class NearMotion:
     before: RobotMotion
 
     @classmethod
-    def of(
-        cls,
-        model: RobotModel,
-        law: ForceLaw,
-        passage: Passage,
-        sign_width: Array,
-        temperatures: Temperatures | None,
-    ) -> NearMotion:
+    def of(cls, simulation: Simulation, passage: Passage) -> NearMotion:
         """A passage of a log.
 
         Args:
-            model: The model.
-            law: The force law of its effects.
+            simulation: That of the log, with soft joints.
             passage: The passage.
-            sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
-            temperatures: Those of the joints, if any are known.
         """
-        segment = passage.segment
-        motion = Motion(
-            model.positions(segment.position),
-            segment.velocity,
-            segment.acceleration,
-            passage.time,
-            model.positions(passage.before),
-        )
-        if temperatures is not None:
-            warmth = temperatures.at(passage.time, model.joints)
-            motion = replace(motion, temperature=warmth)
-        seen = model.motion(motion, sign_width=sign_width)
-        seen = replace(seen, log=log_number(passage.log))
+        model, law, segment = simulation.model, simulation.law, passage.segment
+        seen, along = _seen(simulation, passage), simulation.acting.along(passage)
         slopes, A, L = seen.effort_slopes, law.of_motors, law.of_links
         at_motors, own = _at_motors(model, seen)
-        applied = np.array([law.applied(u, law.mu) for u in segment.effort])
         at_links = seen.load + _effort(model, seen, at_motor=False)
         soft, added = law.soft.velocities, law.added_inertia
-        rest = (at_motors - applied) @ A + at_links @ L
+        motors = A.argmax(axis=1)
+        servos, beside = NearServos.of(law, along, motors)
+        rest = (at_motors - beside) @ A + at_links @ L
         rest[:, len(L) :] += added * segment.acceleration[:, soft]
         position, velocity, acceleration = (
             A.T @ (f[:, :, None] * A) + L.T @ D @ L
@@ -120,12 +156,14 @@ class NearMotion:
             contiguous(acceleration),
             contiguous(velocity),
             contiguous(position),
+            motors,
+            servos,
             soft,
             law.soft.names,
             at_links[:AT_START, soft],
             slopes.position[:AT_START, soft, soft],
             passage.time[:AT_START],
-            motion_before(model, passage, sign_width),
+            motion_before(model, passage, simulation.sign_width),
         )
 
     def departure(
@@ -140,22 +178,24 @@ class NearMotion:
         Args:
             effects: All effects, for where links in dead bands begin.
             couplings: What holds motors and links together.
-            slopes: Whether those with positions and velocities of all links and motors at the start
-                are asked for; there are none (k = 0) if not.
+            slopes: Whether those with positions and velocities of all links and motors, and with
+                integrals of servos, at the start are asked for; there are none (k = 0) if not.
         """
         lag, rate = self._start(effects, couplings)
         s = self.rest.shape[1]
-        n = s - len(self.soft)
-        start = np.zeros((2, s, 1 + (2 * s if slopes else 0)))
-        start[0, self.soft, 0], start[1, self.soft, 0] = -lag, -rate
-        start[:, :, 1:] = np.eye(2 * s)[:, : start.shape[2] - 1].reshape(2, s, -1)
+        free = self.servos.gains[:, 2].astype(bool)  # integrals
+        units = np.eye(2 * s + len(free))[:, np.append(np.ones(2 * s, bool), free)]
+        start = np.zeros((len(units), 1 + (units.shape[1] if slopes else 0)))
+        start[self.soft, 0], start[s + self.soft, 0] = -lag, -rate
+        start[2 * s :, 0] = self.servos.begun
+        start[:, 1:] = units[:, : start.shape[1] - 1]
         held = np.array([[c.stiffness, c.play, c.damping, c.ramp] for c in couplings])
-        out = np.empty((len(self.rest), *start.shape[1:]))
+        out = np.empty((len(self.rest), s, start.shape[1]))
         steps = max(1, int(np.ceil(self.period / _STEP)))
         equations = self.rest, self.inertia, self.damping, self.stiffness
-        calc_near_motion(equations, (self.period, steps), (self.soft, held), start, out)
-        found = out[:, :n].copy()
-        found[:, self.soft] = out[:, n:]
+        soft = self.soft, self.motors[self.soft], held
+        calc_near_motion(equations, (self.period, steps), (soft, self.servos.numbers), start, out)
+        found = out[:, self.motors]
         return found[..., 0], found[..., 1:]
 
     def _start(
@@ -170,6 +210,23 @@ class NearMotion:
                 lags[:, i] += coupling.play * np.sign(torques[:, i])
         plays = np.array([coupling.play for coupling in couplings])
         return first_lag(lags, plays, self.time, lambda: thrown(effects, self.before, self.names))
+
+
+def _seen(simulation: Simulation, passage: Passage) -> RobotMotion:
+    """The measured motion as the effects of a model see it."""
+    model, segment = simulation.model, passage.segment
+    motion = Motion(
+        model.positions(segment.position),
+        segment.velocity,
+        segment.acceleration,
+        passage.time,
+        model.positions(passage.before),
+    )
+    if simulation.temperatures is not None:
+        warmth = simulation.temperatures.at(passage.time, model.joints)
+        motion = replace(motion, temperature=warmth)
+    seen = model.motion(motion, sign_width=simulation.sign_width)
+    return replace(seen, log=log_number(passage.log))
 
 
 def _effort(model: RobotModel, seen: RobotMotion, *, at_motor: bool) -> Array:
@@ -200,27 +257,27 @@ def _at_motors(model: RobotModel, seen: RobotMotion) -> tuple[Array, tuple[Array
 def calc_near_motion(
     equations: tuple[Array, Array, Array, Array],
     steps: tuple[float, int],
-    soft: tuple[NDArray[np.intp], Array],
+    held: tuple[_Held, _Driven],
     start: Array,
     out: Array,
 ) -> None:
     """Writes how far links and motors are from the measured motion, by the midpoint rule.
 
-    Couplings are linear within a step. Beside the motion, changes of it are followed.
+    Couplings and servos are linear within a step. Beside the motion, changes of it are followed.
 
     Args:
         equations: (N, s) r, (N, s, s) H, C and K.
         steps: Time between rows, s, and steps between two.
-        soft: (m,) velocities of soft joints, and (m, 4) stiffness, play, damping and ramp.
-        start: (2, s, 1 + k) y and ẏ, and k changes of them.
+        held: Of soft joints (m,) places of links and of motors in y, and (m, 4) stiffness, play,
+            damping and ramp; of servos (N, p) efforts and what they are behind, along the motion,
+            (p,) places of their motors, and (p, 4) stiffness, damping, integral gain and limit.
+        start: (2 s + p, 1 + k) y, ẏ and the integrals of servos, and k changes of them.
         out: (N, s, 1 + k) y, and its changes.
     """
     r, H, C, K = equations
-    at, held = soft
-    h = steps[0] / steps[1]
-    s, m = start.shape[1], len(at)
-    n = s - m
-    y, v = start[0].copy(), start[1].copy()
+    (links, motors, couplings), (along, behind, driven, gains) = held
+    h, s = steps[0] / steps[1], r.shape[1]
+    y, v, z = start[:s].copy(), start[s : 2 * s].copy(), start[2 * s :].copy()
     out[0] = y
     for k in range(len(r) - 1):
         for step in range(steps[1]):
@@ -231,9 +288,9 @@ def calc_near_motion(
             S = (1.0 - f) * H[k] + f * H[k + 1] + 0.5 * h * C_now + 0.25 * h * h * K_now
             b = -(C_now @ v) - K_now @ middle
             b[:, 0] -= (1.0 - f) * r[k] + f * r[k + 1]
-            for i in range(m):
-                stiffness, play, damping, ramp = held[i]
-                link, motor = at[i], n + i
+            for i in range(len(links)):
+                stiffness, play, damping, ramp = couplings[i]
+                link, motor = links[i], motors[i]
                 lag, rate = middle[motor] - middle[link], v[motor] - v[link]
                 side = 1.0 if lag[0] > 0.0 else -1.0
                 over = side * lag[0] - play
@@ -250,6 +307,21 @@ def calc_near_motion(
                 S[motor, motor] += slope
                 S[link, motor] -= slope
                 S[motor, link] -= slope
+            for i in range(len(driven)):
+                kp, kd, ki, limit = gains[i]
+                motor = driven[i]
+                error = -middle[motor]
+                error[0] += (1.0 - f) * behind[k, i] + f * behind[k + 1, i]
+                effort = ki * (z[i] + 0.5 * h * error) - kp * middle[motor] - kd * v[motor]
+                effort[0] += (1.0 - f) * along[k, i] + f * along[k + 1, i]
+                if abs(effort[0]) < limit:
+                    b[motor] += effort
+                    S[motor, motor] += 0.5 * h * kd + 0.25 * h * h * kp
+                else:
+                    b[motor, 0] += limit if effort[0] > 0.0 else -limit
+                    if effort[0] * error[0] > 0.0:
+                        continue
+                z[i] += h * error
             a = np.linalg.solve(S, b)
             y = middle + 0.5 * h * v + 0.5 * h * h * a
             v = v + h * a

@@ -105,7 +105,8 @@ class Simulation:
         fastest: Array,
         steps: Iterator[int],
     ) -> None:
-        self._model, self._sign_width, self._acting = model, sign_width, acting
+        self.model, self.sign_width, self.temperatures = model, sign_width, temperatures
+        self.acting = acting
         self._fastest, self._steps = fastest, steps
         builder = DiagramBuilder()
         loaded = load_plant(model.path, floating=model.floating, held=model.held, given=model.given)
@@ -149,7 +150,7 @@ class Simulation:
             if soft
             else self._plant.get_state_output_port()
         )
-        own = self._plant.num_positions() + self._model.coordinates.own_velocities
+        own = self._plant.num_positions() + self.model.coordinates.own_velocities
         return picked(builder, port, np.concatenate([self._order, own]))
 
     def _whole_effort(self, builder: DiagramBuilder, effort: OutputPort) -> OutputPort:
@@ -178,16 +179,16 @@ class Simulation:
         integrator are left, they are NaN.
         """
         segment, time = passage.segment, passage.time
-        self._acting.begin(passage)
+        self.acting.begin(passage)
         simulator = Simulator(self._diagram)
         root = simulator.get_mutable_context()
         root.SetTime(time[0])
-        self._acting.remember(passage, root)
+        self.acting.remember(passage, root)
         self._remember(passage, root)
         context = self._plant.GetMyMutableContextFromRoot(root)
-        set_inertial_parameters(self._plant, context, self._model.total_phi)
-        ways = self._model.coordinates
-        q = ways.plant_positions(self._model.positions(segment.position[:1]))[0]
+        set_inertial_parameters(self._plant, context, self.model.total_phi)
+        ways = self.model.coordinates
+        q = ways.plant_positions(self.model.positions(segment.position[:1]))[0]
         v = ways.plant_velocities(segment.velocity[:1])[0]
         if self._force.soft_joints:
             self._deflect(passage, root, (q, v))
@@ -221,12 +222,12 @@ class Simulation:
         """
         first, ways, soft = (
             passage.segment[:AT_START],
-            self._model.coordinates,
+            self.model.coordinates,
             self._force.law.soft,
         )
         context = self._force.GetMyMutableContextFromRoot(root)
         motion = (
-            ways.plant_positions(self._model.positions(first.position)),
+            ways.plant_positions(self.model.positions(first.position)),
             ways.plant_velocities(first.velocity),
             ways.plant_velocities(first.acceleration),
         )
@@ -239,20 +240,20 @@ class Simulation:
         v[soft.velocities] -= rate
 
     def _thrown(self, passage: Passage) -> tuple[Array, Array]:
-        seen = motion_before(self._model, passage, self._sign_width)
-        return thrown(self._model.effects, seen, self._force.soft_joints)
+        seen = motion_before(self.model, passage, self.sign_width)
+        return thrown(self.model.effects, seen, self._force.soft_joints)
 
     def _whole(self, values: Array, at_followers: float = 0.0) -> Array:
         """Values (..., nv of the plant), of those (..., nv) of the model."""
-        shape = *values.shape[:-1], self._model.plant.num_velocities()
+        shape = *values.shape[:-1], self.model.plant.num_velocities()
         whole = np.full(shape, at_followers)
-        whole[..., self._model.coordinates.own_velocities] = values
+        whole[..., self.model.coordinates.own_velocities] = values
         return whole
 
     def _limit(self, root: Context) -> EventStatus:
         """Ends a simulation that has no steps left, or whose robot is too fast for any."""
         velocity = self._plant.GetVelocities(self._plant.GetMyContextFromRoot(root))
-        velocity = velocity[self._model.coordinates.own_velocities]
+        velocity = velocity[self.model.coordinates.own_velocities]
         inside = bool((np.abs(velocity) < FASTEST * self._fastest).all())
         if inside and next(self._steps, None) is not None:
             return EventStatus.DidNothing()
@@ -264,8 +265,8 @@ class Simulation:
         if not effects:
             return
         first = passage.segment[:2]  # the direction in which a log begins takes two samples
-        positions = self._model.positions
-        seen = self._model.motion(
+        positions = self.model.positions
+        seen = self.model.motion(
             Motion(
                 positions(first.position),
                 first.velocity,
@@ -273,14 +274,14 @@ class Simulation:
                 passage.time[:2],
                 positions(passage.before),
             ),
-            sign_width=self._sign_width,
+            sign_width=self.sign_width,
         )
         states = {effect: effect.states_along(seen)[0] for effect in effects}
         self._force.set_hidden_states(self._force.GetMyMutableContextFromRoot(root), states)
 
     def _decay(self, root: Context) -> float:
         """The fastest rate, 1/s, at which velocities near rest decay by friction."""
-        ways, nv, m = self._model.coordinates, len(self._model.joints), len(self._force.soft_joints)
+        ways, nv, m = self.model.coordinates, len(self.model.joints), len(self._force.soft_joints)
         context = self._plant.GetMyMutableContextFromRoot(root)
         motors = self._force.GetMyMutableContextFromRoot(root)
         port = self._plant.get_generalized_acceleration_output_port()

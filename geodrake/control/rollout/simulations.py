@@ -13,9 +13,7 @@ from geodrake.control.rollout.passages import Passage, moving_passages
 from geodrake.control.rollout.simulation import Simulation, allowed_steps
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.reduce import peak_speeds
-from geodrake.logs.temperatures import Temperatures
 from geodrake.model.carried_payloads import carrying
-from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -55,15 +53,7 @@ class Simulations:
         self._steps = allowed_steps(passages)
         self._fastest = np.maximum(peak_speeds(case.trajectories), 1e-3)
         self._made: dict[str, Simulation | DrivenSimulation] = {}
-        self.sign_width = case.model.sign_widths(_SIGN_WIDTH * self._fastest)
-
-    def model(self, log: str) -> RobotModel:
-        """The model with what it carried in a log."""
-        return carrying(self._case.model, self._prepared[log].payloads)
-
-    def temperatures(self, log: str) -> Temperatures | None:
-        """Those of the joints in a log, if any are known."""
-        return self._prepared[log].temperatures
+        self._sign_width = case.model.sign_widths(_SIGN_WIDTH * self._fastest)
 
     def __call__(self, log: str) -> Simulation | DrivenSimulation:
         """The simulation of a log."""
@@ -72,16 +62,17 @@ class Simulations:
         return self._made[log]
 
     def _make(self, log: str) -> Simulation | DrivenSimulation:
-        loaded, warmth = self.model(log), self.temperatures(log)
+        prepared = self._prepared[log]
+        loaded, warmth = carrying(self._case.model, prepared.payloads), prepared.temperatures
         servoed = self._commands and told_joints(loaded, self._logs[log]).any()
         acting: Acting = LoggedEffort(len(loaded.joints))
         if servoed:
             acting = ServoedCommand(loaded, self._logs[log])
         fastest, steps = self._fastest, self._steps
         if loaded.transmission:
-            driving = loaded.driving(self.sign_width, log, warmth)
+            driving = loaded.driving(self._sign_width, log, warmth)
             if driving is not None:
                 return DrivenSimulation(loaded, driving, acting, fastest=fastest, steps=steps)
         return Simulation(
-            loaded, self.sign_width, log, warmth, acting=acting, fastest=fastest, steps=steps
+            loaded, self._sign_width, log, warmth, acting=acting, fastest=fastest, steps=steps
         )

@@ -291,7 +291,7 @@ class ForceLaw:
         return self.implicit or any(effect.role is Role.SCALE for effect in self.effects)
 
     def applied(self, u: Any, mu: Any) -> Any:
-        """Efforts (nv,) that act where efforts u (nv,) are commanded or measured.
+        """Efforts (nv, …) that act where efforts u (nv, …) are commanded or measured.
 
         Args:
             u: The efforts.

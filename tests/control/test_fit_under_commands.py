@@ -1,0 +1,234 @@
+"""Fits of soft joints under commands; logs are of two masses under a servo, by scipy and MuJoCo."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from flexible_arm import KD, KP, arm_log, soft_arm
+from two_masses import GAP, STIFFNESS, URDF, followed, loose, springy, swung
+from typer.testing import CliRunner
+
+from geodrake import effects, load_model, save_model
+from geodrake.cli.app import app
+from geodrake.control.rollout import RolloutFit, command_rollout, fit_rollouts, simulation
+from geodrake.control.rollout.near_motion import NearMotion
+from geodrake.control.rollout.rollout_values import rollout_values, with_values
+from geodrake.control.rollout.simulations import Simulations, chosen_passages
+from geodrake.errors import ArgumentError, LogError
+from geodrake.identification.logs.case import open_case
+from geodrake.logs.files import write_log
+from geodrake.model import EffortSignal
+from geodrake.report.json_output import rollout_fit_dict
+from geodrake.report.rollout_fit import render_rollout_fit
+
+PD = EffortSignal("hinge", "command", 100.0, damping=6.0, delay=0.013)
+LIMITED = dataclasses.replace(PD, limit=6.5)
+SERVOS = {
+    "pd": PD,
+    "weak": dataclasses.replace(PD, gain=40.0, damping=3.0),
+    "stiff": dataclasses.replace(PD, gain=1000.0, damping=25.0),
+    "pid": dataclasses.replace(PD, integral=200.0),
+    "limited": LIMITED,
+    "limited pid": dataclasses.replace(LIMITED, integral=200.0),
+}
+FILES = {"json": "fit.json", "report": "fit.html", "save": "better.yaml"}
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory):
+    path = tmp_path_factory.mktemp("pendulum") / "pendulum.urdf"
+    path.write_text(URDF)
+    return load_model(path)
+
+
+def servoed(model, share, *servos):
+    """A pendulum with a spring of a share of the true compliance, and servos."""
+    return dataclasses.replace(springy(model, share), effort_signals=servos)
+
+
+def departures(case, compliance, horizon, most):
+    """In the diagram and near the motion, window by window, and servos at their limits."""
+    values = rollout_values(case.model)
+    new = [compliance, *(value.value for value in values[1:])]
+    model = with_values(case.model, values, new, new)
+    passages = chosen_passages(case, horizon, most)
+    case = dataclasses.replace(case, model=model)
+    made = Simulations(case, passages, commands=True)(case.asked.logs[0].name)
+    couplings = made.law.soft.couplings(made.law.mu)
+    for passage in passages:
+        near, along = NearMotion.of(made, passage), made.acting.along(passage)
+        found, _ = near.departure(model.effects, couplings)
+        exact = made.positions(passage) - passage.segment.position
+        yield exact, found, bool((np.abs(along.effort) > along.gains.limit).any())
+
+
+def check_changes(case, compliance, *, share=0.02, horizon=0.3, most=2):
+    """Whether departures change with the compliance near the motion as in the diagram."""
+    both = (departures(case, size * compliance, horizon, most) for size in (1.0, 1.1))
+    held = []
+    for (exact, found, at_limit), (exact_next, found_next, _) in zip(*both, strict=True):
+        change = exact_next - exact
+        error = found_next - found - change
+        assert np.sqrt(np.mean(error**2)) < share * np.sqrt(np.mean(change**2))
+        held.append(at_limit)
+    return held
+
+
+@pytest.mark.parametrize("name", ["limited", "pid"])
+def test_near_the_motion_servos_are_as_in_the_diagram(pendulum, name):
+    """Also where efforts are not what servos mean to give: a tenth less here."""
+    servo = SERVOS[name]
+    scale = effects.FittedEffect(effects.EffortScale("hinge"), np.array([0.1]))
+    model = servoed(pendulum, 2.0, servo)
+    model = dataclasses.replace(model, effects=(*model.effects, scale))
+    log = followed(0, servo, seconds=1.5)
+    case = open_case(model, [log], candidates=False, bandwidth=12.0)
+    held = check_changes(case, 2.0 / STIFFNESS, horizon=0.15, most=3)
+    assert any(held) == (name == "limited") and not all(held)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", SERVOS)
+def test_all_servos_are_as_in_the_diagram(pendulum, name, monkeypatch):
+    """An integral that is held or not takes the diagram small steps."""
+    monkeypatch.setattr(simulation, "_ACCURACY", 1e-6)
+    monkeypatch.setattr(simulation, "LARGEST_STEP", 5e-4)
+    log = followed(1, SERVOS[name])
+    case = open_case(servoed(pendulum, 2.0, SERVOS[name]), [log], candidates=False)
+    check_changes(case, 2.0 / STIFFNESS, horizon=0.5, most=6, share=0.05)
+
+
+def test_slopes_with_integrals_are_differences(pendulum):
+    """They are one more of what a window begins with, and have no velocities."""
+    servo = SERVOS["pid"]
+    log = followed(0, servo, seconds=1.5)
+    case = open_case(servoed(pendulum, 2.0, servo), [log], candidates=False, bandwidth=12.0)
+    (passage,) = chosen_passages(case, 0.2, 1)
+    made = Simulations(case, [passage], commands=True)("followed0")
+    near, law = NearMotion.of(made, passage), made.law
+    couplings = law.soft.couplings(law.mu)
+    plain, slopes = near.departure(case.model.effects, couplings, slopes=True)
+    assert slopes.shape[2] == 2 * 2 + 1
+    more = near.servos.effort + servo.integral  # what an integral that is larger by 1 gives
+    pushed = dataclasses.replace(near, servos=dataclasses.replace(near.servos, effort=more))
+    found, _ = pushed.departure(case.model.effects, couplings)
+    np.testing.assert_allclose(found - plain, slopes[..., -1], atol=1e-9)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("noise", [1e-4, 1e-3])
+@pytest.mark.parametrize("name", SERVOS)
+@pytest.mark.parametrize("seed", range(2))
+def test_what_is_off_is_found_and_what_is_right_stays_as_good(pendulum, seed, name, noise):
+    """A stiff servo follows its command more closely than straight lines between samples do."""
+    period = 1e-3 if name == "stiff" else 4e-3
+    log = followed(seed, SERVOS[name], noise=noise, period=period)
+    assert not np.isfinite(log.effort).any()
+    ends = []
+    for share in (0.5, 1.0, 2.0):
+        found = fit_rollouts(servoed(pendulum, share, SERVOS[name]), [log], commands=True)
+        before, after = found.held_out
+        assert before.commands and after.commands
+        assert not found.taken or after.relative <= before.relative
+        value, *_ = found.values
+        deviation = STIFFNESS * value.deviation
+        assert abs(STIFFNESS * value.after - 1.0) < max(0.02, 3.5 * deviation)
+        if share == 2.0 and noise == 1e-4:
+            assert found.taken
+        ends.append(STIFFNESS * value.after)
+    assert np.ptp(ends) < max(0.02, deviation)  # wherever it begins
+
+
+@pytest.mark.thorough
+def test_an_arm_is_found_under_its_servos():
+    """One soft joint among seven servos, twice as soft as it is."""
+    log = arm_log(2000.0, weight=0.0)
+    log = dataclasses.replace(log, effort=np.full_like(log.effort, np.nan))
+    found = fit_rollouts(servoed_arm(2.0, range(7)), [log], commands=True)
+    value, *_ = found.values
+    assert found.taken
+    assert abs(2000.0 * value.after - 1.0) < min(0.3, 3.0 * 2000.0 * value.deviation)
+    before, after = found.held_out
+    assert after.relative < before.relative
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("servos", [(3,), (0, 1, 2), (2, 3, 4)])
+def test_joints_without_servos_get_their_efforts(servos):
+    """Soft or not: what is measured is where motors are."""
+    log = arm_log(2000.0, weight=0.0)
+    case = open_case(servoed_arm(0.8, servos), [log], candidates=False)
+    check_changes(case, 0.8 / 2000.0, horizon=0.4, share=0.1)
+
+
+def servoed_arm(share, servos):
+    model = soft_arm(share)
+    signals = [EffortSignal(model.joints[j], "command", KP[j], damping=KD[j]) for j in servos]
+    return dataclasses.replace(model, effort_signals=tuple(signals))
+
+
+@pytest.mark.thorough
+def test_logs_without_commands_are_under_their_efforts():
+    """The first is fitted under commands, the other held out."""
+    silent = dataclasses.replace(arm_log(2000.0, seed=2, weight=0.0), name="silent", command=None)
+    logs = [arm_log(2000.0, weight=0.0), silent]
+    found = fit_rollouts(servoed_arm(2.0, range(7)), logs, commands=True)
+    assert found.taken
+    assert {window.log for window in found.held_out[0].windows} == {"silent"}
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_gap_is_found_under_commands(pendulum, seed):
+    """Its sides are not those of the log, so that it comes out a little narrow."""
+    log = followed(seed, PD, coupling=(2e3, GAP))
+    model = dataclasses.replace(loose(pendulum, 1.3), effort_signals=(PD,))
+    found = fit_rollouts(model, [log], commands=True)
+    assert found.taken
+    assert abs(found.values[0].after / GAP - 1.0) < 0.2
+
+
+def test_what_cannot_follow_commands_is_said(pendulum):
+    log = followed(0, PD, seconds=1.5)
+    with pytest.raises(LogError, match="commands of a servo"):
+        fit_rollouts(servoed(pendulum, 0.5, PD), [swung(0)], commands=True)
+    with pytest.raises(ArgumentError, match="commands"):
+        fit_rollouts(servoed(pendulum, 0.5, PD), [log], commands="all")
+
+
+def test_results_say_what_they_are_under(pendulum):
+    model = servoed(pendulum, 0.5, PD)
+    log = followed(0, PD, seconds=1.5)
+    rollout = command_rollout(model, [log], horizon=0.1, most=2, bandwidth=12.0)
+    found = RolloutFit(model, (), rollout, rollout, (False, True), 1.0, False)
+    model = servoed(pendulum, 0.5, dataclasses.replace(PD, deviation=1.0))
+    unsure = dataclasses.replace(found, model=model)
+    assert "servos of hinge are not known exactly" in unsure.notes[-1]
+    assert found.notes == rollout.notes
+    page = render_rollout_fit(found, title="t", model_name="arm", log_names=["log"])
+    assert "arm under the commands of log" in page
+    assert "under the logged commands" in page
+    assert "efforts" not in page
+    told = rollout_fit_dict(found)
+    for part in ("fitted", "held_out"):
+        assert {stage["under"] for stage in told[part].values()} == {"commands"}
+
+
+@pytest.mark.thorough
+def test_the_command_says_under_what(pendulum, tmp_path):
+    save_model(servoed(pendulum, 0.5, PD), tmp_path / "soft.yaml")
+    write_log(followed(0, PD, seconds=2.5), tmp_path / "log.csv")
+    options = ["--fit", "--commands", "--quiet", "--horizon", "0.2", "--windows", "8"]
+    options += [f"--{name}={tmp_path / file}" for name, file in FILES.items()]
+    words = ["rollout", str(tmp_path / "soft.yaml"), str(tmp_path / "log.csv"), *options]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert "under the logged commands" in done.output
+    found = json.loads((tmp_path / "fit.json").read_text())
+    assert found["held_out"]["after"]["under"] == "commands"
+    assert "under the commands of log" in (tmp_path / "fit.html").read_text()
+    saved = load_model(tmp_path / "better.yaml")
+    assert saved.effort_signals == (PD,)
+    if found["taken"]:
+        assert STIFFNESS * saved.effects[-1].parameters[0] == pytest.approx(1.0, abs=0.1)
