@@ -24,7 +24,12 @@ R = TypeVar("R")
 
 _AHEAD = 4  # pieces of work for each thread that the scheduler knows of
 _SECONDS = 20.0  # until a scheduler, and a worker of it, must have answered
-_LARGE = {"distributed.admin.large-graph-warning-threshold": "4 GiB"}  # pieces that Dask warns of
+_SETTINGS = {
+    # A piece of work may hold all that is known of a robot: Dask warns of such.
+    "distributed.admin.large-graph-warning-threshold": "4 GiB",
+    # Dask has workers give memory back at once: arrays then cost more than what is computed.
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+}
 _FEW = 4  # pieces of work for which no process is started
 
 
@@ -185,9 +190,8 @@ def workers(
             return
     dask: Any = optional_package("distributed", "fleet", "workers", FleetError)
     with ExitStack() as stack:
-        # A piece of work may hold all that is known of a robot.
         stack.enter_context(
-            optional_package("dask", "fleet", "workers", FleetError).config.set(_LARGE)
+            optional_package("dask", "fleet", "workers", FleetError).config.set(_SETTINGS)
         )
         if scheduler is None:
             client = stack.enter_context(_local(dask, count or 1, stack))
