@@ -35,7 +35,7 @@ _SCREENED, _FINALISTS = 24, 6  # that are fitted with physical bodies, and to th
 _HOPELESS = -20.0  # gain, at most, of what is fitted no further, unless its size is to be found
 _UNSEEN = 1.0  # of twice a log-likelihood: data that gain no more say nothing of a size
 _FAR, _SHARE = 50.0, 0.5  # less than the best, and of it: what gains less is not fitted to the end
-_STEPS = 6  # of a fit of a mistake's size
+_STEPS = 8  # of a fit of a mistake's size
 _CLOSE = 1e-3  # rad or share: a step that ends it
 _LONGEST = 0.7  # rad, or of a logarithm, of a step
 
@@ -145,15 +145,20 @@ class ColumnSearch:
         return [entries[k] for k in kept], [gains[k] for k in kept]
 
     def _refined(self, mistake: ColumnMistake, base: ColumnFit) -> tuple[ColumnMistake, ColumnFit]:
-        """A mistake of the size that fits best, and the fit."""
+        """A mistake of the size that fits best, and the fit.
+
+        Steps of a size that turn around go half as far: of several gains each hides the others'.
+        """
         if mistake.kind == "effort_limit":
             return self._of_nearest_limit(mistake, base)
         parameters, assignment = self.judge.parameters, mistake.assignment
         zeros, gains, free = parameters.zeros(), parameters.gains(), list(mistake.free)
+        reach, last = np.full(len(free), _LONGEST), np.zeros(len(free))
         for _ in range(_STEPS if free else 0):
             fit = self.judge.quick(assignment, base, mistake.free)
+            reach = np.where(fit.x[free] * last < 0.0, 0.5 * reach, reach)
             step = np.zeros(len(fit.x))
-            step[free] = np.clip(fit.x[free], -_LONGEST, _LONGEST)
+            step[free] = last = np.clip(fit.x[free], -reach, reach)
             zero = assignment.zero + step[zeros]
             assignment = replace(assignment, zero=zero, gain=assignment.gain / np.exp(step[gains]))
             if np.abs(step).max() < _CLOSE:
