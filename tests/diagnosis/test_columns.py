@@ -3,6 +3,7 @@
 Logs come from Pinocchio's inverse dynamics; the mistakes are written out here.
 """
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,10 @@ from geodrake import load_model
 from geodrake.diagnosis import ColumnFinding, check_columns, corrected
 from geodrake.errors import ArgumentError
 from geodrake.logs.files import read_log
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "diagrams"))
+
+from wrong_columns.logs import DURATION, WrongLog, make_log
 
 MODELS = Path(__file__).parents[2] / "models"
 JOINTS = ("shoulder", "elbow")
@@ -155,3 +160,16 @@ class TestMeasured:
         (found,) = check_columns(model, [replace(log, effort=log.effort[:, order])])
         assert (found.kind, found.joints) == ("swapped_efforts", model.joints[1:3])
         assert found.error_after < 0.2 * found.error_before
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("robot", "engine", "motion", "log", "seed"),
+    [("arm6", "mujoco", "fast", 6, 8), ("arm7", "pinocchio", "point to point", 2, 9)],
+)
+def test_torques_of_motors_are_told_together(robot, engine, motion, log, seed):
+    """Fits of all gains that went on swinging took one number for all, and one more for some."""
+    drawn = WrongLog("torque of the motors", robot, engine, motion, log, seed, DURATION)
+    model, log, _ = make_log(drawn)
+    (found,) = check_columns(model, [log])
+    assert (found.kind, found.joints) == ("effort_gains", model.joints)
