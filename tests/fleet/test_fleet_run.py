@@ -622,3 +622,17 @@ def test_a_history_that_another_run_replaced_is_summed_up_again(task):
     content = task.file.read_bytes()
     task.file.write_bytes(content[:-500] + bytes(500))
     same_history(kept.read(), before)
+    method = content.index(b"PK\x01\x02") + 10  # by which the first array is packed
+    task.file.write_bytes(content[:method] + b"\xff" + content[method + 1 :])
+    same_history(kept.read(), before)
+
+
+@pytest.mark.parametrize("gone", [1, 3])
+def test_digests_that_go_while_their_history_is_used_are_said(task, gone):
+    """What was learnt of the robot is of other logs."""
+    kept = robot_logs(task).logs.history
+    task.file.unlink()
+    for record in task.records[:gone]:
+        (task.folder / DIGESTS / record.digest).unlink()
+    with pytest.raises(FleetError, match="of robot carrier changed while"):
+        kept.read()
