@@ -27,7 +27,7 @@ from geodrake.fleet.settings import DigestSettings
 from geodrake.fleet.type_findings import type_findings
 from geodrake.fleet.type_layout import TypeLayout, type_layout
 from geodrake.fleet.type_source import own_model, type_source
-from geodrake.fleet.workers import InThisProcess, Workers, in_order, workers
+from geodrake.fleet.workers import Workers, in_order, workers
 from geodrake.model.holding import holding
 
 Array = NDArray[np.float64]
@@ -84,7 +84,7 @@ def run_fleet(
     """
     work = instance(work or FleetWork(), "work", FleetWork)
     with _taken_in(fleet, work, (), told, said, pieces=len(fleet.robots)) as (digests, team):
-        return fleet_result(fleet, digests, work.false_alarms, told, team), digests
+        return _result(fleet, digests, work.false_alarms, told, team), digests
 
 
 def take_in_logs(
@@ -133,25 +133,27 @@ def _taken_in(
 
 
 def fleet_result(
-    fleet: Fleet,
-    digests: FleetDigests,
-    false_alarms: float,
-    told: Told,
-    team: Workers | None = None,
+    fleet: Fleet, digests: FleetDigests, work: FleetWork, told: Told = lambda words, share: None
 ) -> FleetResult:
     """Findings from digests.
 
     Args:
         fleet: The fleet.
         digests: What is known of its logs.
-        false_alarms: At most how many robots in which nothing changed are named, a robot-month.
+        work: Who works, and how careful findings are.
         told: Called with what is going on.
-        team: Who works; None for this process.
 
     Raises:
-        OutputError: It cannot be written that a log is to be digested again.
+        FleetError: The scheduler cannot be used, or robots cannot be compared.
+        OutputError: The folder cannot be written to.
     """
-    team = team or InThisProcess()
+    with workers(len(fleet.robots), count=work.workers, scheduler=work.scheduler) as team:
+        return _result(fleet, digests, work.false_alarms, told, team)
+
+
+def _result(
+    fleet: Fleet, digests: FleetDigests, false_alarms: float, told: Told, team: Workers
+) -> FleetResult:
     unused = [UnusedLog(each.robot, each.address, each.reason) for each in digests.failed]
     robots: list[RobotResult] = []
     for kind in fleet.types.values():

@@ -36,8 +36,8 @@ from geodrake.effects import CoulombFriction, FittedEffect, StribeckFriction
 from geodrake.errors import ArgumentError, DigestError, FleetError, OutputError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
 from geodrake.fleet.digest_file import read_digest
-from geodrake.fleet.digest_run import digest_task, find_tasks
-from geodrake.fleet.fleet_run import take_in_logs
+from geodrake.fleet.digest_run import FleetDigests, digest_task, find_tasks
+from geodrake.fleet.fleet_run import fleet_result, take_in_logs
 from geodrake.fleet.log_dates import check_date_pattern, date_in_path, date_text
 from geodrake.fleet.log_places import absolute_pattern, find_logs, fits, local_log
 from geodrake.fleet.log_records import DIGESTS, read_records
@@ -411,8 +411,13 @@ def test_dates_in_paths(path, pattern, date):
 
 def test_a_scheduler_that_does_not_answer_is_said(own, monkeypatch):
     monkeypatch.setattr("geodrake.fleet.workers._SECONDS", 0.5)
-    with pytest.raises(FleetError, match=r"tcp://127\.0\.0\.1:9 cannot be reached"):
-        run_fleet(read_fleet(own()), FleetWork(scheduler="tcp://127.0.0.1:9"))
+    fleet, there = read_fleet(own()), FleetWork(scheduler="tcp://127.0.0.1:9")
+    for look in (
+        lambda: run_fleet(fleet, there),
+        lambda: fleet_result(fleet, FleetDigests({}, (), {}, 0), there),  # of a watch
+    ):
+        with pytest.raises(FleetError, match=r"tcp://127\.0\.0\.1:9 cannot be reached"):
+            look()
 
 
 @pytest.mark.thorough
