@@ -117,10 +117,21 @@ class HistorySums:
         self.efforts += (log.effort_squares, log.samples)
 
     @property
+    def _there(self) -> NDArray[np.bool_]:
+        """(C,) which times have logs: T of them."""
+        return np.asarray(self.times[2] > 0.0)
+
+    @property
     def days(self) -> Array:
-        """(T,) mean day of the logs of each time that has some."""
-        days, _, logs, _ = self.times[:, self.times[2] > 0.0]
+        """(T,) mean day of each time that has logs."""
+        days, _, logs, _ = self.times[:, self._there]
         return np.asarray(days / logs)
+
+    @property
+    def temperature(self) -> Array:
+        """(T,) mean temperature of each of them, °C; NaN where it is not known."""
+        _, warm, _, known = self.times[:, self._there]
+        return np.where(known > 0.0, warm / np.maximum(known, 1.0), np.nan)
 
     @property
     def effort(self) -> Array:
@@ -135,14 +146,12 @@ class HistorySums:
             robot: Its name.
             columns: Number p of a type's columns.
         """
-        there = self.times[2] > 0.0
-        _, warm, logs, known = self.times[:, there]
-        temperature = np.where(known > 0.0, warm / np.maximum(known, 1.0), np.nan)
+        logs = self.times[2, self._there]
         joints = tuple(
-            joint_history(each.columns, each.grams[there] / logs[:, None, None])
+            joint_history(each.columns, each.grams[self._there] / logs[:, None, None])
             for each in self.joints
         )
-        return RobotHistory(robot, self.days, joints, columns, temperature)
+        return RobotHistory(robot, self.days, joints, columns, self.temperature)
 
 
 def write_sums(path: Path, key: str, sums: HistorySums) -> None:

@@ -125,12 +125,16 @@ class KeptHistory(Short):
         stamps: Hash of what says which logs are in it.
         days: (T,) when each log was recorded, days, ascending.
         temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
+        effort: (n,) root of the mean square of the robot's efforts, N·m or N.
+        logs: How many logs are in it, of which those of a time count as one.
     """
 
     task: HistoryTask
     stamps: str
     days: Array
     temperature: Array
+    effort: Array
+    logs: int
 
     @property
     def robot(self) -> str:
@@ -156,48 +160,32 @@ class KeptHistory(Short):
 
 
 @dataclass(frozen=True, eq=False)
-class RobotLogs(Short):
-    """A robot's history, and how large its efforts are.
-
-    Attributes:
-        history: Its history.
-        effort: (n,) root of the mean square of its efforts, N·m or N.
-        logs: How many logs it is of.
-    """
-
-    history: KeptHistory
-    effort: Array
-    logs: int
-
-
-@dataclass(frozen=True, eq=False)
 class ReadHistory(Short):
     """What came of a robot's digests.
 
     Attributes:
-        logs: What they say; None if no digest can be read.
+        history: Its history; None if no digest can be read.
         refused: Records whose digest is damaged, or of other settings, and how.
     """
 
-    logs: RobotLogs | None
+    history: KeptHistory | None
     refused: tuple[tuple[LogRecord, str], ...]
 
 
-def robot_logs(task: HistoryTask) -> ReadHistory:
-    """What a robot's digests say, wherever this runs.
+def read_history(task: HistoryTask) -> ReadHistory:
+    """A robot's history from its digests, wherever this runs.
 
     Args:
         task: The robot.
 
     Raises:
-        OutputError: What they say cannot be kept.
+        OutputError: It cannot be kept.
     """
     sums, refused = _summed(task)
     if not sums.stamps:
         return ReadHistory(None, refused)
-    history = sums.history(task.robot, len(task.kept))
-    kept = KeptHistory(task, text_hash(sums.stamps), history.days, history.temperature)
-    return ReadHistory(RobotLogs(kept, sums.effort, len(sums.stamps)), refused)
+    known = sums.days, sums.temperature, sums.effort, len(sums.stamps)
+    return ReadHistory(KeptHistory(task, text_hash(sums.stamps), *known), refused)
 
 
 def _summed(task: HistoryTask) -> tuple[HistorySums, tuple[tuple[LogRecord, str], ...]]:

@@ -77,7 +77,7 @@ def learnt(
     """`learn_type` where others look at robots.
 
     Args:
-        team: Who does.
+        team: Who works.
         logs: Where those of each robot are.
         start: Where to begin.
         changes: As of `learn_type`.

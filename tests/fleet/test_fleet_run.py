@@ -41,7 +41,7 @@ from geodrake.fleet.fleet_run import fleet_result, take_in_logs
 from geodrake.fleet.log_dates import check_date_pattern, date_in_path, date_text
 from geodrake.fleet.log_places import absolute_pattern, find_logs, fits, local_log
 from geodrake.fleet.log_records import DIGESTS, read_records
-from geodrake.fleet.robot_logs import DAY, MOST_TIMES, HistoryTask, robot_logs, time_cells
+from geodrake.fleet.robot_logs import DAY, MOST_TIMES, HistoryTask, read_history, time_cells
 from geodrake.fleet.settings import read_settings
 from geodrake.logs.files import write_log
 from geodrake.model.saved_model import load_model, save_model
@@ -556,10 +556,10 @@ def test_logs_of_one_time_count_as_one(task, monkeypatch):
     one = replace(task, records=task.records[:1])
     later = replace(one.records[0], date=one.records[0].date + DAY)
     monkeypatch.setattr("geodrake.fleet.robot_logs.MOST_TIMES", 1)
-    single = robot_logs(one).logs.history.read()
-    twice = robot_logs(replace(one, records=[*one.records, later])).logs
-    assert (twice.logs, len(twice.history.days)) == (2, 1)
-    for a, b in zip(single.joints, twice.history.read().joints, strict=True):
+    single = read_history(one).history.read()
+    twice = read_history(replace(one, records=[*one.records, later])).history
+    assert (twice.logs, len(twice.days)) == (2, 1)
+    for a, b in zip(single.joints, twice.read().joints, strict=True):
         np.testing.assert_allclose(b.information, a.information)
         np.testing.assert_allclose(b.right, a.right)
 
@@ -589,9 +589,9 @@ def same_history(one, other):
 
 def test_what_logs_say_is_kept_and_added_to(task, monkeypatch):
     """To the same numbers, whether logs come one by one or all at once."""
-    whole = robot_logs(task)
+    whole = read_history(task)
     assert not whole.refused
-    anew = whole.logs.history.read()
+    anew = whole.history.read()
     task.file.unlink()
     reads = []
     monkeypatch.setattr(
@@ -599,27 +599,27 @@ def test_what_logs_say_is_kept_and_added_to(task, monkeypatch):
         lambda path: reads.append(path) or read_digest(path),
     )
     for count in (1, 2, 3, 3):
-        found = robot_logs(replace(task, records=task.records[:count])).logs
+        found = read_history(replace(task, records=task.records[:count])).history
     assert len(reads) == 3
-    same_history(found.history.read(), anew)
-    np.testing.assert_array_equal(found.effort, whole.logs.effort)
+    same_history(found.read(), anew)
+    np.testing.assert_array_equal(found.effort, whole.history.effort)
     assert len(reads) == 3
 
 
 def test_a_log_before_others_is_added_to_none(task):
     """Its time is another one's: all are read anew."""
-    late = robot_logs(replace(task, records=task.records[1:])).logs
+    late = read_history(replace(task, records=task.records[1:])).history
     assert late.logs == 2
-    found = robot_logs(task).logs.history.read()
+    found = read_history(task).history.read()
     task.file.unlink()
-    same_history(robot_logs(task).logs.history.read(), found)
+    same_history(read_history(task).history.read(), found)
 
 
 def test_a_history_that_another_run_replaced_is_summed_up_again(task):
     """Or one that is damaged, or gone."""
-    kept = robot_logs(task).logs.history
+    kept = read_history(task).history
     before = kept.read()
-    robot_logs(replace(task, records=task.records[:2]))
+    read_history(replace(task, records=task.records[:2]))
     same_history(kept.read(), before)
     for spoil in (lambda file: file.write_bytes(b"x"), Path.unlink):
         spoil(task.file)
@@ -635,7 +635,7 @@ def test_a_history_that_another_run_replaced_is_summed_up_again(task):
 @pytest.mark.parametrize("gone", [1, 3])
 def test_digests_that_go_while_their_history_is_used_are_said(task, gone):
     """What was learnt of the robot is of other logs."""
-    kept = robot_logs(task).logs.history
+    kept = read_history(task).history
     task.file.unlink()
     for record in task.records[:gone]:
         (task.folder / DIGESTS / record.digest).unlink()
