@@ -615,6 +615,32 @@ def test_a_log_before_others_is_added_to_none(task):
     same_history(read_history(task).history.read(), found)
 
 
+def test_logs_that_come_to_share_a_time_are_added_to_none(task, monkeypatch):
+    """With one more than there are times, neighbours count as one."""
+    monkeypatch.setattr("geodrake.fleet.robot_logs.MOST_TIMES", 2)
+    assert len(read_history(replace(task, records=task.records[:2])).history.days) == 2
+    found = read_history(task).history
+    assert (found.logs, len(found.days)) == (3, 2)
+    later = found.read()
+    task.file.unlink()
+    same_history(read_history(task).history.read(), later)
+
+
+def test_a_history_is_without_a_digest_that_is_damaged(task):
+    """Whoever reads it, and as long as it is."""
+    whole = read_history(task).history.read()
+    damaged = task.folder / DIGESTS / task.records[1].digest
+    content = damaged.read_bytes()
+    damaged.write_bytes(b"x")
+    ((record, _),) = read_history(task).refused
+    assert record == task.records[1]
+    rest = read_history(task).history
+    task.file.unlink()
+    assert np.array_equal(rest.read().days, whole.days[[0, 2]])
+    damaged.write_bytes(content)
+    same_history(read_history(task).history.read(), whole)
+
+
 def test_a_history_that_another_run_replaced_is_summed_up_again(task):
     """Or one that is damaged, or gone."""
     kept = read_history(task).history
