@@ -121,7 +121,7 @@ def _taken_in(
     *,
     pieces: int = 0,
 ) -> Iterator[tuple[FleetDigests, Workers]]:
-    """What `take_in_logs` does, and who did it: for so many further pieces of work, or for logs."""
+    """What `take_in_logs` does, and who works: enough for so many pieces of work that follow."""
     instance(fleet, "fleet", Fleet)
     check_places(fleet, local=work.workers == 0 and work.scheduler is None)
     told("Looking for logs", None)
