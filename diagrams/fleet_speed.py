@@ -1,8 +1,8 @@
 """What a run of `geodrake fleet` costs: time with one and two workers, memory with ever more logs.
 
 Logs are made by the arm's own model, with friction that differs from robot to robot. Times are
-those of a clock, with the start of the workers; memory is the most that one process takes in which
-digests become findings, libraries included.
+those of a clock, with the start of the workers; memory is the most that a process takes that makes
+findings of digests, with its libraries.
 
     OMP_NUM_THREADS=1 python diagrams/fleet_speed.py --json fleet_speed.json --figures figures
 """
@@ -57,8 +57,8 @@ class RunCost:
         length: Length of a log, s.
         workers: Processes that digest.
         seconds: Time of a clock until findings are there, s.
-        again: The same when digests are there, s.
-        memory: Most memory of a process in which digests become findings, MB.
+        again: The same when digests and histories are there, s.
+        memory: Most memory of a process that makes findings of digests, MB.
     """
 
     robots: int
@@ -136,7 +136,7 @@ def measure(path: Path, logs: int, length: float, workers: int) -> RunCost:
 
 
 def most_memory(path: Path) -> float:
-    """Most memory of a process that makes findings of digests, and does it all, MB.
+    """Most memory of a process that makes findings of digests alone, MB.
 
     Args:
         path: File of the fleet, whose digests are there.

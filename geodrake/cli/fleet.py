@@ -167,7 +167,7 @@ def _look(
         known = (digests.records, digests.failed)
         if seen is not None and not digests.made and known == (seen.records, seen.failed):
             return digests
-        result = fleet_result(fleet, digests, work.false_alarms, update)
+        result = fleet_result(fleet, digests, work, update)
     _written(fleet, result, options, targets)
     _tell_new(fleet, result)
     return digests

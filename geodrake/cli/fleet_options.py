@@ -29,8 +29,8 @@ class FleetOptions:
         int | None,
         typer.Option(
             metavar="N",
-            help="Processes that digest logs, of this machine; 0 is this one. One on each core if "
-            "absent, or this one where Dask is not installed.",
+            help="Processes of this machine that work; 0 is the command's own, which also works "
+            "where Dask is not installed. One on each core if absent.",
         ),
     ] = None
     scheduler: Annotated[

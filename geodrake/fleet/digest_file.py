@@ -28,6 +28,13 @@ _LARGEST_FILE = 500_000_000  # bytes, also of what an archive says it unpacks to
 _NUMBERS = ("noise_floor", "gain_deviations", "position", "speed", "temperature")
 _INTEGERS = ("columns", "samples", "seen")
 
+DAMAGED = (
+    *(OSError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError),
+    *(zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, MemoryError),
+    OverflowError,
+)
+"""What reading an NPZ archive raises whose bytes are not those that were written."""
+
 
 def digest_content(digest: Digest) -> bytes:
     """What the file of a digest holds: the same for the same digest, wherever it is made.
@@ -91,11 +98,7 @@ def read_digest(path: str | Path) -> Digest:
         return _digest(header, settings, arrays)
     except DigestError:
         raise
-    except (
-        *(OSError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError),
-        *(zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, MemoryError),
-        OverflowError,
-    ) as error:
+    except DAMAGED as error:
         raise DigestError(
             f"{path} is no digest, or damaged: {one_line(error)}.",
             advice="Delete it, and digest its log again.",

@@ -194,7 +194,7 @@ def digest_fleet(
         fleet: The fleet.
         tasks: Logs without a digest.
         known: Robot -> address -> record of the others; taken in are those of the tasks.
-        team: Who does it.
+        team: Who works.
         told: Called with what is going on.
 
     Raises:

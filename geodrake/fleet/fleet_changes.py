@@ -87,7 +87,7 @@ def changes_by(
     """`find_changes` where others look at robots, whose histories are not held here.
 
     Args:
-        team: Who does.
+        team: Who works.
         histories: Where those of each robot are, over the same p columns.
         columns: What the columns are.
         hypotheses: What may change.

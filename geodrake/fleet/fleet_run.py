@@ -22,12 +22,12 @@ from geodrake.fleet.digest_run import (
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
 from geodrake.fleet.fleet_result import FleetResult, RobotResult, UnusedLog
 from geodrake.fleet.log_records import LogRecord, look_again
-from geodrake.fleet.robot_logs import HistoryTask, RobotLogs, robot_logs
+from geodrake.fleet.robot_logs import HistoryTask, KeptHistory, read_history
 from geodrake.fleet.settings import DigestSettings
 from geodrake.fleet.type_findings import type_findings
 from geodrake.fleet.type_layout import TypeLayout, type_layout
 from geodrake.fleet.type_source import own_model, type_source
-from geodrake.fleet.workers import InThisProcess, Workers, in_order, workers
+from geodrake.fleet.workers import Workers, in_order, workers
 from geodrake.model.holding import holding
 
 Array = NDArray[np.float64]
@@ -84,7 +84,7 @@ def run_fleet(
     """
     work = instance(work or FleetWork(), "work", FleetWork)
     with _taken_in(fleet, work, (), told, said, pieces=len(fleet.robots)) as (digests, team):
-        return fleet_result(fleet, digests, work.false_alarms, told, team), digests
+        return _result(fleet, digests, work.false_alarms, told, team), digests
 
 
 def take_in_logs(
@@ -121,7 +121,7 @@ def _taken_in(
     *,
     pieces: int = 0,
 ) -> Iterator[tuple[FleetDigests, Workers]]:
-    """What `take_in_logs` does, and who did it: for so many further pieces of work, or for logs."""
+    """What `take_in_logs` does, and who works: enough for so many pieces of work that follow."""
     instance(fleet, "fleet", Fleet)
     check_places(fleet, local=work.workers == 0 and work.scheduler is None)
     told("Looking for logs", None)
@@ -133,25 +133,27 @@ def _taken_in(
 
 
 def fleet_result(
-    fleet: Fleet,
-    digests: FleetDigests,
-    false_alarms: float,
-    told: Told,
-    team: Workers | None = None,
+    fleet: Fleet, digests: FleetDigests, work: FleetWork, told: Told = lambda words, share: None
 ) -> FleetResult:
     """Findings from digests.
 
     Args:
         fleet: The fleet.
         digests: What is known of its logs.
-        false_alarms: At most how many robots in which nothing changed are named, a robot-month.
+        work: Who works, and how careful findings are.
         told: Called with what is going on.
-        team: Who works; None for this process.
 
     Raises:
-        OutputError: It cannot be written that a log is to be digested again.
+        FleetError: The scheduler cannot be used, or robots cannot be compared.
+        OutputError: The folder cannot be written to.
     """
-    team = team or InThisProcess()
+    with workers(len(fleet.robots), count=work.workers, scheduler=work.scheduler) as team:
+        return _result(fleet, digests, work.false_alarms, told, team)
+
+
+def _result(
+    fleet: Fleet, digests: FleetDigests, false_alarms: float, told: Told, team: Workers
+) -> FleetResult:
     unused = [UnusedLog(each.robot, each.address, each.reason) for each in digests.failed]
     robots: list[RobotResult] = []
     for kind in fleet.types.values():
@@ -163,9 +165,9 @@ def fleet_result(
         settings, found = digests.settings[kind.name], list[RobotResult]()
         if settings is not None:
             told(f"Looking for changes in {kind.name}", None)
-            logs, damaged = _logs_of_type(fleet, kind, records, settings, team)
+            histories, damaged = _histories(fleet, kind, records, settings, team)
             unused += damaged
-            found = _of_type(fleet, kind, logs, settings, false_alarms=false_alarms, team=team)
+            found = _of_type(fleet, kind, histories, settings, false_alarms=false_alarms, team=team)
         seen = {result.robot for result in found}
         lacking = [robot.name for robot in own if robot.name not in seen]
         robots += found
@@ -188,51 +190,51 @@ def _once(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[UnusedLog
     return kept, twice
 
 
-def _logs_of_type(
+def _histories(
     fleet: Fleet,
     kind: FleetType,
     records: Mapping[str, Sequence[LogRecord]],
     settings: DigestSettings,
     team: Workers,
-) -> tuple[list[RobotLogs], list[UnusedLog]]:
+) -> tuple[list[KeptHistory], list[UnusedLog]]:
     """Histories of the robots of a type that have logs; and logs whose digest is damaged."""
     model, folder = type_source(kind).model, fleet.folder / kind.name
     kept = type_layout(model, settings, np.ones(len(settings.joints)), payload=kind.payload).kept
     tasks = [HistoryTask(name, own, folder, settings, kept) for name, own in records.items() if own]
-    found = in_order(team, robot_logs, tasks)
+    found = in_order(team, read_history, tasks)
     damaged: list[UnusedLog] = []
     for record, problem in (each for read in found for each in read.refused):
         look_again(folder, record)
         reason = f"{problem} It is made again by the next run, if the log is there."
         damaged.append(UnusedLog(record.robot, record.address, reason))
-    return [read.logs for read in found if read.logs is not None], damaged
+    return [read.history for read in found if read.history is not None], damaged
 
 
 def _of_type(
     fleet: Fleet,
     kind: FleetType,
-    logs: Sequence[RobotLogs],
+    histories: Sequence[KeptHistory],
     settings: DigestSettings,
     *,
     false_alarms: float,
     team: Workers,
 ) -> list[RobotResult]:
     """Findings in the robots of a type that have logs."""
-    if not logs:
+    if not histories:
         return []
     model = type_source(kind).model
-    layout = type_layout(model, settings, _efforts(logs), payload=kind.payload)
+    layout = type_layout(model, settings, _efforts(histories), payload=kind.payload)
     models = {
         robot.name: _own_values(kind, robot, layout, settings)
         for robot in fleet.of_type(kind.name)
         if robot.model is not None
     }
-    return type_findings(kind.name, logs, layout, models, false_alarms=false_alarms, team=team)
+    return type_findings(kind.name, histories, layout, models, false_alarms=false_alarms, team=team)
 
 
-def _efforts(logs: Sequence[RobotLogs]) -> Array:
+def _efforts(histories: Sequence[KeptHistory]) -> Array:
     """(n,) usual sizes of efforts of all robots, N·m or N; those of joints at rest are 1."""
-    efforts = np.sqrt(np.mean([each.effort**2 for each in logs], axis=0))
+    efforts = np.sqrt(np.mean([each.effort**2 for each in histories], axis=0))
     return np.where(efforts > 0.0, efforts, 1.0)
 
 

@@ -1,14 +1,12 @@
 """Sums of what a robot's logs say, those of a time together: added to log by log, kept in a file.
 
-A file says which logs it sums up. A robot's history is its sums over their numbers of logs, as logs
-of one time may scatter together: they are as sure as one log, by their mean.
+A file says which logs it sums up. A robot's history has the mean of each time: its logs may scatter
+together, so that they are as sure as one.
 """
 
 from __future__ import annotations
 
 import json
-import zipfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,6 +17,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
 from geodrake.boundary.whole_files import make_folder, write_whole
+from geodrake.fleet.digest_file import DAMAGED
 from geodrake.fleet.history import RobotHistory, joint_history
 
 Array = NDArray[np.float64]
@@ -74,11 +73,13 @@ class HistorySums:
     """What a robot's logs say, in C times.
 
     Attributes:
+        stamps: What says which logs these are of, in their order.
         joints: (C, m + 1, m + 1) sums of each joint's matrices.
         times: (4, C) sums of days and of temperatures, and how many logs these are of.
         efforts: (2, n) sums of squares of efforts, (N·m)² or N², and how many samples these are of.
     """
 
+    stamps: list[str]
     joints: list[JointGrams]
     times: Array
     efforts: Array
@@ -91,16 +92,18 @@ class HistorySums:
             joints: Number of joints.
         """
         nothing = JointGrams(np.zeros(0, np.intp), np.zeros((0, 1, 1)))
-        return cls([nothing] * joints, np.zeros((4, 0)), np.zeros((2, joints)))
+        return cls([], [nothing] * joints, np.zeros((4, 0)), np.zeros((2, joints)))
 
-    def add(self, time: int, day: float, log: ReducedLog) -> None:
+    def add(self, stamp: str, time: int, day: float, log: ReducedLog) -> None:
         """Add a log.
 
         Args:
+            stamp: What says which it is.
             time: Which time it is of.
             day: When it was recorded, days.
             log: What it says.
         """
+        self.stamps.append(stamp)
         more = max(time + 1 - self.times.shape[1], 0)
         self.times = np.pad(self.times, ((0, 0), (0, more)))
         for j, (sums, own) in enumerate(zip(self.joints, log.joints, strict=True)):
@@ -114,9 +117,21 @@ class HistorySums:
         self.efforts += (log.effort_squares, log.samples)
 
     @property
-    def logs(self) -> int:
-        """How many logs these are of."""
-        return int(self.times[2].sum())
+    def _there(self) -> NDArray[np.bool_]:
+        """(C,) which times have logs: T of them."""
+        return np.asarray(self.times[2] > 0.0)
+
+    @property
+    def days(self) -> Array:
+        """(T,) mean day of each time that has logs."""
+        days, _, logs, _ = self.times[:, self._there]
+        return np.asarray(days / logs)
+
+    @property
+    def temperature(self) -> Array:
+        """(T,) mean temperature of each of them, °C; NaN where it is not known."""
+        _, warm, _, known = self.times[:, self._there]
+        return np.where(known > 0.0, warm / np.maximum(known, 1.0), np.nan)
 
     @property
     def effort(self) -> Array:
@@ -131,29 +146,26 @@ class HistorySums:
             robot: Its name.
             columns: Number p of a type's columns.
         """
-        there = self.times[2] > 0.0
-        days, warm, logs, known = self.times[:, there]
-        temperature = np.where(known > 0.0, warm / np.maximum(known, 1.0), np.nan)
+        logs = self.times[2, self._there]
         joints = tuple(
-            joint_history(each.columns, each.grams[there] / logs[:, None, None])
+            joint_history(each.columns, each.grams[self._there] / logs[:, None, None])
             for each in self.joints
         )
-        return RobotHistory(robot, days / logs, joints, columns, temperature)
+        return RobotHistory(robot, self.days, joints, columns, self.temperature)
 
 
-def write_sums(path: Path, key: str, logs: Sequence[str], sums: HistorySums) -> None:
+def write_sums(path: Path, key: str, sums: HistorySums) -> None:
     """Keep sums in a file.
 
     Args:
         path: The file.
         key: What they are of, beside logs.
-        logs: What says which logs they are of, in their order.
         sums: The sums.
 
     Raises:
         OutputError: It cannot be written.
     """
-    header = json.dumps({"format": _FORMAT, "key": key, "logs": [*logs]}).encode()
+    header = json.dumps({"format": _FORMAT, "key": key, "logs": sums.stamps}).encode()
     arrays: dict[str, NDArray[Any]] = {
         "header": np.frombuffer(header, np.uint8),
         "times": sums.times,
@@ -169,8 +181,8 @@ def _save(arrays: dict[str, NDArray[Any]], file: Any) -> None:
     np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
-def read_sums(path: Path, key: str) -> tuple[list[str], HistorySums] | None:
-    """Which logs a file sums up, and their sums; None if it is damaged, or of something else.
+def read_sums(path: Path, key: str) -> HistorySums | None:
+    """The sums of a file; None if there is none, or it is damaged or of something else.
 
     Args:
         path: The file.
@@ -182,11 +194,11 @@ def read_sums(path: Path, key: str) -> tuple[list[str], HistorySums] | None:
             if (header["format"], header["key"]) != (_FORMAT, key):
                 return None
             joints = range(arrays["efforts"].shape[1])
-            sums = HistorySums(
+            return HistorySums(
+                list(map(str, header["logs"])),
                 [JointGrams(arrays[f"{j}.columns"], arrays[f"{j}.grams"]) for j in joints],
                 arrays["times"],
                 arrays["efforts"],
             )
-            return list(map(str, header["logs"])), sums
-    except (OSError, EOFError, ValueError, TypeError, KeyError, zipfile.BadZipFile):
+    except DAMAGED:
         return None

@@ -68,12 +68,8 @@ class RobotFit(Short):
     @cached_property
     def seen(self) -> Array:
         """(n, p) sum of all products L_tᵀ M_t."""
-        return np.vstack([self.common.T @ self.information.sum(axis=0), self._seen_by_own])
-
-    @cached_property
-    def _seen_by_own(self) -> Array:
-        """(b, p) sum of all B_tᵀ M_t."""
-        return np.einsum("tpb,tpq->bq", self.own, self.information, optimize=True)
+        by_own = np.einsum("tpb,tpq->bq", self.own, self.information, optimize=True)
+        return np.vstack([self.common.T @ self.information.sum(axis=0), by_own])
 
     @cached_property
     def _factor(self) -> tuple[Array, bool]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
-from geodrake.errors import DigestError
+from geodrake.errors import DigestError, FleetError
 from geodrake.fleet.digest import Digest, JointDigest, check_same
 from geodrake.fleet.digest_file import read_digest
 from geodrake.fleet.history import RobotHistory
@@ -122,15 +122,19 @@ class KeptHistory(Short):
 
     Attributes:
         task: What it is of.
-        logs: What says which logs are in it.
+        stamps: Hash of what says which logs are in it.
         days: (T,) when each log was recorded, days, ascending.
         temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
+        effort: (n,) root of the mean square of the robot's efforts, N·m or N.
+        logs: How many logs are in it, of which those of a time count as one.
     """
 
     task: HistoryTask
-    logs: str
+    stamps: str
     days: Array
     temperature: Array
+    effort: Array
+    logs: int
 
     @property
     def robot(self) -> str:
@@ -138,26 +142,21 @@ class KeptHistory(Short):
         return self.task.robot
 
     def read(self) -> RobotHistory:
-        """The history; its logs are summed up again if another run has replaced the file."""
-        kept = read_sums(self.task.file, self.task.key)
-        if kept is None or text_hash(kept[0]) != self.logs:
-            kept = _summed(self.task)[:2]
-        return kept[1].history(self.task.robot, len(self.task.kept))
+        """The history; its logs are summed up again if another run has replaced the file.
 
-
-@dataclass(frozen=True, eq=False)
-class RobotLogs(Short):
-    """A robot's history, and how large its efforts are.
-
-    Attributes:
-        history: Its history.
-        effort: (n,) root of the mean square of its efforts, N·m or N.
-        logs: How many logs it is of.
-    """
-
-    history: KeptHistory
-    effort: Array
-    logs: int
+        Raises:
+            FleetError: Their digests are not what they were.
+            OutputError: The sums cannot be kept.
+        """
+        sums = read_sums(self.task.file, self.task.key)
+        if sums is None or text_hash(sums.stamps) != self.stamps:
+            sums, _ = _summed(self.task)
+            if not np.array_equal(sums.days, self.days):
+                raise FleetError(
+                    f"The digests of robot {self.robot} changed while they were looked at.",
+                    advice="Run the command again when no other one changes them.",
+                )
+        return sums.history(self.robot, len(self.task.kept))
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,35 +164,32 @@ class ReadHistory(Short):
     """What came of a robot's digests.
 
     Attributes:
-        logs: What they say; None if no digest can be read.
+        history: Its history; None if no digest can be read.
         refused: Records whose digest is damaged, or of other settings, and how.
     """
 
-    logs: RobotLogs | None
+    history: KeptHistory | None
     refused: tuple[tuple[LogRecord, str], ...]
 
 
-def robot_logs(task: HistoryTask) -> ReadHistory:
-    """What a robot's digests say, wherever this runs.
+def read_history(task: HistoryTask) -> ReadHistory:
+    """A robot's history from its digests, wherever this runs.
 
     Args:
         task: The robot.
 
     Raises:
-        OutputError: What they say cannot be kept.
+        OutputError: It cannot be kept.
     """
-    logs, sums, refused = _summed(task)
-    if not sums.logs:
+    sums, refused = _summed(task)
+    if not sums.stamps:
         return ReadHistory(None, refused)
-    history = sums.history(task.robot, len(task.kept))
-    kept = KeptHistory(task, text_hash(logs), history.days, history.temperature)
-    return ReadHistory(RobotLogs(kept, sums.effort, sums.logs), refused)
+    known = sums.days, sums.temperature, sums.effort, len(sums.stamps)
+    return ReadHistory(KeptHistory(task, text_hash(sums.stamps), *known), refused)
 
 
-def _summed(
-    task: HistoryTask,
-) -> tuple[list[str], HistorySums, tuple[tuple[LogRecord, str], ...]]:
-    """What says which logs of a robot are summed up, their sums, and those that cannot be read.
+def _summed(task: HistoryTask) -> tuple[HistorySums, tuple[tuple[LogRecord, str], ...]]:
+    """Sums of a robot's logs, and those that cannot be read, each with its reason.
 
     Logs that follow what was summed up before are added to it, and the sums are the same as if all
     were read anew.
@@ -201,11 +197,11 @@ def _summed(
     dates = np.array([record.date for record in task.records])
     times = time_cells(dates).tolist()
     digests = [task.folder / DIGESTS / record.digest for record in task.records]
-    wanted = [_said_of(*each) for each in zip(task.records, digests, times, strict=True)]
-    logs, sums = read_sums(task.file, task.key) or ([], HistorySums.none(0))
-    if not logs or logs != wanted[: len(logs)]:
-        logs, sums = [], HistorySums.none(len(task.settings.joints))
-    known, refused = len(logs), list[tuple[LogRecord, str]]()
+    wanted = [_stamp(*each) for each in zip(task.records, digests, times, strict=True)]
+    sums = read_sums(task.file, task.key)
+    if sums is None or sums.stamps != wanted[: len(sums.stamps)]:
+        sums = HistorySums.none(len(task.settings.joints))
+    known, refused = len(sums.stamps), list[tuple[LogRecord, str]]()
     for at in range(known, len(wanted)):
         record, path = task.records[at], digests[at]
         try:
@@ -214,15 +210,14 @@ def _summed(
         except DigestError as error:
             refused.append((record, error.problem))
             continue
-        sums.add(times[at], record.date / DAY, reduced_log(digest, task.kept))
-        logs.append(wanted[at])
-    if len(logs) > known:
-        write_sums(task.file, task.key, logs, sums)
-    return logs, sums, tuple(refused)
+        sums.add(wanted[at], times[at], record.date / DAY, reduced_log(digest, task.kept))
+    if len(sums.stamps) > known:
+        write_sums(task.file, task.key, sums)
+    return sums, tuple(refused)
 
 
-def _said_of(record: LogRecord, digest: Path, time: int) -> str:
-    """What says that a log is in sums: its digest as it is now, its date, and the time it is of."""
+def _stamp(record: LogRecord, digest: Path, time: int) -> str:
+    """What says which log is in sums: its digest as it is now, its date, and the time it is of."""
     try:
         status = digest.stat()
         now = f"{status.st_size} {status.st_mtime_ns}"

@@ -20,7 +20,7 @@ from geodrake.fleet.fleet_result import (
     RobotResult,
 )
 from geodrake.fleet.levels import parameter_levels
-from geodrake.fleet.robot_logs import DAY, RobotLogs
+from geodrake.fleet.robot_logs import DAY, KeptHistory
 from geodrake.fleet.type_layout import BODIES, TypeLayout
 from geodrake.fleet.type_model import TypeModel, own_parameters
 from geodrake.fleet.workers import Workers, in_order
@@ -33,7 +33,7 @@ class _Found:
     """A robot with its changes, of which more is to be told."""
 
     type: str
-    logs: RobotLogs
+    history: KeptHistory
     layout: TypeLayout
     model: TypeModel
     reference: Array
@@ -44,7 +44,7 @@ class _Found:
 
 def type_findings(
     name: str,
-    robots: Sequence[RobotLogs],
+    histories: Sequence[KeptHistory],
     layout: TypeLayout,
     models: Mapping[str, Array],
     *,
@@ -55,13 +55,12 @@ def type_findings(
 
     Args:
         name: Name of the type.
-        robots: Their logs; at least one.
+        histories: Where those of the robots are; at least one.
         layout: The columns of the type.
         models: Robot -> (p,) what its own model file says; others have that of the type.
         false_alarms: At most how many robots in which nothing changed are named, a robot-month.
-        team: Who searches.
+        team: Who works.
     """
-    histories = [robot.history for robot in robots]
     try:
         found = changes_by(
             team, histories, layout.columns, layout.hypotheses, false_alarms=false_alarms
@@ -74,28 +73,28 @@ def type_findings(
     pieces = [
         _Found(
             name,
-            robot,
+            history,
             layout,
             found.model.of(at),
             found.references[at],
             found.changes[at],
             found.places[at],
-            models.get(robot.history.robot),
+            models.get(history.robot),
         )
-        for at, robot in enumerate(robots)
+        for at, history in enumerate(histories)
     ]
     return in_order(team, _result, pieces)
 
 
 def _result(found: _Found) -> RobotResult:
-    history, model = found.logs.history, found.model
+    history, model = found.history, found.model
     hypotheses = found.layout.hypotheses
     search = RobotSearch(model, 0, history.read(), found.reference, hypotheses)
     state = search.state(found.places)
     return RobotResult(
         history.robot,
         found.type,
-        found.logs.logs,
+        history.logs,
         history.days * DAY,
         _findings(found.changes, found.places, found.layout),
         _histories(model, found.layout, state),

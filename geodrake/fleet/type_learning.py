@@ -77,7 +77,7 @@ def learnt(
     """`learn_type` where others look at robots.
 
     Args:
-        team: Who does.
+        team: Who works.
         logs: Where those of each robot are.
         start: Where to begin.
         changes: As of `learn_type`.
@@ -166,22 +166,20 @@ def _told(piece: tuple[TypeModel, EquationSource, Array | None]) -> _RobotTells:
     """What one robot tells, where the model of its type has that of it alone."""
     model, logs, changes = piece
     fit, scale = model.fit(0, logs.equations(), changes), model.scale(0)
-    linked, factor = fit.seen, np.hstack(model.deviation_factors())
-    links = fit.solve(linked)
-    columns = model.columns
+    links, common, columns = fit.solve(fit.seen), fit.common.shape[1], model.columns
     scores = model.log_scores(0, fit)
     squares = np.stack([fit.theta**2, 1.0 - np.diagonal(fit.covariance)])
     share, at = scale[columns.course], columns.course
     part = fit.information[:, at][:, :, at] * share[:, None] * share
     return _RobotTells(
-        model.mean + factor @ fit.theta[: factor.shape[1]],
-        fit.information.sum(axis=0) - linked.T @ links,
+        model.mean + fit.common @ fit.theta[:common],
+        fit.information.sum(axis=0) - fit.seen.T @ links,
         fit.score.sum(axis=0),
         links,
         columns.parts(squares),
         _scattered(model, scale, fit, scores),
         (part, fit.score[:, at] * share),
-        model.response * fit.theta[sum(columns.sizes[:-1]) : sum(columns.sizes)],
+        model.response * fit.theta[common : common + columns.sizes[-1]],
         model.oddness(scores, model.odd[0])[0],
     )
 

@@ -228,7 +228,7 @@ def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
     """
     instance(model, "model", TypeModel)
     instance(fit, "fit", RobotFit)
-    factor = np.hstack(model.deviation_factors())
+    factor = fit.common
     part = slice(0, factor.shape[1])
     covariance = factor @ fit.covariance[part, part] @ factor.T
     # If all robots have more of something, this one has it where its logs do not say otherwise.

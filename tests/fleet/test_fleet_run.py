@@ -36,12 +36,12 @@ from geodrake.effects import CoulombFriction, FittedEffect, StribeckFriction
 from geodrake.errors import ArgumentError, DigestError, FleetError, OutputError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
 from geodrake.fleet.digest_file import read_digest
-from geodrake.fleet.digest_run import digest_task, find_tasks
-from geodrake.fleet.fleet_run import take_in_logs
+from geodrake.fleet.digest_run import FleetDigests, digest_task, find_tasks
+from geodrake.fleet.fleet_run import fleet_result, take_in_logs
 from geodrake.fleet.log_dates import check_date_pattern, date_in_path, date_text
 from geodrake.fleet.log_places import absolute_pattern, find_logs, fits, local_log
 from geodrake.fleet.log_records import DIGESTS, read_records
-from geodrake.fleet.robot_logs import DAY, MOST_TIMES, HistoryTask, robot_logs, time_cells
+from geodrake.fleet.robot_logs import DAY, MOST_TIMES, HistoryTask, read_history, time_cells
 from geodrake.fleet.settings import read_settings
 from geodrake.logs.files import write_log
 from geodrake.model.saved_model import load_model, save_model
@@ -411,8 +411,13 @@ def test_dates_in_paths(path, pattern, date):
 
 def test_a_scheduler_that_does_not_answer_is_said(own, monkeypatch):
     monkeypatch.setattr("geodrake.fleet.workers._SECONDS", 0.5)
-    with pytest.raises(FleetError, match=r"tcp://127\.0\.0\.1:9 cannot be reached"):
-        run_fleet(read_fleet(own()), FleetWork(scheduler="tcp://127.0.0.1:9"))
+    fleet, there = read_fleet(own()), FleetWork(scheduler="tcp://127.0.0.1:9")
+    for look in (
+        lambda: run_fleet(fleet, there),
+        lambda: fleet_result(fleet, FleetDigests({}, (), {}, 0), there),  # of a watch
+    ):
+        with pytest.raises(FleetError, match=r"tcp://127\.0\.0\.1:9 cannot be reached"):
+            look()
 
 
 @pytest.mark.thorough
@@ -551,10 +556,10 @@ def test_logs_of_one_time_count_as_one(task, monkeypatch):
     one = replace(task, records=task.records[:1])
     later = replace(one.records[0], date=one.records[0].date + DAY)
     monkeypatch.setattr("geodrake.fleet.robot_logs.MOST_TIMES", 1)
-    single = robot_logs(one).logs.history.read()
-    twice = robot_logs(replace(one, records=[*one.records, later])).logs
-    assert (twice.logs, len(twice.history.days)) == (2, 1)
-    for a, b in zip(single.joints, twice.history.read().joints, strict=True):
+    single = read_history(one).history.read()
+    twice = read_history(replace(one, records=[*one.records, later])).history
+    assert (twice.logs, len(twice.days)) == (2, 1)
+    for a, b in zip(single.joints, twice.read().joints, strict=True):
         np.testing.assert_allclose(b.information, a.information)
         np.testing.assert_allclose(b.right, a.right)
 
@@ -584,9 +589,9 @@ def same_history(one, other):
 
 def test_what_logs_say_is_kept_and_added_to(task, monkeypatch):
     """To the same numbers, whether logs come one by one or all at once."""
-    whole = robot_logs(task)
+    whole = read_history(task)
     assert not whole.refused
-    anew = whole.logs.history.read()
+    anew = whole.history.read()
     task.file.unlink()
     reads = []
     monkeypatch.setattr(
@@ -594,27 +599,53 @@ def test_what_logs_say_is_kept_and_added_to(task, monkeypatch):
         lambda path: reads.append(path) or read_digest(path),
     )
     for count in (1, 2, 3, 3):
-        found = robot_logs(replace(task, records=task.records[:count])).logs
+        found = read_history(replace(task, records=task.records[:count])).history
     assert len(reads) == 3
-    same_history(found.history.read(), anew)
-    np.testing.assert_array_equal(found.effort, whole.logs.effort)
+    same_history(found.read(), anew)
+    np.testing.assert_array_equal(found.effort, whole.history.effort)
     assert len(reads) == 3
 
 
 def test_a_log_before_others_is_added_to_none(task):
     """Its time is another one's: all are read anew."""
-    late = robot_logs(replace(task, records=task.records[1:])).logs
+    late = read_history(replace(task, records=task.records[1:])).history
     assert late.logs == 2
-    found = robot_logs(task).logs.history.read()
+    found = read_history(task).history.read()
     task.file.unlink()
-    same_history(robot_logs(task).logs.history.read(), found)
+    same_history(read_history(task).history.read(), found)
+
+
+def test_logs_that_come_to_share_a_time_are_added_to_none(task, monkeypatch):
+    """With one more than there are times, neighbours count as one."""
+    monkeypatch.setattr("geodrake.fleet.robot_logs.MOST_TIMES", 2)
+    assert len(read_history(replace(task, records=task.records[:2])).history.days) == 2
+    found = read_history(task).history
+    assert (found.logs, len(found.days)) == (3, 2)
+    later = found.read()
+    task.file.unlink()
+    same_history(read_history(task).history.read(), later)
+
+
+def test_a_history_is_without_a_digest_that_is_damaged(task):
+    """Whoever reads it, and as long as it is."""
+    whole = read_history(task).history.read()
+    damaged = task.folder / DIGESTS / task.records[1].digest
+    content = damaged.read_bytes()
+    damaged.write_bytes(b"x")
+    ((record, _),) = read_history(task).refused
+    assert record == task.records[1]
+    rest = read_history(task).history
+    task.file.unlink()
+    assert np.array_equal(rest.read().days, whole.days[[0, 2]])
+    damaged.write_bytes(content)
+    same_history(read_history(task).history.read(), whole)
 
 
 def test_a_history_that_another_run_replaced_is_summed_up_again(task):
     """Or one that is damaged, or gone."""
-    kept = robot_logs(task).logs.history
+    kept = read_history(task).history
     before = kept.read()
-    robot_logs(replace(task, records=task.records[:2]))
+    read_history(replace(task, records=task.records[:2]))
     same_history(kept.read(), before)
     for spoil in (lambda file: file.write_bytes(b"x"), Path.unlink):
         spoil(task.file)
@@ -622,3 +653,17 @@ def test_a_history_that_another_run_replaced_is_summed_up_again(task):
     content = task.file.read_bytes()
     task.file.write_bytes(content[:-500] + bytes(500))
     same_history(kept.read(), before)
+    method = content.index(b"PK\x01\x02") + 10  # by which the first array is packed
+    task.file.write_bytes(content[:method] + b"\xff" + content[method + 1 :])
+    same_history(kept.read(), before)
+
+
+@pytest.mark.parametrize("gone", [1, 3])
+def test_digests_that_go_while_their_history_is_used_are_said(task, gone):
+    """What was learnt of the robot is of other logs."""
+    kept = read_history(task).history
+    task.file.unlink()
+    for record in task.records[:gone]:
+        (task.folder / DIGESTS / record.digest).unlink()
+    with pytest.raises(FleetError, match="of robot carrier changed while"):
+        kept.read()

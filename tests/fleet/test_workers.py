@@ -4,7 +4,7 @@ import pytest
 from distributed import LocalCluster
 
 from geodrake.errors import FleetError, LogError
-from geodrake.fleet.workers import workers
+from geodrake.fleet.workers import Done, InThisProcess, in_order, workers
 
 
 @pytest.fixture
@@ -40,3 +40,19 @@ def test_a_scheduler_that_is_lost_is_told(cluster, capfd):
         for _ in team.each(abs, range(50)):
             cluster.close()
     assert "Traceback" not in capfd.readouterr().err
+
+
+class OneDies(InThisProcess):
+    """Several at a time, of which the second piece of work kills its workers."""
+
+    ahead = 3
+
+    def each(self, work, pieces):
+        done = [Done(at, None if at == 1 else work(piece)) for at, piece in enumerate(pieces)]
+        return reversed(done)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 10])
+def test_results_are_in_order_also_of_work_that_kills(count):
+    pieces = list(range(count))
+    assert in_order(OneDies(), refuse_three, [-k for k in pieces]) == pieces
