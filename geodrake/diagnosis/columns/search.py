@@ -30,6 +30,7 @@ SIZES = 300.0
 Zeros are usually within 0.02 rad (`USUAL_ZERO`) of a turn, gains within 5 % of six decades.
 """
 
+_EACH, _OF_EACH = "effort_gains", ("effort_gain", "effort_sign", "effort_unit")  # of one joint
 _MOST = 6  # mistakes of a log
 _SCREENED, _FINALISTS = 24, 6  # that are fitted with physical bodies, and to the end
 _HOPELESS = -20.0  # gain, at most, of what is fitted no further, unless its size is to be found
@@ -90,7 +91,7 @@ class ColumnSearch:
             best = ranked[0]
             own = best.mistake.kind, best.mistake.joints
             others = [r for r in ranked[1:] if (r.mistake.kind, r.mistake.joints) != own]
-            steps.append(MistakeFound(base, best, tuple(others)))
+            steps = _with_step(steps, MistakeFound(base, best, tuple(others)))
             base = self.settled(best.fit.assignment, best.fit)
         return tuple(steps)
 
@@ -178,6 +179,23 @@ class ColumnSearch:
 
         assignment = start.limited(j, nearest_limit(start.limit_of(j), cost))
         return replace(mistake, assignment=assignment), self.judge.fit(assignment, base)
+
+
+def _with_step(steps: Sequence[MistakeFound], step: MistakeFound) -> list[MistakeFound]:
+    """Steps with one more; what corrects the gain of a joint again is no other mistake.
+
+    Args:
+        steps: Those before.
+        step: The next one.
+    """
+    kinds = [each.best.mistake.kind for each in steps]
+    if _EACH not in kinds or step.best.mistake.kind not in _OF_EACH:
+        return [*steps, step]
+    at = kinds.index(_EACH)
+    first, found = steps[at], step.best
+    gain = first.best.gain + found.gain
+    better = replace(first.best, fit=found.fit, gain=gain)
+    return [*steps[:at], replace(first, best=better), *steps[at + 1 :]]
 
 
 def _is_promising(entry: Entry, gain: float) -> bool:
