@@ -6,21 +6,21 @@ from dataclasses import dataclass
 
 from geodrake.boundary.showing import Short, Shown
 from geodrake.control.rollout.results import Rollout
-from geodrake.model.effort_signal import COMMAND
+from geodrake.model.effort_signal import COMMAND, SERVO
 from geodrake.model.robot_model import RobotModel
 
 
 @dataclass(frozen=True)
 class FittedValue(Short):
-    """A value of an effect that rollouts were fitted by.
+    """A value of an effect, or of a servo, that rollouts were fitted by.
 
     Attributes:
-        effect: Name of the effect.
+        effect: Name of the effect; "servo".
         joint: Its joint.
-        name: Name of the value.
+        name: Name of the value; of a servo as in `EffortSignal`.
         before: The model's value, where the fit began, SI.
         after: What was fitted, SI.
-        deviation: Its standard deviation.
+        deviation: Its standard deviation, for what else the model has.
     """
 
     effect: str
@@ -33,7 +33,7 @@ class FittedValue(Short):
 
 @dataclass(frozen=True, eq=False)
 class RolloutFit(Shown):
-    """What a model's soft joints and play are by its simulated motion.
+    """What a model's soft joints, their play and their servos are by its simulated motion.
 
     `before` and `after` say what they are under: logged efforts, or logged commands.
 
@@ -72,14 +72,21 @@ class RolloutFit(Shown):
         return (*self.after.notes, *self._unsure_servos())
 
     def _unsure_servos(self) -> list[str]:
-        """A note on servos that were found, and are taken for what they were found to be."""
-        unsure = [
-            signal.joint
-            for signal in self.model.effort_signals
-            if signal.kind == COMMAND
-            and (signal.deviation or signal.damping_deviation or signal.integral_deviation)
-        ]
-        if not (unsure and self.after.commands):
-            return []
+        """Notes on servos, and integrals of fitted ones, that stay without being known."""
+        fitted = {value.joint for value in self.values if value.effect == SERVO}
+        servos, integrals = list[str](), list[str]()
+        for signal in self.model.effort_signals if self.after.commands else ():
+            unsure = signal.deviation or signal.damping_deviation or signal.integral_deviation
+            if signal.kind != COMMAND or not unsure:
+                continue
+            if signal.joint not in fitted:
+                servos.append(signal.joint)
+            elif signal.integral_deviation:
+                integrals.append(signal.joint)
         words = "soft joints and play make up for what they are off by"
-        return [f"servos of {', '.join(unsure)} are not known exactly: {words}"]
+        named = {"servos": servos, "integrals of servos": integrals}
+        return [
+            f"{what} of {', '.join(joints)} are not known exactly, and stay: {words}"
+            for what, joints in named.items()
+            if joints
+        ]
