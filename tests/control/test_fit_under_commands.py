@@ -198,15 +198,11 @@ def test_moved_servos_are_those_of_a_model_that_states_them(pendulum):
     ways = []
     for each, steps in ((case, x), (dataclasses.replace(case, model=moved), 0.0 * x)):
         made = Simulations(each, [passage], commands=True)(log.name)
-        along = partial(along_passage, log=each.asked.logs[0], passage=passage)
-        window = SearchWindow(made.law, NearMotion.of(made, passage), along, np.zeros(1))
+        acting = partial(acting_in, log=each.asked.logs[0], commands=True)
+        window = SearchWindow(made.law, NearMotion.of(made, passage), passage, acting, np.zeros(1))
         free = rollout_values(each.model, commands=True)
         ways += MotionSearch(each.model, free, [window]).near(steps)
     np.testing.assert_allclose(ways[0][0], ways[1][0], atol=1e-12)
-
-
-def along_passage(model, log, passage):
-    return acting_in(model, log, commands=True).along(passage)
 
 
 def found_beside(model, log, deviations=3.5):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -171,11 +172,15 @@ class ServoedCommand(Acting):
         """(n,) integrals when a passage begins, rad·s or m·s; 0 of servos without one."""
         begun, instants = np.zeros(len(self._ki)), self._log.time - passage.began
         known = np.isfinite(instants)
-        for j in np.flatnonzero(self._ki).tolist():
-            if (servo := self._servos[j]) is not None:
-                effort = integral_effort(self._log, j, servo)
-                begun[j] = np.interp(passage.time[0], instants[known], effort[known]) / self._ki[j]
+        for j, effort in self._integrals.items():
+            begun[j] = np.interp(passage.time[0], instants[known], effort[known]) / self._ki[j]
         return begun
+
+    @cached_property
+    def _integrals(self) -> dict[int, Array]:
+        """Joint -> (N,) what the integral of its servo gives along the log, N·m or N."""
+        servos = {j: self._servos[j] for j in np.flatnonzero(self._ki).tolist()}
+        return {j: integral_effort(self._log, j, servo) for j, servo in servos.items() if servo}
 
     def _courses(self, passage: Passage) -> tuple[PiecewisePolynomial, ...]:
         """Late commands, their rates, and efforts beside the servos, in the order of inputs."""

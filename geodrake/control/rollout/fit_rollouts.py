@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance
-from geodrake.control.rollout.acting import EffortAlong, acting_in
+from geodrake.control.rollout.acting import acting_in
 from geodrake.control.rollout.fit_results import FittedValue, RolloutFit
 from geodrake.control.rollout.motion_search import (
     MotionSearch,
@@ -157,20 +157,19 @@ def held_out(logs: Sequence[str]) -> Mask:
 def _windows(case: Case, passages: Sequence[Passage], before: Rollout) -> list[SearchWindow]:
     """All windows, ready to be simulated with other soft joints."""
     simulations, found = Simulations(case, passages, commands=before.commands), []
-    logs = {log.name: log for log in case.asked.logs}
+    acting = {
+        log.name: lru_cache(maxsize=1)(partial(acting_in, log=log, commands=before.commands))
+        for log in case.asked.logs
+    }
     for passage, window in zip(passages, before.windows, strict=True):
         simulation = simulations(passage.log)
         if isinstance(simulation, Simulation):  # as it is wherever joints are soft
             near = NearMotion.of(simulation, passage)
             departure = window.simulated - passage.logged
-            along = partial(_along, log=logs[passage.log], passage=passage, like=before)
-            found.append(SearchWindow(simulation.law, near, along, departure))
+            found.append(
+                SearchWindow(simulation.law, near, passage, acting[passage.log], departure)
+            )
     return found
-
-
-def _along(model: RobotModel, *, log: JointLog, passage: Passage, like: Rollout) -> EffortAlong:
-    """What acts in a passage of a log with the servos of a model, as in another rollout."""
-    return acting_in(model, log, commands=like.commands).along(passage)
 
 
 def better_model(

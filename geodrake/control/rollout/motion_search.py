@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from geodrake.control.rollout.acting import EffortAlong
+from geodrake.control.rollout.acting import Acting
 from geodrake.control.rollout.near_motion import NearMotion
+from geodrake.control.rollout.passages import Passage
 from geodrake.control.rollout.rollout_values import (
     RolloutValue,
     giving_way,
@@ -45,13 +46,15 @@ class SearchWindow:
     Attributes:
         law: The force law of the model there, with what it carries.
         near: The window near its measured motion.
-        along: What acts in it, with the servos of a model.
+        passage: The window in its log.
+        acting: What acts in that log, with the servos of a model.
         departure: (N, nv) simulated − logged positions at the start of the search, rad or m.
     """
 
     law: ForceLaw
     near: NearMotion
-    along: Callable[[RobotModel], EffortAlong]
+    passage: Passage
+    acting: Callable[[RobotModel], Acting]
     departure: Array
 
 
@@ -97,7 +100,7 @@ class MotionSearch:
         model = with_values(self.model, self.values, values, values)
         gives = giving_way(model.effects)
         return [
-            window.near.under(window.law, window.along(model)).departure(
+            window.near.under(window.law, window.acting(model).along(window.passage)).departure(
                 model.effects,
                 window.law.soft.held_by([gives[joint] for joint in window.law.soft.names]),
                 slopes=slopes,

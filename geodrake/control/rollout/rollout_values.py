@@ -93,11 +93,13 @@ def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[Rollou
 
 
 def _servo_values(servo: EffortSignal) -> list[RolloutValue]:
-    """What is not known exactly of a servo: with its gain or damping, its delay is not either."""
-    known = {
-        "gain": (servo.gain, servo.deviation),
-        "damping": (servo.damping, servo.damping_deviation),
-    }
+    """What is not known exactly of a servo.
+
+    Its delay is not where gain or damping are not. Damping without a deviation beside the gain is
+    known no better than that: a spring would make up for a ratio of both that is off.
+    """
+    beside = servo.damping_deviation or servo.uncertainty * servo.damping
+    known = {"gain": (servo.gain, servo.deviation), "damping": (servo.damping, beside)}
     unsure = {name: each for name, each in known.items() if all(each)}
     if unsure:
         unsure["delay"] = servo.delay, _DELAY_DEVIATION
