@@ -171,17 +171,20 @@ def test_what_is_free_of_a_servo(pendulum):
     springs = rollout_values(model)
     values = rollout_values(model, commands=True)
     assert values[: len(springs)] == springs
-    assert [value.name for value in values[len(springs) :]] == ["gain", "damping", "delay"]
+    assert [value.name for value in values[len(springs) :]] == [
+        "gain",
+        "damping",
+        "integral",
+        "delay",
+    ]
     assert rollout_values(servoed(pendulum, 2.0, PD), commands=True) == springs
-    x = np.array([np.log(0.5), 0.0, 1.0, -1.0, -2.0])
-    new = values_at(values, x)
-    np.testing.assert_allclose(
-        new, [1.0 / STIFFNESS, 0.05, 110.0, 1.1 * (6.0 - 0.6), 0.013 / 30.0], rtol=1e-12
-    )
-    (servo,) = with_values(model, values, new, np.full(5, 0.1)).effort_signals
-    assert (servo.gain, servo.damping, servo.delay) == pytest.approx(new[2:])
-    assert (servo.deviation, servo.damping_deviation) == pytest.approx((11.0, 0.1))
-    assert (servo.integral, servo.integral_deviation) == pytest.approx((220.0, 9.9))
+    new = values_at(values, np.array([np.log(0.5), 0.0, 1.0, -1.0, 0.5, -2.0]))
+    expected = [1.0 / STIFFNESS, 0.05, 110.0, 1.1 * (6.0 - 0.6), 1.1 * 204.5, 0.013 / 30.0]
+    np.testing.assert_allclose(new, expected, rtol=1e-12)
+    (servo,) = with_values(model, values, new, np.full(6, 0.1)).effort_signals
+    assert (servo.gain, servo.damping, servo.integral, servo.delay) == tuple(new[2:])
+    deviations = servo.deviation, servo.damping_deviation, servo.integral_deviation
+    assert deviations == pytest.approx((11.0, 0.1, 0.1))
 
 
 def test_moved_servos_are_those_of_a_model_that_states_them(pendulum):
@@ -190,7 +193,7 @@ def test_moved_servos_are_those_of_a_model_that_states_them(pendulum):
     servo = dataclasses.replace(UNSURE, integral=200.0, limit=6.5)
     model = servoed(pendulum, 2.0, servo)
     values = rollout_values(model, commands=True)
-    x = np.array([0.1, -0.2, 0.5, 1.0, -0.7])
+    x = np.array([0.1, -0.2, 0.5, 1.0, 0.3, -0.7])
     new = values_at(values, x)
     moved = with_values(model, values, new, new)
     case = open_case(model, [log], candidates=False, bandwidth=12.0)

@@ -72,21 +72,16 @@ class RolloutFit(Shown):
         return (*self.after.notes, *self._unsure_servos())
 
     def _unsure_servos(self) -> list[str]:
-        """Notes on servos, and integrals of fitted ones, that stay without being known."""
+        """A note on servos of other joints, which are taken for what they were found to be."""
         fitted = {value.joint for value in self.values if value.effect == SERVO}
-        servos, integrals = list[str](), list[str]()
-        for signal in self.model.effort_signals if self.after.commands else ():
-            unsure = signal.deviation or signal.damping_deviation or signal.integral_deviation
-            if signal.kind != COMMAND or not unsure:
-                continue
-            if signal.joint not in fitted:
-                servos.append(signal.joint)
-            elif signal.integral_deviation:
-                integrals.append(signal.joint)
-        words = "soft joints and play make up for what they are off by"
-        named = {"servos": servos, "integrals of servos": integrals}
-        return [
-            f"{what} of {', '.join(joints)} are not known exactly, and stay: {words}"
-            for what, joints in named.items()
-            if joints
+        unsure = [
+            signal.joint
+            for signal in self.model.effort_signals
+            if signal.kind == COMMAND
+            and (signal.deviation or signal.damping_deviation or signal.integral_deviation)
+            and signal.joint not in fitted
         ]
+        if not (unsure and self.after.commands):
+            return []
+        words = "soft joints and play make up for what they are off by"
+        return [f"servos of {', '.join(unsure)} are not known exactly: {words}"]

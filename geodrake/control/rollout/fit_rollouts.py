@@ -78,10 +78,10 @@ def fit_rollouts(
     are compared window by window, as the folds of a diagnosis are. Else the model stays as it was.
 
     Simulations are those of `roll_out`, under the efforts of logs, or those of `command_rollout`,
-    in which servos close the loop. Soft joints would make up for what these are off by: where a
-    servo has deviations, its gain, damping and delay are fitted, too, within 10 ms for a delay.
-    Limits stay, and integrals go with gains. The stiffer a servo is, the less of a soft joint shows
-    in the motion, and the more counts what commands are between samples.
+    in which servos close the loop. Soft joints would make up for what these are off by: where the
+    servo of one has deviations, its gains and its delay are fitted, too, held by their deviations,
+    and by 10 ms for a delay. Limits stay. The stiffer a servo is, the less of a soft joint shows in
+    the motion, and the more counts what commands are between samples.
 
     Deviations are for all else that the model has. That of a gain stays the share of it that it
     was, as a motion tells the gain for given inertias only.

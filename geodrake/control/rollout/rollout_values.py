@@ -18,6 +18,7 @@ from geodrake.model.servos import servos_of
 Array = NDArray[np.float64]
 
 _FARTHEST = 30.0  # times what a value begins with
+_BESIDE = ("damping", "integral")  # of a servo, known beside its gain
 _DELAY_DEVIATION = 0.01  # s, as much as servos usually are late
 
 
@@ -64,8 +65,8 @@ class RolloutValue:
 def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[RolloutValue, ...]:
     """What of a model its simulated motion shows, and efforts hardly do.
 
-    Under commands soft joints would make up for what their servos are off by, so that gain, damping
-    and delay of those that are not known exactly are such values, too.
+    Under commands soft joints would make up for what their servos are off by, so that what of
+    these is not known exactly is such a value, too.
 
     Args:
         model: The model.
@@ -95,11 +96,15 @@ def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[Rollou
 def _servo_values(servo: EffortSignal) -> list[RolloutValue]:
     """What is not known exactly of a servo.
 
-    Its delay is not where gain or damping are not. Damping without a deviation beside the gain is
-    known no better than that: a spring would make up for a ratio of both that is off.
+    Its delay is not where others are not. What has no deviation beside the gain is known no better
+    than that: a spring would make up for a ratio of both that is off.
     """
-    beside = servo.damping_deviation or servo.uncertainty * servo.damping
-    known = {"gain": (servo.gain, servo.deviation), "damping": (servo.damping, beside)}
+    share = servo.uncertainty
+    known = {
+        "gain": (servo.gain, servo.deviation),
+        "damping": (servo.damping, servo.damping_deviation or share * servo.damping),
+        "integral": (servo.integral, servo.integral_deviation or share * servo.integral),
+    }
     unsure = {name: each for name, each in known.items() if all(each)}
     if unsure:
         unsure["delay"] = servo.delay, _DELAY_DEVIATION
@@ -129,15 +134,17 @@ def changes_at(values: Sequence[RolloutValue], x: Array) -> Array:
 
 
 def _gains(values: Sequence[RolloutValue], x: Array) -> Array:
-    """(k,) factors by which the gains of servos take their damping along, which is known beside."""
+    """(k,) factors by which gains of servos take along what of these is known beside them."""
     shares = {
         value.joint: value.moved(steps) / value.value
         for value, steps in zip(values, x.tolist(), strict=True)
         if (value.effect, value.name) == (SERVO, "gain")
     }
-    damping = SERVO, "damping"
     return np.array(
-        [shares.get(v.joint, 1.0) if (v.effect, v.name) == damping else 1.0 for v in values]
+        [
+            shares.get(v.joint, 1.0) if v.effect == SERVO and v.name in _BESIDE else 1.0
+            for v in values
+        ]
     )
 
 
@@ -175,21 +182,13 @@ def with_values(
 def _with_servo(
     servo: EffortSignal, given: dict[str, float], deviations: dict[str, float]
 ) -> EffortSignal:
-    """A servo with other values; its gain takes along what is not given.
+    """A servo with other values.
 
-    The gain itself is known to the share that it was: the motion tells it for given inertias.
+    Its gain is known to the share that it was: the motion tells it for given inertias only.
     """
-    share = given.get("gain", servo.gain) / servo.gain
-    return replace(
-        servo,
-        gain=share * servo.gain,
-        deviation=share * servo.deviation,
-        damping=given.get("damping", share * servo.damping),
-        damping_deviation=deviations.get("damping", share * servo.damping_deviation),
-        delay=given.get("delay", servo.delay),
-        integral=share * servo.integral,
-        integral_deviation=share * servo.integral_deviation,
-    )
+    known = {f"{name}_deviation": deviations[name] for name in _BESIDE if name in given}
+    known["deviation"] = servo.uncertainty * given.get("gain", servo.gain)
+    return replace(servo, **{**given, **known})  # type: ignore[arg-type]
 
 
 def giving_way(effects: Sequence[FittedEffect]) -> dict[str, Give]:
