@@ -96,14 +96,14 @@ def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[Rollou
 def _servo_values(servo: EffortSignal) -> list[RolloutValue]:
     """What is not known exactly of a servo.
 
-    Its delay is not where others are not. What has no deviation beside the gain is known no better
-    than that: a spring would make up for a ratio of both that is off.
+    Its delay is not where others are not. What is known beside the gain is known no better than
+    that: a fit that knew of no spring made up for it by their ratio.
     """
     share = servo.uncertainty
     known = {
         "gain": (servo.gain, servo.deviation),
-        "damping": (servo.damping, servo.damping_deviation or share * servo.damping),
-        "integral": (servo.integral, servo.integral_deviation or share * servo.integral),
+        "damping": (servo.damping, max(servo.damping_deviation, share * servo.damping)),
+        "integral": (servo.integral, max(servo.integral_deviation, share * servo.integral)),
     }
     unsure = {name: each for name, each in known.items() if all(each)}
     if unsure:
