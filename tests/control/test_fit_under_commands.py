@@ -230,7 +230,7 @@ def found_beside(model, log):
 def test_a_gain_that_is_off_is_found_beside_the_spring(pendulum, seed, gain, noise):
     log = followed(seed, PD, noise=noise)
     servo = dataclasses.replace(PD, gain=gain, deviation=4.0)
-    for share in (0.5, 1.0, 2.0):
+    for share in (0.5, 2.0):
         _, values = found_beside(servoed(pendulum, share, servo), log)
         assert values["servo", "gain"].after == pytest.approx(100.0, abs=1.0)
 
@@ -242,7 +242,7 @@ def test_a_servo_that_was_found_without_the_spring_is_found_with_it(pendulum, se
     without = explain(having(pendulum, ROTOR, FRICTION), [log]).model
     (servo,) = without.effort_signals
     assert abs(servo.delay - PD.delay) > 4e-3
-    for share in (0.5, 1.0, 2.0):
+    for share in (0.5, 2.0):
         off, values = found_beside(servoed(pendulum, share, servo), log)
         assert off < 0.05
         assert values["servo", "delay"].after == pytest.approx(PD.delay, abs=1e-4)

@@ -65,8 +65,8 @@ class RolloutValue:
 def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[RolloutValue, ...]:
     """What of a model its simulated motion shows, and efforts hardly do.
 
-    Under commands soft joints would make up for what their servos are off by, so that what of
-    these is not known exactly is such a value, too.
+    Under commands soft joints would make up for what their servos are off by: what is not known
+    exactly of these is such a value, too.
 
     Args:
         model: The model.
@@ -138,13 +138,10 @@ def _gains(values: Sequence[RolloutValue], x: Array) -> Array:
     shares = {
         value.joint: value.moved(steps) / value.value
         for value, steps in zip(values, x.tolist(), strict=True)
-        if (value.effect, value.name) == (SERVO, "gain")
+        if value.at is None and value.name == "gain"
     }
     return np.array(
-        [
-            shares.get(v.joint, 1.0) if v.effect == SERVO and v.name in _BESIDE else 1.0
-            for v in values
-        ]
+        [shares.get(v.joint, 1.0) if v.at is None and v.name in _BESIDE else 1.0 for v in values]
     )
 
 
