@@ -217,7 +217,8 @@ class RolloutOptions(LogOptions):
         typer.Option(
             "--fit",
             help="Fit the model's soft joints and play to how the simulated robot moves, under "
-            "efforts or --commands; every other block of windows, or every other log, is held out.",
+            "efforts, or under --commands with servos that are not known exactly; every other "
+            "block of windows, or every other log, is held out.",
         ),
     ] = False
     save: Annotated[

@@ -13,6 +13,9 @@ from geodrake.logs.motion import SIGNAL_KINDS
 COMMAND = "command"
 """The kind of a joint of which only the position that its servo was told to go to is known."""
 
+SERVO = "servo"
+"""What a `COMMAND` goes through, among the names of effects."""
+
 KINDS = (*SIGNAL_KINDS, COMMAND)
 
 _NOT_NEGATIVE = (

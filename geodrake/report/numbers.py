@@ -10,10 +10,17 @@ from geodrake.boundary.escaping import printable
 from geodrake.effects import Effect, catalogue
 from geodrake.effects.role import Role
 from geodrake.effects.shape import when_sliding
+from geodrake.model.effort_signal import SERVO
 from geodrake.model.robot_model import RobotModel
 
 UNKNOWN = "–"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_SERVO_UNITS = {
+    "gain": "N·m/rad",
+    "damping": "N·m·s/rad",
+    "integral": "N·m/(rad·s)",
+    "delay": "s",
+}
 _LEAST_CHANCE = 1e-6
 _NOTICED = 0.3
 """A systematic deviation is shown from this share of the other one on."""
@@ -176,7 +183,7 @@ class Units:
         """
         if self._in_milliseconds(effect, name):
             return "ms"
-        unit = self.effects[effect].unit_of(name) if effect in self.effects else "1"
+        unit = self._unit(effect, name)
         return "" if unit == "1" else self.at(place.partition(" & ")[0], unit)
 
     def shown(self, effect: str, name: str, value: float) -> float:
@@ -192,7 +199,14 @@ class Units:
     def _in_milliseconds(self, effect: str, name: str) -> bool:
         """Whether a parameter is a time by which efforts are late, which is short."""
         kind = self.effects.get(effect)
-        return kind is not None and kind.role is Role.DELAY and kind.unit_of(name) == "s"
+        late = effect == SERVO if kind is None else kind.role is Role.DELAY
+        return late and self._unit(effect, name) == "s"
+
+    def _unit(self, effect: str, name: str) -> str:
+        """SI unit at a joint that turns; 1 for what nothing is known of."""
+        if effect in self.effects:
+            return self.effects[effect].unit_of(name)
+        return _SERVO_UNITS.get(name, "1") if effect == SERVO else "1"
 
 
 def _exponent(value: float, digits: int) -> int:

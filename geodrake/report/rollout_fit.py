@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from geodrake.control.rollout import RolloutFit
+from geodrake.model.effort_signal import SERVO
 from geodrake.report.numbers import Units
 from geodrake.report.page import Page, Section, Tile, render
 from geodrake.report.rollout import rollout_chart
@@ -44,7 +45,7 @@ def render_rollout_fit(
         "compared",
         "fitted" if found.taken else "stays",
         f"{words[:1].upper()}{words[1:]}",
-        ("Soft joints and play, fitted to how the simulated robot moves; all else stays.",),
+        (f"{_fitted(found)}, fitted to how the simulated robot moves; all else stays.",),
         (
             Tile("before", departure(before.relative), "of the motion, held out"),
             Tile("fitted", departure(after.relative), "of the motion, held out"),
@@ -64,3 +65,9 @@ def render_rollout_fit(
         links or {},
     )
     return render(page)
+
+
+def _fitted(found: RolloutFit) -> str:
+    """What was free."""
+    servos = any(value.effect == SERVO for value in found.values)
+    return "Soft joints, play and their servos" if servos else "Soft joints and play"

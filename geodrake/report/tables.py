@@ -334,13 +334,17 @@ def rollout_values_table(found: RolloutFit, units: Units) -> Table:
     rows = []
     for value in found.values:
         unit = units.parameter(value.effect, value.name, value.joint)
+        before, after, deviation = (
+            units.shown(value.effect, value.name, size)
+            for size in (value.before, value.after, value.deviation)
+        )
         rows.append(
             cells(
                 effect_label(value.effect),
                 value.joint,
                 f"{effect_label(value.name)}, {unit}" if unit else effect_label(value.name),
-                number(value.before),
-                with_deviation(value.after, value.deviation),
+                number(before),
+                with_deviation(after, deviation),
             )
         )
     return Table(("effect", "joint", "value", "before", "fitted"), tuple(rows), words=3)

@@ -2,19 +2,40 @@
 
 import dataclasses
 import json
+from functools import partial
 
 import numpy as np
 import pytest
 from flexible_arm import KD, KP, arm_log, soft_arm
-from two_masses import GAP, STIFFNESS, URDF, followed, loose, springy, swung
+from two_masses import (
+    FRICTION,
+    GAP,
+    ROTOR,
+    STIFFNESS,
+    URDF,
+    followed,
+    having,
+    loose,
+    springy,
+    swung,
+)
 from typer.testing import CliRunner
 
 from geodrake import effects, load_model, save_model
 from geodrake.cli.app import app
-from geodrake.control.rollout import RolloutFit, command_rollout, fit_rollouts, simulation
+from geodrake.control.rollout import (
+    FittedValue,
+    RolloutFit,
+    command_rollout,
+    fit_rollouts,
+    simulation,
+)
+from geodrake.control.rollout.acting import acting_in
+from geodrake.control.rollout.motion_search import MotionSearch, SearchWindow
 from geodrake.control.rollout.near_motion import NearMotion
-from geodrake.control.rollout.rollout_values import rollout_values, with_values
+from geodrake.control.rollout.rollout_values import rollout_values, values_at, with_values
 from geodrake.control.rollout.simulations import Simulations, chosen_passages
+from geodrake.diagnosis import explain
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import open_case
 from geodrake.logs.files import write_log
@@ -140,6 +161,93 @@ def test_what_is_off_is_found_and_what_is_right_stays_as_good(pendulum, seed, na
     assert np.ptp(ends) < max(0.02, deviation)  # wherever it begins
 
 
+UNSURE = dataclasses.replace(PD, deviation=10.0, damping_deviation=0.6)
+
+
+def test_what_is_free_of_a_servo(pendulum):
+    """All that is not exact, and then the delay; the gain takes along what is beside it."""
+    pid = dataclasses.replace(UNSURE, integral=200.0, integral_deviation=9.0)
+    model = servoed(pendulum, 2.0, pid)
+    springs = rollout_values(model)
+    values = rollout_values(model, commands=True)
+    assert values[: len(springs)] == springs
+    assert [value.name for value in values[len(springs) :]] == [
+        "gain",
+        "damping",
+        "integral",
+        "delay",
+    ]
+    assert rollout_values(servoed(pendulum, 2.0, PD), commands=True) == springs
+    new = values_at(values, np.array([np.log(0.5), 0.0, 1.0, -1.0, 0.5, -2.0]))
+    expected = [1.0 / STIFFNESS, 0.05, 110.0, 1.1 * (6.0 - 0.6), 1.1 * 210.0, 0.013 / 30.0]
+    np.testing.assert_allclose(new, expected, rtol=1e-12)
+    (servo,) = with_values(model, values, new, np.full(6, 0.1)).effort_signals
+    assert (servo.gain, servo.damping, servo.integral, servo.delay) == tuple(new[2:])
+    deviations = servo.deviation, servo.damping_deviation, servo.integral_deviation
+    assert deviations == pytest.approx((11.0, 0.1, 0.1))
+
+
+def test_moved_servos_are_those_of_a_model_that_states_them(pendulum):
+    """Near the motion, also where one is at its limit and has an integral."""
+    log = followed(0, SERVOS["pid"], seconds=1.5)
+    servo = dataclasses.replace(UNSURE, integral=200.0, limit=6.5)
+    model = servoed(pendulum, 2.0, servo)
+    values = rollout_values(model, commands=True)
+    x = np.array([0.1, -0.2, 0.5, 1.0, 0.3, -0.7])
+    new = values_at(values, x)
+    moved = with_values(model, values, new, new)
+    case = open_case(model, [log], candidates=False, bandwidth=12.0)
+    (passage,) = chosen_passages(case, 0.2, 1)
+    ways = []
+    for each, steps in ((case, x), (dataclasses.replace(case, model=moved), 0.0 * x)):
+        made = Simulations(each, [passage], commands=True)(log.name)
+        acting = partial(acting_in, log=each.asked.logs[0], commands=True)
+        window = SearchWindow(made.law, NearMotion.of(made, passage), passage, acting, np.zeros(1))
+        free = rollout_values(each.model, commands=True)
+        ways += MotionSearch(each.model, free, [window]).near(steps)
+    np.testing.assert_allclose(ways[0][0], ways[1][0], atol=1e-12)
+
+
+def found_beside(model, log):
+    """Values that a fit finds beside the true spring's, by name; it is taken."""
+    found = fit_rollouts(model, [log], commands=True)
+    assert found.taken
+    assert found.notes == found.after.notes
+    values = {(value.effect, value.name): value for value in found.values}
+    spring = values["joint_elasticity", "compliance"]
+    off = abs(STIFFNESS * spring.after - 1.0)
+    assert off < max(0.1, 3.5 * STIFFNESS * spring.deviation)
+    (saved,) = found.model.effort_signals
+    assert saved.delay == values["servo", "delay"].after
+    assert saved.gain == pytest.approx(values["servo", "gain"].after)
+    return off, values
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("noise", [1e-4, 1e-3])
+@pytest.mark.parametrize("gain", [97.0, 103.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_gain_that_is_off_is_found_beside_the_spring(pendulum, seed, gain, noise):
+    log = followed(seed, PD, noise=noise)
+    servo = dataclasses.replace(PD, gain=gain, deviation=4.0)
+    for share in (0.5, 2.0):
+        _, values = found_beside(servoed(pendulum, share, servo), log)
+        assert values["servo", "gain"].after == pytest.approx(100.0, abs=1.0)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("seed", range(3))
+def test_a_servo_that_was_found_without_the_spring_is_found_with_it(pendulum, seed):
+    log = followed(seed, PD, noise=1e-4)
+    without = explain(having(pendulum, ROTOR, FRICTION), [log]).model
+    (servo,) = without.effort_signals
+    assert abs(servo.delay - PD.delay) > 4e-3
+    for share in (0.5, 2.0):
+        off, values = found_beside(servoed(pendulum, share, servo), log)
+        assert off < 0.05
+        assert values["servo", "delay"].after == pytest.approx(PD.delay, abs=1e-4)
+
+
 @pytest.mark.thorough
 def test_an_arm_is_found_under_its_servos():
     """One soft joint among seven servos, twice as soft as it is."""
@@ -206,6 +314,13 @@ def test_results_say_what_they_are_under(pendulum):
     unsure = dataclasses.replace(found, model=model)
     assert "servos of hinge are not known exactly" in unsure.notes[-1]
     assert found.notes == rollout.notes
+    late = FittedValue("servo", "hinge", "delay", 5.1e-3, 13e-3, 1e-5)
+    fitted = dataclasses.replace(unsure, values=(late,))
+    assert fitted.notes == rollout.notes
+    page = render_rollout_fit(fitted, title="t", model_name="arm", log_names=["log"])
+    assert "Soft joints, play and their servos" in page
+    for words in ("delay, ms", "5.10", "13.000"):
+        assert words in page
     page = render_rollout_fit(found, title="t", model_name="arm", log_names=["log"])
     assert "arm under the commands of log" in page
     assert "under the logged commands" in page

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from geodrake.model.signal_efforts import integral_effort
 Array = NDArray[np.float64]
 
 _APART = 1e-9  # s, between instants of a trajectory
+_INPUTS = ("commanded_position", "commanded_velocity", "feedforward")
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,29 +132,28 @@ class ServoedCommand(Acting):
         kp, kd, self._ki = (np.where(self._told, gain, 0.0) for gain in gains)
         limits = np.where(self._told, limit, np.inf)
         self._gains = ServoGains(kp, kd, self._ki, limits, np.zeros(len(kp)))
-        self._servo = PositionServo(kp, kd=kd, ki=self._ki, limit=limits)
-        zero = PiecewisePolynomial(np.zeros(len(kp)))
-        names = ("commanded_position", "commanded_velocity", "feedforward")
-        self._sources = {name: TrajectorySource(zero) for name in names}
 
     def add(self, builder: DiagramBuilder, state: OutputPort) -> OutputPort:
         """See `Acting`."""
-        self._servo = builder.AddSystem(self._servo)
+        gains = self._gains
+        servo = PositionServo(gains.kp, kd=gains.kd, ki=gains.ki, limit=gains.limit)
+        self._servo = builder.AddSystem(servo)
         builder.Connect(state, self._servo.GetInputPort("estimated_state"))
-        for name, source in self._sources.items():
-            self._sources[name] = builder.AddSystem(source)
+        zero = PiecewisePolynomial(np.zeros(len(self._ki)))
+        self._sources = [builder.AddSystem(TrajectorySource(zero)) for _ in _INPUTS]
+        for name, source in zip(_INPUTS, self._sources, strict=True):
             builder.Connect(source.get_output_port(), self._servo.GetInputPort(name))
         return self._servo.get_output_port()
 
     def begin(self, passage: Passage) -> None:
         """See `Acting`."""
-        for source, course in zip(self._sources.values(), self._courses(passage), strict=True):
+        for source, course in zip(self._sources, self._courses(passage), strict=True):
             source.UpdateTrajectory(course)
 
     def along(self, passage: Passage) -> EffortAlong:
         """See `Acting`."""
-        segment, courses = passage.segment, self._courses(passage)
-        command, rate, beside = (each.vector_values(passage.time).T for each in courses)
+        segment, beside = passage.segment, self._beside(passage)
+        command, rate = self._commands(passage, passage.time)
         behind = np.where(self._told, command - segment.position, 0.0)
         error = ServoError(behind, rate - segment.velocity, np.zeros_like(behind), beside)
         unlimited = replace(self._gains, limit=np.full(len(self._ki), np.inf))
@@ -171,36 +172,66 @@ class ServoedCommand(Acting):
         """(n,) integrals when a passage begins, rad·s or m·s; 0 of servos without one."""
         begun, instants = np.zeros(len(self._ki)), self._log.time - passage.began
         known = np.isfinite(instants)
-        for j in np.flatnonzero(self._ki).tolist():
-            if (servo := self._servos[j]) is not None:
-                effort = integral_effort(self._log, j, servo)
-                begun[j] = np.interp(passage.time[0], instants[known], effort[known]) / self._ki[j]
+        for j, effort in self._integrals.items():
+            begun[j] = np.interp(passage.time[0], instants[known], effort[known]) / self._ki[j]
         return begun
 
-    def _courses(self, passage: Passage) -> tuple[PiecewisePolynomial, ...]:
-        """Late commands, their rates, and efforts beside the servos, in the order of sources."""
-        effort = np.where(self._told, 0.0, np.asarray(passage.segment.effort))
-        time, command, rate = self._commands(passage)
-        return _lines(time, command), _lines(time, rate), _lines(passage.time, effort)
+    @cached_property
+    def _integrals(self) -> dict[int, Array]:
+        """Joint -> (N,) what the integral of its servo gives along the log, N·m or N."""
+        servos = {j: self._servos[j] for j in np.flatnonzero(self._ki).tolist()}
+        return {j: integral_effort(self._log, j, servo) for j, servo in servos.items() if servo}
 
-    def _commands(self, passage: Passage) -> tuple[Array, Array, Array]:
-        """Instants (K,) at which late commands bend, commands and their rates (K, n)."""
-        whole, command = self._log.time - passage.began, self._log.command
+    def _courses(self, passage: Passage) -> tuple[PiecewisePolynomial, ...]:
+        """Late commands, their rates, and efforts beside the servos, in the order of inputs."""
+        time = self._bends(passage)
+        command, rate = self._commands(passage, time)
+        beside = self._beside(passage)
+        return _lines(time, command), _lines(time, rate), _lines(passage.time, beside)
+
+    def _beside(self, passage: Passage) -> Array:
+        """(K, n) efforts of joints without a servo."""
+        return np.where(self._told, 0.0, np.asarray(passage.segment.effort))
+
+    def _bends(self, passage: Passage) -> Array:
+        """(K,) instants of a passage at which late commands bend, with its first and its last."""
         first, last = passage.time[0], passage.time[-1]
-        series, bends = {}, [np.array([first, last])]
+        bends = [np.array([first, last])]
+        for late, _, _ in self._late(passage).values():
+            bends.append(late[(late > first + _APART) & (late < last - _APART)])
+        time = np.unique(np.concatenate(bends))
+        return time[np.append(np.diff(time) > _APART, True)]
+
+    def _commands(self, passage: Passage, time: Array) -> tuple[Array, Array]:
+        """Late commands and their rates (K, n) at instants (K,) of a passage."""
+        commands, rates = np.zeros((2, len(time), len(self._told)))
+        for j, (late, column, rate) in self._late(passage).items():
+            commands[:, j], rates[:, j] = np.interp(time, late, column), np.interp(time, late, rate)
+        return commands, rates
+
+    def _late(self, passage: Passage) -> dict[int, tuple[Array, Array, Array]]:
+        """Of each joint that is told: instants when commands act, commands, and their rates."""
+        whole, command, found = self._log.time - passage.began, self._log.command, {}
         for j in np.flatnonzero(self._told).tolist():
             column = np.empty(0) if command is None else command[:, j]
             known = np.isfinite(column) & np.isfinite(whole)
             late = whole[known] + self._delays[j]
             rate = np.gradient(column[known], late) if len(late) > 1 else np.zeros(len(late))
-            series[j] = late, column[known], rate
-            bends.append(late[(late > first + _APART) & (late < last - _APART)])
-        time = np.unique(np.concatenate(bends))
-        time = time[np.append(np.diff(time) > _APART, True)]
-        commands, rates = np.zeros((2, len(time), len(self._told)))
-        for j, (late, column, rate) in series.items():
-            commands[:, j], rates[:, j] = np.interp(time, late, column), np.interp(time, late, rate)
-        return time, commands, rates
+            found[j] = late, column[known], rate
+        return found
+
+
+def acting_in(model: RobotModel, log: JointLog, *, commands: bool) -> Acting:
+    """What acts in a log.
+
+    Args:
+        model: The model, with the servos.
+        log: The log, joints in the model's order.
+        commands: Whether servos follow the commands of the log, where it has any.
+    """
+    if commands and told_joints(model, log).any():
+        return ServoedCommand(model, log)
+    return LoggedEffort(len(model.joints))
 
 
 def told_joints(model: RobotModel, log: JointLog) -> NDArray[np.bool_]:

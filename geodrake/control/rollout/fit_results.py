@@ -6,21 +6,21 @@ from dataclasses import dataclass
 
 from geodrake.boundary.showing import Short, Shown
 from geodrake.control.rollout.results import Rollout
-from geodrake.model.effort_signal import COMMAND
+from geodrake.model.effort_signal import COMMAND, SERVO
 from geodrake.model.robot_model import RobotModel
 
 
 @dataclass(frozen=True)
 class FittedValue(Short):
-    """A value of an effect that rollouts were fitted by.
+    """A value of an effect, or of a servo, that rollouts were fitted by.
 
     Attributes:
-        effect: Name of the effect.
+        effect: Name of the effect; "servo".
         joint: Its joint.
-        name: Name of the value.
+        name: Name of the value; of a servo as in `EffortSignal`.
         before: The model's value, where the fit began, SI.
         after: What was fitted, SI.
-        deviation: Its standard deviation.
+        deviation: Its standard deviation, for what else the model has.
     """
 
     effect: str
@@ -33,7 +33,7 @@ class FittedValue(Short):
 
 @dataclass(frozen=True, eq=False)
 class RolloutFit(Shown):
-    """What a model's soft joints and play are by its simulated motion.
+    """What a model's soft joints, their play and their servos are by its simulated motion.
 
     `before` and `after` say what they are under: logged efforts, or logged commands.
 
@@ -72,12 +72,14 @@ class RolloutFit(Shown):
         return (*self.after.notes, *self._unsure_servos())
 
     def _unsure_servos(self) -> list[str]:
-        """A note on servos that were found, and are taken for what they were found to be."""
+        """A note on servos of other joints, which are taken for what they were found to be."""
+        fitted = {value.joint for value in self.values if value.effect == SERVO}
         unsure = [
             signal.joint
             for signal in self.model.effort_signals
             if signal.kind == COMMAND
             and (signal.deviation or signal.damping_deviation or signal.integral_deviation)
+            and signal.joint not in fitted
         ]
         if not (unsure and self.after.commands):
             return []

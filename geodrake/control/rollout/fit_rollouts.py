@@ -1,4 +1,4 @@
-"""A fit of what only the simulated motion shows: soft joints and play.
+"""A fit of what only the simulated motion shows: soft joints, play, and servos they move under.
 
 A linear fit sees a soft joint to first order in its compliance, through a filter, and play hardly.
 How the simulated robot moves shows both. The fit starts at the model's values and sees every other
@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance
+from geodrake.control.rollout.acting import acting_in
 from geodrake.control.rollout.fit_results import FittedValue, RolloutFit
 from geodrake.control.rollout.motion_search import (
     MotionSearch,
@@ -33,7 +34,13 @@ from geodrake.control.rollout.roll_out import (
     case_rollout,
     check_windows,
 )
-from geodrake.control.rollout.rollout_values import RolloutValue, rollout_values, with_values
+from geodrake.control.rollout.rollout_values import (
+    RolloutValue,
+    changes_at,
+    rollout_values,
+    values_at,
+    with_values,
+)
 from geodrake.control.rollout.simulation import Simulation
 from geodrake.control.rollout.simulations import Simulations, chosen_passages
 from geodrake.errors import LogError
@@ -62,7 +69,7 @@ def fit_rollouts(
     commands: bool = False,
     progress: Progress | None = None,
 ) -> RolloutFit:
-    """Fit the soft joints and the play of a model to how it moves in simulation.
+    """Fit the soft joints and the play of a model, and servos, to how it moves in simulation.
 
     Values that effects declare (`DeflectionEffect.rollout_values`: compliance, damping and half
     width of a dead band) are fitted by least squares of what windows depart by, from the model's
@@ -71,9 +78,13 @@ def fit_rollouts(
     are compared window by window, as the folds of a diagnosis are. Else the model stays as it was.
 
     Simulations are those of `roll_out`, under the efforts of logs, or those of `command_rollout`,
-    in which servos close the loop, with delays, limits and integrals as the model has them. The
-    stiffer they are, the less soft joints show in the motion, and the more counts what logs do not
-    know: what commands are between samples, and what the gains are off by.
+    in which servos close the loop. Soft joints would make up for what these are off by: where the
+    servo of one has deviations, its gains and its delay are fitted, too, held by their deviations,
+    and by 10 ms for a delay. Limits stay. The stiffer a servo is, the less of a soft joint shows in
+    the motion, and the more counts what commands are between samples.
+
+    Deviations are for all else that the model has. That of a gain stays the share of it that it
+    was, as a motion tells the gain for given inertias only.
 
     Args:
         model: The model.
@@ -93,7 +104,7 @@ def fit_rollouts(
     check_windows(horizon, most, progress)
     instance(commands, "commands", bool)
     checked_logs(model, logs, (), None, None)
-    values = rollout_values(model)
+    values = rollout_values(model, commands=commands)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
     passages = chosen_passages(case, horizon, most)
     tested = held_out([passage.log for passage in passages])
@@ -111,8 +122,8 @@ def fit_rollouts(
         progress("fitting", 0.5)
     windows = _windows(case, passages, before)
     x, deviations = MotionSearch(case.model, values, [windows[k] for k in fitted]).fit()
-    found = np.array([value.value for value in values]) * np.exp(x)
-    better = better_model(case.model, values, found, found * deviations)
+    found, deviations = values_at(values, x), changes_at(values, x) * deviations
+    better = better_model(case.model, values, found, deviations)
     after = simulated(replace(case, model=better), progress=_named("after", progress))
     departures = [after.windows[k].simulated - passages[k].logged for k in seen]
     chance = _chance(MotionSearch(case.model, values, [windows[k] for k in seen]), x, departures)
@@ -120,8 +131,8 @@ def fit_rollouts(
     return RolloutFit(
         better if taken else case.model,
         tuple(
-            FittedValue(v.effect, v.joint, v.name, v.value, float(now), float(now * share))
-            for v, now, share in zip(values, found, deviations, strict=True)
+            FittedValue(v.effect, v.joint, v.name, v.value, *now)
+            for v, *now in zip(values, found.tolist(), deviations.tolist(), strict=True)
         ),
         before,
         after,
@@ -146,11 +157,18 @@ def held_out(logs: Sequence[str]) -> Mask:
 def _windows(case: Case, passages: Sequence[Passage], before: Rollout) -> list[SearchWindow]:
     """All windows, ready to be simulated with other soft joints."""
     simulations, found = Simulations(case, passages, commands=before.commands), []
+    acting = {
+        log.name: lru_cache(maxsize=1)(partial(acting_in, log=log, commands=before.commands))
+        for log in case.asked.logs
+    }
     for passage, window in zip(passages, before.windows, strict=True):
         simulation = simulations(passage.log)
         if isinstance(simulation, Simulation):  # as it is wherever joints are soft
             near = NearMotion.of(simulation, passage)
-            found.append(SearchWindow(simulation.law, near, window.simulated - passage.logged))
+            departure = window.simulated - passage.logged
+            found.append(
+                SearchWindow(simulation.law, near, passage, acting[passage.log], departure)
+            )
     return found
 
 
@@ -196,7 +214,7 @@ def _chance(search: MotionSearch, x: Array, after: Sequence[Array]) -> float:
 
     Args:
         search: The windows, none of which was fitted.
-        x: (k,) logarithms of the values over those before.
+        x: (k,) steps of the values from those before.
         after: Of each window (N, nv) simulated − logged positions afterwards.
     """
     before, now = ([slopes for _, slopes in search.near(y, slopes=True)] for y in (0.0 * x, x))

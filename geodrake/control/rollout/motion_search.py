@@ -1,6 +1,7 @@
 """Least squares of what soft joints are, by how simulated windows depart from their motion.
 
-Few values, positive, by their logarithms; a start knows each to a factor of e. Departures are those
+Few values, positive, by steps from where they begin: of what each is known to, be that a deviation
+or, by its logarithm, a factor of e. Departures are those
 of the rollout that the search begins with, and how much they change near the measured motion
 (`near_motion`). They are compared with the positions as they were logged, and what other states at
 the start of a window would make of them does not count: those are smoothed, and never exact.
@@ -16,18 +17,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from geodrake.control.rollout.acting import Acting
 from geodrake.control.rollout.near_motion import NearMotion
-from geodrake.control.rollout.rollout_values import RolloutValue, giving_way, with_values
+from geodrake.control.rollout.passages import Passage
+from geodrake.control.rollout.rollout_values import (
+    RolloutValue,
+    giving_way,
+    values_at,
+    with_values,
+)
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.simulation.force_law import ForceLaw
 
 Array = NDArray[np.float64]
 
-_REACH = np.log(30.0)  # of a value from where it begins
-_TRIED = np.log([0.1, 0.2, 0.4, 0.7, 1.4, 2.5, 5.0, 10.0])  # of one value alone, at first
-_STEP = 0.02  # of logarithms, for slopes
+_TRIED = np.log([0.1, 0.2, 0.4, 0.7, 1.4, 2.5, 5.0, 10.0])  # steps of one value alone, at first
+_STEP = 0.02  # of a step, for slopes
 _MOST_ROUNDS = 12  # with what joints depart by, which falls, and with starts as values have them
-_SETTLED = 2e-3  # of logarithms, by which the last round changes them at most
+_SETTLED = 2e-3  # of a step, by which the last round changes them at most
 _MOST_EVALUATIONS = 20
 _LEAST = 1e-9  # rad or m, by which joints depart at least
 
@@ -39,11 +46,15 @@ class SearchWindow:
     Attributes:
         law: The force law of the model there, with what it carries.
         near: The window near its measured motion.
+        passage: The window in its log.
+        acting: What acts in that log, with the servos of a model.
         departure: (N, nv) simulated − logged positions at the start of the search, rad or m.
     """
 
     law: ForceLaw
     near: NearMotion
+    passage: Passage
+    acting: Callable[[RobotModel], Acting]
     departure: Array
 
 
@@ -62,14 +73,15 @@ class MotionSearch:
     windows: Sequence[SearchWindow]
 
     def fit(self) -> tuple[Array, Array]:
-        """Logarithms (k,) of values over those at the start, and their standard deviations."""
+        """Steps (k,) of values from the start, and their standard deviations."""
+        lower, upper = np.transpose([value.bounds for value in self.values])
         x = self._tried(np.zeros(len(self.values)))
         for _ in range(_MOST_ROUNDS):
             before, found = x, self._blinds(x)
             x = least_squares(
                 lambda y, blinds=found: np.concatenate([*self._residuals(y, blinds), y]),
                 x,
-                bounds=(-_REACH, _REACH),
+                bounds=(lower, upper),
                 diff_step=_STEP,
                 max_nfev=_MOST_EVALUATIONS,
             ).x
@@ -81,15 +93,15 @@ class MotionSearch:
         """Departures of the windows near their motion, and slopes with their starts.
 
         Args:
-            x: (k,) logarithms of values over those at the start.
+            x: (k,) steps of values from the start.
             slopes: Whether these are asked for.
         """
-        values = [v.value * float(np.exp(share)) for v, share in zip(self.values, x, strict=True)]
-        effects = with_values(self.model, self.values, values, values).effects
-        gives = giving_way(effects)
+        values = values_at(self.values, x).tolist()
+        model = with_values(self.model, self.values, values, values)
+        gives = giving_way(model.effects)
         return [
-            window.near.departure(
-                effects,
+            window.near.under(window.law, window.acting(model).along(window.passage)).departure(
+                model.effects,
                 window.law.soft.held_by([gives[joint] for joint in window.law.soft.names]),
                 slopes=slopes,
             )
@@ -126,7 +138,7 @@ class MotionSearch:
 
         for i in range(len(x)):
             tries = np.repeat(x[None], len(_TRIED) + 1, axis=0)
-            tries[1:, i] += _TRIED
+            tries[1:, i] = np.clip(x[i] + _TRIED, *self.values[i].bounds)
             x = tries[int(np.argmin([cost(each) for each in tries]))]
         return x
 
@@ -136,7 +148,7 @@ class MotionSearch:
         return [blind_to(slopes, scale)(rest + d) for rest, (d, slopes) in each]
 
     def _deviations(self, x: Array, blinds: Sequence[Blind]) -> Array:
-        """(k,) standard deviations of the logarithms.
+        """(k,) standard deviations of the steps.
 
         The search ends where pulls, slopes times residuals, are 0. They differ by noise, or from
         window to window, whichever is more; and change with the values only by what no start makes.

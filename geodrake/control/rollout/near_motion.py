@@ -166,6 +166,15 @@ class NearMotion:
             motion_before(model, passage, simulation.sign_width),
         )
 
+    def under(self, law: ForceLaw, along: EffortAlong) -> NearMotion:
+        """The same passage under other servos of the same joints.
+
+        Args:
+            law: The force law, which scales efforts.
+            along: What acts with those.
+        """
+        return replace(self, servos=NearServos.of(law, along, self.motors)[0])
+
     def departure(
         self,
         effects: Sequence[FittedEffect],

@@ -1,40 +1,76 @@
-"""Values of a model that its simulated motion shows, as its effects declare them."""
+"""Values of a model that its simulated motion shows: of soft joints, and of their servos."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from geodrake.effects import FittedEffect
 from geodrake.effects.deflection import DeflectionEffect, Give
 from geodrake.errors import ModelError
+from geodrake.model.effort_signal import SERVO, EffortSignal
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.servos import servos_of
+
+Array = NDArray[np.float64]
+
+_FARTHEST = 30.0  # times what a value begins with
+_BESIDE = ("damping", "integral")  # of a servo, known beside its gain
+_DELAY_DEVIATION = 0.01  # s, as much as servos usually are late
 
 
 @dataclass(frozen=True)
 class RolloutValue:
-    """One positive value of an effect.
+    """One positive value of an effect, or of a servo.
+
+    A search moves it in steps: of its deviation, or where it has none, of a factor of e.
 
     Attributes:
-        at: Which of the model's effects has it.
-        effect: Name of the effect.
+        at: Which of the model's effects has it; None for a servo.
+        effect: Name of the effect; "servo".
         joint: Its joint.
-        name: Name of the value, of a parameter or a shape of the effect.
+        name: Name of the value: of a parameter or a shape of the effect, or of an `EffortSignal`.
         value: The value, SI.
+        deviation: How well it is known before, SI; 0 if to a factor of e.
     """
 
-    at: int
+    at: int | None
     effect: str
     joint: str
     name: str
     value: float
+    deviation: float = 0.0
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Fewest and most steps."""
+        if self.deviation:
+            return (1.0 / _FARTHEST - 1.0) * self.value / self.deviation, np.inf
+        return -np.log(_FARTHEST), np.log(_FARTHEST)
+
+    def moved(self, steps: float) -> float:
+        """The value after some steps."""
+        if self.deviation:
+            return self.value + max(steps, self.bounds[0]) * self.deviation
+        return self.value * float(np.exp(steps))
+
+    def change(self, steps: float) -> float:
+        """By how much one more step changes it."""
+        return self.deviation or self.moved(steps)
 
 
-def rollout_values(model: RobotModel) -> tuple[RolloutValue, ...]:
+def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[RolloutValue, ...]:
     """What of a model its simulated motion shows, and efforts hardly do.
+
+    Under commands soft joints would make up for what their servos are off by: what is not known
+    exactly of these is such a value, too.
 
     Args:
         model: The model.
+        commands: Whether joints are under their servos.
 
     Raises:
         ModelError: There is nothing.
@@ -50,7 +86,63 @@ def rollout_values(model: RobotModel) -> tuple[RolloutValue, ...]:
             "The model has no soft joint and no play, which are what rollouts fit.",
             advice="Find them first: geodrake explain MODEL LOG… --save FILE.yaml.",
         )
+    soft = {value.joint for value in found}
+    for servo in servos_of(model) if commands else ():
+        if servo is not None and servo.joint in soft:
+            found += _servo_values(servo)
     return tuple(found)
+
+
+def _servo_values(servo: EffortSignal) -> list[RolloutValue]:
+    """What is not known exactly of a servo.
+
+    Its delay is not where others are not. What is known beside the gain is known no better than
+    that: a fit that knew of no spring made up for it by their ratio.
+    """
+    share = servo.uncertainty
+    known = {
+        "gain": (servo.gain, servo.deviation),
+        "damping": (servo.damping, max(servo.damping_deviation, share * servo.damping)),
+        "integral": (servo.integral, max(servo.integral_deviation, share * servo.integral)),
+    }
+    unsure = {name: each for name, each in known.items() if all(each)}
+    if unsure:
+        unsure["delay"] = servo.delay, _DELAY_DEVIATION
+    return [RolloutValue(None, SERVO, servo.joint, name, *each) for name, each in unsure.items()]
+
+
+def values_at(values: Sequence[RolloutValue], x: Array) -> Array:
+    """(k,) values after steps.
+
+    Args:
+        values: The values.
+        x: (k,) how many steps of each.
+    """
+    moved = [value.moved(steps) for value, steps in zip(values, x.tolist(), strict=True)]
+    return np.array(moved) * _gains(values, x)
+
+
+def changes_at(values: Sequence[RolloutValue], x: Array) -> Array:
+    """(k,) by how much one more step changes each value.
+
+    Args:
+        values: The values.
+        x: (k,) how many steps were made of each.
+    """
+    changes = [value.change(steps) for value, steps in zip(values, x.tolist(), strict=True)]
+    return np.array(changes) * _gains(values, x)
+
+
+def _gains(values: Sequence[RolloutValue], x: Array) -> Array:
+    """(k,) factors by which gains of servos take along what of these is known beside them."""
+    shares = {
+        value.joint: value.moved(steps) / value.value
+        for value, steps in zip(values, x.tolist(), strict=True)
+        if value.at is None and value.name == "gain"
+    }
+    return np.array(
+        [shares.get(v.joint, 1.0) if v.at is None and v.name in _BESIDE else 1.0 for v in values]
+    )
 
 
 def with_values(
@@ -67,15 +159,33 @@ def with_values(
         new: As many new ones.
         deviations: Their standard deviations.
     """
-    effects = list(model.effects)
-    for at in sorted({value.at for value in values}):
-        own = [k for k, value in enumerate(values) if value.at == at]
-        effect = effects[at].effect
-        if isinstance(effect, DeflectionEffect):
-            given = {values[k].name: float(new[k]) for k in own}
-            unsure = {values[k].name: float(deviations[k]) for k in own}
-            effects[at] = effect.with_rollout_values(given, unsure)
-    return replace(model, effects=tuple(effects))
+    given: dict[int | str, tuple[dict[str, float], dict[str, float]]] = {}
+    for value, now, unsure in zip(values, new, deviations, strict=True):
+        own = given.setdefault(value.joint if value.at is None else value.at, ({}, {}))
+        own[0][value.name], own[1][value.name] = float(now), float(unsure)
+    effects = [
+        fitted.effect.with_rollout_values(*given[at])
+        if at in given and isinstance(fitted.effect, DeflectionEffect)
+        else fitted
+        for at, fitted in enumerate(model.effects)
+    ]
+    signals = [
+        _with_servo(signal, *given[signal.joint]) if signal.joint in given else signal
+        for signal in model.effort_signals
+    ]
+    return replace(model, effects=tuple(effects), effort_signals=tuple(signals))
+
+
+def _with_servo(
+    servo: EffortSignal, given: dict[str, float], deviations: dict[str, float]
+) -> EffortSignal:
+    """A servo with other values.
+
+    Its gain is known to the share that it was: the motion tells it for given inertias only.
+    """
+    known = {f"{name}_deviation": deviations[name] for name in _BESIDE if name in given}
+    known["deviation"] = servo.uncertainty * given.get("gain", servo.gain)
+    return replace(servo, **{**given, **known})  # type: ignore[arg-type]
 
 
 def giving_way(effects: Sequence[FittedEffect]) -> dict[str, Give]:

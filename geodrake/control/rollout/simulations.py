@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.control.rollout.acting import Acting, LoggedEffort, ServoedCommand, told_joints
+from geodrake.control.rollout.acting import acting_in
 from geodrake.control.rollout.driven_simulation import DrivenSimulation
 from geodrake.control.rollout.passages import Passage, moving_passages
 from geodrake.control.rollout.simulation import Simulation, allowed_steps
@@ -64,10 +64,7 @@ class Simulations:
     def _make(self, log: str) -> Simulation | DrivenSimulation:
         prepared = self._prepared[log]
         loaded, warmth = carrying(self._case.model, prepared.payloads), prepared.temperatures
-        servoed = self._commands and told_joints(loaded, self._logs[log]).any()
-        acting: Acting = LoggedEffort(len(loaded.joints))
-        if servoed:
-            acting = ServoedCommand(loaded, self._logs[log])
+        acting = acting_in(loaded, self._logs[log], commands=self._commands)
         fastest, steps = self._fastest, self._steps
         if loaded.transmission:
             driving = loaded.driving(self._sign_width, log, warmth)
