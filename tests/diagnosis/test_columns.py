@@ -165,7 +165,11 @@ class TestMeasured:
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("robot", "engine", "motion", "log", "seed"),
-    [("arm6", "mujoco", "fast", 6, 8), ("arm7", "pinocchio", "point to point", 2, 9)],
+    [
+        ("arm6", "mujoco", "fast", 6, 8),
+        ("arm7", "mujoco", "slow", 7, 8),
+        ("arm7", "pinocchio", "point to point", 2, 9),
+    ],
 )
 def test_torques_of_motors_are_told_together(robot, engine, motion, log, seed):
     """Fits of all gains that went on swinging took one number for all, and one more for some."""

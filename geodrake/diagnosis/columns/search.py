@@ -30,7 +30,8 @@ SIZES = 300.0
 Zeros are usually within 0.02 rad (`USUAL_ZERO`) of a turn, gains within 5 % of six decades.
 """
 
-_EACH, _OF_EACH = "effort_gains", ("effort_gain", "effort_sign", "effort_unit")  # of one joint
+_EACH, _GAIN = "effort_gains", "effort_gain"  # of each joint its own, of one or all
+_OF_EACH = (_GAIN, "effort_sign", "effort_unit")
 _MOST = 6  # mistakes of a log
 _SCREENED, _FINALISTS = 24, 6  # that are fitted with physical bodies, and to the end
 _HOPELESS = -20.0  # gain, at most, of what is fitted no further, unless its size is to be found
@@ -48,12 +49,14 @@ class Judged:
     Attributes:
         mistake: The mistake.
         fit: The fit without it.
-        gain: Twice the log-likelihood that it gains, less what its parameters and its prior cost.
+        gain: Twice the log-likelihood that it gains, less its cost.
+        cost: What its parameters and its prior cost.
     """
 
     mistake: ColumnMistake
     fit: ColumnFit
     gain: float
+    cost: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +86,16 @@ class ColumnSearch:
     def found(self) -> tuple[MistakeFound, ...]:
         """Mistakes, one after the other; those without a kind are none of columns."""
         base = self.settled(Assignment.as_named(len(self._of_rates)))
-        steps = list[MistakeFound]()
+        steps, base = self._grown([], base)
+        together = self._together(steps, base)
+        if together is not None:
+            steps, _ = self._grown(*together)
+        return tuple(steps)
+
+    def _grown(
+        self, steps: list[MistakeFound], base: ColumnFit
+    ) -> tuple[list[MistakeFound], ColumnFit]:
+        """Steps and those that follow, and the fit with all of them."""
         while len(steps) < _MOST:
             ranked = self.ranked(base)
             if not ranked or ranked[0].gain <= 0.0:
@@ -93,7 +105,36 @@ class ColumnSearch:
             others = [r for r in ranked[1:] if (r.mistake.kind, r.mistake.joints) != own]
             steps = _with_step(steps, MistakeFound(base, best, tuple(others)))
             base = self.settled(best.fit.assignment, best.fit)
-        return tuple(steps)
+        return steps, base
+
+    def _together(
+        self, steps: Sequence[MistakeFound], base: ColumnFit
+    ) -> tuple[list[MistakeFound], ColumnFit] | None:
+        """Gains that were found one by one as one mistake, that each joint has its own.
+
+        A fit of all gains at once may miss them where it begins far away.
+
+        Args:
+            steps: What was found.
+            base: The fit with all of it.
+
+        Returns:
+            Steps and the fit with them; None if such gains explain no more than they cost.
+        """
+        gains = [step for step in steps if step.best.mistake.kind == _GAIN]
+        rivals = gains[0].rivals if gains else ()
+        each = next((rival for rival in rivals if rival.mistake.kind == _EACH), None)
+        if each is None:
+            return None
+        mistake, fit = self._refined(replace(each.mistake, assignment=base.assignment), base)
+        spared = sum(step.best.cost for step in gains) - each.cost
+        more = fit.gain_over(base, self._of_rates) + spared
+        if more <= 0.0:
+            return None
+        gain = sum(step.best.gain for step in gains) + more
+        one = replace(gains[0], best=replace(each, mistake=mistake, fit=fit, gain=gain))
+        kept = [one if step is gains[0] else step for step in steps if step not in gains[1:]]
+        return kept, self.settled(fit.assignment, fit)
 
     def nrms(self, fit: ColumnFit) -> float:
         """Root mean square over joints of errors over the deviations of efforts."""
@@ -126,7 +167,7 @@ class ColumnSearch:
                 continue
             refined, fit = self._refined(mistake, base)
             gain = fit.gain_over(base, self._of_rates) - cost
-            ranked.append(Judged(refined, fit, gain))
+            ranked.append(Judged(refined, fit, gain, cost))
         return sorted(ranked, key=lambda each: -each.gain)
 
     def _promising(
