@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import pickle
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
@@ -22,7 +23,8 @@ from geodrake.errors import FleetError
 T = TypeVar("T")
 R = TypeVar("R")
 
-_AHEAD = 4  # pieces of work for each thread that the scheduler knows of
+_AHEAD = 4  # packets for each thread that the scheduler knows of
+_TOGETHER = 8  # pieces of work in a packet, at most
 _SECONDS = 20.0  # until a scheduler, and a worker of it, must have answered
 _SETTINGS = {
     # A piece of work may hold all that is known of a robot: Dask warns of such.
@@ -49,10 +51,6 @@ class Done(Generic[R]):
 class Workers(Protocol):
     """What does pieces of work."""
 
-    @property
-    def ahead(self) -> int:
-        """How many pieces are given out before one is done."""
-
     def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[Done[R]]:
         """The results, as they come.
 
@@ -64,8 +62,6 @@ class Workers(Protocol):
 
 class InThisProcess:
     """Does one after the other."""
-
-    ahead = 1
 
     def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[Done[R]]:
         """The results, in order.
@@ -88,11 +84,6 @@ class OfDask:
 
     client: Any
 
-    @property
-    def ahead(self) -> int:
-        """How many pieces are given out before one is done."""
-        return _AHEAD * max(1, sum(self.client.nthreads().values()))
-
     def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[Done[R]]:
         """The results, as they come; what is not begun is given up if one raises.
 
@@ -104,25 +95,29 @@ class OfDask:
             FleetError: The scheduler is lost.
         """
         dask: Any = optional_package("distributed", "fleet", "workers", FleetError)
-        todo, futures = iter(enumerate(pieces)), {}
+        threads = max(1, sum(self.client.nthreads().values()))
+        todo, futures = deque(_batches(pieces, threads)), {}
         done = dask.as_completed()
 
         def begin() -> None:
-            for at, piece in todo:
-                future = self.client.submit(_packed, pickle.dumps((work, piece)), pure=False)
-                futures[future.key] = at
+            if todo:
+                batch = todo.popleft()
+                packet = pickle.dumps((work, list(batch.values())))
+                future = self.client.submit(_done, packet, pure=False)
+                futures[future.key] = batch
                 done.add(future)
-                return
 
         try:
-            for _ in range(self.ahead):
+            for _ in range(_AHEAD * threads):
                 begin()
             for future in done:
-                at = futures.pop(future.key)
+                batch = futures.pop(future.key)
                 try:
-                    yield Done(at, pickle.loads(future.result()))
+                    results = pickle.loads(future.result())
                 except dask.KilledWorker:
-                    yield Done(at, None)
+                    results = [None] if len(batch) == 1 else []
+                    todo.extendleft({at: piece} for at, piece in batch.items() if not results)
+                yield from map(Done, batch, results)
                 begin()
         except (CancelledError, dask.comm.CommClosedError) as error:
             raise FleetError(
@@ -133,30 +128,32 @@ class OfDask:
             self.client.cancel(list(done.futures))
 
 
-def _packed(piece: bytes) -> bytes:
-    """What a worker does: Dask takes far longer for many small arrays than for one packet."""
-    work, argument = pickle.loads(piece)
-    return pickle.dumps(work(argument))
+def _batches(pieces: Sequence[T], threads: int) -> Iterator[dict[int, T]]:
+    """Pieces by their numbers, several together as long as many are left: each packet costs."""
+    at = 0
+    while at < len(pieces):
+        size = max(1, min(_TOGETHER, (len(pieces) - at) // (2 * _AHEAD * threads)))
+        yield dict(enumerate(pieces[at : at + size], start=at))
+        at += size
+
+
+def _done(packet: bytes) -> bytes:
+    """What a worker does; Dask takes far longer for many small arrays than for one packet."""
+    work, pieces = pickle.loads(packet)
+    return pickle.dumps([work(piece) for piece in pieces])
 
 
 def in_order(team: Workers, work: Callable[[T], R], pieces: Sequence[T]) -> list[R]:
     """Results in the order of the pieces; what kills its workers is done by this process.
 
     Args:
-        team: Who works, on several pieces at a time if there are many.
+        team: Who works.
         work: A function that other processes can import.
         pieces: Its arguments.
     """
-    size = -(-len(pieces) // team.ahead)
-    batches = [pieces[at : at + size] for at in range(0, len(pieces), size)] if size else []
-    done = {d.at: d.result for d in team.each(_each_of, [(work, batch) for batch in batches])}
-    results = (done[at] or [work(piece) for piece in batch] for at, batch in enumerate(batches))
-    return [result for batch in results for result in batch]
-
-
-def _each_of(batch: tuple[Callable[[T], R], Sequence[T]]) -> list[R]:
-    work, pieces = batch
-    return [work(piece) for piece in pieces]
+    found = {done.at: done.result for done in team.each(work, pieces)}
+    results = (found[at] for at in range(len(pieces)))
+    return [work(p) if r is None else r for p, r in zip(pieces, results, strict=True)]
 
 
 @contextmanager
