@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -45,6 +44,18 @@ CASES = [
 ]
 """Robots, logs of each, their length in s, and workers: four for times, and two for memory."""
 SHORT = [(3, 4, 4.0, 0), (3, 16, 4.0, 0)]
+
+_PEAK = """
+import resource, sys
+from pathlib import Path
+from geodrake.fleet import FleetWork, read_fleet, run_fleet
+
+run_fleet(read_fleet(sys.argv[1]), FleetWork(workers=0))
+peak, status = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, Path("/proc/self/status")
+if status.is_file():  # where the other number may be that of the process which started this one
+    peak = next(int(line.split()[1]) for line in status.open() if line.startswith("VmHWM"))
+print(peak * (1.0 if sys.platform == "darwin" else 1024.0) / 1e6)
+"""
 
 
 @dataclass(frozen=True)
@@ -140,20 +151,13 @@ def most_memory(path: Path) -> float:
 
     Args:
         path: File of the fleet, whose digests are there.
-
-    Raises:
-        SystemExit: The run failed.
     """
     for kept in path.parent.glob("results/*/logs/*/history.npz"):
         kept.unlink()
-    command = [sys.executable, "-m", "geodrake", "fleet", str(path), "--workers", "0", "-q"]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as run:
-        _, status, usage = os.wait4(run.pid, 0)
-        run.returncode = os.waitstatus_to_exitcode(status)
-    if run.returncode:
-        sys.exit(f"The run ended with exit code {run.returncode}.")
-    unit = 1.0 if sys.platform == "darwin" else 1024.0
-    return usage.ru_maxrss * unit / 1e6
+    run = subprocess.run(
+        [sys.executable, "-c", _PEAK, str(path)], check=True, capture_output=True, text=True
+    )
+    return float(run.stdout)
 
 
 def cost_figure(costs: Sequence[RunCost]) -> Figure:
