@@ -18,6 +18,8 @@ from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import FirstOrderTaylorApproximation, LogVectorOutput, Sine
 from scipy.integrate import solve_ivp
+from two_masses import FRICTION, INERTIA, URDF, WEIGHT
+from two_masses import ROTOR as MOTOR
 
 from geodrake import effects, load_model
 from geodrake.control.rollout import roll_out
@@ -130,20 +132,6 @@ def test_sides_of_play_push_and_do_not_pull():
     assert side.torque(1.1e-3, -1.0) == 0.0  # the link leaves faster than the side can follow
     assert 0.0 < side.torque(1e-3 + 1e-9, 1.0) < 0.01  # no jump
     assert side.lag(1.0) == pytest.approx(1.1e-3)
-
-
-URDF = """
-<robot name="pendulum">
-  <link name="base"/>
-  <link name="rod"><inertial><origin xyz="0 0 -0.4"/><mass value="1.5"/>
-    <inertia ixx="0.04" iyy="0.04" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="hinge" type="revolute">
-    <parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>
-    <limit lower="-9" upper="9" effort="99" velocity="99"/>
-  </joint>
-</robot>
-"""
-INERTIA, WEIGHT, MOTOR, FRICTION = 0.04 + 1.5 * 0.16, 1.5 * 0.4 * 9.81, 0.15, 0.4
 
 
 @pytest.fixture(scope="module")

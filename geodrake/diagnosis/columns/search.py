@@ -96,7 +96,7 @@ class ColumnSearch:
         self, steps: list[MistakeFound], base: ColumnFit
     ) -> tuple[list[MistakeFound], ColumnFit]:
         """Steps and those that follow, and the fit with all of them."""
-        while len(steps) < _MOST:
+        for _ in range(_MOST - len(steps)):
             ranked = self.ranked(base)
             if not ranked or ranked[0].gain <= 0.0:
                 break
