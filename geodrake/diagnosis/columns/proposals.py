@@ -108,11 +108,11 @@ def _efforts(judge: ColumnJudge, base: ColumnFit) -> Iterator[ColumnMistake]:
             "effort_gain", (j,), start.times("gain", j, gains[j]), free=(int(free[j]),)
         )
     if n > 1:
-        every = replace(start, gain=start.gain * gains)
-        yield ColumnMistake("effort_gains", (), every, free=tuple(map(int, free)))
-        yield ColumnMistake(
-            "effort_gain", (), start.times("gain", None, common_gain(judge, base)), times="gain"
-        )
+        common, every = common_gain(judge, base), tuple(map(int, free))
+        for factors in (np.where(gains > 0.0, gains, common), np.full(n, common)):
+            own = replace(start, gain=start.gain * factors)
+            yield ColumnMistake("effort_gains", (), own, free=every)
+        yield ColumnMistake("effort_gain", (), start.times("gain", None, common), times="gain")
     if not start.level:
         yield ColumnMistake("without_gravity", (), replace(start, level=True))
     for name in judge.parameters.can_be_taken_out:

@@ -30,14 +30,18 @@ SIZES = 300.0
 Zeros are usually within 0.02 rad (`USUAL_ZERO`) of a turn, gains within 5 % of six decades.
 """
 
+OTHER_SIZES = 92.0
+"""Gains of other joints than the first: motors of one robot are within a decade of each other."""
+
 _EACH, _GAIN = "effort_gains", "effort_gain"  # of each joint its own, of one or all
-_OF_EACH = (_GAIN, "effort_sign", "effort_unit")
+_OF_EACH = (_EACH, _GAIN, "effort_sign", "effort_unit")
 _MOST = 6  # mistakes of a log
 _SCREENED, _FINALISTS = 24, 6  # that are fitted with physical bodies, and to the end
 _HOPELESS = -20.0  # gain, at most, of what is fitted no further, unless its size is to be found
 _UNSEEN = 1.0  # of twice a log-likelihood: data that gain no more say nothing of a size
 _FAR, _SHARE = 50.0, 0.5  # less than the best, and of it: what gains less is not fitted to the end
 _STEPS = 8  # of a fit of a mistake's size
+_OWN_STEPS = 24  # of one of each joint's gain
 _CLOSE = 1e-3  # rad or share: a step that ends it
 _LONGEST = 0.7  # rad, or of a logarithm, of a step
 
@@ -187,26 +191,53 @@ class ColumnSearch:
         return [entries[k] for k in kept], [gains[k] for k in kept]
 
     def _refined(self, mistake: ColumnMistake, base: ColumnFit) -> tuple[ColumnMistake, ColumnFit]:
-        """A mistake of the size that fits best, and the fit.
-
-        Steps of a size that turn around go half as far: of several gains each hides the others'.
-        """
+        """A mistake of the size that fits best, and the fit."""
         if mistake.kind == "effort_limit":
             return self._of_nearest_limit(mistake, base)
-        parameters, assignment = self.judge.parameters, mistake.assignment
-        zeros, gains, free = parameters.zeros(), parameters.gains(), list(mistake.free)
-        reach, last = np.full(len(free), _LONGEST), np.zeros(len(free))
-        for _ in range(_STEPS if free else 0):
-            fit = self.judge.quick(assignment, base, mistake.free)
-            reach = np.where(fit.x[free] * last < 0.0, 0.5 * reach, reach)
-            step = np.zeros(len(fit.x))
-            step[free] = last = np.clip(fit.x[free], -reach, reach)
+        if mistake.kind == _EACH:
+            return self._of_own_gains(mistake, base)
+        zeros, gains = self.judge.parameters.zeros(), self.judge.parameters.gains()
+        assignment = mistake.assignment
+        for _ in range(_STEPS if mistake.free else 0):
+            step = self._step(assignment, mistake, base)
             zero = assignment.zero + step[zeros]
             assignment = replace(assignment, zero=zero, gain=assignment.gain / np.exp(step[gains]))
             if np.abs(step).max() < _CLOSE:
                 break
-        fit = self.judge.fit(assignment, base)
-        return replace(mistake, assignment=assignment), fit
+        return replace(mistake, assignment=assignment), self.judge.fit(assignment, base)
+
+    def _step(self, assignment: Assignment, mistake: ColumnMistake, base: ColumnFit) -> Array:
+        """(p,) step of Newton's method in the sizes of a mistake."""
+        free, fit = list(mistake.free), self.judge.quick(assignment, base, mistake.free)
+        step = np.zeros(len(fit.x))
+        step[free] = np.clip(fit.x[free], -_LONGEST, _LONGEST)
+        return step
+
+    def _of_own_gains(
+        self, mistake: ColumnMistake, base: ColumnFit
+    ) -> tuple[ColumnMistake, ColumnFit]:
+        """The gains with which the bodies explain most, and the fit by them.
+
+        Of several gains each hides the others': a step that explains less is halved.
+        """
+        at = self.judge.parameters.gains()
+
+        def explained(assignment: Assignment) -> float:
+            return self.judge.quick(assignment, base).gain_over(base, self._of_rates)
+
+        assignment = mistake.assignment
+        most, share = explained(assignment), 1.0
+        for _ in range(_OWN_STEPS):
+            step = share * self._step(assignment, mistake, base)[at]
+            if np.abs(step).max() < _CLOSE:
+                break
+            tried = replace(assignment, gain=assignment.gain / np.exp(step))
+            more = explained(tried)
+            if more > most:
+                assignment, most, share = tried, more, 1.0
+            else:
+                share *= 0.5
+        return replace(mistake, assignment=assignment), self.judge.fit(assignment, base)
 
     def _of_nearest_limit(
         self, mistake: ColumnMistake, base: ColumnFit
@@ -252,6 +283,12 @@ def _is_promising(entry: Entry, gain: float) -> bool:
     return gain > _HOPELESS or (mistake.sizes > 0 and gain + cost > _UNSEEN)
 
 
+def _cost_of_sizes(mistake: ColumnMistake) -> float:
+    """What the numbers cost that are found in the data."""
+    others = max(mistake.sizes - 1, 0) if mistake.kind == _EACH else 0
+    return 2.0 * float((mistake.sizes - others) * np.log(SIZES) + others * np.log(OTHER_SIZES))
+
+
 def _costs(tried: Sequence[ColumnMistake]) -> list[float]:
     """What the prior and the parameters of mistakes cost: kinds are as likely, places too.
 
@@ -259,7 +296,7 @@ def _costs(tried: Sequence[ColumnMistake]) -> list[float]:
     """
     counts = Counter(mistake.kind for mistake in tried if mistake.kind)
     return [
-        2.0 * mistake.sizes * np.log(SIZES)
+        _cost_of_sizes(mistake)
         - mistake.spared
         - 2.0 * np.log(ODDS / (len(counts) * counts[mistake.kind]))
         if mistake.kind
