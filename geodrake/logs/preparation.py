@@ -81,16 +81,22 @@ def prepare_logs(
         )
     if bandwidth is None:
         how = "chosen from the data"
-        moving = np.any([each.moving for each in uniform], axis=0)
-        bandwidth = choose_bandwidth(
-            [
-                (part.position[:, moving], each.period)
-                for each in uniform
-                for part in each.sample_parts()
-            ]
-        )
+        bandwidth = motion_bandwidth_of(uniform)
     sharp = motion_bandwidth or _SHARPER * bandwidth
     return tuple(_prepare(each, bandwidth, sharp, how) for each in uniform)
+
+
+def motion_bandwidth_of(uniform: Sequence[UniformLog], *, second: float = 1.0) -> float:
+    """Bandwidth that holds the motion of logs and little of their positions' noise, Hz.
+
+    Args:
+        uniform: The logs.
+        second: What a second of their time really takes, s.
+    """
+    moving = np.any([each.moving for each in uniform], axis=0)
+    parts = [(each.period * second, part) for each in uniform for part in each.sample_parts()]
+    chosen = choose_bandwidth([(part.position[:, moving], period) for period, part in parts])
+    return chosen * second
 
 
 def _prepare(

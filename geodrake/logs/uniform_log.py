@@ -55,6 +55,21 @@ class UniformLog:
         """Parts of the pieces, evenly spread over a long log, by which choices are made."""
         return _sample_parts(self.pieces)
 
+    @property
+    def second(self) -> float:
+        """What a second of its time takes by its measured velocities, s; NaN if none say."""
+        parts = [part for part in self.sample_parts() if part.velocity is not None]
+        slopes = []
+        for j in np.flatnonzero(self.moving):
+            way, rate = np.zeros(0), np.zeros(0)
+            for part in parts:
+                assert part.velocity is not None
+                way = np.append(way, np.diff(part.position[:, j]) / self.period)
+                rate = np.append(rate, 0.5 * (part.velocity[1:, j] + part.velocity[:-1, j]))
+            if rate.any():
+                slopes.append(float(way @ rate / (rate @ rate)))
+        return float(np.median(slopes)) if slopes else np.nan
+
 
 def make_uniform(log: JointLog) -> UniformLog:
     """Split a log at gaps and empty cells, and find its period, its noise and what moves.

@@ -33,6 +33,9 @@ USUAL_TILT = 0.03
 USUAL_ZERO = 0.02
 """Standard deviation of the zeros of positions, rad; that of a prismatic joint is so many m."""
 
+USUAL_REST = 0.1
+"""Of friction and rotors that drives take out, so much may be left, or be taken out twice."""
+
 EffectRows = dict[Hashable, Mapping[int, Array]]
 """Columns (N, ·) of effects, by the effect and what they depend on, and by joint."""
 

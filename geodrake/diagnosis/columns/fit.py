@@ -12,7 +12,7 @@ column, so that a gain of zero explains nothing.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -22,6 +22,7 @@ from scipy.linalg.lapack import dposv
 
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.design import (
+    USUAL_REST,
     EffectRows,
     JointDesign,
     Parameters,
@@ -46,6 +47,7 @@ _MOST_KEPT = 200_000_000  # bytes of normal matrices
 _SCREENINGS = 3  # fits of a screening
 _SETTLED = 0.1  # of twice a log-likelihood: how little the last of them gains
 _FIRST = 0.1  # of the samples are independent, before residuals say
+_FURTHEST = 0.5  # that errors of gains go in a step, of their logarithms
 _INSIDE = 0.9  # of the way to where a body is none
 _RATE_AGREEMENT = 0.05  # of a velocity's RMS: measured ones are the derivatives but for that
 _WIDE = 2.0  # deviation of a small error that is to be found, rad or as a share
@@ -277,9 +279,11 @@ class _System:
         designs: Of all joints.
         assignment: The assignment.
         columns: Per joint, its parameters, its gain's error last.
-        maps: Per joint, from these and the efforts to the columns of its design.
+        maps: Per joint, from these and the efforts to the columns of its design, for no error of
+            its gain.
         mean: (p,) prior mean.
         information: (p, p) prior information, zero for bodies that `spread` is of.
+        lower: (p,) lower bounds.
         spread: (nb,) geometric distance to within which bodies are known; inf where `information`
             says it.
     """
@@ -291,6 +295,7 @@ class _System:
     maps: tuple[Array, ...]
     mean: Array
     information: Array
+    lower: Array
     spread: Array
 
     @classmethod
@@ -308,9 +313,11 @@ class _System:
         information[diagonal, diagonal] += nuisance_information(parameters, designs, sizes)
         for k in (*wide, *(parameters.tilt().tolist() if assignment.tilted else ())):
             information[k, k] = _WIDE**-2.0
-        gone = parameters.taken_out(assignment.without)
-        mean[gone] = 0.0
-        information[gone, gone] += _FIXED
+        gone, lower = parameters.taken_out(assignment.without), parameters.lower.copy()
+        left = np.maximum((USUAL_REST * mean[gone]) ** 2.0, 1.0 / _FIXED)
+        mean[gone], lower[gone] = 0.0, -np.inf
+        information[gone] = information[:, gone] = 0.0
+        information[gone, gone] = 1.0 / left
         model = parameters.model
         spread = np.full(len(model.bodies), SPREAD if model.information is None else np.inf)
         for body in assignment.carrying:
@@ -325,37 +332,56 @@ class _System:
             m = len(design.columns)
             T = np.zeros((m + 1 + n, m + 2))
             T[range(m), range(m)] = 1.0
-            T[:m, m] = parameters.mean[design.columns]
-            T[m, m], T[m, m + 1] = 1.0, -1.0
+            T[m, m + 1] = -1.0
             T[m + 1 + assignment.effort[j], m + 1] = assignment.gain[j]
             if j in assignment.apart:
                 T[: np.searchsorted(design.columns, model.phi.size)] = 0.0
                 T[np.searchsorted(design.columns, parameters.shared) : m + 1] = 0.0
-                T[:m, m] = 0.0
             columns.append(np.append(design.columns, parameters.gains()[j]))
             maps.append(T)
         return cls(
-            judge, designs, assignment, tuple(columns), tuple(maps), mean, information, spread
+            judge,
+            designs,
+            assignment,
+            tuple(columns),
+            tuple(maps),
+            mean,
+            information,
+            lower,
+            spread,
         )
 
-    @cached_property
-    def totals(self) -> Array:
-        """(n, p + 1, p + 1) normal matrices of all folds, efforts last."""
-        return self._dense([design.total for design in self.designs])
+    def totals(self, x: Array) -> Array:
+        """(n, p + 1, p + 1) normal matrices of all folds, efforts last, for errors near x's."""
+        return self._dense(x, [design.total for design in self.designs])
 
-    @cached_property
-    def folds(self) -> Array:
-        """(F, n, p + 1, p + 1) the same of each fold."""
-        count = len(self.designs[0].grams)
-        return np.stack([self._dense([d.grams[f] for d in self.designs]) for f in range(count)])
+    def folds(self, x: Array) -> Iterator[Array]:
+        """The same of each fold."""
+        for f in range(len(self.designs[0].grams)):
+            yield self._dense(x, [design.grams[f] for design in self.designs])
 
-    def _dense(self, grams: list[Array]) -> Array:
+    def _dense(self, x: Array, grams: list[Array]) -> Array:
         p = len(self.mean)
         found = np.zeros((len(grams), p + 1, p + 1))
-        for out, columns, T, gram in zip(found, self.columns, self.maps, grams, strict=True):
+        for out, columns, T, gram in zip(found, self.columns, self._maps(x), grams, strict=True):
             at = np.append(columns, p)
             out[at[:, None], at] = T.T @ gram @ T
         return found
+
+    def _maps(self, x: Array) -> Iterator[Array]:
+        """Per joint the map of parameters near x, where its gain's error acts on what x needs.
+
+        An effort is what is needed times the exponential of its gain's error.
+        """
+        for j, (columns, base) in enumerate(zip(self.columns, self.maps, strict=True)):
+            T, m = base.copy(), len(columns) - 1
+            if j not in self.assignment.apart:
+                error = x[columns[m]]
+                T[: m + 1] *= np.exp(error)
+                needed = T[: m + 1] @ np.append(x[columns[:m]], [0.0, -1.0])
+                T[: m + 1, m] = needed
+                T[: m + 1, m + 1] += error * needed
+            yield T
 
     def curvature(self, fit: ColumnFit) -> tuple[Array, Array]:
         """(p, p) of half the cost of a fit by this assignment, and of that of the prior alone."""
@@ -364,24 +390,25 @@ class _System:
         mse = fit.fitted[assignment.effort] * np.square(assignment.gain)
         weight = fit.effective[assignment.effort] / samples / mse
         H, _ = self._prior(fit.x)
-        return H + np.tensordot(weight, self.totals, 1)[:-1, :-1], H
+        return H + np.tensordot(weight, self.totals(fit.x), 1)[:-1, :-1], H
 
     def screened(self, base: ColumnFit) -> ColumnFit:
         """See `ColumnJudge.screened`."""
         assignment, each = self.assignment, base.effective[self.assignment.effort]
         samples = np.array([len(design.rows) for design in self.designs], float)
-        power = self.totals[:, -1, -1] / samples
+        totals = self.totals(self.mean)
+        power = totals[:, -1, -1] / samples
         least, scale = power * LEAST_NOISE**2 + 1e-300, np.square(assignment.gain)
         mse = np.minimum(base.fitted[assignment.effort] * scale, power)
-        lower = self.judge.parameters.lower
+        lower = self.lower
         x, held = self.mean, np.zeros(len(self.mean), bool)
         H, b = self._prior(self.mean)
         for _ in range(_SCREENINGS):
-            total = np.tensordot(each / samples / np.maximum(mse, least), self.totals, 1)
+            total = np.tensordot(each / samples / np.maximum(mse, least), totals, 1)
             x = _bounded(H + total[:-1, :-1], b + total[:-1, -1], lower, held)
             held = held | (x < lower)
             x = np.where(held, lower, x)
-            mse = np.maximum(_squares(self.totals, x) / samples, least)
+            mse = np.maximum(_squares(totals, x) / samples, least)
         far, by_column = x - self.mean, np.zeros(len(samples))
         by_column[assignment.effort] = self._spread(mse) / scale
         return ColumnFit(
@@ -436,7 +463,7 @@ class _System:
         return _whitening(self._bodies(self.mean))
 
     def _stepped(self, x: Array, to: Array) -> Array:
-        """From x towards other parameters, as far as bodies remain some."""
+        """From x towards other parameters, as far as bodies remain some and steps tell of gains."""
         here, there = self._bodies(x), self._bodies(to)
         ratio = _turned(_whitening(here), there)
         least = np.linalg.eigvalsh(ratio)[:, 0] - 1.0  # of the change, by how much there is
@@ -444,6 +471,8 @@ class _System:
         found, d = to.copy(), self.judge.parameters.model.phi.size
         bodies = found[:d].reshape(-1, PARAMETERS_PER_BODY)
         bodies[self._near] = here + share[:, None] * (there - here)
+        gains = self.judge.parameters.gains()
+        found[gains] = x[gains] + np.clip(to[gains] - x[gains], -_FURTHEST, _FURTHEST)
         return found
 
     def fitted(
@@ -464,25 +493,27 @@ class _System:
             held_out: Whether errors are those of data left out of the fit.
             start: (p,) parameters to start from; those of the model by default.
         """
-        assignment, lower = self.assignment, self.judge.parameters.lower
+        assignment, lower = self.assignment, self.lower
         samples = np.array([len(design.rows) for design in self.designs], float)
         each = effective[assignment.effort]
-        power = self.totals[:, -1, -1] / samples
+        power = self.totals(self.mean)[:, -1, -1] / samples
         least = power * LEAST_NOISE**2 + 1e-300
         scale = np.square(assignment.gain)
         x = self.mean.copy() if start is None else start
+        totals = self.totals(x)
         mse = np.minimum(mse[assignment.effort] * scale, power)
         held = np.zeros(len(x), bool) if start is None else (x == lower)
         cost = np.inf
         for _ in range(rounds):
             weight = each / samples / np.maximum(mse, least)
             H, b = self._prior(x)
-            total = np.tensordot(weight, self.totals, 1)
-            to = _bounded(H + total[:-1, :-1], b + total[:-1, -1], lower, held)
-            x = self._stepped(x, to)
-            held = held | (x < lower)
-            x = np.where(held, lower, x)
-            mse = np.maximum(_squares(self.totals, x) / samples, least)
+            total = np.tensordot(weight, totals, 1)
+            A, side = H + total[:-1, :-1], b + total[:-1, -1]
+            x = self._stepped(x, _bounded(A, side, lower, held))
+            held = (held | (x < lower)) & (A @ x >= side)
+            x = np.maximum(x, lower)
+            totals = self.totals(x)
+            mse = np.maximum(_squares(totals, x) / samples, least)
             cost, before = float(each @ np.log(mse)) + self.prior_cost(x), cost
             if abs(before - cost) < _SETTLED:
                 break
@@ -490,9 +521,9 @@ class _System:
         if held_out:
             weight = each / samples / np.maximum(mse, least)
             H, b = self._prior(x)
-            total = np.tensordot(weight, self.totals, 1)
+            total = np.tensordot(weight, totals, 1)
             squares = np.zeros(len(samples))
-            for own in self.folds:
+            for own in self.folds(x):
                 rest = total - np.tensordot(weight, own, 1)
                 to = _bounded(H + rest[:-1, :-1], b + rest[:-1, -1], lower, held)
                 squares += _squares(own, self._stepped(x, to))
@@ -510,10 +541,8 @@ class _System:
 
     def residuals(self, fit: ColumnFit) -> list[Array]:
         """Per joint (K,) what is needed by a fit, less the efforts."""
-        return [
-            design.X @ (T @ np.append(fit.x[columns], -1.0))
-            for columns, T, design in zip(self.columns, self.maps, self.designs, strict=True)
-        ]
+        each = zip(self.columns, self._maps(fit.x), self.designs, strict=True)
+        return [design.X @ (T @ np.append(fit.x[columns], -1.0)) for columns, T, design in each]
 
     def effective(self, fit: ColumnFit) -> Array:
         """(n,) independent samples that the residuals of each column of efforts are worth."""

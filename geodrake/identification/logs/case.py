@@ -31,7 +31,7 @@ from geodrake.logs.files import read_log
 from geodrake.logs.folds import Fold, validation_blocks
 from geodrake.logs.learnable import check_commands, check_saturation
 from geodrake.logs.motion import JointLog, Trajectory
-from geodrake.logs.preparation import prepare_logs
+from geodrake.logs.preparation import motion_bandwidth_of, prepare_logs
 from geodrake.logs.repeated_logs import check_repeated
 from geodrake.logs.smoothing import Segment
 from geodrake.logs.uniform_log import make_uniform
@@ -42,6 +42,7 @@ from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
+_OTHER_SECOND = 0.1  # of a logarithm: time that is so far from what velocities say is another
 _LEAST_EFFORT = 1e-12  # N·m or N, by which a measured effort changes
 
 
@@ -230,7 +231,15 @@ def prepared_as_measured(
     """
     logs = checked_logs(model, logs, (), bandwidth, blocks)
     _, matched, _ = with_efforts(model, _matched(model, logs))
-    trajectories = prepare_logs([make_uniform(log) for log in matched], bandwidth=bandwidth)
+    uniform = [make_uniform(log) for log in matched]
+    how = "as asked for"
+    if bandwidth is None:
+        # Spectra are of so many seconds: of time that may be wrong, those that velocities say.
+        second = float(np.median([each.second for each in uniform]))
+        is_wrong = second > 0.0 and abs(np.log(second)) > _OTHER_SECOND
+        bandwidth = motion_bandwidth_of(uniform, second=second if is_wrong else 1.0)
+        how = "chosen from the data"
+    trajectories = prepare_logs(uniform, bandwidth=bandwidth, how=how)
     return trajectories, validation_blocks(trajectories, blocks=blocks)
 
 
