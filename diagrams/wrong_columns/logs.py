@@ -192,7 +192,8 @@ def _limited(falling: bool) -> Wrong:
             motion.inertia,
             given,
         )
-        gains = columns.effort[-1] / motion.effort[-1]
+        given_size, size = (np.abs(each).sum(axis=0) for each in (columns.effort, motion.effort))
+        gains = given_size / size
         changed = replace(columns, position=moved.q, velocity=moved.v, effort=moved.asked * gains)
         return changed, (Secret("effort_limit", (j,), float(most * gains[j])),)
 

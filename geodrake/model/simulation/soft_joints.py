@@ -29,6 +29,7 @@ LEAST_MOTOR = 0.01
 
 _SIDE_DAMPING = 0.7  # of the sides of a dead band, at which links stay rather than bounce
 _SIDE_GIVE = 0.1  # of half a dead band: by how much its sides yield to the usual load
+_LEAST_YIELD = 1e-5  # rad or m, which no encoder of a joint sees; stiffer sides only cost time
 _USUAL_ACCELERATION = 10.0  # rad/s² or m/s², of the link, whose effort beside the weight that is
 _RAMP = 0.1  # of that yield, over which the sides' damping comes on
 _POSTURES = 32  # in which the weight of a link is looked for
@@ -104,8 +105,9 @@ class SoftJoints:
         """What holds motors and links together.
 
         Springs have the damping 2 ζ √(k I), with I the inertia of motor and link against each
-        other. Sides of a dead band without a spring yield by a tenth of half the band to the usual
-        load: the largest weight, and what moves the link at 10 rad/s² (m/s²).
+        other. Sides of a dead band without a spring yield by a tenth of half the band, and at least
+        by 10 µrad (µm), to the usual load: the largest weight, and what moves the link at
+        10 rad/s² (m/s²).
 
         Args:
             mu: (k,) linear parameters of all effects.
@@ -133,7 +135,7 @@ class SoftJoints:
                     "be one with the motor.",
                     advice="Give it a small compliance, or build the diagram without the effect.",
                 )
-            yields = _SIDE_GIVE * give.play
+            yields = max(_SIDE_GIVE * give.play, _LEAST_YIELD)
             if give.compliance > 0.0:
                 stiffness = 1.0 / give.compliance
                 share = self.damping if give.damping is None else give.damping
