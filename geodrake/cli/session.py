@@ -34,7 +34,7 @@ from geodrake.cli.reading_options import proposing
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import SAVED, make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
-from geodrake.diagnosis.columns import ColumnFinding, corrected
+from geodrake.diagnosis.columns import ColumnFinding, corrected, with_motor_limits
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
@@ -198,7 +198,8 @@ def _with_columns(
     columns = found_columns(given.model, given.logs, given.settings)
     corrects = options.correct_columns and any(finding.is_correctable for finding in columns)
     if corrects:
-        given = replace(given, logs=tuple(corrected(log, columns) for log in given.logs))
+        logs = tuple(corrected(log, columns) for log in given.logs)
+        given = replace(given, model=with_motor_limits(given.model, given.logs, columns), logs=logs)
     return given, columns, corrects
 
 

@@ -14,6 +14,7 @@ from geodrake.boundary.escaping import printable
 from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import Diagnosis, Explanation
 from geodrake.identification.logs.model_errors import Comparison
+from geodrake.model.effort_signal import EFFORT
 from geodrake.report.identification_tables import bodies_table
 from geodrake.report.numbers import Units, number
 from geodrake.report.tables import (
@@ -175,9 +176,11 @@ def _show_change(console: Console, explanation: Explanation, units: Units) -> No
             console, "Bodies before and after, kg and mm, farthest change first; ± from noise alone"
         )
         show_table(console, bodies_table(explanation.bodies))
-    if explanation.model.effort_signals:
-        head(console, "Gains, by the model's inertias")
-        show_table(console, signals_table(explanation.model.effort_signals, units))
+    signals = explanation.model.effort_signals
+    if signals:
+        limits = all(signal.kind == EFFORT for signal in signals)
+        head(console, "Limits of motors" if limits else "Gains, by the model's inertias")
+        show_table(console, signals_table(signals, units))
     show_list(console, "Notes", explanation.notes)
 
 

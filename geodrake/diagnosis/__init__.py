@@ -1,7 +1,7 @@
 """What a model is missing: compare it with measurements, diagnose, add, explain."""
 
 from geodrake.diagnosis.add import add
-from geodrake.diagnosis.columns import ColumnFinding, check_columns, corrected
+from geodrake.diagnosis.columns import ColumnFinding, check_columns, corrected, with_motor_limits
 from geodrake.diagnosis.diagnose import diagnose
 from geodrake.diagnosis.drafting import draft_effects, rest_correlates, source_of
 from geodrake.diagnosis.explain import explain
@@ -39,4 +39,5 @@ __all__ = [
     "explain",
     "rest_correlates",
     "source_of",
+    "with_motor_limits",
 ]

@@ -9,15 +9,20 @@ from dataclasses import dataclass
 from geodrake.boundary.arguments import instance, number
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import SIGNAL_KINDS
+from geodrake.model.motor_limit import MotorLimit
 
 COMMAND = "command"
 """The kind of a joint of which only the position that its servo was told to go to is known."""
 
+EFFORT = "effort"
+"""The kind of a joint whose motor is asked for efforts, and gives them within a limit."""
+
 SERVO = "servo"
 """What a `COMMAND` goes through, among the names of effects."""
 
-KINDS = (*SIGNAL_KINDS, COMMAND)
+KINDS = (EFFORT, *SIGNAL_KINDS, COMMAND)
 
+_UNITS = {EFFORT: "", "current": "N·m/A", "voltage": "N·m/V", "pwm": "N·m", COMMAND: "N·m/rad"}
 _NOT_NEGATIVE = (
     "deviation",
     "damping",
@@ -32,17 +37,19 @@ _NOT_NEGATIVE = (
 class EffortSignal:
     """What stands for a joint's effort in logs, and what makes an effort of it.
 
-    The effort is gain·s of a signal s, a current or a voltage. Of a servo it is
+    The effort is gain·s of a signal s, a current, a voltage, or the effort that the motor is asked
+    for. Of a servo it is
 
         gain·e + damping·(dc/dt(t − delay) − v) + integral·∫e dt,    e = c(t − delay) − q
 
-    with the commanded position c, within ±limit. What the integral was when a log began is not
-    known: it begins so that the servo gives in the mean, beside friction, what the model needs.
+    with the commanded position c. It is within ±limit (1 ∓ v / no_load_speed). What the integral
+    was when a log began is not known: it begins so that the servo gives in the mean, beside
+    friction, what the model needs.
 
     Attributes:
         joint: The joint.
-        kind: "current", "voltage", "pwm" or "command".
-        gain: N·m (N) per A, V or 1; for commands the stiffness, N·m/rad (N/m).
+        kind: "effort", "current", "voltage", "pwm" or "command".
+        gain: N·m (N) per A, V or 1, 1 for efforts; for commands the stiffness, N·m/rad (N/m).
         deviation: Standard deviation of the gain, in its unit; 0 if it is known exactly.
         damping: Of a servo, N·m·s/rad (N·s/m).
         damping_deviation: Its standard deviation, beside that of the gain.
@@ -50,6 +57,7 @@ class EffortSignal:
         limit: Largest effort, N·m or N.
         integral: Of a servo, effort per integral of its error, N·m/(rad·s) (N/(m·s)).
         integral_deviation: Its standard deviation, beside that of the gain.
+        no_load_speed: At which the motor gives no effort, rad/s or m/s; of no servo.
 
     Raises:
         ArgumentError: There is no such kind, or a number is none that it may be.
@@ -65,6 +73,7 @@ class EffortSignal:
     limit: float = math.inf
     integral: float = 0.0
     integral_deviation: float = 0.0
+    no_load_speed: float = math.inf
 
     def __post_init__(self) -> None:
         instance(self.joint, "joint", str)
@@ -81,13 +90,25 @@ class EffortSignal:
             )
         for name in _NOT_NEGATIVE:
             number(getattr(self, name), f"{name} of {self.joint}", lower=0.0)
-        if not number(self.limit, f"the limit of {self.joint}", finite=False) > 0.0:
-            raise ArgumentError(f"The limit of {self.joint!r} is {self.limit!r}; it is positive.")
+        for name in ("limit", "no_load_speed"):
+            value = number(getattr(self, name), f"{name} of {self.joint}", finite=False)
+            if not value > 0.0:
+                raise ArgumentError(f"{name} of {self.joint!r} is {value!r}; it must be positive.")
+        if self.kind == COMMAND and math.isfinite(self.no_load_speed):
+            raise ArgumentError(
+                f"The servo of {self.joint!r} has a speed without load, {self.no_load_speed:.4g}.",
+                advice="Limits of servos are the same at every speed: leave no_load_speed out.",
+            )
 
     @property
     def unit(self) -> str:
         """Unit of the gain at a joint that turns."""
-        return {"current": "N·m/A", "voltage": "N·m/V", COMMAND: "N·m/rad"}.get(self.kind, "N·m")
+        return _UNITS[self.kind]
+
+    @property
+    def motor(self) -> MotorLimit:
+        """What its motor can give."""
+        return MotorLimit(self.limit, self.no_load_speed)
 
     @property
     def uncertainty(self) -> float:

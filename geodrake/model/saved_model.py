@@ -83,6 +83,7 @@ class SavedEffortSignal:
     limit: float = float("inf")
     integral: float = 0.0
     integral_deviation: float = 0.0
+    no_load_speed: float = float("inf")
 
 
 @dataclass

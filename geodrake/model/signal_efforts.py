@@ -1,4 +1,4 @@
-"""Logs of currents, voltages and commands, turned into logs of efforts."""
+"""Logs of currents, voltages, commands and efforts asked for, turned into logs of efforts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.logs.motion import JointLog
-from geodrake.model.effort_signal import COMMAND, EffortSignal, signal_of
+from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
 from geodrake.model.servo_integrals import (
     constants_beside_friction,
     error_integral,
@@ -45,9 +45,12 @@ def in_efforts(
             wanted = None if needed is None else needed[:, at]
             effort[:, at] = servo_effort(log, at, signal, wanted)
         else:
-            effort[:, at] *= signal.gain
+            asked = signal.gain * effort[:, at]
+            is_limited = np.isfinite(signal.limit)
+            effort[:, at] = signal.motor.given(asked, _velocity(log, at)) if is_limited else asked
             kinds.pop(joint, None)
-        uncertainty[at] = min(signal.uncertainty, 1.0)
+        if signal.kind != EFFORT:
+            uncertainty[at] = min(signal.uncertainty, 1.0)
     return replace(
         log,
         effort=effort,

@@ -111,7 +111,8 @@ def explanation_dict(explanation: Explanation) -> dict[str, Any]:
 def _signal(signal: EffortSignal) -> dict[str, Any]:
     """What makes efforts of a signal; an infinite limit is none."""
     limit = number_or(signal.limit, "no limit is known")
-    return {**asdict(signal), "limit": limit}
+    speed = number_or(signal.no_load_speed, "the limit is the same at every speed")
+    return {**asdict(signal), "limit": limit, "no_load_speed": speed}
 
 
 def certificate_dict(certificate: Certificate | None) -> dict[str, Any] | NoNumber:

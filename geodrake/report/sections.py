@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable
-from geodrake.model.effort_signal import EffortSignal
+from geodrake.model.effort_signal import EFFORT, EffortSignal
 from geodrake.report.charts import Chart, Stage
 from geodrake.report.dependence import residual_dependence
 from geodrake.report.effort_chart import AFTER, BEFORE
@@ -116,7 +116,9 @@ def bodies_section(explanation: Explanation) -> Section:
 
 
 def signals_section(signals: Sequence[EffortSignal], units: Units) -> Section:
-    """What makes efforts of currents, voltages and commands; empty where efforts were measured.
+    """What makes efforts of currents, voltages and commands, and what motors give of efforts.
+
+    It is empty where efforts were measured.
 
     Args:
         signals: Those of the model.
@@ -124,6 +126,12 @@ def signals_section(signals: Sequence[EffortSignal], units: Units) -> Section:
     """
     if not signals:
         return Section("Gains")
+    if all(signal.kind == EFFORT for signal in signals):
+        text = (
+            "Efforts of these joints are those that their motors are asked for; they give no more "
+            "than the limit, which the log told."
+        )
+        return Section("Limits", (text,), (signals_table(signals, units),))
     text = (
         "No efforts were measured at these joints. Efforts are the gains times what was measured, "
         "of servos the stiffness times how far the command is ahead, the damping times how much "

@@ -246,7 +246,7 @@ def parameters_table(step: Step, units: Units) -> Table:
 
 
 def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
-    """What makes efforts of the currents, voltages and commands of logs.
+    """What makes efforts of the currents, voltages and commands of logs, and of those asked for.
 
     Args:
         signals: Those of a model.
@@ -268,13 +268,22 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
             unit = units.at(signal.joint, "N·m/(rad·s)")
             row += [f"{integral} {unit}" if signal.integral else UNKNOWN]
         if limited:
-            most = f"{number(signal.limit)} {units.at(signal.joint, 'N·m')}"
-            row += [most if signal.limit < math.inf else UNKNOWN]
+            row += [_limit(signal, units)]
         rows.append(cells(*row))
     more = ("damping", "late by") if served else ()
     more = (*more, *(["integral"] if summed else []), *(["limit"] if limited else []))
     head = ("joint", "in place of efforts", "gain", "unit", *more)
     return Table(head, tuple(rows), words=2)
+
+
+def _limit(signal: EffortSignal, units: Units) -> str:
+    """The largest effort of a joint, and the speed at which there is none."""
+    if signal.limit == math.inf:
+        return UNKNOWN
+    most = f"{number(signal.limit)} {units.at(signal.joint, 'N·m')}"
+    if signal.no_load_speed == math.inf:
+        return most
+    return f"{most}, none at {number(signal.no_load_speed)} {units.at(signal.joint, 'rad/s')}"
 
 
 def formulas_table(draft: Draft) -> Table:

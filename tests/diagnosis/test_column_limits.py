@@ -7,16 +7,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from geodrake import load_model
 from geodrake.control.motors import MotorConstants, motor_torque, steady_current
-from geodrake.diagnosis import ColumnFinding, check_columns, corrected
+from geodrake.diagnosis import (
+    ColumnFinding,
+    check_columns,
+    compare,
+    corrected,
+    with_motor_limits,
+)
 from geodrake.diagnosis.columns.assignment import Assignment
-from geodrake.diagnosis.columns.limits import MotorLimit, likely_limits, spread
+from geodrake.diagnosis.columns.limits import likely_limits, spread
 from geodrake.diagnosis.columns.words import mistake_words
+from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
+from geodrake.model.effort_signal import EffortSignal
+from geodrake.model.exporting.actuators import actuators_of
+from geodrake.model.motor_limit import MotorLimit
+from geodrake.model.saved_model import save_model
+from geodrake.model.servos import known_effort_limits
+from geodrake.model.signal_efforts import in_efforts
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "diagrams"))
 
+from hidden.robots import robot_file
 from wrong_columns.logs import WrongLog, make_log
+
+MODELS = Path(__file__).parents[2] / "models"
 
 
 def made(mistake, robot="double_pendulum", number=0, motion="fast", duration=8.0):
@@ -69,7 +86,7 @@ class TestLimit:
         pytest.param("limit that falls with speed", "arm6", 1, marks=pytest.mark.thorough),
     ],
 )
-def test_named_and_corrected(mistake, robot, number):
+def test_named_and_corrected(mistake, robot, number, tmp_path):
     model, log, (secret,) = made(mistake, robot, number)
     (found,) = check_columns(model, [log])
     joint = secret.joints[0]
@@ -85,6 +102,53 @@ def test_named_and_corrected(mistake, robot, number):
     most = found.values[0] * (1.0 - np.sign(log.effort[:, joint]) * v)
     assert (np.abs(after.effort[:, joint]) <= most + falls * 0.02 * secret.value + 1e-12).all()
     assert check_columns(model, [after]) == ()
+    able = with_motor_limits(model, [log], [found])
+    assert check_columns(able, [log]) == ()
+    file = tmp_path / "robot.urdf"
+    file.write_text(robot_file(robot).text, encoding="utf-8")
+    path = tmp_path / "able.yaml"
+    save_model(replace(able, path=file), path)
+    (signal,) = load_model(path).effort_signals
+    assert (signal.kind, signal.limit) == ("effort", found.values[0])
+    assert signal.no_load_speed == (found.values[1] if falls else np.inf)
+    assert in_efforts(log, [signal]).gain_deviations == pytest.approx(log.gain_deviations)
+    known, before, mended = (
+        compare(*each).errors.nrms
+        for each in ((load_model(path), [log]), (model, [log]), (model, [after]))
+    )
+    assert known == pytest.approx(mended, rel=0.02)
+    assert known < 0.7 * before
+
+
+def found_of(kind, joints, values):
+    return ColumnFinding(kind, joints, values, 50.0, 1.0, (), 1.0, 0.1, "The …", "Log it.")
+
+
+def test_limits_of_a_model_are_those_of_corrected_columns():
+    model = load_model(MODELS / "arm6.urdf")
+    n, (first, second, *_) = len(model.joints), model.joints
+    log = JointLog("log", model.joints, np.arange(9.0), np.zeros((9, n)), np.ones((9, n)))
+    limit = found_of("effort_limit", (first,), (3.0, 5.0))
+    gain = found_of("effort_gain", (first,), (-2.0,))
+    swap = found_of("swapped_efforts", (first, second), ())
+    able = with_motor_limits(model, [log], [gain, limit, gain, swap])
+    (signal,) = able.effort_signals
+    assert signal == EffortSignal(second, "effort", 1.0, limit=6.0, no_load_speed=5.0)
+    assert known_effort_limits(able)[1] == 6.0
+    assert actuators_of(able)[1].limit == 6.0
+    currents = replace(log, effort_kinds={first: "current"})
+    assert with_motor_limits(model, [currents], [limit]).effort_signals == ()
+    assert corrected(currents, [limit]).effort.tolist() == log.effort.tolist()
+    drive = EffortSignal(first, "current", 0.5, deviation=0.05)
+    of_drive = with_motor_limits(replace(model, effort_signals=(drive,)), [currents], [limit])
+    assert of_drive.effort_signals == (replace(drive, limit=3.0, no_load_speed=5.0),)
+    most = in_efforts(replace(currents, effort=90.0 * log.effort), of_drive.effort_signals)
+    assert most.effort[:, 0] == pytest.approx(3.0)
+    servo = EffortSignal(first, "command", 90.0)
+    served = replace(model, effort_signals=(servo,))
+    assert with_motor_limits(served, [log], [limit]).effort_signals == (servo,)
+    with pytest.raises(ArgumentError, match="no joint 'nose'"):
+        with_motor_limits(model, [log], [found_of("effort_limit", ("nose",), (3.0,))])
 
 
 @pytest.mark.parametrize("speed", [(), (4.0,)])

@@ -1549,6 +1549,10 @@ def _diagnosis(t):
         Call(m.check_columns, {**logs, **options}, slow=True, infinite=True),
     )
     yield "diagnosis.corrected", Call(m.corrected, {"log": t.log, "findings": ()})
+    yield (
+        "diagnosis.with_motor_limits",
+        Call(m.with_motor_limits, {"model": t.model, "logs": (t.log,), "findings": ()}),
+    )
     sought = {"extra": (), "criteria": m.Criteria()}
     yield (
         "diagnosis.diagnose",

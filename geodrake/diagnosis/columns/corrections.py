@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, instances
 from geodrake.diagnosis.columns.finding import ColumnFinding
-from geodrake.diagnosis.columns.limits import MotorLimit
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
+from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal
+from geodrake.model.motor_limit import MotorLimit
+from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -23,6 +25,7 @@ _SWAPPED = {
     "swapped_positions": _MOTION,
     "swapped_joints": (*_MOTION, "effort", "temperature"),
 }
+_OF_EFFORTS = ("effort_sign", "effort_unit", "effort_gain", "effort_gains")
 _MULTIPLIED = {
     "effort": ("effort",),
     "position": _MOTION,
@@ -34,7 +37,8 @@ _MULTIPLIED = {
 def corrected(log: JointLog, findings: Sequence[ColumnFinding]) -> JointLog:
     """A log with what was found in its columns corrected, one after the other.
 
-    What was taken out of the efforts stays so: no column has it.
+    What was taken out of the efforts stays so: no column has it. A limit of a motor is one of its
+    efforts: currents and voltages stay as they are.
 
     Args:
         log: The log.
@@ -55,6 +59,52 @@ def corrected(log: JointLog, findings: Sequence[ColumnFinding]) -> JointLog:
     return log
 
 
+def with_motor_limits(
+    model: RobotModel, logs: Sequence[JointLog], findings: Sequence[ColumnFinding]
+) -> RobotModel:
+    """The model that knows what was found of its motors' limits, for these and other logs.
+
+    Limits of motors whose logs have currents or voltages of unknown gains are left out.
+
+    Args:
+        model: The model.
+        logs: Its logs.
+        findings: What `check_columns` found in them.
+
+    Raises:
+        ArgumentError: A finding is of a joint that the model does not have.
+    """
+    known = {signal.joint: signal for signal in instance(model, "model", RobotModel).effort_signals}
+    found = dict[str, MotorLimit]()
+    for finding in instances(findings, "findings", ColumnFinding):
+        if finding.kind == "effort_limit":
+            found[finding.joints[0]] = MotorLimit(*finding.values)
+        elif finding.kind in _OF_EFFORTS:  # all that the limit was found by
+            for joint, factor in zip(finding.joints, finding.values, strict=True):
+                if joint in found:
+                    found[joint] = found[joint].times(abs(factor))
+        elif finding.kind in ("swapped_efforts", "swapped_joints"):
+            first, second = finding.joints
+            other = {first: second, second: first}
+            found = {other.get(joint, joint): limit for joint, limit in found.items()}
+    for joint, limit in found.items():
+        if joint not in model.joints:
+            raise ArgumentError(
+                f"The model has no joint {joint!r}, whose motor has a limit.",
+                advice=f"Its joints are {', '.join(model.joints)}.",
+            )
+        signal = known.get(joint, EffortSignal(joint, EFFORT, 1.0))
+        is_known = joint in known or all(_has_efforts(log, joint) for log in logs)
+        if is_known and signal.kind != COMMAND:
+            known[joint] = replace(signal, limit=limit.effort, no_load_speed=limit.no_load_speed)
+    return replace(model, effort_signals=tuple(known.values()))
+
+
+def _has_efforts(log: JointLog, joint: str) -> bool:
+    """Whether a log's column of efforts of a joint has efforts."""
+    return log.effort_kinds.get(joint, EFFORT) == EFFORT
+
+
 def _corrected(log: JointLog, finding: ColumnFinding) -> JointLog:
     at = [log.joints.index(joint) for joint in finding.joints]
     if finding.kind in _SWAPPED:
@@ -67,7 +117,7 @@ def _corrected(log: JointLog, finding: ColumnFinding) -> JointLog:
     if not finding.is_correctable:
         return log
     if finding.kind == "effort_limit":
-        return replace(log, effort=_limited(log, at[0], MotorLimit(*finding.values)))
+        return _limited(log, at[0], MotorLimit(*finding.values))
     quantities = _MULTIPLIED[finding.kind.rpartition("_")[0]]
     return replace(log, **_changed(log, quantities, lambda own: _multiply(own, at, finding.values)))
 
@@ -78,17 +128,19 @@ def _changed(log: JointLog, quantities: Sequence[str], change: Any) -> dict[str,
     return {name: change(own.copy()) for name, own in found.items() if own is not None}
 
 
-def _limited(log: JointLog, joint: int, limit: MotorLimit) -> Array:
-    """Efforts of which those of one joint are no more than its motor gives, as positions change.
+def _limited(log: JointLog, joint: int, limit: MotorLimit) -> JointLog:
+    """The log whose efforts of one joint are no more than its motor gives, as positions change.
 
     What a log has as velocities may be none, and was not what the limit was found by.
     """
+    if not _has_efforts(log, log.joints[joint]):
+        return log
     effort, position = log.effort.copy(), log.position[:, joint]
     known, velocity = np.isfinite(position) & np.isfinite(log.time), np.zeros(len(position))
     if np.count_nonzero(known) > 1:
         velocity[known] = np.gradient(position[known], log.time[known])
     effort[:, joint] = limit.given(effort[:, joint], velocity)
-    return effort
+    return replace(log, effort=effort)
 
 
 def _swap(own: Array, at: Sequence[int]) -> Array:

@@ -1,22 +1,19 @@
 """Limits of motors: efforts that were asked for, and those that a motor can give.
 
-A motor gives no more than its largest effort L, and the less the faster it drives; at the speed w
-without load it gives none:
-
-    −L (1 + v/w)  ≤  effort  ≤  L (1 − v/w)
-
-Where the log has what was asked for, the bodies move by what was given. What was asked for beyond
-the limit then says nothing of the bodies, and is no error of theirs: it has a spread of its own.
+Where the log has what was asked for, the bodies move by what was given (`MotorLimit`). What was
+asked for beyond the limit then says nothing of the bodies, and is no error of theirs: it has a
+spread of its own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+
+from geodrake.model.motor_limit import MotorLimit
 
 Array = NDArray[np.float64]
 
@@ -25,45 +22,6 @@ _SPEEDS = (1.2, 1.7, 2.5, 4.0)  # of the fastest speed, at which a motor gives n
 _FEWEST = 0.02  # of the samples that are beyond a limit, for it to be seen
 _LEAST = 0.1  # of them that are not: else nothing says what the motor gives
 _STEPS = 40  # evaluations of the search for a limit's numbers
-
-
-@dataclass(frozen=True)
-class MotorLimit:
-    """What a motor can give.
-
-    Attributes:
-        effort: L, its largest effort, N·m or N.
-        no_load_speed: w, at which it gives none, rad/s or m/s; infinite if the limit is the same
-            at every speed.
-    """
-
-    effort: float
-    no_load_speed: float = np.inf
-
-    def times(self, factor: float) -> MotorLimit:
-        """That of efforts multiplied by a factor above 0."""
-        return replace(self, effort=factor * self.effort)
-
-    def given(self, asked: Array, velocity: Array) -> Array:
-        """Efforts (K,) that the motor gives.
-
-        Args:
-            asked: (K,) efforts that were asked for, N·m or N.
-            velocity: (K,) velocities of the joint.
-        """
-        falling = velocity / self.no_load_speed
-        return np.clip(asked, -self.effort * (1.0 + falling), self.effort * (1.0 - falling))
-
-    def beyond(self, asked: Array, velocity: Array) -> tuple[float, float]:
-        """Share of the samples that are beyond the limit, and their mean square beyond it.
-
-        Args:
-            asked: (K,) efforts that were asked for, N·m or N.
-            velocity: (K,) velocities of the joint.
-        """
-        excess = asked - self.given(asked, velocity)
-        share = float(np.mean(excess != 0.0))
-        return share, float(np.mean(excess**2)) / share if share else 1.0
 
 
 def spread(error: float, beyond: tuple[float, float]) -> float:

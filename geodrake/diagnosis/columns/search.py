@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.design import Parameters
 from geodrake.diagnosis.columns.fit import ColumnFit, ColumnJudge
-from geodrake.diagnosis.columns.limits import MotorLimit, nearest_limit
+from geodrake.diagnosis.columns.limits import nearest_limit
 from geodrake.diagnosis.columns.proposals import ColumnMistake, mistakes
 from geodrake.diagnosis.columns.samples import ColumnSamples
 from geodrake.identification.logs.criteria import PENALTY
+from geodrake.model.motor_limit import MotorLimit
 
 Array = NDArray[np.float64]
 Entry = tuple[ColumnMistake, float]  # a mistake, and what its prior and its parameters cost

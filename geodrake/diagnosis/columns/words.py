@@ -88,7 +88,10 @@ def mistake_advice(kind: str, joints: Sequence[str], values: Sequence[float]) ->
         values: What corrects it.
     """
     if kind == "effort_limit":
-        return "Log what the motor gives, or let --correct-columns keep the efforts to the limit."
+        return (
+            "Log what the motor gives, or let --correct-columns keep the efforts to the limit, "
+            "which a saved model then knows."
+        )
     if kind.startswith("effort"):
         each = zip(joints, values, strict=True)
         found = " ".join(f"--gain {joint}={value:.4g}" for joint, value in each)

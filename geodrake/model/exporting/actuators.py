@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.servos import servos_of
+from geodrake.model.servos import known_effort_limits, servos_of
 
 
 @dataclass(frozen=True)
@@ -46,7 +44,7 @@ def actuators_of(model: RobotModel) -> tuple[Actuator, ...]:
     Args:
         model: The model, without a transmission.
     """
-    limits, delays = model.effort_limits.tolist(), model.delays.tolist()
+    limits, delays = known_effort_limits(model).tolist(), model.delays.tolist()
     found = []
     columns = zip(model.joints, servos_of(model), limits, delays, strict=True)
     for joint, servo, limit, delay in columns:
@@ -57,7 +55,7 @@ def actuators_of(model: RobotModel) -> tuple[Actuator, ...]:
                 joint,
                 stiffness=servo.gain if servo else 0.0,
                 damping=servo.damping if servo else 0.0,
-                limit=min(limit, servo.limit if servo else np.inf),
+                limit=limit,
                 delay=max(-delay, 0.0) + (servo.delay if servo else 0.0),
                 measured_late=max(delay, 0.0),
             )

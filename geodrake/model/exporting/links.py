@@ -15,6 +15,7 @@ from geodrake.inertia import Array, change_frame
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.exporting.joint_numbers import JointNumbers, joint_numbers
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.servos import known_effort_limits
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +119,6 @@ def _of_joint(model: RobotModel, joint: Joint) -> Mapping[str, Any]:
             float(joint.position_upper_limits()[0]),
         ),
         "velocity": float(model.velocity_limits[at]),
-        "effort": float(model.effort_limits[at]),
+        "effort": float(known_effort_limits(model)[at]),
         "numbers": joint_numbers(model)[model.scoped_joints[at]],
     }
