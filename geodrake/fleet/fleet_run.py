@@ -82,6 +82,7 @@ def run_fleet(
         DigestError: There are digests of another model, version, or other settings.
         OutputError: The folder cannot be written to.
     """
+    instance(fleet, "fleet", Fleet)
     work = instance(work or FleetWork(), "work", FleetWork)
     with _taken_in(fleet, work, (), told, said, pieces=len(fleet.robots)) as (digests, team):
         return _result(fleet, digests, work.false_alarms, told, team), digests

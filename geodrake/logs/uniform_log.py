@@ -58,17 +58,18 @@ class UniformLog:
     @property
     def second(self) -> float:
         """What a second of its time takes by its measured velocities, s; NaN if none say."""
-        parts = [part for part in self.sample_parts() if part.velocity is not None]
-        slopes = []
-        for j in np.flatnonzero(self.moving):
-            way, rate = np.zeros(0), np.zeros(0)
-            for part in parts:
-                assert part.velocity is not None
-                way = np.append(way, np.diff(part.position[:, j]) / self.period)
-                rate = np.append(rate, 0.5 * (part.velocity[1:, j] + part.velocity[:-1, j]))
-            if rate.any():
-                slopes.append(float(way @ rate / (rate @ rate)))
-        return float(np.median(slopes)) if slopes else np.nan
+        both = [
+            (np.diff(part.position, axis=0) / self.period, part.velocity[1:] + part.velocity[:-1])
+            for part in self.sample_parts()
+            if part.velocity is not None
+        ]
+        if not both:
+            return np.nan
+        way, rate = (np.concatenate(each) for each in zip(*both, strict=True))
+        strength = 0.5 * np.sum(rate**2, axis=0)
+        seen = self.moving & (strength > 0.0)
+        slopes = np.sum(way * rate, axis=0)[seen] / strength[seen]
+        return float(np.median(slopes)) if seen.any() else np.nan
 
 
 def make_uniform(log: JointLog) -> UniformLog:

@@ -11,7 +11,7 @@ from geodrake.diagnosis.drafting import Draft
 from geodrake.diagnosis.drafting.results import DraftedEffect
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.identification.logs.model_errors import ErrorTable
-from geodrake.model.effort_signal import COMMAND, EffortSignal
+from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal
 from geodrake.report.numbers import (
     UNKNOWN,
     Units,
@@ -252,6 +252,9 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
         signals: Those of a model.
         units: Units of the joints of the model.
     """
+    if all(signal.kind == EFFORT for signal in signals):
+        limits = [cells(signal.joint, _limit(signal, units)) for signal in signals]
+        return Table(("joint", "limit"), tuple(limits), words=1)
     rows, served = [], any(signal.kind == COMMAND for signal in signals)
     summed = any(signal.integral for signal in signals)
     limited = any(signal.limit < math.inf for signal in signals)

@@ -33,7 +33,12 @@ from geodrake.control.rollout import (
 from geodrake.control.rollout.acting import acting_in
 from geodrake.control.rollout.motion_search import MotionSearch, SearchWindow
 from geodrake.control.rollout.near_motion import NearMotion
-from geodrake.control.rollout.rollout_values import rollout_values, values_at, with_values
+from geodrake.control.rollout.rollout_values import (
+    forces_at_motors,
+    rollout_values,
+    values_at,
+    with_values,
+)
 from geodrake.control.rollout.simulations import Simulations, chosen_passages
 from geodrake.diagnosis import explain
 from geodrake.errors import ArgumentError, LogError
@@ -187,13 +192,22 @@ def test_what_is_free_of_a_servo(pendulum):
     assert deviations == pytest.approx((11.0, 0.1, 0.1))
 
 
+def unsure_of_motors(model):
+    """The model whose friction and rotors are not known exactly, if little."""
+    *motors, spring = model.effects
+    unsure = (dataclasses.replace(e, deviations=0.01 * e.parameters) for e in motors)
+    return dataclasses.replace(model, effects=(*unsure, spring))
+
+
 def test_moved_servos_are_those_of_a_model_that_states_them(pendulum):
-    """Near the motion, also where one is at its limit and has an integral."""
+    """Near the motion, with friction and rotors, also at a limit and with an integral."""
     log = followed(0, SERVOS["pid"], seconds=1.5)
     servo = dataclasses.replace(UNSURE, integral=200.0, limit=6.5)
-    model = servoed(pendulum, 2.0, servo)
+    model = unsure_of_motors(servoed(pendulum, 2.0, servo))
     values = rollout_values(model, commands=True)
-    x = np.array([0.1, -0.2, 0.5, 1.0, 0.3, -0.7])
+    motors = [(value.effect, value.name) for value in values[6:]]
+    assert motors == [("rotor_inertia", "inertia"), ("viscous_friction", "viscous")]
+    x = np.array([0.1, -0.2, 0.5, 1.0, 0.3, -0.7, 0.2, -0.4])
     new = values_at(values, x)
     moved = with_values(model, values, new, new)
     case = open_case(model, [log], candidates=False, bandwidth=12.0)
@@ -202,7 +216,8 @@ def test_moved_servos_are_those_of_a_model_that_states_them(pendulum):
     for each, steps in ((case, x), (dataclasses.replace(case, model=moved), 0.0 * x)):
         made = Simulations(each, [passage], commands=True)(log.name)
         acting = partial(acting_in, log=each.asked.logs[0], commands=True)
-        window = SearchWindow(made.law, NearMotion.of(made, passage), passage, acting, np.zeros(1))
+        near = NearMotion.of(made, passage, forces_at_motors(each.model, values))
+        window = SearchWindow(made.law, near, passage, acting, np.zeros(1))
         free = rollout_values(each.model, commands=True)
         ways += MotionSearch(each.model, free, [window]).near(steps)
     np.testing.assert_allclose(ways[0][0], ways[1][0], atol=1e-12)
@@ -246,6 +261,29 @@ def test_a_servo_that_was_found_without_the_spring_is_found_with_it(pendulum, se
         off, values = found_beside(servoed(pendulum, share, servo), log)
         assert off < 0.05
         assert values["servo", "delay"].after == pytest.approx(PD.delay, abs=1e-4)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_that_was_found_without_the_spring_is_found_with_it(pendulum, seed):
+    """Friction and rotor, too, which made up for the spring: by half and more, and by a quarter."""
+    log = followed(seed, PD, noise=1e-4)
+    rigid = explain(pendulum, [log]).model
+    spring = effects.JointElasticity("hinge")
+    for share in (0.5, 2.0):
+        soft = effects.FittedEffect(spring, np.array([share / STIFFNESS]))
+        model = dataclasses.replace(rigid, effects=(*rigid.effects, soft), information=None)
+        values = {(v.effect, v.name): v for v in fit_rollouts(model, [log], commands=True).values}
+        expected = {
+            ("joint_elasticity", "compliance"): 1.0 / STIFFNESS,
+            ("servo", "delay"): PD.delay,
+            ("servo", "damping"): PD.damping,
+            ("rotor_inertia", "inertia"): ROTOR,
+        }
+        for key, value in expected.items():
+            found = values[key]
+            assert found.deviation < 0.3 * value
+            assert abs(found.after - value) < 2.5 * found.deviation
 
 
 @pytest.mark.thorough

@@ -37,6 +37,7 @@ from geodrake.control.rollout.roll_out import (
 from geodrake.control.rollout.rollout_values import (
     RolloutValue,
     changes_at,
+    forces_at_motors,
     rollout_values,
     values_at,
     with_values,
@@ -120,7 +121,7 @@ def fit_rollouts(
         )
     if progress is not None:
         progress("fitting", 0.5)
-    windows = _windows(case, passages, before)
+    windows = _windows(case, passages, before, forces_at_motors(case.model, values))
     x, deviations = MotionSearch(case.model, values, [windows[k] for k in fitted]).fit()
     found, deviations = values_at(values, x), changes_at(values, x) * deviations
     better = better_model(case.model, values, found, deviations)
@@ -154,7 +155,9 @@ def held_out(logs: Sequence[str]) -> Mask:
     return np.arange(len(logs)) * _BLOCKS // max(len(logs), 1) % 2 == 1
 
 
-def _windows(case: Case, passages: Sequence[Passage], before: Rollout) -> list[SearchWindow]:
+def _windows(
+    case: Case, passages: Sequence[Passage], before: Rollout, free: Sequence[tuple[int, int]]
+) -> list[SearchWindow]:
     """All windows, ready to be simulated with other soft joints."""
     simulations, found = Simulations(case, passages, commands=before.commands), []
     acting = {
@@ -164,7 +167,7 @@ def _windows(case: Case, passages: Sequence[Passage], before: Rollout) -> list[S
     for passage, window in zip(passages, before.windows, strict=True):
         simulation = simulations(passage.log)
         if isinstance(simulation, Simulation):  # as it is wherever joints are soft
-            near = NearMotion.of(simulation, passage)
+            near = NearMotion.of(simulation, passage, free)
             departure = window.simulated - passage.logged
             found.append(
                 SearchWindow(simulation.law, near, passage, acting[passage.log], departure)

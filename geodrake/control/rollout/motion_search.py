@@ -98,15 +98,14 @@ class MotionSearch:
         """
         values = values_at(self.values, x).tolist()
         model = with_values(self.model, self.values, values, values)
-        gives = giving_way(model.effects)
-        return [
-            window.near.under(window.law, window.acting(model).along(window.passage)).departure(
-                model.effects,
-                window.law.soft.held_by([gives[joint] for joint in window.law.soft.names]),
-                slopes=slopes,
-            )
-            for window in self.windows
-        ]
+        gives, found = giving_way(model.effects), []
+        for window in self.windows:
+            along = window.acting(model).along(window.passage)
+            near = window.near.under(window.law, along, model.effects)
+            soft = near.soft_joints(window.law.soft, model.effects)
+            couplings = soft.held_by([gives[joint] for joint in soft.names])
+            found.append(near.departure(model.effects, couplings, slopes=slopes))
+        return found
 
     @cached_property
     def rest(self) -> list[Array]:

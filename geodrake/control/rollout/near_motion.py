@@ -31,7 +31,7 @@ from geodrake.effects.robot_motion import log_number
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.simulation.force_law import ForceLaw
-from geodrake.model.simulation.soft_joints import Coupling
+from geodrake.model.simulation.soft_joints import Coupling, SoftJoints
 
 Array = NDArray[np.float64]
 _Held = tuple[NDArray[np.intp], NDArray[np.intp], Array]  # links, motors, what couples them
@@ -91,6 +91,35 @@ class NearServos:
 
 
 @dataclass(frozen=True, eq=False)
+class MotorForce:
+    """What one parameter of an effect at a motor makes of its effort along a measured motion.
+
+    Attributes:
+        at: Which of the model's effects it is of.
+        index: Which of that one's parameters it is.
+        parameter: Its value there.
+        place: Where in y the motor is.
+        effort: (N,) effort of a parameter of 1, N·m or N.
+        slopes: (3, N) its slopes with the motor's position, velocity and acceleration.
+    """
+
+    at: int
+    index: int
+    parameter: float
+    place: int
+    effort: Array
+    slopes: Array
+
+    def change(self, effects: Sequence[FittedEffect]) -> float:
+        """By how much it is another one.
+
+        Args:
+            effects: The model's effects.
+        """
+        return float(effects[self.at].parameters[self.index]) - self.parameter
+
+
+@dataclass(frozen=True, eq=False)
 class NearMotion:
     """A passage, ready to be simulated near its measured motion with other soft joints.
 
@@ -108,6 +137,7 @@ class NearMotion:
         give_way: (k, m) by how much these change when a link moves on, N·m/rad or N/m.
         time: (k,) instants of these samples, s.
         before: The motion before the passage.
+        forces: What single parameters of effects at motors make, of those that may change.
     """
 
     period: float
@@ -123,14 +153,22 @@ class NearMotion:
     give_way: Array
     time: Array
     before: RobotMotion
+    forces: tuple[MotorForce, ...] = ()
 
     @classmethod
-    def of(cls, simulation: Simulation, passage: Passage) -> NearMotion:
+    def of(
+        cls,
+        simulation: Simulation,
+        passage: Passage,
+        free: Sequence[tuple[int, int]] = (),
+    ) -> NearMotion:
         """A passage of a log.
 
         Args:
             simulation: That of the log, with soft joints.
             passage: The passage.
+            free: Effects of the model at motors of one joint, and which of their parameters are to
+                change.
         """
         model, law, segment = simulation.model, simulation.law, passage.segment
         seen, along = _seen(simulation, passage), simulation.acting.along(passage)
@@ -164,16 +202,45 @@ class NearMotion:
             slopes.position[:AT_START, soft, soft],
             passage.time[:AT_START],
             motion_before(model, passage, simulation.sign_width),
+            tuple(_motor_force(model, seen, motors, *each) for each in free),
         )
 
-    def under(self, law: ForceLaw, along: EffortAlong) -> NearMotion:
-        """The same passage under other servos of the same joints.
+    def under(
+        self, law: ForceLaw, along: EffortAlong, effects: Sequence[FittedEffect]
+    ) -> NearMotion:
+        """The same passage under other servos of the same joints, and other forces at motors.
 
         Args:
             law: The force law, which scales efforts.
             along: What acts with those.
+            effects: The model's effects, with other parameters of `forces`.
         """
-        return replace(self, servos=NearServos.of(law, along, self.motors)[0])
+        servos = NearServos.of(law, along, self.motors)[0]
+        rest = self.rest.copy() if self.forces else self.rest
+        linear = self.stiffness, self.damping, self.inertia
+        if self.forces:
+            linear = self.stiffness.copy(), self.damping.copy(), self.inertia.copy()
+        for force in self.forces:
+            change = force.change(effects)
+            rest[:, force.place] += change * force.effort
+            for whole, slope in zip(linear, force.slopes, strict=True):
+                whole[:, force.place, force.place] += change * slope
+        stiffness, damping, inertia = linear
+        return replace(
+            self, rest=rest, stiffness=stiffness, damping=damping, inertia=inertia, servos=servos
+        )
+
+    def soft_joints(self, soft: SoftJoints, effects: Sequence[FittedEffect]) -> SoftJoints:
+        """The soft joints with other inertias of their motors, by which springs are damped.
+
+        Args:
+            soft: Those of the force law.
+            effects: The model's effects, with other parameters of `forces`.
+        """
+        inertia, places = soft.motor_inertia.copy(), self.motors[soft.velocities]
+        for force in self.forces:
+            inertia[places == force.place] += force.change(effects) * force.slopes[2].mean()
+        return replace(soft, motor_inertia=inertia)
 
     def departure(
         self,
@@ -246,6 +313,24 @@ def _effort(model: RobotModel, seen: RobotMotion, *, at_motor: bool) -> Array:
         if effect.role in (Role.FORCE, Role.EPISODE) and effect.at_motor == at_motor:
             effort += effect.effort(seen, fitted.parameters)
     return effort
+
+
+def _motor_force(
+    model: RobotModel, seen: RobotMotion, motors: NDArray[np.intp], at: int, index: int
+) -> MotorForce:
+    """What a parameter makes; see `NearMotion.of`."""
+    fitted = model.effects[at]
+    j = model.joints.index(fitted.effect.where[0])
+    one = replace(fitted, parameters=np.eye(len(fitted.parameters))[index])
+    effort, slopes = _at_motors(replace(model, effects=(one,)), seen)
+    return MotorForce(
+        at,
+        index,
+        float(fitted.parameters[index]),
+        int(motors[j]),
+        effort[:, j],
+        np.array([slope[:, j] for slope in slopes]),
+    )
 
 
 def _at_motors(model: RobotModel, seen: RobotMotion) -> tuple[Array, tuple[Array, Array, Array]]:

@@ -1,14 +1,14 @@
-"""Values of a model that its simulated motion shows: of soft joints, and of their servos."""
+"""Values of a model that its simulated motion shows: of soft joints, their servos and motors."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.effects import FittedEffect
+from geodrake.effects import FittedEffect, Role
 from geodrake.effects.deflection import DeflectionEffect, Give
 from geodrake.errors import ModelError
 from geodrake.model.effort_signal import SERVO, EffortSignal
@@ -66,7 +66,8 @@ def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[Rollou
     """What of a model its simulated motion shows, and efforts hardly do.
 
     Under commands soft joints would make up for what their servos are off by: what is not known
-    exactly of these is such a value, too.
+    exactly of these is such a value, too, and so is what is not known exactly of their motors'
+    friction and inertia.
 
     Args:
         model: The model.
@@ -86,11 +87,34 @@ def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[Rollou
             "The model has no soft joint and no play, which are what rollouts fit.",
             advice="Find them first: geodrake explain MODEL LOG… --save FILE.yaml.",
         )
+    if not commands:
+        return tuple(found)
     soft = {value.joint for value in found}
-    for servo in servos_of(model) if commands else ():
-        if servo is not None and servo.joint in soft:
-            found += _servo_values(servo)
+    for servo in servos_of(model):
+        if servo is not None and servo.joint in soft and (own := _servo_values(servo)):
+            found += own
+            for at, fitted in enumerate(model.effects):
+                found += _motor_values(at, fitted) if fitted.effect.where == (servo.joint,) else ()
     return tuple(found)
+
+
+def _motor_values(at: int, fitted: FittedEffect) -> Iterator[RolloutValue]:
+    """What brakes a motor, friction and its inertia, as far as it is not known exactly.
+
+    It was found with the servo, and is off as that is: by far more than its deviations say.
+
+    Args:
+        at: Which of the model's effects it is.
+        fitted: The effect, at one joint.
+    """
+    effect, deviations = fitted.effect, fitted.deviations
+    if deviations is None or not effect.at_motor or effect.role is not Role.FORCE:
+        return
+    for parameter, value, unsure in zip(
+        effect.parameters, fitted.parameters.tolist(), deviations.tolist(), strict=True
+    ):
+        if value > 0.0 and unsure > 0.0:
+            yield RolloutValue(at, effect.name, effect.where[0], parameter.name, value)
 
 
 def _servo_values(servo: EffortSignal) -> list[RolloutValue]:
@@ -109,6 +133,25 @@ def _servo_values(servo: EffortSignal) -> list[RolloutValue]:
     if unsure:
         unsure["delay"] = servo.delay, _DELAY_DEVIATION
     return [RolloutValue(None, SERVO, servo.joint, name, *each) for name, each in unsure.items()]
+
+
+def forces_at_motors(
+    model: RobotModel, values: Sequence[RolloutValue]
+) -> tuple[tuple[int, int], ...]:
+    """Effects of values that forces at motors have, and which of their parameters they are.
+
+    Args:
+        model: The model.
+        values: Its values.
+    """
+    found = []
+    for value in values:
+        if value.at is not None:
+            effect = model.effects[value.at].effect
+            names = [parameter.name for parameter in effect.parameters]
+            if not isinstance(effect, DeflectionEffect):
+                found.append((value.at, names.index(value.name)))
+    return tuple(found)
 
 
 def values_at(values: Sequence[RolloutValue], x: Array) -> Array:
@@ -164,9 +207,7 @@ def with_values(
         own = given.setdefault(value.joint if value.at is None else value.at, ({}, {}))
         own[0][value.name], own[1][value.name] = float(now), float(unsure)
     effects = [
-        fitted.effect.with_rollout_values(*given[at])
-        if at in given and isinstance(fitted.effect, DeflectionEffect)
-        else fitted
+        _with_effect(fitted, *given[at]) if at in given else fitted
         for at, fitted in enumerate(model.effects)
     ]
     signals = [
@@ -174,6 +215,22 @@ def with_values(
         for signal in model.effort_signals
     ]
     return replace(model, effects=tuple(effects), effort_signals=tuple(signals))
+
+
+def _with_effect(
+    fitted: FittedEffect, given: dict[str, float], deviations: dict[str, float]
+) -> FittedEffect:
+    """An effect with other values; what is not given stays."""
+    if isinstance(fitted.effect, DeflectionEffect):
+        return fitted.effect.with_rollout_values(given, deviations)
+    names = [parameter.name for parameter in fitted.effect.parameters]
+    parameters, unsure = fitted.parameters.copy(), np.zeros(len(names))
+    if fitted.deviations is not None:
+        unsure = fitted.deviations.copy()
+    for name, value in given.items():
+        at = names.index(name)
+        parameters[at], unsure[at] = value, deviations[name]
+    return replace(fitted, parameters=parameters, deviations=unsure)
 
 
 def _with_servo(
