@@ -11,14 +11,21 @@ import numpy as np
 import pytest
 from measurements import DATA, REFERENCE
 from pinocchio_logs import without_effects
+from scipy.spatial.transform import Rotation
 
 from geodrake import load_model
 from geodrake.diagnosis import ColumnFinding, check_columns, corrected
+from geodrake.diagnosis.columns.assignment import Assignment
+from geodrake.diagnosis.columns.design import Parameters, joint_designs, joint_motion
+from geodrake.diagnosis.columns.samples import column_samples
 from geodrake.errors import ArgumentError
+from geodrake.identification.logs.case import prepared_as_measured
 from geodrake.logs.files import read_log
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "diagrams"))
 
+from hidden.engines import make_engine
+from hidden.robots import robot_file
 from wrong_columns.logs import DURATION, WrongLog, make_log
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -101,6 +108,39 @@ def test_another_zero_is_found_within_the_arm():
     assert (found.kind, found.joints) == ("position_zero", (model.joints[secret.joints[0]],))
     assert found.values[0] == pytest.approx(secret.value, abs=0.05)
     assert check_columns(model, [corrected(log, [found])]) == ()
+
+
+@pytest.mark.parametrize(
+    ("robot", "motion", "log", "seed"),
+    [
+        ("arm6", "fast", 6, 9),
+        pytest.param("arm6", "fast", 6, 7, marks=pytest.mark.thorough),
+        pytest.param("double_pendulum", "point to point", 5, 8, marks=pytest.mark.thorough),
+    ],
+)
+def test_a_base_on_a_slope_is_no_mistake_in_columns(robot, motion, log, seed):
+    """Leaning by up to 0.3 rad, of bodies a fifth off: zeros and gains of wrists would make up."""
+    engine = "pinocchio" if log < 5 else "mujoco"
+    model, made, _ = make_log(WrongLog("tilted base", robot, engine, motion, log, seed, DURATION))
+    assert check_columns(model, [made]) == ()
+
+
+def test_designs_of_a_leaning_base_are_efforts_under_its_gravity(pendulum, right):
+    """Those of an engine whose gravity is turned the other way."""
+    samples = column_samples(pendulum, *prepared_as_measured(pendulum, [right]))
+    parameters, named = Parameters.of(samples), Assignment.as_named(2)
+    leaning = named.leaning(pendulum.tree.gravity, np.array([0.1, -0.2]))
+    leaning = leaning.leaning(pendulum.tree.gravity, np.array([0.0, 0.05]))
+    twice = Rotation.from_rotvec([0.0, -0.05, 0.0]) * Rotation.from_rotvec([-0.1, 0.2, 0.0])
+    engine = make_engine("pinocchio", robot_file("double_pendulum"))
+    for assignment, gravity in ((named, [0, 0, -9.81]), (leaning, twice.apply([0, 0, -9.81]))):
+        engine.set_gravity(np.array(gravity))
+        q, v, vd = joint_motion(samples, assignment)
+        efforts, phi = engine.efforts(q, v, vd), pendulum.phi.ravel()
+        for j, design in enumerate(joint_designs(samples, parameters, assignment, {}, slopes=True)):
+            own = design.columns < phi.size
+            found = design.X[:, : len(own)][:, own] @ phi[design.columns[own]]
+            np.testing.assert_allclose(found, efforts[design.rows, j], atol=1e-9)
 
 
 @pytest.mark.thorough

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from geodrake.model.motor_limit import MotorLimit
 
@@ -36,6 +37,7 @@ class Assignment:
             `Effect.taken_out_as`.
         carrying: Indices of bodies that hold a payload, or are otherwise not as in the model.
         tilted: Whether the base may stand on a slope.
+        gravity: (3,) by which it does, in the world frame, m/s²; None for the model's.
         apart: Indices of joints whose efforts have nothing to do with what the bodies need.
         limits: By some columns of efforts, what the motor can give of them, in their own unit:
             what is found of gains and swaps later is true of limits, too.
@@ -52,6 +54,7 @@ class Assignment:
     without: frozenset[str] = frozenset()
     carrying: frozenset[int] = frozenset()
     tilted: bool = False
+    gravity: tuple[float, ...] | None = None
     apart: frozenset[int] = frozenset()
     limits: Mapping[int, MotorLimit] = field(default_factory=dict)
 
@@ -65,7 +68,7 @@ class Assignment:
     def motion_key(self) -> tuple[object, ...]:
         """What the motion of the joints depends on."""
         columns = self.position.tobytes(), self.scale.tobytes(), self.zero.tobytes()
-        return (*columns, self.time, self.level)
+        return (*columns, self.time, self.level, self.gravity)
 
     @property
     def effort_key(self) -> tuple[object, ...]:
@@ -128,6 +131,17 @@ class Assignment:
         values[slice(None) if joint is None else joint] *= factor
         changed: dict[str, Any] = {quantity: values}
         return replace(self, **changed)
+
+    def leaning(self, gravity: Array, angles: Array) -> Assignment:
+        """With a base that is turned about the world's x and y axis.
+
+        Args:
+            gravity: (3,) gravity of the model, m/s².
+            angles: (2,) by which it is turned from where it is, rad.
+        """
+        down = gravity if self.gravity is None else np.array(self.gravity)
+        turned = Rotation.from_rotvec([*-angles, 0.0]).apply(down)
+        return replace(self, gravity=tuple(turned.tolist()))
 
     def moved(self, joint: int, by: float) -> Assignment:
         """With another zero of a joint's position.

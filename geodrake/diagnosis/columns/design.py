@@ -21,6 +21,7 @@ from geodrake.identification.logs.log_slices import INERTIA, Layout
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot.driven_tree import with_gravity
 from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.regressor import inverse_dynamics_regressor
 
@@ -264,22 +265,32 @@ def joint_designs(
     layout = replace(parameters.layout, sign_width=width)
     inertial, held, others = _columns_of(samples, layout, assignment, known)
     tilts, turned = _errors_of(samples, model, assignment, slopes=slopes)
-    weight = None
-    if assignment.level:
-        q, v, _ = joint_motion(samples, assignment)
-        still = np.zeros_like(v)
-        weight = inverse_dynamics_regressor(model.tree, model.positions(q), still, still)
+    more = _further_weight(samples, model, assignment)
     further = np.concatenate([parameters.tilt(), parameters.zeros()])
     designs = []
     for j in range(n):
         columns, own = layout.columns[j], inertial[j]
-        if weight is not None:
-            own = own - weight[:, j, columns[columns < model.phi.size]]
+        if more is not None:
+            own = own + more[:, j, columns[columns < model.phi.size]]
         effects = [part[j] for part in others if j in part]
         X = np.column_stack([own, *effects, tilts[:, j], turned[:, j], held[:, j], samples.effort])
         own_columns = np.concatenate([columns, further])
         designs.append(_reduced(samples, own_columns, X, assignment.position[j]))
     return tuple(designs)
+
+
+def _further_weight(
+    samples: ColumnSamples, model: RobotModel, assignment: Assignment
+) -> Array | None:
+    """(N, n, 10 nb) weight of bodies beside that of the model; None if there is no other."""
+    gravity = -model.tree.gravity
+    if not assignment.level:
+        if assignment.gravity is None:
+            return None
+        gravity = gravity + assignment.gravity
+    q, v, _ = joint_motion(samples, assignment)
+    tree, still = with_gravity(model.tree, gravity), np.zeros_like(v)
+    return inverse_dynamics_regressor(tree, model.positions(q), still, still)
 
 
 def _columns_of(
@@ -332,13 +343,16 @@ def _errors_of(
     q, v, vd = joint_motion(samples, assignment)
     at, still = model.positions(q), np.zeros_like(v)
     turned = np.zeros((*v.shape, v.shape[1]))
+    tree = model.tree
+    if assignment.gravity is not None:
+        tree = with_gravity(tree, np.array(assignment.gravity))
     if slopes:
-        turned = np.nan_to_num(effort_slopes(model.tree, at, v, vd, model.total_phi).position)
+        turned = np.nan_to_num(effort_slopes(tree, at, v, vd, model.total_phi).position)
     if not assignment.level:
-        bodies = RobotBodies(model.tree, at, model.total_phi)
+        bodies = RobotBodies(tree, at, model.total_phi)
         return bodies.gravity_efforts(np.cross(bodies.gravity, np.eye(3)[:2]).T), turned
     if slopes:
-        held = effort_slopes(model.tree, at, still, still, model.total_phi).position
+        held = effort_slopes(tree, at, still, still, model.total_phi).position
         turned = turned - np.nan_to_num(held)
     return np.zeros((*v.shape, 2)), turned
 

@@ -83,7 +83,8 @@ def _bodies(judge: ColumnJudge, base: ColumnFit) -> Iterator[ColumnMistake]:
             more = replace(base.assignment, carrying=base.assignment.carrying | {index})
             yield ColumnMistake("", (), more, price=_PAYLOAD)
     if not base.assignment.tilted:
-        yield ColumnMistake("", (), replace(base.assignment, tilted=True), price=_SLOPE)
+        free = tuple(map(int, judge.parameters.tilt()))
+        yield ColumnMistake("", (), replace(base.assignment, tilted=True), free=free, price=_SLOPE)
     for j in range(len(base.assignment.gain)):
         if j not in base.assignment.apart:
             apart = base.assignment.apart | {j}

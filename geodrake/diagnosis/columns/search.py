@@ -168,7 +168,7 @@ class ColumnSearch:
         best = max(gains, default=0.0)
         ranked = []
         for (mistake, cost), first in zip(entries, gains, strict=True):
-            if len(mistake.free) <= 1 and first < min(best - _FAR, _SHARE * best):
+            if mistake.kind != _EACH and first < min(best - _FAR, _SHARE * best):
                 continue
             refined, fit = self._refined(mistake, base)
             gain = fit.gain_over(base, self._of_rates) - cost
@@ -186,7 +186,7 @@ class ColumnSearch:
         for mistake, cost in entries:
             fit = fitted(mistake.assignment, base, mistake.free)
             gains.append(fit.gain_over(plain, self._of_rates) - cost)
-        many = [len(mistake.free) > 1 for mistake, _ in entries]
+        many = [mistake.kind == _EACH for mistake, _ in entries]
         order = sorted(range(len(entries)), key=lambda k: (not many[k], -gains[k]))[:most]
         kept = [k for k in order if many[k] or _is_promising(entries[k], gains[k])]
         return [entries[k] for k in kept], [gains[k] for k in kept]
@@ -197,12 +197,14 @@ class ColumnSearch:
             return self._of_nearest_limit(mistake, base)
         if mistake.kind == _EACH:
             return self._of_own_gains(mistake, base)
-        zeros, gains = self.judge.parameters.zeros(), self.judge.parameters.gains()
-        assignment = mistake.assignment
+        parameters, assignment = self.judge.parameters, mistake.assignment
+        zeros, gains, tilt = parameters.zeros(), parameters.gains(), parameters.tilt()
         for _ in range(_STEPS if mistake.free else 0):
             step = self._step(assignment, mistake, base)
             zero = assignment.zero + step[zeros]
             assignment = replace(assignment, zero=zero, gain=assignment.gain / np.exp(step[gains]))
+            if step[tilt].any():
+                assignment = assignment.leaning(parameters.model.tree.gravity, step[tilt])
             if np.abs(step).max() < _CLOSE:
                 break
         return replace(mistake, assignment=assignment), self.judge.fit(assignment, base)
