@@ -52,21 +52,27 @@ def run_draw(draw: WrongLog, *, seed: int) -> dict[str, Any]:
 
 
 def draws(count: int, seed: int) -> list[WrongLog]:
-    """So many logs of everything, over all robots, engines and motions in turn."""
-    robots, engines = robot_names(), tuple(ENGINES)
-    return [
-        WrongLog(
-            mistake,
-            robots[k % len(robots)],
-            engines[k // len(robots) % len(engines)],
-            MOTIONS[k % len(MOTIONS)],
-            k,
-            seed,
-            DURATION,
-        )
-        for mistake in (*MISTAKES, *RIGHT)
-        for k in range(count)
-    ]
+    """So many logs of everything, over all robots, engines and motions in turn.
+
+    A pendulum has no joint between others: another zero of its joints is a slope, or a body that
+    has turned.
+    """
+    engines, found = tuple(ENGINES), list[WrongLog]()
+    for mistake in (*MISTAKES, *RIGHT):
+        able = [r for r in robot_names() if (mistake, r) != ("another zero", "double_pendulum")]
+        found += [
+            WrongLog(
+                mistake,
+                able[k % len(able)],
+                engines[k // len(able) % len(engines)],
+                MOTIONS[k % len(MOTIONS)],
+                k,
+                seed,
+                DURATION,
+            )
+            for k in range(count)
+        ]
+    return found
 
 
 def lines_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
