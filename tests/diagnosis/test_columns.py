@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 from measurements import DATA, REFERENCE
 from pinocchio_logs import without_effects
+from scipy.optimize import nnls
 
 from geodrake import load_model
 from geodrake.diagnosis import ColumnFinding, check_columns, corrected
+from geodrake.diagnosis.columns.fit import active, bounded
 from geodrake.errors import ArgumentError
 from geodrake.logs.files import read_log
 
@@ -64,6 +66,18 @@ MISTAKES = {
     "velocity_factor": lambda log: replace(log, velocity=20.0 * log.velocity),
     "time": lambda log: replace(log, time=0.1 * log.time),
 }
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_steps_within_bounds_settle_at_the_least(seed):
+    rng = np.random.default_rng(seed)
+    X, y, lower = rng.normal(size=(30, 12)), rng.normal(size=30), rng.normal(size=12)
+    A, b, held = X.T @ X, X.T @ y, np.zeros(12, bool)
+    for _ in range(12):
+        x = bounded(A, b, lower, held)
+        held = active(A, b, x, lower, held)
+    expected = lower + nnls(X, y - X @ lower)[0]
+    np.testing.assert_allclose(x, expected, atol=1e-9)
 
 
 def test_nothing_is_found_in_right_columns(pendulum, right):
