@@ -227,17 +227,17 @@ class ColumnSearch:
             return self.judge.quick(assignment, base).gain_over(base, self._of_rates)
 
         assignment = mistake.assignment
-        most, share = explained(assignment), 1.0
+        most, step = explained(assignment), self._step(assignment, mistake, base)[at]
         for _ in range(_OWN_STEPS):
-            step = share * self._step(assignment, mistake, base)[at]
             if np.abs(step).max() < _CLOSE:
                 break
             tried = replace(assignment, gain=assignment.gain / np.exp(step))
             more = explained(tried)
             if more > most:
-                assignment, most, share = tried, more, 1.0
+                assignment, most = tried, more
+                step = self._step(assignment, mistake, base)[at]
             else:
-                share *= 0.5
+                step = 0.5 * step
         return replace(mistake, assignment=assignment), self.judge.fit(assignment, base)
 
     def _of_nearest_limit(
