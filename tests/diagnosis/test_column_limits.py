@@ -139,6 +139,10 @@ def test_limits_of_a_model_are_those_of_corrected_columns():
     currents = replace(log, effort_kinds={first: "current"})
     assert with_motor_limits(model, [currents], [limit]).effort_signals == ()
     assert corrected(currents, [limit]).effort.tolist() == log.effort.tolist()
+    commands = replace(log, effort=np.nan * log.effort, command=log.position)
+    assert with_motor_limits(model, [commands], [limit]).effort_signals == ()
+    with pytest.raises(ArgumentError, match="logs must be"):
+        with_motor_limits(model, ["log.csv"], [limit])
     drive = EffortSignal(first, "current", 0.5, deviation=0.05)
     of_drive = with_motor_limits(replace(model, effort_signals=(drive,)), [currents], [limit])
     assert of_drive.effort_signals == (replace(drive, limit=3.0, no_load_speed=5.0),)
@@ -167,7 +171,10 @@ def test_columns_with_nothing_in_them_cost_no_efforts(speed, lacks):
     found = ColumnFinding(
         *("effort_limit", ("hinge",), (2.0, *speed), 50.0, 1.0, (), 1.0, 0.1, "The …", "Log it.")
     )
-    given = corrected(replace(log, **columns[lacks]), [found]).effort[:, 0]
+    log = replace(log, **columns[lacks])
+    given = corrected(log, [found]).effort[:, 0]
+    motor = EffortSignal("hinge", "effort", 1.0, limit=2.0, no_load_speed=(*speed, np.inf)[0])
+    assert in_efforts(log, [motor]).effort[:, 0].tolist() == given.tolist()
     expected = 2.0 * (1.0 - np.cos(time) / speed[0]) if speed else 2.0 * np.ones(201)
     there = ~empty[:, 0] if lacks == "positions" else np.full(201, True)
     np.testing.assert_allclose(given[there][1:-1], expected[there][1:-1], atol=1e-4)

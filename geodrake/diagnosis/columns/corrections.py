@@ -16,6 +16,7 @@ from geodrake.logs.motion import JointLog
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal
 from geodrake.model.motor_limit import MotorLimit
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.signal_efforts import kind_of, limited_effort
 
 Array = NDArray[np.float64]
 
@@ -38,7 +39,7 @@ def corrected(log: JointLog, findings: Sequence[ColumnFinding]) -> JointLog:
     """A log with what was found in its columns corrected, one after the other.
 
     What was taken out of the efforts stays so: no column has it. A limit of a motor is one of its
-    efforts: currents and voltages stay as they are.
+    efforts: currents, voltages and commands stay as they are.
 
     Args:
         log: The log.
@@ -64,7 +65,8 @@ def with_motor_limits(
 ) -> RobotModel:
     """The model that knows what was found of its motors' limits, for these and other logs.
 
-    Limits of motors whose logs have currents or voltages of unknown gains are left out.
+    Limits of motors whose logs have currents, voltages or commands of unknown gains are left out,
+    and those of servos, which have their own.
 
     Args:
         model: The model.
@@ -75,6 +77,7 @@ def with_motor_limits(
         ArgumentError: A finding is of a joint that the model does not have.
     """
     known = {signal.joint: signal for signal in instance(model, "model", RobotModel).effort_signals}
+    logs = instances(logs, "logs", JointLog)
     found = dict[str, MotorLimit]()
     for finding in instances(findings, "findings", ColumnFinding):
         if finding.kind == "effort_limit":
@@ -101,8 +104,8 @@ def with_motor_limits(
 
 
 def _has_efforts(log: JointLog, joint: str) -> bool:
-    """Whether a log's column of efforts of a joint has efforts."""
-    return log.effort_kinds.get(joint, EFFORT) == EFFORT
+    """Whether a log has efforts of a joint."""
+    return joint in log.joints and kind_of(log, joint) == EFFORT
 
 
 def _corrected(log: JointLog, finding: ColumnFinding) -> JointLog:
@@ -129,17 +132,11 @@ def _changed(log: JointLog, quantities: Sequence[str], change: Any) -> dict[str,
 
 
 def _limited(log: JointLog, joint: int, limit: MotorLimit) -> JointLog:
-    """The log whose efforts of one joint are no more than its motor gives, as positions change.
-
-    What a log has as velocities may be none, and was not what the limit was found by.
-    """
+    """The log whose efforts of one joint are no more than its motor gives."""
     if not _has_efforts(log, log.joints[joint]):
         return log
-    effort, position = log.effort.copy(), log.position[:, joint]
-    known, velocity = np.isfinite(position) & np.isfinite(log.time), np.zeros(len(position))
-    if np.count_nonzero(known) > 1:
-        velocity[known] = np.gradient(position[known], log.time[known])
-    effort[:, joint] = limit.given(effort[:, joint], velocity)
+    effort = log.effort.copy()
+    effort[:, joint] = limited_effort(log, joint, limit, effort[:, joint])
     return replace(log, effort=effort)
 
 
