@@ -16,6 +16,8 @@ from scipy.optimize import nnls
 from geodrake import load_model
 from geodrake.diagnosis import ColumnFinding, check_columns, corrected
 from geodrake.diagnosis.columns.fit import active, bounded
+from geodrake.diagnosis.columns.proposals import ColumnMistake
+from geodrake.diagnosis.columns.search import Judged, MistakeFound, with_step
 from geodrake.errors import ArgumentError
 from geodrake.logs.files import read_log
 
@@ -134,6 +136,23 @@ def test_two_mistakes_are_found_one_after_the_other(pendulum, right):
     after = corrected(wrong, found)
     np.testing.assert_allclose(after.effort, right.effort)
     np.testing.assert_allclose(after.velocity, right.velocity, rtol=0.01)
+
+
+def steps_of(kinds):
+    """Kinds of steps that are taken one after the other."""
+    steps = []
+    for kind in kinds:
+        best = Judged(ColumnMistake(kind, (0,), None), None, 1.0, 1.0)
+        steps = with_step(steps, MistakeFound(None, best, ()))
+    return [step.best.mistake.kind for step in steps]
+
+
+def test_gains_that_are_found_again_are_one_step_unless_something_is_by_the_former():
+    each, again = "effort_gains", "effort_gain"
+    assert steps_of([each, "position_sign", again, again]) == [each, "position_sign"]
+    for between in ("effort_limit", "swapped_efforts", "swapped_joints"):
+        assert steps_of([each, between, again]) == [each, between, again]
+        assert steps_of([between, each, again]) == [between, each]
 
 
 class TestCorrected:
