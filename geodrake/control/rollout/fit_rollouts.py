@@ -198,9 +198,10 @@ def better_model(
         place = slice(start, start + len(fitted.parameters))
         start = place.stop
         if at in changed and fitted.deviations is not None:
-            information[place], information[:, place] = 0.0, 0.0
-            own = np.square(np.maximum(fitted.deviations, np.finfo(float).tiny))
-            information[place, place] = np.diag(1.0 / own)
+            unsure = np.flatnonzero(fitted.deviations)
+            own, variances = place.start + unsure, np.square(fitted.deviations[unsure])
+            information[own], information[:, own] = 0.0, 0.0
+            information[own, own] = 1.0 / np.maximum(variances, np.finfo(float).tiny)
     return replace(better, information=information)
 
 
