@@ -44,7 +44,7 @@ from geodrake.logs.learnable import check_saturation
 from geodrake.logs.motion import JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model.carried_payloads import carrying
-from geodrake.model.effort_signal import COMMAND, EffortSignal, signal_of
+from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.signal_efforts import in_efforts, kind_of
 
@@ -323,10 +323,12 @@ def _kinds(model: RobotModel, logs: Sequence[JointLog]) -> tuple[str, ...]:
             )
         kind = next(iter(kinds))
         signal = signal_of(model.effort_signals, joint)
-        if signal is not None and kind not in (signal.kind, "effort"):
+        if signal is not None and kind not in (signal.kind, EFFORT):
+            knows = f"what makes efforts of its {signal.kind}"
+            if signal.kind == EFFORT:
+                knows = "which efforts its motor gives of those that it is asked for"
             raise LogError(
-                f"Log {kinds[kind]!r} has the {kind} of {joint}; the model knows what makes "
-                f"efforts of its {signal.kind}.",
+                f"Log {kinds[kind]!r} has the {kind} of {joint}; the model knows {knows}.",
                 advice="Start from the model file, or say what the column is by --kind.",
                 joint=joint,
             )
