@@ -135,6 +135,17 @@ def test_a_model_of_voltages_refuses_currents(arm, torques):
         with_efforts(replace(arm, effort_signals=(motor,)), [currents(torques, GAINS)])
 
 
+def test_rows_beyond_the_limit_of_a_motor_are_noted(arm, torques):
+    asked = np.abs(torques.effort[:, 0])
+    motor = EffortSignal(torques.joints[0], "effort", 1.0, limit=float(np.quantile(asked, 0.75)))
+    able = replace(arm, effort_signals=(motor,))
+    _, (given,), (note,) = with_efforts(able, [torques])
+    assert np.abs(given.effort[:, 0]).max() == motor.limit
+    assert f"in 25 % of the rows {motor.joint} is asked for more" in note
+    assert note in open_case(able, [torques], candidates=False).notes
+    assert with_efforts(able, [given])[2] == []
+
+
 def test_efforts_that_are_asked_for_have_no_other_gain():
     for gains in ({"gain": 2.0}, {"gain": -1.0}, {"gain": 1.0, "deviation": 0.1}):
         with pytest.raises(ArgumentError, match="have the gain"):
