@@ -27,6 +27,8 @@ from geodrake.model.motor_limit import MotorLimit
 from geodrake.model.saved_model import save_model
 from geodrake.model.servos import known_effort_limits
 from geodrake.model.signal_efforts import in_efforts
+from geodrake.report.numbers import Units
+from geodrake.report.sections import limits_section, signals_section
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "diagrams"))
 
@@ -153,6 +155,19 @@ def test_limits_of_a_model_are_those_of_corrected_columns():
     assert with_motor_limits(served, [log], [limit]).effort_signals == (servo,)
     with pytest.raises(ArgumentError, match="no joint 'nose'"):
         with_motor_limits(model, [log], [found_of("effort_limit", ("nose",), (3.0,))])
+
+
+def test_limits_stand_beside_gains_and_among_none():
+    motor = EffortSignal("a", "effort", 1.0, limit=3.0, no_load_speed=5.0)
+    drive = EffortSignal("b", "current", 0.5, limit=4.0)
+    units = Units(("a", "b"), frozenset({"b"}))
+    limits, gains = (make((motor, drive), units) for make in (limits_section, signals_section))
+    assert [row[0].text for row in limits.tables[0].rows] == ["a"]
+    assert limits.tables[0].rows[0][-1].text == "3.00 N·m, none at 5.00 rad/s"
+    assert [row[0].text for row in gains.tables[0].rows] == ["b"]
+    assert gains.tables[0].rows[0][-1].text == "4.00 N"
+    assert limits_section((drive,), units) == limits_section((), units)
+    assert signals_section((motor,), units) == signals_section((), units)
 
 
 @pytest.mark.parametrize("speed", [(), (4.0,)])
