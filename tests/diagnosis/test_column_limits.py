@@ -150,6 +150,8 @@ def test_limits_of_a_model_are_those_of_corrected_columns():
     assert of_drive.effort_signals == (replace(drive, limit=3.0, no_load_speed=5.0),)
     most = in_efforts(replace(currents, effort=90.0 * log.effort), of_drive.effort_signals)
     assert most.effort[:, 0] == pytest.approx(3.0)
+    driven = replace(model, effort_signals=(drive,))
+    assert with_motor_limits(driven, [log], [limit]).effort_signals == (drive,)
     servo = EffortSignal(first, "command", 90.0)
     served = replace(model, effort_signals=(servo,))
     assert with_motor_limits(served, [log], [limit]).effort_signals == (servo,)

@@ -65,8 +65,8 @@ def with_motor_limits(
 ) -> RobotModel:
     """The model that knows what was found of its motors' limits, for these and other logs.
 
-    Limits of motors whose logs have currents, voltages or commands of unknown gains are left out,
-    and those of servos, which have their own.
+    Limits are left out of motors whose logs have something else than what the model knows of them,
+    such as currents of unknown gains, and of servos, which have their own.
 
     Args:
         model: The model.
@@ -97,15 +97,14 @@ def with_motor_limits(
                 advice=f"Its joints are {', '.join(model.joints)}.",
             )
         signal = known.get(joint, EffortSignal(joint, EFFORT, 1.0))
-        is_known = joint in known or all(_has_efforts(log, joint) for log in logs)
-        if is_known and signal.kind != COMMAND:
+        if signal.kind != COMMAND and all(_has(log, joint, signal.kind) for log in logs):
             known[joint] = replace(signal, limit=limit.effort, no_load_speed=limit.no_load_speed)
     return replace(model, effort_signals=tuple(known.values()))
 
 
-def _has_efforts(log: JointLog, joint: str) -> bool:
-    """Whether a log has efforts of a joint."""
-    return joint in log.joints and kind_of(log, joint) == EFFORT
+def _has(log: JointLog, joint: str, kind: str) -> bool:
+    """Whether a log has efforts of a joint, or what stands for them, of a kind."""
+    return joint in log.joints and kind_of(log, joint) == kind
 
 
 def _corrected(log: JointLog, finding: ColumnFinding) -> JointLog:
@@ -133,7 +132,7 @@ def _changed(log: JointLog, quantities: Sequence[str], change: Any) -> dict[str,
 
 def _limited(log: JointLog, joint: int, limit: MotorLimit) -> JointLog:
     """The log whose efforts of one joint are no more than its motor gives."""
-    if not _has_efforts(log, log.joints[joint]):
+    if not _has(log, log.joints[joint], EFFORT):
         return log
     effort = log.effort.copy()
     effort[:, joint] = limited_effort(log, joint, limit, effort[:, joint])
