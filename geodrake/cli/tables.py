@@ -23,6 +23,7 @@ from geodrake.report.tables import (
     candidates_table,
     error_stages,
     errors_table,
+    limits_table,
     parameters_table,
     short_steps_table,
     signals_table,
@@ -176,11 +177,14 @@ def _show_change(console: Console, explanation: Explanation, units: Units) -> No
             console, "Bodies before and after, kg and mm, farthest change first; ± from noise alone"
         )
         show_table(console, bodies_table(explanation.bodies))
-    signals = explanation.model.effort_signals
-    if signals:
-        limits = all(signal.kind == EFFORT for signal in signals)
-        head(console, "Limits of motors" if limits else "Gains, by the model's inertias")
-        show_table(console, signals_table(signals, units))
+    motors = [each for each in explanation.model.effort_signals if each.kind == EFFORT]
+    others = [each for each in explanation.model.effort_signals if each.kind != EFFORT]
+    if others:
+        head(console, "Gains, by the model's inertias")
+        show_table(console, signals_table(others, units))
+    if motors:
+        head(console, "Limits of motors")
+        show_table(console, limits_table(motors, units))
     show_list(console, "Notes", explanation.notes)
 
 

@@ -15,6 +15,7 @@ from geodrake.excitation.trajectory import joint_order
 from geodrake.logs.motion import SIGNAL_KINDS
 from geodrake.model.effort_signal import signal_of
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.servos import known_effort_limits
 
 Array = NDArray[np.float64]
 ByJoint = float | Mapping[str, float] | ArrayLike | None
@@ -126,7 +127,8 @@ def motion_limits(
 ) -> MotionLimits:
     """The limits of a robot's model file, and others in their place.
 
-    A turning joint whose position is not limited may go half a turn to either side.
+    Efforts are no more than the model knows its motors to give (`EffortSignal.limit`). A turning
+    joint whose position is not limited may go half a turn to either side.
 
     Args:
         model: The robot.
@@ -154,7 +156,7 @@ def motion_limits(
         if limits.shape != (2,):
             raise ArgumentError(f"Limits of position are pairs; {joint!r} has {pair}.")
         lower[at], upper[at] = limits
-    efforts = _overridden(model, model.effort_limits, effort, "effort")
+    efforts = _overridden(model, known_effort_limits(model), effort, "effort")
     return MotionLimits(
         model.joints,
         lower,

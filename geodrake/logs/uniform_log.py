@@ -23,6 +23,7 @@ _LONGEST_PERIOD = 0.5  # s; at 2 Hz and less, positions say nothing about accele
 _SHORTEST_PERIOD = 1e-5  # s; no robot is logged at more than 100 kHz
 _COARSEST = 0.1  # of a period, to which time stamps are to be distinguished
 _STILL_RANGE, _STILL_NOISE = 2e-3, 20.0  # rad or m, and noise deviations, of a joint at rest
+_ALIKE = 0.1  # of a clock, by which joints may differ in what they say of it
 _PART, _PARTS = 100_000, 8  # samples, and how many such parts of a log are looked at for a choice
 
 
@@ -57,7 +58,11 @@ class UniformLog:
 
     @property
     def second(self) -> float:
-        """What a second of its time takes by its measured velocities, s; NaN if none say."""
+        """What a second of its time takes by its measured velocities, s.
+
+        It is NaN if there are none, if those of most joints do not agree on it, or if no log of a
+        robot would have such a period.
+        """
         both = [
             (np.diff(part.position, axis=0) / self.period, part.velocity[1:] + part.velocity[:-1])
             for part in self.sample_parts()
@@ -68,8 +73,13 @@ class UniformLog:
         way, rate = (np.concatenate(each) for each in zip(*both, strict=True))
         strength = 0.5 * np.sum(rate**2, axis=0)
         seen = self.moving & (strength > 0.0)
+        if not seen.any():
+            return np.nan
         slopes = np.sum(way * rate, axis=0)[seen] / strength[seen]
-        return float(np.median(slopes)) if seen.any() else np.nan
+        found = float(np.median(slopes))
+        alike = np.mean(np.abs(slopes - found) < _ALIKE * abs(found))
+        is_one = alike > 0.5 and _SHORTEST_PERIOD <= found * self.period < _LONGEST_PERIOD
+        return found if is_one else np.nan
 
 
 def make_uniform(log: JointLog) -> UniformLog:

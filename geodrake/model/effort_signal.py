@@ -88,6 +88,12 @@ class EffortSignal:
                 f"The gain of {self.joint!r} is {self.gain:.4g}; it must be "
                 f"{'positive' if self.kind == COMMAND else 'other than 0'}."
             )
+        if self.kind == EFFORT and (self.gain, self.deviation) != (1.0, 0.0):
+            raise ArgumentError(
+                f"Efforts of {self.joint!r} have the gain {self.gain:.4g} ± {self.deviation:.4g}.",
+                advice="Efforts that a motor is asked for have the gain 1, exactly: --gain "
+                "corrects those of a log.",
+            )
         for name in _NOT_NEGATIVE:
             number(getattr(self, name), f"{name} of {self.joint}", lower=0.0)
         for name in ("limit", "no_load_speed"):

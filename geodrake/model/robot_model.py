@@ -102,7 +102,7 @@ class RobotModel(Short):
         transmission: What moves joints of the plant in their place; joints without a drive move
             by themselves. All that is the model's, q, v, efforts and effects, is at the actuators.
         effort_signals: Of joints whose logs have currents, voltages or commands in the place of
-            efforts, what makes efforts of them.
+            efforts, or efforts that motors are asked for, what makes efforts of them.
         known_joints: Names of the joints that logs may have: the model's, those that are held, and
             those that follow others.
     """

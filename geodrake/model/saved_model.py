@@ -445,7 +445,7 @@ def _with_parameters(
         phi=phi,
         effects=effects,
         information=information,
-        effort_signals=tuple(_effort_signal(model, each) for each in saved.effort_signals),
+        effort_signals=_effort_signals(model, saved.effort_signals),
         effort_noise=_of_joints(model, "effort_noise", saved.effort_noise),
         fading_speed=_of_joints(model, "fading_speed", saved.fading_speed),
         fitted_to=tuple(saved.fitted_to),
@@ -478,13 +478,20 @@ def _fitted_effect(
     )
 
 
-def _effort_signal(model: RobotModel, saved: SavedEffortSignal) -> EffortSignal:
-    if saved.joint not in model.joints:
-        raise ModelError(
-            f"it has a signal for efforts of {saved.joint!r}, which the robot does not have.",
-            advice=f"It has {', '.join(model.joints)}.",
-        )
-    return EffortSignal(**dc.asdict(saved))
+def _effort_signals(
+    model: RobotModel, saved: Sequence[SavedEffortSignal]
+) -> tuple[EffortSignal, ...]:
+    found: dict[str, EffortSignal] = {}
+    for each in saved:
+        if each.joint not in model.joints:
+            raise ModelError(
+                f"it has a signal for efforts of {each.joint!r}, which the robot does not have.",
+                advice=f"It has {', '.join(model.joints)}.",
+            )
+        if each.joint in found:
+            raise ModelError(f"it has two signals for efforts of {each.joint!r}.")
+        found[each.joint] = EffortSignal(**dc.asdict(each))
+    return tuple(found.values())
 
 
 def _numbers(what: str, values: Sequence[float], count: int) -> NDArray[np.float64]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geodrake.logs.motion import JointLog
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
+from geodrake.model.motor_limit import MotorLimit
 from geodrake.model.servo_integrals import (
     constants_beside_friction,
     error_integral,
@@ -45,9 +46,9 @@ def in_efforts(
             wanted = None if needed is None else needed[:, at]
             effort[:, at] = servo_effort(log, at, signal, wanted)
         else:
-            asked = signal.gain * effort[:, at]
-            is_limited = np.isfinite(signal.limit)
-            effort[:, at] = signal.motor.given(asked, _velocity(log, at)) if is_limited else asked
+            effort[:, at] *= signal.gain
+            if np.isfinite(signal.limit):
+                effort[:, at] = limited_effort(log, at, signal.motor, effort[:, at])
             kinds.pop(joint, None)
         if signal.kind != EFFORT:
             uncertainty[at] = min(signal.uncertainty, 1.0)
@@ -70,7 +71,21 @@ def kind_of(log: JointLog, joint: str) -> str:
     told = log.command is not None and np.isfinite(log.command[:, at]).any()
     if told and joint not in log.effort_kinds and not np.isfinite(log.effort[:, at]).any():
         return COMMAND
-    return log.effort_kinds.get(joint, "effort")
+    return log.effort_kinds.get(joint, EFFORT)
+
+
+def limited_effort(log: JointLog, at: int, motor: MotorLimit, asked: Array) -> Array:
+    """(N,) what a motor gives, N·m or N, as the positions of its joint change.
+
+    What a log has as velocities may be none. Where positions are not known, the joint stands.
+
+    Args:
+        log: The log.
+        at: Which of its joints.
+        motor: What its motor can give.
+        asked: (N,) efforts that were asked for, N·m or N.
+    """
+    return motor.given(asked, np.nan_to_num(_derived_velocity(log, at)))
 
 
 def servo_effort(
@@ -153,11 +168,17 @@ def delayed_command(log: JointLog, at: int, delay: float) -> tuple[Array, Array]
 
 def _velocity(log: JointLog, at: int) -> Array:
     """(N,) velocity of a joint, from its positions where it was not measured."""
+    derived = _derived_velocity(log, at)
+    if log.velocity is None:
+        return derived
+    return np.where(np.isfinite(log.velocity[:, at]), log.velocity[:, at], derived)
+
+
+def _derived_velocity(log: JointLog, at: int) -> Array:
+    """(N,) velocity of a joint, from its positions."""
     position = log.position[:, at]
     known = np.isfinite(position) & np.isfinite(log.time)
     derived = np.full(len(log), np.nan)
     if np.count_nonzero(known) > 1:
         derived[known] = np.gradient(position[known], log.time[known])
-    if log.velocity is None:
-        return derived
-    return np.where(np.isfinite(log.velocity[:, at]), log.velocity[:, at], derived)
+    return derived

@@ -164,6 +164,7 @@ def render_explanation(
         sections.parameters_section(explanation, units),
         sections.bodies_section(explanation),
         sections.signals_section(explanation.model.effort_signals, units),
+        sections.limits_section(explanation.model.effort_signals, units),
         with_bars(joints, step_joint_bars(explanation)),
         *more,
         sections.dependence_section(models, units),

@@ -17,6 +17,7 @@ from geodrake.report.page import ColoredList, Section, Tile
 from geodrake.report.tables import (
     candidates_table,
     errors_table,
+    limits_table,
     parameters_table,
     signals_table,
     steps_table,
@@ -116,22 +117,15 @@ def bodies_section(explanation: Explanation) -> Section:
 
 
 def signals_section(signals: Sequence[EffortSignal], units: Units) -> Section:
-    """What makes efforts of currents, voltages and commands, and what motors give of efforts.
-
-    It is empty where efforts were measured.
+    """What makes efforts of currents, voltages and commands; empty where efforts were measured.
 
     Args:
         signals: Those of the model.
         units: Units of the robot's joints.
     """
+    signals = [signal for signal in signals if signal.kind != EFFORT]
     if not signals:
         return Section("Gains")
-    if all(signal.kind == EFFORT for signal in signals):
-        text = (
-            "Efforts of these joints are those that their motors are asked for; they give no more "
-            "than the limit, which the log told."
-        )
-        return Section("Limits", (text,), (signals_table(signals, units),))
     text = (
         "No efforts were measured at these joints. Efforts are the gains times what was measured, "
         "of servos the stiffness times how far the command is ahead, the damping times how much "
@@ -140,6 +134,23 @@ def signals_section(signals: Sequence[EffortSignal], units: Units) -> Section:
         "to efforts, or a gain from a data sheet (--gain), tells it better."
     )
     return Section("Gains", (text,), (signals_table(signals, units),))
+
+
+def limits_section(signals: Sequence[EffortSignal], units: Units) -> Section:
+    """What motors give of the efforts that they are asked for; empty where that is not limited.
+
+    Args:
+        signals: Those of the model.
+        units: Units of the robot's joints.
+    """
+    signals = [signal for signal in signals if signal.kind == EFFORT]
+    if not signals:
+        return Section("Limits of motors")
+    text = (
+        "Efforts of these joints are those that their motors are asked for; they give no more "
+        "than the limit, which logs told."
+    )
+    return Section("Limits of motors", (text,), (limits_table(signals, units),))
 
 
 def joints_section(stages: Mapping[str, ErrorTable], units: Units) -> Section:

@@ -11,7 +11,7 @@ from geodrake.diagnosis.drafting import Draft
 from geodrake.diagnosis.drafting.results import DraftedEffect
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.identification.logs.model_errors import ErrorTable
-from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal
+from geodrake.model.effort_signal import COMMAND, EffortSignal
 from geodrake.report.numbers import (
     UNKNOWN,
     Units,
@@ -246,15 +246,12 @@ def parameters_table(step: Step, units: Units) -> Table:
 
 
 def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
-    """What makes efforts of the currents, voltages and commands of logs, and of those asked for.
+    """What makes efforts of the currents, voltages and commands of logs.
 
     Args:
-        signals: Those of a model.
+        signals: Those of a model, without those of motors that are asked for efforts.
         units: Units of the joints of the model.
     """
-    if all(signal.kind == EFFORT for signal in signals):
-        limits = [cells(signal.joint, _limit(signal, units)) for signal in signals]
-        return Table(("joint", "limit"), tuple(limits), words=1)
     rows, served = [], any(signal.kind == COMMAND for signal in signals)
     summed = any(signal.integral for signal in signals)
     limited = any(signal.limit < math.inf for signal in signals)
@@ -277,6 +274,17 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
     more = (*more, *(["integral"] if summed else []), *(["limit"] if limited else []))
     head = ("joint", "in place of efforts", "gain", "unit", *more)
     return Table(head, tuple(rows), words=2)
+
+
+def limits_table(signals: Sequence[EffortSignal], units: Units) -> Table:
+    """What motors give of the efforts that they are asked for.
+
+    Args:
+        signals: Those of such motors.
+        units: Units of the joints of the model.
+    """
+    rows = [cells(signal.joint, _limit(signal, units)) for signal in signals]
+    return Table(("joint", "limit"), tuple(rows), words=1)
 
 
 def _limit(signal: EffortSignal, units: Units) -> str:

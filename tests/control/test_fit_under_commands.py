@@ -31,6 +31,7 @@ from geodrake.control.rollout import (
     simulation,
 )
 from geodrake.control.rollout.acting import acting_in
+from geodrake.control.rollout.fit_rollouts import better_model
 from geodrake.control.rollout.motion_search import MotionSearch, SearchWindow
 from geodrake.control.rollout.near_motion import NearMotion
 from geodrake.control.rollout.rollout_values import (
@@ -197,6 +198,34 @@ def unsure_of_motors(model):
     *motors, spring = model.effects
     unsure = (dataclasses.replace(e, deviations=0.01 * e.parameters) for e in motors)
     return dataclasses.replace(model, effects=(*unsure, spring))
+
+
+def test_what_is_free_of_a_motor(pendulum):
+    """Friction and the rotor, as far as they are not exact; nothing that may be of either sign."""
+    servo = EffortSignal("hinge", "command", 100.0, deviation=10.0)
+    model = servoed(pendulum, 1.0, servo)
+    beside = (
+        effects.AsymmetricFriction("hinge"),
+        effects.EffortOffset("hinge"),
+        effects.GravityCompensator("hinge"),
+        effects.RotorInertia("hinge"),
+    )
+    parameters = ([1.0, 0.5, 0.0, 0.2], [0.3], [2.0, 0.1], [0.4])
+    deviations = ([0.1, 0.0, 0.1, 0.1], [0.1], [0.1, 0.1], [0.1])
+    motors = map(effects.FittedEffect, beside, map(np.array, parameters), map(np.array, deviations))
+    model = dataclasses.replace(model, effects=(model.effects[-1], *motors))
+    p = model.phi.size + sum(len(fitted.parameters) for fitted in model.effects)
+    model = dataclasses.replace(model, information=np.eye(p))
+    values = rollout_values(model, commands=True)
+    friction = "asymmetric_friction"
+    assert [(value.effect, value.name) for value in values[4:]] == [
+        (friction, "coulomb_positive"),
+        (friction, "viscous_negative"),
+        ("rotor_inertia", "inertia"),
+    ]
+    known = better_model(model, values, values_at(values, np.zeros(len(values))), np.full(7, 0.5))
+    diagonal = np.diag(known.information)[model.phi.size + 1 :]
+    np.testing.assert_allclose(diagonal, [4.0, 1.0, 100.0, 4.0, *np.ones(3), 4.0])
 
 
 def test_moved_servos_are_those_of_a_model_that_states_them(pendulum):

@@ -11,13 +11,17 @@ import numpy as np
 import pytest
 from measurements import DATA, REFERENCE
 from pinocchio_logs import without_effects
+from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
 from geodrake import load_model
 from geodrake.diagnosis import ColumnFinding, check_columns, corrected
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.design import Parameters, joint_designs, joint_motion
+from geodrake.diagnosis.columns.fit import active, bounded
+from geodrake.diagnosis.columns.proposals import ColumnMistake
 from geodrake.diagnosis.columns.samples import column_samples
+from geodrake.diagnosis.columns.search import Judged, MistakeFound, with_step
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import prepared_as_measured
 from geodrake.logs.files import read_log
@@ -71,6 +75,18 @@ MISTAKES = {
     "velocity_factor": lambda log: replace(log, velocity=20.0 * log.velocity),
     "time": lambda log: replace(log, time=0.1 * log.time),
 }
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_steps_within_bounds_settle_at_the_least(seed):
+    rng = np.random.default_rng(seed)
+    X, y, lower = rng.normal(size=(30, 12)), rng.normal(size=30), rng.normal(size=12)
+    A, b, held = X.T @ X, X.T @ y, np.zeros(12, bool)
+    for _ in range(12):
+        x = bounded(A, b, lower, held)
+        held = active(A, b, x, lower, held)
+    expected = lower + nnls(X, y - X @ lower)[0]
+    np.testing.assert_allclose(x, expected, atol=1e-9)
 
 
 def test_nothing_is_found_in_right_columns(pendulum, right):
@@ -160,6 +176,23 @@ def test_two_mistakes_are_found_one_after_the_other(pendulum, right):
     after = corrected(wrong, found)
     np.testing.assert_allclose(after.effort, right.effort)
     np.testing.assert_allclose(after.velocity, right.velocity, rtol=0.01)
+
+
+def steps_of(kinds):
+    """Kinds of steps that are taken one after the other."""
+    steps = []
+    for kind in kinds:
+        best = Judged(ColumnMistake(kind, (0,), None), None, 1.0, 1.0)
+        steps = with_step(steps, MistakeFound(None, best, ()))
+    return [step.best.mistake.kind for step in steps]
+
+
+def test_gains_that_are_found_again_are_one_step_unless_something_is_by_the_former():
+    each, again = "effort_gains", "effort_gain"
+    assert steps_of([each, "position_sign", again, again]) == [each, "position_sign"]
+    for between in ("effort_limit", "swapped_efforts", "swapped_joints"):
+        assert steps_of([each, between, again]) == [each, between, again]
+        assert steps_of([between, each, again]) == [between, each]
 
 
 class TestCorrected:

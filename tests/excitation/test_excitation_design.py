@@ -32,6 +32,7 @@ from geodrake.excitation.design import make_problem
 from geodrake.excitation.guess import random_guess
 from geodrake.excitation.postures import possible_postures
 from geodrake.logs.motion import Motion
+from geodrake.model.effort_signal import EffortSignal
 from geodrake.model.robot_model import load_description
 
 FAST = DesignOptions(samples=60, iterations=40, sharpness=(8.0,))
@@ -445,6 +446,9 @@ class TestBadInput:
         half = limits.scaled(0.5)
         np.testing.assert_allclose(half.upper, 0.5 * limits.upper)
         np.testing.assert_allclose(half.effort, 0.5 * limits.effort)
+        weak = EffortSignal(model.joints[1], "effort", 1.0, limit=90.0)
+        told = motion_limits(replace(model, effort_signals=(weak,)))
+        assert told.effort.tolist() == [320, 90, 180, 180, 110, 45, 45]
         with pytest.raises(ArgumentError, match=r"no joint 'elbow'"):
             motion_limits(model, effort={"elbow": 1.0})
         with pytest.raises(ArgumentError, match=r"shape \(2,\)"):

@@ -9,7 +9,7 @@ from measurements import DATA, REFERENCE
 
 from geodrake import load_model, save_model
 from geodrake.diagnosis import explain
-from geodrake.errors import LogError
+from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.effort_gains import _GeodesicBodies
 from geodrake.identification.logs.signal_calibration import calibrated, with_efforts
@@ -130,6 +130,26 @@ def test_a_model_of_voltages_refuses_currents(arm, torques):
     signals = tuple(EffortSignal(joint, "voltage", 2.0) for joint in torques.joints)
     with pytest.raises(LogError, match="knows what makes efforts of its voltage"):
         with_efforts(replace(arm, effort_signals=signals), [currents(torques, GAINS)])
+    motor = EffortSignal(torques.joints[0], "effort", 1.0, limit=9.0)
+    with pytest.raises(LogError, match="which efforts its motor gives"):
+        with_efforts(replace(arm, effort_signals=(motor,)), [currents(torques, GAINS)])
+
+
+def test_rows_beyond_the_limit_of_a_motor_are_noted(arm, torques):
+    asked = np.abs(torques.effort[:, 0])
+    motor = EffortSignal(torques.joints[0], "effort", 1.0, limit=float(np.quantile(asked, 0.75)))
+    able = replace(arm, effort_signals=(motor,))
+    _, (given,), (note,) = with_efforts(able, [torques])
+    assert np.abs(given.effort[:, 0]).max() == motor.limit
+    assert f"in 25 % of the rows {motor.joint} is asked for more" in note
+    assert note in open_case(able, [torques], candidates=False).notes
+    assert with_efforts(able, [given])[2] == []
+
+
+def test_efforts_that_are_asked_for_have_no_other_gain():
+    for gains in ({"gain": 2.0}, {"gain": -1.0}, {"gain": 1.0, "deviation": 0.1}):
+        with pytest.raises(ArgumentError, match="have the gain"):
+            EffortSignal("joint", "effort", **gains)
 
 
 @pytest.mark.measurements("data/ur10e_free_c.csv", "reference/ur10e.urdf")

@@ -101,6 +101,21 @@ def test_a_robot_written_anew_has_a_motor_or_a_servo_at_every_joint(tmp_path):
     assert exported(again, tmp_path / "again")[0].read_bytes() == path.read_bytes()
 
 
+def test_limits_that_logs_told_are_in_new_files_and_noted_beside_the_users(tmp_path):
+    model = loaded(tmp_path, text=URDF)
+    assert "limits of effort" not in exported(model, tmp_path / "plain", "urdf")[1]
+    model = replace(model, effort_signals=(EffortSignal("b", "effort", 1.0, limit=7.0),))
+    path, notes = exported(model, tmp_path / "own_format", "urdf")
+    np.testing.assert_array_equal(load_model(path).effort_limits, [10.0, 50.0])
+    assert (
+        "limits of effort in arm.urdf stay as they are; the model knows of less: b 7 N·m" in notes
+    )
+    for form in ("sdf", "mjcf"):
+        path, notes = exported(model, tmp_path / form, form)
+        np.testing.assert_array_equal(load_model(path).effort_limits, [10.0, 7.0])
+        assert "limits of effort" not in notes
+
+
 def test_a_file_of_the_users_gets_actuators_for_servos_and_delays_alone(tmp_path):
     model = loaded(tmp_path)
     assert exported(model, tmp_path / "plain")[0].read_text() == MJCF.format(before="", after="")

@@ -31,6 +31,7 @@ from geodrake.effects import (
 from geodrake.errors import ModelError, OutputError
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.logs.motion import Motion
+from geodrake.model import EffortSignal
 from geodrake.model.saved_model import is_saved_model, save_model
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -202,6 +203,14 @@ def test_joint_that_is_not_there_is_refused(saved):
     saved.write_text(saved.read_text().replace("[base_yaw]", "[base_jaw]", 1))
     with pytest.raises(ModelError, match="base_jaw"):
         load_model(saved)
+
+
+def test_two_signals_of_a_joint_are_refused(fitted, tmp_path):
+    signals = (EffortSignal(fitted.joints[0], kind, 1.0) for kind in ("effort", "current"))
+    path = tmp_path / "two.yaml"
+    save_model(replace(fitted, effort_signals=tuple(signals)), path)
+    with pytest.raises(ModelError, match=f"two signals for efforts of '{fitted.joints[0]}'"):
+        load_model(path)
 
 
 def test_cut_off_file_is_refused(saved):

@@ -33,7 +33,7 @@ class FittedValue(Short):
 
 @dataclass(frozen=True, eq=False)
 class RolloutFit(Shown):
-    """What a model's soft joints, their play and their servos are by its simulated motion.
+    """What a model's soft joints, their play, servos and motors are by its simulated motion.
 
     `before` and `after` say what they are under: logged efforts, or logged commands.
 

@@ -1,4 +1,4 @@
-"""A fit of what only the simulated motion shows: soft joints, play, and servos they move under.
+"""A fit of what only the simulated motion shows: soft joints, play, their servos and motors.
 
 A linear fit sees a soft joint to first order in its compliance, through a filter, and play hardly.
 How the simulated robot moves shows both. The fit starts at the model's values and sees every other
@@ -70,7 +70,7 @@ def fit_rollouts(
     commands: bool = False,
     progress: Progress | None = None,
 ) -> RolloutFit:
-    """Fit the soft joints and the play of a model, and servos, to how it moves in simulation.
+    """Fit a model's soft joints and play, their servos and motors, to how it moves in simulation.
 
     Values that effects declare (`DeflectionEffect.rollout_values`: compliance, damping and half
     width of a dead band) are fitted by least squares of what windows depart by, from the model's
@@ -81,8 +81,10 @@ def fit_rollouts(
     Simulations are those of `roll_out`, under the efforts of logs, or those of `command_rollout`,
     in which servos close the loop. Soft joints would make up for what these are off by: where the
     servo of one has deviations, its gains and its delay are fitted, too, held by their deviations,
-    and by 10 ms for a delay. Limits stay. The stiffer a servo is, the less of a soft joint shows in
-    the motion, and the more counts what commands are between samples.
+    and by 10 ms for a delay, and with them what resists its motor, friction and the rotor's
+    inertia, as far as these have deviations, held to a factor of e. Limits stay. The stiffer a
+    servo is, the less of a soft joint shows in the motion, and the more counts what commands are
+    between samples.
 
     Deviations are for all else that the model has. That of a gain stays the share of it that it
     was, as a motion tells the gain for given inertias only.
@@ -198,9 +200,10 @@ def better_model(
         place = slice(start, start + len(fitted.parameters))
         start = place.stop
         if at in changed and fitted.deviations is not None:
-            information[place], information[:, place] = 0.0, 0.0
-            own = np.square(np.maximum(fitted.deviations, np.finfo(float).tiny))
-            information[place, place] = np.diag(1.0 / own)
+            unsure = np.flatnonzero(fitted.deviations)
+            own, variances = place.start + unsure, np.square(fitted.deviations[unsure])
+            information[own], information[:, own] = 0.0, 0.0
+            information[own, own] = 1.0 / np.maximum(variances, np.finfo(float).tiny)
     return replace(better, information=information)
 
 

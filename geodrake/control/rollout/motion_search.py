@@ -1,10 +1,10 @@
 """Least squares of what soft joints are, by how simulated windows depart from their motion.
 
 Few values, positive, by steps from where they begin: of what each is known to, be that a deviation
-or, by its logarithm, a factor of e. Departures are those
-of the rollout that the search begins with, and how much they change near the measured motion
-(`near_motion`). They are compared with the positions as they were logged, and what other states at
-the start of a window would make of them does not count: those are smoothed, and never exact.
+or, by its logarithm, a factor of e. Departures are those of the rollout that the search begins
+with, and how much they change near the measured motion (`near_motion`). They are compared with the
+positions as they were logged, and what other states at the start of a window would make of them
+does not count: those are smoothed, and never exact.
 """
 
 from __future__ import annotations

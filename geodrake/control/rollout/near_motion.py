@@ -215,17 +215,15 @@ class NearMotion:
             along: What acts with those.
             effects: The model's effects, with other parameters of `forces`.
         """
-        servos = NearServos.of(law, along, self.motors)[0]
-        rest = self.rest.copy() if self.forces else self.rest
-        linear = self.stiffness, self.damping, self.inertia
-        if self.forces:
-            linear = self.stiffness.copy(), self.damping.copy(), self.inertia.copy()
+        servos, rest = NearServos.of(law, along, self.motors)[0], self.rest.copy()
+        stiffness, damping, inertia = (
+            whole.copy() for whole in (self.stiffness, self.damping, self.inertia)
+        )
         for force in self.forces:
             change = force.change(effects)
             rest[:, force.place] += change * force.effort
-            for whole, slope in zip(linear, force.slopes, strict=True):
+            for whole, slope in zip((stiffness, damping, inertia), force.slopes, strict=True):
                 whole[:, force.place, force.place] += change * slope
-        stiffness, damping, inertia = linear
         return replace(
             self, rest=rest, stiffness=stiffness, damping=damping, inertia=inertia, servos=servos
         )

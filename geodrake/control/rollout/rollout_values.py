@@ -99,9 +99,10 @@ def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[Rollou
 
 
 def _motor_values(at: int, fitted: FittedEffect) -> Iterator[RolloutValue]:
-    """What brakes a motor, friction and its inertia, as far as it is not known exactly.
+    """What resists a motor, friction, inertia and springs, as far as it is not known exactly.
 
-    It was found with the servo, and is off as that is: by far more than its deviations say.
+    It was found with the servo, and is off as that is: by far more than its deviations say. What
+    may be of either sign, as offsets may, is not.
 
     Args:
         at: Which of the model's effects it is.
@@ -113,7 +114,7 @@ def _motor_values(at: int, fitted: FittedEffect) -> Iterator[RolloutValue]:
     for parameter, value, unsure in zip(
         effect.parameters, fitted.parameters.tolist(), deviations.tolist(), strict=True
     ):
-        if value > 0.0 and unsure > 0.0:
+        if parameter.lower == 0.0 and value > 0.0 and unsure > 0.0:
             yield RolloutValue(at, effect.name, effect.where[0], parameter.name, value)
 
 

@@ -16,6 +16,7 @@ from geodrake.logs.motion import JointLog
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal
 from geodrake.model.motor_limit import MotorLimit
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.signal_efforts import kind_of, limited_effort
 
 Array = NDArray[np.float64]
 
@@ -38,7 +39,7 @@ def corrected(log: JointLog, findings: Sequence[ColumnFinding]) -> JointLog:
     """A log with what was found in its columns corrected, one after the other.
 
     What was taken out of the efforts stays so: no column has it. A limit of a motor is one of its
-    efforts: currents and voltages stay as they are.
+    efforts: currents, voltages and commands stay as they are.
 
     Args:
         log: The log.
@@ -64,7 +65,8 @@ def with_motor_limits(
 ) -> RobotModel:
     """The model that knows what was found of its motors' limits, for these and other logs.
 
-    Limits of motors whose logs have currents or voltages of unknown gains are left out.
+    Limits are left out of motors whose logs have something else than what the model knows of them,
+    such as currents of unknown gains, and of servos, which have their own.
 
     Args:
         model: The model.
@@ -75,6 +77,7 @@ def with_motor_limits(
         ArgumentError: A finding is of a joint that the model does not have.
     """
     known = {signal.joint: signal for signal in instance(model, "model", RobotModel).effort_signals}
+    logs = instances(logs, "logs", JointLog)
     found = dict[str, MotorLimit]()
     for finding in instances(findings, "findings", ColumnFinding):
         if finding.kind == "effort_limit":
@@ -94,15 +97,14 @@ def with_motor_limits(
                 advice=f"Its joints are {', '.join(model.joints)}.",
             )
         signal = known.get(joint, EffortSignal(joint, EFFORT, 1.0))
-        is_known = joint in known or all(_has_efforts(log, joint) for log in logs)
-        if is_known and signal.kind != COMMAND:
+        if signal.kind != COMMAND and all(_has(log, joint, signal.kind) for log in logs):
             known[joint] = replace(signal, limit=limit.effort, no_load_speed=limit.no_load_speed)
     return replace(model, effort_signals=tuple(known.values()))
 
 
-def _has_efforts(log: JointLog, joint: str) -> bool:
-    """Whether a log's column of efforts of a joint has efforts."""
-    return log.effort_kinds.get(joint, EFFORT) == EFFORT
+def _has(log: JointLog, joint: str, kind: str) -> bool:
+    """Whether a log has efforts of a joint, or what stands for them, of a kind."""
+    return joint in log.joints and kind_of(log, joint) == kind
 
 
 def _corrected(log: JointLog, finding: ColumnFinding) -> JointLog:
@@ -129,17 +131,11 @@ def _changed(log: JointLog, quantities: Sequence[str], change: Any) -> dict[str,
 
 
 def _limited(log: JointLog, joint: int, limit: MotorLimit) -> JointLog:
-    """The log whose efforts of one joint are no more than its motor gives, as positions change.
-
-    What a log has as velocities may be none, and was not what the limit was found by.
-    """
-    if not _has_efforts(log, log.joints[joint]):
+    """The log whose efforts of one joint are no more than its motor gives."""
+    if not _has(log, log.joints[joint], EFFORT):
         return log
-    effort, position = log.effort.copy(), log.position[:, joint]
-    known, velocity = np.isfinite(position) & np.isfinite(log.time), np.zeros(len(position))
-    if np.count_nonzero(known) > 1:
-        velocity[known] = np.gradient(position[known], log.time[known])
-    effort[:, joint] = limit.given(effort[:, joint], velocity)
+    effort = log.effort.copy()
+    effort[:, joint] = limited_effort(log, joint, limit, effort[:, joint])
     return replace(log, effort=effort)
 
 

@@ -405,7 +405,7 @@ class _System:
         H, b = self._prior(self.mean)
         for _ in range(_SCREENINGS):
             total = np.tensordot(each / samples / np.maximum(mse, least), totals, 1)
-            x = _bounded(H + total[:-1, :-1], b + total[:-1, -1], lower, held)
+            x = bounded(H + total[:-1, :-1], b + total[:-1, -1], lower, held)
             held = held | (x < lower)
             x = np.where(held, lower, x)
             mse = np.maximum(_squares(totals, x) / samples, least)
@@ -509,8 +509,8 @@ class _System:
             H, b = self._prior(x)
             total = np.tensordot(weight, totals, 1)
             A, side = H + total[:-1, :-1], b + total[:-1, -1]
-            x = self._stepped(x, _bounded(A, side, lower, held))
-            held = (held | (x < lower)) & (A @ x >= side)
+            x = self._stepped(x, bounded(A, side, lower, held))
+            held = active(A, side, x, lower, held)
             x = np.maximum(x, lower)
             totals = self.totals(x)
             mse = np.maximum(_squares(totals, x) / samples, least)
@@ -525,7 +525,7 @@ class _System:
             squares = np.zeros(len(samples))
             for own in self.folds(x):
                 rest = total - np.tensordot(weight, own, 1)
-                to = _bounded(H + rest[:-1, :-1], b + rest[:-1, -1], lower, held)
+                to = bounded(H + rest[:-1, :-1], b + rest[:-1, -1], lower, held)
                 squares += _squares(own, self._stepped(x, to))
             mse = squares / samples
         by_column, own = np.zeros((2, len(samples)))
@@ -577,14 +577,38 @@ def _squares(grams: Array, x: Array) -> Array:
     return np.maximum((grams @ own) @ own, 0.0)
 
 
-def _bounded(A: Array, b: Array, lower: Array, held: NDArray[np.bool_]) -> Array:
-    """Solution of a positive definite system, some of the unknowns at their lower bounds."""
+def bounded(A: Array, b: Array, lower: Array, held: NDArray[np.bool_]) -> Array:
+    """Solution (p,) of a positive definite system, some of the unknowns at their lower bounds.
+
+    Args:
+        A: (p, p) the system.
+        b: (p,) its right side.
+        lower: (p,) lower bounds.
+        held: (p,) which unknowns are at theirs.
+    """
     if not held.any():
         return _solved(A, b)
     x, free = np.where(held, lower, 0.0), np.flatnonzero(~held)
     b = b - A[:, held] @ x[held]
     x[free] = _solved(A[free[:, None], free], b[free])
     return x
+
+
+def active(
+    A: Array, b: Array, x: Array, lower: Array, held: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """(p,) which unknowns are held at their lower bounds next, for the least of ½ xᵀAx − bᵀx.
+
+    Those that have gone below theirs are, and those that were and are not drawn inside.
+
+    Args:
+        A: (p, p) the system.
+        b: (p,) its right side.
+        x: (p,) where a step led.
+        lower: (p,) lower bounds.
+        held: (p,) which unknowns were held in it.
+    """
+    return np.where(held, A @ x >= b, x < lower)
 
 
 def _log_volume(A: Array, parameters: NDArray[np.intp]) -> float:

@@ -36,6 +36,7 @@ OTHER_SIZES = 92.0
 
 _EACH, _GAIN = "effort_gains", "effort_gain"  # of each joint its own, of one or all
 _OF_EACH = (_EACH, _GAIN, "effort_sign", "effort_unit")
+_AS_GAINED = ("effort_limit", "swapped_efforts", "swapped_joints")  # of efforts by gains so far
 _MOST = 6  # mistakes of a log
 _SCREENED, _FINALISTS = 24, 6  # that are fitted with physical bodies, and to the end
 _HOPELESS = -20.0  # gain, at most, of what is fitted no further, unless its size is to be found
@@ -108,7 +109,7 @@ class ColumnSearch:
             best = ranked[0]
             own = best.mistake.kind, best.mistake.joints
             others = [r for r in ranked[1:] if (r.mistake.kind, r.mistake.joints) != own]
-            steps = _with_step(steps, MistakeFound(base, best, tuple(others)))
+            steps = with_step(steps, MistakeFound(base, best, tuple(others)))
             base = self.settled(best.fit.assignment, best.fit)
         return steps, base
 
@@ -129,7 +130,7 @@ class ColumnSearch:
         gains = [step for step in steps if step.best.mistake.kind == _GAIN]
         rivals = gains[0].rivals if gains else ()
         each = next((rival for rival in rivals if rival.mistake.kind == _EACH), None)
-        if each is None:
+        if each is None or _found_as_gained(steps[steps.index(gains[0]) :]):
             return None
         mistake, fit = self._refined(replace(each.mistake, assignment=base.assignment), base)
         spared = sum(step.best.cost for step in gains) - each.cost
@@ -229,17 +230,17 @@ class ColumnSearch:
             return self.judge.quick(assignment, base).gain_over(base, self._of_rates)
 
         assignment = mistake.assignment
-        most, share = explained(assignment), 1.0
+        most, step = explained(assignment), self._step(assignment, mistake, base)[at]
         for _ in range(_OWN_STEPS):
-            step = share * self._step(assignment, mistake, base)[at]
             if np.abs(step).max() < _CLOSE:
                 break
             tried = replace(assignment, gain=assignment.gain / np.exp(step))
             more = explained(tried)
             if more > most:
-                assignment, most, share = tried, more, 1.0
+                assignment, most = tried, more
+                step = self._step(assignment, mistake, base)[at]
             else:
-                share *= 0.5
+                step = 0.5 * step
         return replace(mistake, assignment=assignment), self.judge.fit(assignment, base)
 
     def _of_nearest_limit(
@@ -256,21 +257,28 @@ class ColumnSearch:
         return replace(mistake, assignment=assignment), self.judge.fit(assignment, base)
 
 
-def _with_step(steps: Sequence[MistakeFound], step: MistakeFound) -> list[MistakeFound]:
+def with_step(steps: Sequence[MistakeFound], step: MistakeFound) -> list[MistakeFound]:
     """Steps with one more; what corrects the gain of a joint again is no other mistake.
+
+    It is one where a limit, or whose efforts they are, was found in between, by the gains so far.
 
     Args:
         steps: Those before.
         step: The next one.
     """
     kinds = [each.best.mistake.kind for each in steps]
-    if _EACH not in kinds or step.best.mistake.kind not in _OF_EACH:
+    at = kinds.index(_EACH) if _EACH in kinds else len(kinds)
+    if step.best.mistake.kind not in _OF_EACH or at == len(kinds) or _found_as_gained(steps[at:]):
         return [*steps, step]
-    at = kinds.index(_EACH)
     first, found = steps[at], step.best
     gain = first.best.gain + found.gain
     better = replace(first.best, fit=found.fit, gain=gain)
     return [*steps[:at], replace(first, best=better), *steps[at + 1 :]]
+
+
+def _found_as_gained(steps: Sequence[MistakeFound]) -> bool:
+    """Whether something was found that is true of efforts by the gains so far."""
+    return any(step.best.mistake.kind in _AS_GAINED for step in steps)
 
 
 def _is_promising(entry: Entry, gain: float) -> bool:

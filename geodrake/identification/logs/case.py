@@ -236,7 +236,7 @@ def prepared_as_measured(
     if bandwidth is None:
         # Spectra are of so many seconds: of time that may be wrong, those that velocities say.
         second = float(np.median([each.second for each in uniform]))
-        is_wrong = second > 0.0 and abs(np.log(second)) > _OTHER_SECOND
+        is_wrong = abs(np.log(second)) > _OTHER_SECOND
         bandwidth = motion_bandwidth_of(uniform, second=second if is_wrong else 1.0)
         how = "chosen from the data"
     trajectories = prepare_logs(uniform, bandwidth=bandwidth, how=how)

@@ -44,7 +44,7 @@ from geodrake.logs.learnable import check_saturation
 from geodrake.logs.motion import JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model.carried_payloads import carrying
-from geodrake.model.effort_signal import COMMAND, EffortSignal, signal_of
+from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.signal_efforts import in_efforts, kind_of
 
@@ -79,13 +79,36 @@ def with_efforts(
     kinds = _kinds(model, logs)
     if all(kind == "effort" for kind in kinds) and not model.effort_signals:
         return model, list(logs), []
-    logs = [_known_efforts(model, log) for log in logs]
+    asked, logs = logs, [_known_efforts(model, log) for log in logs]
+    notes = [note for pair in zip(asked, logs, strict=True) for note in _limit_notes(model, *pair)]
     kinds = _kinds(model, logs)  # of joints that the model does not know
     if all(kind == "effort" for kind in kinds):
-        return model, logs, []
+        return model, logs, notes
     found = calibrated(model, logs, kinds)
     model = replace(model, effort_signals=(*model.effort_signals, *found))
-    return model, [_known_efforts(model, log) for log in logs], [gain_words(model, found)]
+    return model, [_known_efforts(model, log) for log in logs], [*notes, gain_words(model, found)]
+
+
+def _limit_notes(model: RobotModel, asked: JointLog, given: JointLog) -> list[str]:
+    """Notes on efforts that motors were asked for and that are beyond their limits.
+
+    Args:
+        model: The model, which knows the limits.
+        asked: A log of it.
+        given: The same with what motors give.
+    """
+    notes = []
+    for at, joint in enumerate(asked.joints):
+        signal = signal_of(model.effort_signals, joint)
+        if signal is None or signal.kind != EFFORT:
+            continue
+        beyond = np.isfinite(asked.effort[:, at]) & (given.effort[:, at] != asked.effort[:, at])
+        if beyond.any():
+            notes.append(
+                f"{asked.name}: in {100.0 * np.mean(beyond):.2g} % of the rows {joint} is asked "
+                "for more than its motor gives, by the limit in the model; what it gives counts"
+            )
+    return notes
 
 
 def _known_efforts(model: RobotModel, log: JointLog) -> JointLog:
@@ -323,10 +346,12 @@ def _kinds(model: RobotModel, logs: Sequence[JointLog]) -> tuple[str, ...]:
             )
         kind = next(iter(kinds))
         signal = signal_of(model.effort_signals, joint)
-        if signal is not None and kind not in (signal.kind, "effort"):
+        if signal is not None and kind not in (signal.kind, EFFORT):
+            knows = f"what makes efforts of its {signal.kind}"
+            if signal.kind == EFFORT:
+                knows = "which efforts its motor gives of those that it is asked for"
             raise LogError(
-                f"Log {kinds[kind]!r} has the {kind} of {joint}; the model knows what makes "
-                f"efforts of its {signal.kind}.",
+                f"Log {kinds[kind]!r} has the {kind} of {joint}; the model knows {knows}.",
                 advice="Start from the model file, or say what the column is by --kind.",
                 joint=joint,
             )

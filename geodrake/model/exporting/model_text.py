@@ -19,6 +19,7 @@ from geodrake.model.exporting.joint_numbers import (
 from geodrake.model.exporting.mjcf_actuators import with_actuators
 from geodrake.model.file_terms import Tilt
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.servos import known_effort_limits
 from geodrake.robot.files.joint_text import with_gravity, with_joint_numbers
 from geodrake.robot.files.mjcf import turns_in_degrees
 from geodrake.robot.files.reading import model_text_of
@@ -107,7 +108,7 @@ def model_text(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]
     data = with_joint_numbers(data, path, changes)
     if text.kind == "xml" and tilted(model):
         data = with_gravity(data, path, tilted_gravity(model))
-    acting: tuple[str, ...] = ()
+    acting = _limit_notes(model)
     if text.kind == "xml":
         data, acting = with_actuators(data, path, model, anew=False)
     moved = with_references(data, path, folder)
@@ -116,6 +117,18 @@ def model_text(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]
         "from its folder"
     )
     return moved, (*exported.notes, *acting, *([elsewhere] if moved != data else ()))
+
+
+def _limit_notes(model: RobotModel) -> tuple[str, ...]:
+    """A note on limits of effort that logs told, and that the user's file does not have."""
+    known = known_effort_limits(model)
+    less = [
+        f"{joint} {limit:.3g} {'N' if joint in model.sliding_joints else 'N·m'}"
+        for joint, limit, of_file in zip(model.joints, known, model.effort_limits, strict=True)
+        if limit != of_file
+    ]
+    stay = f"limits of effort in {model.path.name} stay as they are; the model knows of less: "
+    return (f"{stay}{', '.join(less)}",) if less else ()
 
 
 def tilted(model: RobotModel) -> bool:
