@@ -200,13 +200,13 @@ def _limited(falling: bool) -> Wrong:
     return wrong
 
 
-def _all_times(quantity: str, kind: str, values: tuple[float, ...]) -> Wrong:
-    """All columns of a quantity multiplied."""
+def _all_times(quantities: tuple[str, ...], kind: str, values: tuple[float, ...]) -> Wrong:
+    """All columns of some quantities multiplied."""
 
     def wrong(columns: Columns, motion: Motion, rng: np.random.Generator) -> Found:
         del motion
         by = float(rng.choice(values))
-        changed = {quantity: getattr(columns, quantity) * by}
+        changed = {quantity: getattr(columns, quantity) * by for quantity in quantities}
         return replace(columns, **changed), (Secret(kind, (), 1.0 / by),)
 
     return wrong
@@ -239,13 +239,14 @@ MISTAKES: Mapping[str, Wrong] = {
     "torque of the motors": _motor_side,
     "gain of a joint": _at_joint(("effort",), "effort_gain", _gain),
     "N·mm at a joint": _at_joint(("effort",), "effort_unit", lambda rng: 1e3),
-    "N·mm at all joints": _all_times("effort", "effort_unit", (1e3, 1e-3)),
+    "N·mm at all joints": _all_times(("effort",), "effort_unit", (1e3, 1e-3)),
     "degrees at a joint": _at_joint(_BOTH, "position_unit", lambda rng: 180.0 / np.pi),
+    "degrees at all joints": _all_times(_BOTH, "position_unit", (180.0 / np.pi,)),
     "without gravity": _taken_out("weight", "without_gravity"),
     "without friction": _taken_out("friction", "without_friction"),
     "without rotors": _taken_out("rotors", "without_rotor_inertia"),
-    "wrong time": _all_times("time", "time", (1.0 / 20.0, 0.1, 4.0, 60.0)),
-    "wrong velocities": _all_times("velocity", "velocity_factor", (20.0, 180.0 / np.pi, -1.0)),
+    "wrong time": _all_times(("time",), "time", (1.0 / 20.0, 0.1, 4.0, 60.0)),
+    "wrong velocities": _all_times(("velocity",), "velocity_factor", (20.0, 180.0 / np.pi, -1.0)),
     "limit of a motor": _limited(falling=False),
     "limit that falls with speed": _limited(falling=True),
     "two at once": _two(

@@ -115,6 +115,21 @@ def test_mistakes_are_named_and_corrected(pendulum, right, kind):
         )
 
 
+@pytest.mark.parametrize("velocity", ["in degrees", "in radians", "none"])
+def test_degrees_at_all_joints_are_one_mistake(pendulum, right, velocity):
+    factor = 180.0 / np.pi
+    rates = {"in degrees": factor * right.velocity, "in radians": right.velocity, "none": None}
+    wrong = replace(right, position=factor * right.position, velocity=rates[velocity])
+    (found,) = check_columns(pendulum, [wrong])
+    alone = "_alone" * (velocity == "in radians")
+    assert (found.kind, found.joints) == (f"position{alone}_unit", JOINTS)
+    assert "of all joints" in str(found)
+    after = corrected(wrong, [found])
+    np.testing.assert_allclose(after.position, right.position, rtol=1e-12)
+    if velocity != "none":
+        np.testing.assert_allclose(after.velocity, right.velocity, rtol=1e-12)
+
+
 def test_another_zero_is_found_within_the_arm():
     """At the last joint, and that of a pendulum is, it is a body that has turned: a payload."""
     model, log, (secret,) = make_log(

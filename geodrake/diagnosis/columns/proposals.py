@@ -141,14 +141,18 @@ def _limits(judge: ColumnJudge, base: ColumnFit) -> Iterator[ColumnMistake]:
 def _positions(judge: ColumnJudge, base: ColumnFit) -> Iterator[ColumnMistake]:
     """Mistakes with positions, and with the velocities that belong to them."""
     start, n = base.assignment, len(base.assignment.gain)
-    measured = judge.samples.rate is not None
+    measured, model = judge.samples.rate is not None, judge.parameters.model
+    turning = tuple(j for j in range(n) if model.joints[j] not in model.sliding_joints)
+    for factor in (_DEGREE, 1.0 / _DEGREE) if len(turning) > 1 else ():
+        by = np.where(np.isin(np.arange(n), turning), factor, 1.0)
+        alone, where = replace(start, scale=start.scale * by), turning if len(turning) < n else ()
+        yield ColumnMistake("position_unit", where, replace(alone, rate=start.rate * by), factor)
+        if measured:
+            yield ColumnMistake("position_alone_unit", where, alone, factor)
     for j in range(n):
         for factor, kind in ((-1.0, "sign"), (_DEGREE, "unit"), (1.0 / _DEGREE, "unit")):
             alone = start.times("scale", j, factor)
-            if (
-                kind == "unit"
-                and judge.parameters.model.joints[j] in judge.parameters.model.sliding_joints
-            ):
+            if kind == "unit" and j not in turning:
                 continue
             yield ColumnMistake(f"position_{kind}", (j,), alone.times("rate", j, factor), factor)
             if measured:

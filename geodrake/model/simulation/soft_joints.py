@@ -29,7 +29,7 @@ LEAST_MOTOR = 0.01
 
 _SIDE_DAMPING = 0.7  # of the sides of a dead band, at which links stay rather than bounce
 _SIDE_GIVE = 0.1  # of half a dead band: by how much its sides yield to the usual load
-_LEAST_YIELD = 1e-5  # rad or m, which no encoder of a joint sees; stiffer sides only cost time
+_LEAST_YIELD = 1e-5  # rad or m, of which little is seen; stiffer sides only cost time
 _USUAL_ACCELERATION = 10.0  # rad/s² or m/s², of the link, whose effort beside the weight that is
 _RAMP = 0.1  # of that yield, over which the sides' damping comes on
 _POSTURES = 32  # in which the weight of a link is looked for
