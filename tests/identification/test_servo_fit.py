@@ -163,3 +163,18 @@ def test_a_limit_is_held(log):
 def test_a_joint_with_nothing_is_refused(model, log):
     with pytest.raises(LogError):
         prepare_logs(with_efforts(model, [replace(log, command=None)])[1])
+
+
+def test_where_a_joint_stands_says_nothing_of_a_servo():
+    """Offsets of stretches, as of heavier bodies, made a tenth of the error no gain at all."""
+    rng = np.random.default_rng(0)
+    stretches = tuple(np.zeros((n, 8)) for n in (400, 300))
+    motions = JointMotions(stretches, tuple(rows[:, 0] for rows in stretches), (0.004, 0.004))
+    before, after = 1e-3 * rng.normal(size=700), 1e-4 * rng.normal(size=700)
+    gain = motions.gain_of(before, after)
+    assert gain > 700.0
+    offset = np.repeat([2e-3, -5e-3], [400, 300])
+    assert motions.gain_of(before + offset, after + offset) == pytest.approx(gain)
+    assert motions.gain_of(before, after + offset, motions.tested) == pytest.approx(
+        motions.gain_of(before, after, motions.tested)
+    )

@@ -29,6 +29,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,7 @@ from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.regressor import inverse_dynamics
 
 Array = NDArray[np.float64]
+T = TypeVar("T", np.float64, np.bool_)
 Servo = tuple[float, float, float, float, float, float, float, float, float, float]
 
 PARAMETERS = ("stiffness", "rate", "damping", "coulomb", "armature", "delay", "integral")
@@ -183,19 +185,32 @@ class JointMotions:
         return self.gain_of(self.residual(before), self.residual(after), rows)
 
     def gain_of(self, before: Array, after: Array, rows: NDArray[np.bool_] | None = None) -> float:
-        """The same of residuals (N,).
+        """The same of residuals (N,), less the mean of each stretch.
+
+        By that a joint is off where bodies are a little too heavy or a zero is another one. It says
+        nothing of a servo, but would make all residuals go together, as if they were one.
 
         Args:
             before: Those before.
             after: Those after.
             rows: Which rows count; all if None.
         """
-        ends = np.cumsum([len(each) for each in self.rows])[:-1]
         rows = np.ones(len(after), bool) if rows is None else rows
-        pieces = zip(np.split(after, ends), np.split(rows, ends), strict=True)
+        before, after = (self._centered(each, rows) for each in (before, after))
+        pieces = zip(self._stretches(after), self._stretches(rows), strict=True)
         blocks = [block for piece, kept in pieces for block in _runs(piece, kept)]
         squares = [max(float(each[rows] @ each[rows]), _NOTHING) for each in (before, after)]
         return effective_samples(blocks) * float(np.log(squares[0] / squares[1]))
+
+    def _stretches(self, values: NDArray[T]) -> list[NDArray[T]]:
+        """Values (N,) of each stretch."""
+        return np.split(values, np.cumsum([len(each) for each in self.rows])[:-1])
+
+    def _centered(self, residual: Array, rows: NDArray[np.bool_]) -> Array:
+        """(N,) a residual less its mean over some rows of each stretch."""
+        pieces = zip(self._stretches(residual), self._stretches(rows), strict=True)
+        means = [np.full(len(r), r[kept].mean() if kept.any() else 0.0) for r, kept in pieces]
+        return residual - np.concatenate(means)
 
     @property
     def tested(self) -> NDArray[np.bool_]:
