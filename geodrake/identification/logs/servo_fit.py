@@ -16,7 +16,8 @@ only if windows of the log that the fit did not see are predicted better than fr
 
 An integral that goes on since before the log has left an effort w where a stretch begins, of which
 nobody knows; without an integral w would be a constant effort. A servo therefore has an integral
-only if windows that a fit did not see are predicted better with ki than with such a constant alone.
+only if windows that a fit did not see are predicted better with ki than with such a constant alone,
+and if all of them then say that there is one.
 
 A servo saturates in the simulation, its integral held, where such windows are predicted better for
 it: at the limit of effort that the model states, or at one of its own, which is sought like another
@@ -302,12 +303,26 @@ def fit_servo(
     friction, inertia = 0.1 * np.std(rows[:, 0]), 0.2 * np.mean(rows[:, 1])
     damping = 0.05 * stiffness
     start = np.array([stiffness, signal.damping, damping, friction, inertia, signal.delay])
-    tested, every = motions.tested, np.ones(len(rows), bool)
     found = _limited(motions, start, signal.integral, limit)
+    fit = _fitted(found, start, signal.integral)
+    if fit is not None and fit.integral**2 < PENALTY * fit.integral_deviation**2:
+        half = replace(found, servo=found.servo[:_PLAIN], scale=found.scale[:_PLAIN])
+        return _fitted(half, start, 0.0)
+    return fit
+
+
+def _fitted(found: _Half, start: Array, told: float) -> ServoFit | None:
+    """The fit to all rows, from that to half of the windows on; see `fit_servo`.
+
+    Args:
+        found: The servo by half of the windows.
+        start: (6,) the servo by a linear fit.
+        told: The integral gain by that; 0 if it has none.
+    """
     motions, half, scale = found.motions, found.servo, found.scale
+    tested, every = motions.tested, np.ones(len(motions.measured), bool)
     summed = len(half) > _INTEGRAL
-    told = signal.integral if summed else 0.0
-    began = _with_integral(motions, start, told) if told else start
+    began = _with_integral(motions, start, told) if summed and told else start
     moved = float(np.std(motions.measured))
     if not _rms(motions, half, tested) < min(_rms(motions, began, tested), moved):
         return None
