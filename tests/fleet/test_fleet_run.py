@@ -167,11 +167,12 @@ def test_workers_that_are_killed_are_replaced(own, tmp_path):
     path, killed = own(FEW, range(4)), []
 
     def kill_one(words, share=None):
-        children = psutil.Process().children(recursive=True)
-        processes = [p for p in children if any("spawn_main" in word for word in p.cmdline())]
-        if words.startswith("Digested") and processes and not killed:
-            killed.append(processes[0].pid)
-            os.kill(processes[0].pid, signal.SIGKILL)
+        if words.startswith("Digested") and not killed:
+            children = psutil.Process().children(recursive=True)
+            alive = [p for p in children if p.status() != psutil.STATUS_ZOMBIE]
+            (pid, *_) = [p.pid for p in alive if any("spawn_main" in word for word in p.cmdline())]
+            killed.append(pid)
+            os.kill(pid, signal.SIGKILL)
 
     lines = []
     result, seen = run_fleet(
