@@ -268,7 +268,7 @@ sys.meta_path.insert(0, Hook())
 """
 
 
-LOADED = ("geodrake.cli.app", "typer", "numpy", "pydrake", "matplotlib")
+LOADED = ("geodrake.cli.app", "typer", "numpy", "pydrake", "numba", "jinja2")
 INT, TERM = signal.SIGINT, signal.SIGTERM
 
 
