@@ -15,7 +15,6 @@ from geodrake.excitation.trajectory import joint_order
 from geodrake.logs.motion import SIGNAL_KINDS
 from geodrake.model.effort_signal import signal_of
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.servos import known_effort_limits
 
 Array = NDArray[np.float64]
 ByJoint = float | Mapping[str, float] | ArrayLike | None
@@ -156,7 +155,7 @@ def motion_limits(
         if limits.shape != (2,):
             raise ArgumentError(f"Limits of position are pairs; {joint!r} has {pair}.")
         lower[at], upper[at] = limits
-    efforts = _overridden(model, known_effort_limits(model), effort, "effort")
+    efforts = _overridden(model, model.known_effort_limits, effort, "effort")
     return MotionLimits(
         model.joints,
         lower,

@@ -86,17 +86,17 @@ def prepare_logs(
     return tuple(_prepare(each, bandwidth, sharp, how) for each in uniform)
 
 
-def motion_bandwidth_of(uniform: Sequence[UniformLog], *, second: float = 1.0) -> float:
+def motion_bandwidth_of(uniform: Sequence[UniformLog], *, time_scale: float = 1.0) -> float:
     """Bandwidth that holds the motion of logs and little of their positions' noise, Hz.
 
     Args:
         uniform: The logs.
-        second: What a second of their time really takes, s.
+        time_scale: By what their time is to be multiplied, if it is not in s.
     """
     moving = np.any([each.moving for each in uniform], axis=0)
-    parts = [(each.period * second, part) for each in uniform for part in each.sample_parts()]
+    parts = [(each.period * time_scale, part) for each in uniform for part in each.sample_parts()]
     chosen = choose_bandwidth([(part.position[:, moving], period) for period, part in parts])
-    return chosen * second
+    return chosen * time_scale
 
 
 def _prepare(

@@ -57,8 +57,8 @@ class UniformLog:
         return _sample_parts(self.pieces)
 
     @property
-    def second(self) -> float:
-        """What a second of its time takes by its measured velocities, s.
+    def time_scale(self) -> float:
+        """By what its time is to be multiplied to be that of its measured velocities.
 
         It is NaN if there are none, if those of most joints do not agree on it, or if no log of a
         robot would have such a period.

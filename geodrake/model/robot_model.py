@@ -33,7 +33,7 @@ from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
-from geodrake.model.effort_signal import EffortSignal
+from geodrake.model.effort_signal import EffortSignal, signal_of
 from geodrake.model.simulation.driven_robot import Driving, add_driven_robot
 from geodrake.model.simulation.robot_in_diagram import (
     DiagramOptions,
@@ -290,11 +290,20 @@ class RobotModel(Short):
 
     @cached_property
     def effort_limits(self) -> Array:
-        """Largest efforts (nv,), N·m or N; infinite where there is no limit."""
+        """Largest efforts (nv,) of the file, N·m or N; infinite where there is no limit."""
         limits = effort_limits(self.plant)[self.coordinates.own_velocities]
         if self.actuation is None:
             return limits
         return actuator_effort_limits(self.actuation, limits, self.position_limits)
+
+    @property
+    def known_effort_limits(self) -> Array:
+        """Largest efforts (nv,), N·m or N: of the file, or less where logs told so."""
+        signals = (signal_of(self.effort_signals, joint) for joint in self.joints)
+        told = np.array([signal.limit if signal else np.inf for signal in signals])
+        of_file = self.effort_limits
+        least = np.minimum(np.where(of_file > 0.0, of_file, np.inf), told)
+        return np.where(np.isfinite(told), least, of_file)
 
     @cached_property
     def bodies(self) -> tuple[str, ...]:

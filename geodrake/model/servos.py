@@ -48,19 +48,6 @@ def servo_gains(model: RobotModel) -> tuple[Array, Array, Array, Array]:
     return kp, kd, ki, limit
 
 
-def known_effort_limits(model: RobotModel) -> Array:
-    """(n,) largest efforts, N·m or N: the file's, or those that logs told where these are less.
-
-    Args:
-        model: The model.
-    """
-    signals = (signal_of(model.effort_signals, joint) for joint in model.joints)
-    told = np.array([signal.limit if signal else np.inf for signal in signals])
-    of_file = model.effort_limits
-    least = np.minimum(np.where(of_file > 0.0, of_file, np.inf), told)
-    return np.where(np.isfinite(told), least, of_file)
-
-
 def command_delays(model: RobotModel) -> Array:
     """(n,) times by which commands act late, s; 0 at joints without a servo.
 

@@ -25,7 +25,6 @@ from geodrake.model.effort_signal import EffortSignal
 from geodrake.model.exporting.actuators import actuators_of
 from geodrake.model.motor_limit import MotorLimit
 from geodrake.model.saved_model import save_model
-from geodrake.model.servos import known_effort_limits
 from geodrake.model.signal_efforts import in_efforts
 from geodrake.report.numbers import Units
 from geodrake.report.sections import limits_section, signals_section
@@ -136,7 +135,7 @@ def test_limits_of_a_model_are_those_of_corrected_columns():
     able = with_motor_limits(model, [log], [gain, limit, gain, swap])
     (signal,) = able.effort_signals
     assert signal == EffortSignal(second, "effort", 1.0, limit=6.0, no_load_speed=5.0)
-    assert known_effort_limits(able)[1] == 6.0
+    assert able.known_effort_limits[1] == 6.0
     assert actuators_of(able)[1].limit == 6.0
     currents = replace(log, effort_kinds={first: "current"})
     assert with_motor_limits(model, [currents], [limit]).effort_signals == ()

@@ -18,7 +18,7 @@ from geodrake import load_model
 from geodrake.diagnosis import ColumnFinding, check_columns, corrected
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.design import Parameters, joint_designs, joint_motion
-from geodrake.diagnosis.columns.fit import active, bounded
+from geodrake.diagnosis.columns.fit import bounded, held_next
 from geodrake.diagnosis.columns.proposals import ColumnMistake
 from geodrake.diagnosis.columns.samples import column_samples
 from geodrake.diagnosis.columns.search import Judged, MistakeFound, with_step
@@ -84,7 +84,7 @@ def test_steps_within_bounds_settle_at_the_least(seed):
     A, b, held = X.T @ X, X.T @ y, np.zeros(12, bool)
     for _ in range(12):
         x = bounded(A, b, lower, held)
-        held = active(A, b, x, lower, held)
+        held = held_next(A, b, x, lower, held)
     expected = lower + nnls(X, y - X @ lower)[0]
     np.testing.assert_allclose(x, expected, atol=1e-9)
 

@@ -16,7 +16,7 @@ def second(factors, *, clock=1.0):
     """By velocities that are off by factors, of a log whose time is off."""
     q, v = np.sin(RATES * TIME[:, None]), RATES * np.cos(RATES * TIME[:, None])
     log = JointLog("log", ("a", "b", "c"), TIME / clock, q, q, velocity=v * factors)
-    return make_uniform(log).second
+    return make_uniform(log).time_scale
 
 
 @pytest.mark.parametrize("clock", [0.1, 1.0, 20.0])

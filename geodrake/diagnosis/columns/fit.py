@@ -510,7 +510,7 @@ class _System:
             total = np.tensordot(weight, totals, 1)
             A, side = H + total[:-1, :-1], b + total[:-1, -1]
             x = self._stepped(x, bounded(A, side, lower, held))
-            held = active(A, side, x, lower, held)
+            held = held_next(A, side, x, lower, held)
             x = np.maximum(x, lower)
             totals = self.totals(x)
             mse = np.maximum(_squares(totals, x) / samples, least)
@@ -594,7 +594,7 @@ def bounded(A: Array, b: Array, lower: Array, held: NDArray[np.bool_]) -> Array:
     return x
 
 
-def active(
+def held_next(
     A: Array, b: Array, x: Array, lower: Array, held: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """(p,) which unknowns are held at their lower bounds next, for the least of ½ xᵀAx − bᵀx.

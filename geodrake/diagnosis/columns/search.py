@@ -118,7 +118,7 @@ class ColumnSearch:
     ) -> tuple[list[MistakeFound], ColumnFit] | None:
         """Gains that were found one by one as one mistake, that each joint has its own.
 
-        A fit of all gains at once may miss them where it begins far away.
+        At first one number for all may explain more than it costs, and gains of single joints then.
 
         Args:
             steps: What was found.

@@ -42,7 +42,7 @@ from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-_OTHER_SECOND = 0.1  # of a logarithm: time that is so far from what velocities say is another
+_OTHER_SCALE = 0.1  # of a logarithm: time that is so far from what velocities say is another
 _LEAST_EFFORT = 1e-12  # N·m or N, by which a measured effort changes
 
 
@@ -235,9 +235,9 @@ def prepared_as_measured(
     how = "as asked for"
     if bandwidth is None:
         # Spectra are of so many seconds: of time that may be wrong, those that velocities say.
-        second = float(np.median([each.second for each in uniform]))
-        is_wrong = abs(np.log(second)) > _OTHER_SECOND
-        bandwidth = motion_bandwidth_of(uniform, second=second if is_wrong else 1.0)
+        scale = float(np.median([each.time_scale for each in uniform]))
+        is_wrong = abs(np.log(scale)) > _OTHER_SCALE
+        bandwidth = motion_bandwidth_of(uniform, time_scale=scale if is_wrong else 1.0)
         how = "chosen from the data"
     trajectories = prepare_logs(uniform, bandwidth=bandwidth, how=how)
     return trajectories, validation_blocks(trajectories, blocks=blocks)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.servos import known_effort_limits, servos_of
+from geodrake.model.servos import servos_of
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def actuators_of(model: RobotModel) -> tuple[Actuator, ...]:
     Args:
         model: The model, without a transmission.
     """
-    limits, delays = known_effort_limits(model).tolist(), model.delays.tolist()
+    limits, delays = model.known_effort_limits.tolist(), model.delays.tolist()
     found = []
     columns = zip(model.joints, servos_of(model), limits, delays, strict=True)
     for joint, servo, limit, delay in columns:

@@ -15,7 +15,6 @@ from geodrake.inertia import Array, change_frame
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.exporting.joint_numbers import JointNumbers, joint_numbers
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.servos import known_effort_limits
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +118,6 @@ def _of_joint(model: RobotModel, joint: Joint) -> Mapping[str, Any]:
             float(joint.position_upper_limits()[0]),
         ),
         "velocity": float(model.velocity_limits[at]),
-        "effort": float(known_effort_limits(model)[at]),
+        "effort": float(model.known_effort_limits[at]),
         "numbers": joint_numbers(model)[model.scoped_joints[at]],
     }

@@ -19,7 +19,6 @@ from geodrake.model.exporting.joint_numbers import (
 from geodrake.model.exporting.mjcf_actuators import with_actuators
 from geodrake.model.file_terms import Tilt
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.servos import known_effort_limits
 from geodrake.robot.files.joint_text import with_gravity, with_joint_numbers
 from geodrake.robot.files.mjcf import turns_in_degrees
 from geodrake.robot.files.reading import model_text_of
@@ -108,7 +107,7 @@ def model_text(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]
     data = with_joint_numbers(data, path, changes)
     if text.kind == "xml" and tilted(model):
         data = with_gravity(data, path, tilted_gravity(model))
-    acting = _limit_notes(model)
+    acting = _notes_on_limits(model)
     if text.kind == "xml":
         data, acting = with_actuators(data, path, model, anew=False)
     moved = with_references(data, path, folder)
@@ -119,9 +118,9 @@ def model_text(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]
     return moved, (*exported.notes, *acting, *([elsewhere] if moved != data else ()))
 
 
-def _limit_notes(model: RobotModel) -> tuple[str, ...]:
+def _notes_on_limits(model: RobotModel) -> tuple[str, ...]:
     """A note on limits of effort that logs told, and that the user's file does not have."""
-    known = known_effort_limits(model)
+    known = model.known_effort_limits
     less = [
         f"{joint} {limit:.3g} {'N' if joint in model.sliding_joints else 'N·m'}"
         for joint, limit, of_file in zip(model.joints, known, model.effort_limits, strict=True)
