@@ -70,4 +70,4 @@ def render_rollout_fit(
 def _fitted(found: RolloutFit) -> str:
     """What was free."""
     servos = any(value.effect == SERVO for value in found.values)
-    return "Soft joints, play and their servos" if servos else "Soft joints and play"
+    return "Soft joints, play, their servos and motors" if servos else "Soft joints and play"

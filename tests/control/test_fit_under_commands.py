@@ -385,7 +385,7 @@ def test_results_say_what_they_are_under(pendulum):
     fitted = dataclasses.replace(unsure, values=(late,))
     assert fitted.notes == rollout.notes
     page = render_rollout_fit(fitted, title="t", model_name="arm", log_names=["log"])
-    assert "Soft joints, play and their servos" in page
+    assert "Soft joints, play, their servos and motors" in page
     for words in ("delay, ms", "5.10", "13.000"):
         assert words in page
     page = render_rollout_fit(found, title="t", model_name="arm", log_names=["log"])
