@@ -1,6 +1,7 @@
 """What a model is missing: compare it with measurements, diagnose, add, explain."""
 
 from geodrake.diagnosis.add import add
+from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.columns import ColumnFinding, check_columns, corrected, with_motor_limits
 from geodrake.diagnosis.diagnose import diagnose
 from geodrake.diagnosis.drafting import draft_effects, rest_correlates, source_of
@@ -22,6 +23,7 @@ __all__ = [
     "Candidate",
     "ColumnFinding",
     "Comparison",
+    "Beliefs",
     "Criteria",
     "Diagnosis",
     "ErrorTable",

@@ -8,26 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from geodrake.boundary.arguments import instance, instances
-from geodrake.diagnosis.continuous_shapes import to_profile, with_continuous_shapes
 from geodrake.diagnosis.coupled import other_pairs
-from geodrake.diagnosis.delay import delayed_at
-from geodrake.diagnosis.explain import verdict_of
-from geodrake.diagnosis.final_fit import final_fit
-from geodrake.diagnosis.further_columns import with_columns, with_episodes
-from geodrake.diagnosis.judgement import gain_of
-from geodrake.diagnosis.proposals import suggested_of
+from geodrake.diagnosis.explain import explained
 from geodrake.diagnosis.results import Explanation
-from geodrake.diagnosis.steps import steps_of
-from geodrake.diagnosis.stepwise_search import Trail, tuned
+from geodrake.diagnosis.search import with_forced
+from geodrake.diagnosis.steps import findings_of
 from geodrake.effects import Effect, FittedEffect, Role, effect_class
 from geodrake.effects.user_code import candidates_of
 from geodrake.errors import ArgumentError
-from geodrake.identification.logs.case import Case, error_table, open_case
-from geodrake.identification.logs.compare import comparison
-from geodrake.identification.logs.criteria import LOOSER_PRIORS
-from geodrake.identification.logs.hypothesis import Hypothesis, first_hypothesis
-from geodrake.identification.logs.model_fit import model_unknowns
-from geodrake.identification.models.bodies import changed_bodies
+from geodrake.identification.logs.case import Case, open_case
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
@@ -67,48 +56,25 @@ def add(
     """
     instance(model, "model", RobotModel)
     where = tuple(dict.fromkeys(instances(where or (), "where", str))) or None
-    _refuse_what_cannot_be(effect, model, where, extra)
-    case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
-    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
-    if model.information is None:
-        start = tuned(start)
     kind = effect_class(effect, extra)
-    if kind.role is Role.EPISODE:
-        case, trail = _with_episodes(kind, case, start)
-    else:
-        case, trail = _with_shapes(kind, case, start, where)
-    after_case, fit, _ = final_fit(case, trail.end)
-    _refuse_unidentifiable(fit.model, set(trail.end.unknowns.effects) - set(start.unknowns.effects))
-    before, after = comparison(case), comparison(after_case, fit.unknowns, fit.held_out)
-    return Explanation(
-        verdict_of(after.errors, found=True),
-        steps_of(case, trail, fit),
-        before.errors,
-        error_table(case.dataset, trail.start.held_out),
-        after.errors,
-        fit.model,
-        before,
-        after,
-        (*case.notes, *fit.result.notes),
-        changed_bodies(model, fit),
-        dict(zip(case.dataset.joints, fit.of_motion.tolist(), strict=True)),
-        certificate=fit.result.certificate,
-    )
+    _refuse_what_cannot_be(kind, model, where)
+    case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
+    found = with_forced(case, kind, _places(kind, case, where), _further(kind, case, where))
+    result = explained(case, found, findings_of(found), forced=True).explanation
+    added = {term.effect for term in found.fit.terms}
+    _refuse_unidentifiable(result.model, {each for each in added if each is not None})
+    return result
 
 
 def _refuse_what_cannot_be(
-    effect: str,
-    model: RobotModel,
-    where: Sequence[str] | None,
-    extra: Sequence[type[Effect]],
+    kind: type[Effect], model: RobotModel, where: Sequence[str] | None
 ) -> None:
-    """Raises an ArgumentError for what no log could add."""
-    role = effect_class(effect, extra).role
-    late = role is Role.DELAY
-    if where and role in (Role.INERTIA, Role.EPISODE):
-        shown = role is Role.EPISODE
+    """Raise an ArgumentError for what no log could add."""
+    if where and kind.role in (Role.INERTIA, Role.EPISODE):
+        shown = kind.role is Role.EPISODE
         whose = "where the residual shows it" if shown else "one of the whole robot"
-        raise ArgumentError(f"{effect} is {whose} and takes no place.")
+        raise ArgumentError(f"{kind.name} is {whose} and takes no place.")
+    late = kind.role is Role.DELAY
     known = model.joints if late else (*model.joints, *model.bodies)
     for name in where or ():
         if name not in known:
@@ -119,7 +85,7 @@ def _refuse_what_cannot_be(
 
 
 def _refuse_unidentifiable(fitted: RobotModel, added: set[Effect]) -> None:
-    """Raises an ArgumentError for an effect of which no parameter is identifiable."""
+    """Raise an ArgumentError for an effect of which no parameter is identifiable."""
     missing = [f.effect for f in fitted.effects if f.effect in added and _is_unidentifiable(f)]
     if missing and len(missing) == len(added):
         raise ArgumentError(
@@ -133,110 +99,60 @@ def _is_unidentifiable(fitted: FittedEffect) -> bool:
     return fitted.deviations is not None and not np.isfinite(fitted.deviations).any()
 
 
-def _with_episodes(kind: type[Effect], case: Case, start: Hypothesis) -> tuple[Case, Trail]:
-    """The episodes that the residual shows."""
-    case, trail, found = with_episodes(case, Trail(start, start))
-    if not found:
-        raise ArgumentError(
-            f"No {kind.name} stands out of what the model gets wrong in these logs.",
-            advice="Friction may cover it up: explain the logs, or add what else is missing first.",
-        )
-    return case, trail
+def _further(
+    kind: type[Effect], case: Case, where: Sequence[str] | None
+) -> tuple[Effect, ...]:
+    """Effects of joints that do not follow each other, where they are asked for."""
+    if kind.places != "joint_pair":
+        return ()
+    pairs = other_pairs(case.model, case.model.single_joints)
+    asked = [pair for pair in pairs if sorted(pair) == sorted(where or ())]
+    return tuple(each for pair in asked for each in candidates_of(kind, pair))
 
 
-def _with_shapes(
-    kind: type[Effect], case: Case, start: Hypothesis, where: Sequence[str] | None
-) -> tuple[Case, Trail]:
-    """An effect where it is asked for or helps most, in the shape that explains most."""
-    offered = {candidate.name for candidate in case.dataset.effects}
+def _places(
+    kind: type[Effect], case: Case, where: Sequence[str] | None
+) -> tuple[tuple[str, ...], ...] | None:
+    """Places of the effect; None for all that there are, or the best one."""
+    offered = {e.name for e in case.dataset.effects}
     if kind.needs_known_inertia and kind.name not in offered:
         raise ArgumentError(
             f"{kind.name} is identifiable only if inertias or payloads are known; here none are.",
             advice="Take a model that was fitted to other logs (explain those, with --save), or a "
             "log with a known payload beside one without.",
         )
-    more = _without_columns(kind, case, start, where)
-    if more:
-        case, trail = with_columns(case, Trail(start, start), [*case.dataset.effects, *more])
-        start = trail.start
-    end = _with(kind, start, case, where)
-    trail, present = Trail(start, end), set(start.unknowns.effects)
-    if to_profile(end, case.dataset.effects, present):
-        case, trail = with_continuous_shapes(case, trail, case.dataset.effects, present)
-    return case, trail
-
-
-def _without_columns(
-    kind: type[Effect], case: Case, start: Hypothesis, where: Sequence[str] | None
-) -> tuple[Effect, ...]:
-    """What may be added of a kind that a case has no columns for: by the residual, or as asked."""
-    if kind.places != "joint_pair":
-        return suggested_of(case, start, kind.name) if kind.proposer else ()
-    pairs = other_pairs(case.model, case.model.single_joints)
-    asked = [pair for pair in pairs if sorted(pair) == sorted(where or ())]
-    found = [effect for pair in asked for effect in candidates_of(kind, pair)]
-    return tuple(effect for effect in found if effect not in case.dataset.effects)
-
-
-def _with(
-    kind: type[Effect], start: Hypothesis, case: Case, where: Sequence[str] | None
-) -> Hypothesis:
-    if kind.role is Role.DELAY:
-        return _late(start, case, where)
-    if kind.role is Role.INERTIA:
-        looser = [start.loosened(factor / start.looseness) for factor in LOOSER_PRIORS]
-        return max(looser, key=lambda h: gain_of(start, h))
-    options: dict[tuple[str, ...], list[Effect]] = {}
-    for candidate in case.dataset.effects:
-        if candidate.name == kind.name and candidate not in start.unknowns.effects:
-            options.setdefault(candidate.where, []).append(candidate)
+    if kind.role in (Role.DELAY, Role.INERTIA, Role.EPISODE):
+        return None if where is None else tuple((name,) for name in where)
+    known = {(type(f.effect), f.effect.where) for f in case.model.effects}
+    options = dict.fromkeys(
+        e.where
+        for e in (*case.dataset.effects, *_further(kind, case, where))
+        if isinstance(e, kind) and (type(e), e.where) not in known
+    )
+    single = case.model.single_joints
+    if kind.places == "joint" and kind.proposer is not None:  # its shapes follow from the residual
+        options |= dict.fromkeys((joint,) for joint in single)
     if "temperature" in kind.depends_on and not options:
         raise ArgumentError(
             f"{kind.name} can be added nowhere: no log has a temperature of a joint that changes, "
             "or the model has it already.",
             advice="Log it as <joint>.temperature, in °C, while the robot warms up or cools down.",
         )
-    places = _places(kind.name, options, where)
-    best = [
-        max((start.with_effects([c]) for c in options[place]), key=lambda h: gain_of(start, h))
-        for place in places
-    ]
-    added = [h.unknowns.effects[-1] for h in best]
-    if where is None and added[0].places != "joint":
-        return max(best, key=lambda h: gain_of(start, h))
-    return start.with_effects(added)
-
-
-def _late(start: Hypothesis, case: Case, where: Sequence[str] | None) -> Hypothesis:
-    """The best delay of all efforts, or of those of each of some joints."""
-    every, grid = tuple(range(len(case.model.joints))), range(1, len(case.dataset.delays))
-    together = [every] if where is None else [(case.model.joints.index(name),) for name in where]
-    end = start
-    for joints in together:
-        end = max((delayed_at(end, joints, d) for d in grid), key=lambda h: gain_of(start, h))
-    return end
-
-
-def _places(
-    effect: str,
-    options: dict[tuple[str, ...], list[Effect]],
-    where: Sequence[str] | None,
-) -> list[tuple[str, ...]]:
-    if where is None:
-        if options:
-            return list(options)
+    if not options:
         raise ArgumentError(
-            f"{effect} can be added nowhere: the model has it already, or no joint that moves in "
+            f"{kind.name} can be added nowhere: the model has it already, or no joint that moves in "
             "the logs, pair of joints or body can have it."
         )
+    if where is None:
+        return None
     if pair := [place for place in options if sorted(place) == sorted(where)]:
-        return pair
+        return tuple(pair)
     missing = [name for name in where if (name,) not in options]
     possible = ", ".join(" & ".join(place) for place in options)
     if missing:
         raise ArgumentError(
-            f"{effect} cannot be added at {', '.join(missing)}: it is there already, or does not "
-            "act at such a place.",
+            f"{kind.name} cannot be added at {', '.join(missing)}: it is there already, or does "
+            "not act at such a place.",
             advice=f"It can be added {'at ' + possible if possible else 'nowhere else'}.",
         )
-    return [(name,) for name in where]
+    return tuple((name,) for name in where)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
-from geodrake.diagnosis.rival_places import place_of_rival
 from geodrake.effects import effect_class, make_effect
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
@@ -52,10 +51,7 @@ def _of_explanation(found: Explanation) -> Iterator[tuple[list[Finding], list[Fi
 
 
 def _rivals_place(step: Step, name: str, model: RobotModel) -> Sequence[str] | None:
-    """Where a rival of a step is: where it was fitted, else the place that goes with the step's.
-
-    That of the step itself will do if it was fitted there, and at further places.
-    """
+    """Where a rival of a step was found in its place; None where no motion can be designed."""
     effect, rival = _class(step.effect), _class(name)
     if effect is None or rival is None:
         return None
@@ -64,7 +60,7 @@ def _rivals_place(step: Step, name: str, model: RobotModel) -> Sequence[str] | N
             places = dict(_single(fitted.effect, fitted.where, set(model.joints)))[name]
             shared = effect.places == rival.places and set(places).issuperset(step.where)
             return step.where if shared else places
-    return place_of_rival(effect, step.where, rival, model)
+    return None
 
 
 def _single(names: str, where: Sequence[str], joints: set[str]) -> list[Finding]:

@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from geodrake.diagnosis.delay import fine_delays, fitted_delays, late_together, seconds_of
-from geodrake.diagnosis.pruning import prune
+from geodrake.diagnosis.refinements import delays_of, fitted_delays
 from geodrake.diagnosis.rest import share_of_motion
-from geodrake.effects import Effect, FittedEffect, Role
+from geodrake.diagnosis.search import Found
+from geodrake.effects import FittedEffect
 from geodrake.effects.shape import when_sliding
 from geodrake.identification.logs.case import Case, reopen
-from geodrake.identification.logs.criteria import TIGHTER_PRIORS, Criteria
+from geodrake.identification.logs.criteria import TIGHTER_PRIORS
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.hypothesis import Hypothesis, settle
-from geodrake.identification.logs.model_fit import ModelFit, effects_of, fit_model
+from geodrake.identification.logs.model_fit import ModelFit, fit_model
 from geodrake.identification.logs.unknowns import Unknowns, effect_prior
 from geodrake.model.robot_model import RobotModel
 
@@ -24,57 +24,43 @@ _MOST_ITERATIONS = 10
 """Refits until the weights stay: a prior from another fit gives way step by step."""
 
 
-def final_fit(
-    case: Case,
-    end: Hypothesis,
-    *,
-    criteria: Criteria | None = None,
-    kept: Sequence[Effect] = (),
-) -> tuple[Case, ModelFit, Hypothesis]:
+def final_fit(case: Case, found: Found, *, companions: bool = True) -> tuple[Case, ModelFit]:
     """The physically consistent fit of what was found, loads and delay brought up to date.
 
     Args:
-        case: The case.
-        end: What was found.
-        criteria: Drop effects that do not meet these once the loads are those of the fitted model,
-            and fit companions beside the effects that have them (`with_companions`); None to fit
-            exactly what is given.
-        kept: Effects that are not dropped.
+        case: The case that was opened.
+        found: What was found.
+        companions: Whether to fit companions beside the effects that have them; see
+            `with_companions`.
 
     Returns:
-        The case with the columns of the fit, the fit, and `end` less the effects dropped.
+        The case with the columns of the fit, and the fit.
     """
-    delays = [f for f in case.model.effects if f.effect.role is Role.DELAY]
-    if late := late_together(seconds_of(end)):
-        found = case.model.delays + fine_delays(end, late)[0]
-        delays = fitted_delays(found, case.model.joints)
-    reopened = _with_fitted_loads(case, end, delays, companions=criteria is not None)
+    end = found.model.validated(found.fit)
+    delays = found.case.model.delays + delays_of(found.model, found.fit).seconds
+    lags = fitted_delays(delays, case.model.joints)
+    reopened = _with_fitted_loads(found.case, end, lags, companions=companions)
     settled = end.moved(reopened.dataset, delay=0, iterations=_MOST_ITERATIONS)
-    if criteria is not None:
-        episodes = [e for e in settled.unknowns.effects if e.role is Role.EPISODE]
-        settled = prune(settled, [*effects_of(case.model), *episodes, *kept], criteria)
-        left = settled.unknowns.effects
-        end = end.without([e for e in end.unknowns.effects if e not in left])
+    if companions:
         settled = replace(settled, unknowns=with_companions(settled.unknowns, reopened.dataset))
         settled = settle(settled, iterations=_MOST_ITERATIONS)
     seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
-    base = replace(case.model, fitted_to=seen, bandwidths=case.bandwidths)
+    base = replace(reopened.model, effects=case.model.effects, information=case.model.information)
+    base = replace(base, phi=case.model.phi, fitted_to=seen, bandwidths=case.bandwidths)
     # Weights of maximum likelihood, so that the information is that of the parameters.
     held_out = settled.held_out
     weights = settled.effective / held_out.samples.sum(0) / held_out.mse
-    unknowns = freed(settled).unknowns
-    alarm = (criteria or Criteria()).alarm
-    share = share_of_motion(reopened, settled, alarm=alarm)
+    share = share_of_motion(reopened, settled)
     fit = fit_model(
         base,
         reopened.dataset,
-        unknowns,
+        freed(settled).unknowns,
         weights,
         effective=settled.effective,
         of_motion=share,
-        delays=delays,
+        delays=lags,
     )
-    return reopened, fit, end
+    return reopened, fit
 
 
 def freed(hypothesis: Hypothesis) -> Hypothesis:
@@ -92,23 +78,23 @@ def _with_fitted_loads(
     case: Case, end: Hypothesis, delays: Sequence[FittedEffect], *, companions: bool
 ) -> Case:
     """The case with the columns of what was found, load-dependent ones by the fitted inertias."""
-    model, found = searched_model(case, end), end.unknowns
+    model, found = searched_model(case.model, end), end.unknowns
     more = with_companions(found, case.dataset).effects[len(found.effects) :] if companions else ()
     fitted = [FittedEffect(effect, np.zeros(1)) for effect in more]
     return reopen(case, replace(model, effects=(*model.effects, *fitted, *delays)))
 
 
-def searched_model(case: Case, found: Hypothesis) -> RobotModel:
+def searched_model(model: RobotModel, found: Hypothesis) -> RobotModel:
     """The model by all data of a hypothesis, as it is while a search lasts; delays left aside.
 
     Args:
-        case: The case.
+        model: The model before.
         found: The hypothesis.
     """
     x, unknowns = found.cv.fit_all(), found.unknowns
     fitted = [FittedEffect(effect, x[unknowns.span(effect)]) for effect in unknowns.effects]
-    phi = x[: case.model.phi.size].reshape(case.model.phi.shape)
-    return replace(case.model, phi=phi, effects=tuple(fitted))
+    phi = x[: model.phi.size].reshape(model.phi.shape)
+    return replace(model, phi=phi, effects=tuple(fitted))
 
 
 def with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:

@@ -1,229 +1,370 @@
-"""The search for what is missing: try candidates, choose, and drop what is not needed."""
+"""The search for what a model lacks: climb, make exact what was found, and look once more."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from geodrake.diagnosis.candidates import Kind, kinds
-from geodrake.diagnosis.delay import delayed_at
-from geodrake.diagnosis.judgement import gain_of, judge
-from geodrake.diagnosis.ranked import Ranked
-from geodrake.diagnosis.trials import (
-    Trial,
-    asked_of,
-    open_joints,
-    try_packages,
+from geodrake.boundary.interrupts import StopSearch
+from geodrake.diagnosis.beliefs import Beliefs
+from geodrake.diagnosis.climbing import climb
+from geodrake.diagnosis.episodes import find_episodes
+from geodrake.diagnosis.contact_window import PIECES
+from geodrake.diagnosis.log_model import Choice, Delay, Fit, LogModel
+from geodrake.diagnosis.proposals import proposed
+from geodrake.diagnosis.refinements import (
+    delays_of,
+    expansions,
+    finer_shapes,
+    fitted_loads,
+    with_delays,
 )
-from geodrake.effects import Effect, Role
-from geodrake.effects.lookup import effect_of
-from geodrake.identification.logs.criteria import (
-    LOOSER_PRIORS,
-    MOST,
-    Criteria,
-)
-from geodrake.identification.logs.dataset import is_payload
-from geodrake.identification.logs.hypothesis import Hypothesis
-from geodrake.identification.logs.unknowns import effect_prior
+from geodrake.diagnosis.search_progress import Progress, progress_of
+from geodrake.diagnosis.terms import Term, Terms
+from geodrake.diagnosis.unknown_efforts import reversals, unknown_functions
+from geodrake.effects import Effect
+from geodrake.effects.robot_motion import log_number
+from geodrake.effects.role import Proposer, Role
+from geodrake.errors import ArgumentError
+from geodrake.identification.logs.case import Case, KeptMotion, reduced
+from geodrake.logs.folds import dealt_out
+
+Array = NDArray[np.float64]
+
+_MOST_ROUNDS = 12
+_FIRST_SHARE = 0.05
+_FORCED_SHARE = 0.3
+_OTHER_DELAY = 3.0  # deviations
 
 
-def convincing(hypothesis: Hypothesis, kind: Kind, tried: int, criteria: Criteria) -> list[Trial]:
-    """The best convincing package at every place of a kind; one place only if it cannot unite.
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The most probable explanation that a search found.
+
+    Attributes:
+        case: The case, with the columns of what was tried last.
+        model: The Gaussian model of its logs.
+        fit: The explanation.
+        start: The model without anything new, with bodies that may move.
+        is_stopped: Whether the search was stopped before its end.
+    """
+
+    case: Case
+    model: LogModel
+    fit: Fit
+    start: Fit
+    is_stopped: bool = False
+
+
+def searched(
+    case: Case, beliefs: Beliefs | None = None, *, progress: Progress | None = None
+) -> Found:
+    """The most probable explanation of the logs of a case.
 
     Args:
-        hypothesis: What the packages are added to.
-        kind: Effects of the same names, with their packages by place.
-        tried: Number of candidates that compete, for the probability of a false alarm.
-        criteria: What an effect must show.
+        case: The case, with columns for candidates.
+        beliefs: Prior odds and widths.
+        progress: Called with each step.
+
+    Raises:
+        StopSearch: It was stopped before it had found anything.
     """
-    criteria = asked_of(kind.names, hypothesis, criteria)
-    packages = [package for options in kind.options.values() for package in options]
-    tried_ones = iter(try_packages(hypothesis, packages, tried, least=criteria))
-    found = []
-    for options in kind.options.values():
-        trials = [next(tried_ones) for _ in options]
-        good = [trial for trial in trials if trial.judgement.convinces(criteria)]
-        if good:
-            found.append(best_trial(hypothesis, good))
-    found.sort(key=lambda trial: -trial.score)
-    if kind.unite or len(found) < 2:
-        return found
-    most = max(trial.judgement.gain for trial in found)
-    near = [trial for trial in found if trial.judgement.gain >= MOST * most]
-    return [max(near, key=lambda trial: _settled_score(hypothesis, trial))]
+    return _Search(case, Beliefs() if beliefs is None else beliefs, progress).found()
 
 
-def best_trial(hypothesis: Hypothesis, trials: Sequence[Trial]) -> Trial:
-    """The best of several trials at a place.
-
-    A trial keeps the weights of the hypothesis, which may be far from those that its own residuals
-    deserve; those that stand out by score or by reduction are therefore fitted in full.
-
-    Args:
-        hypothesis: What the trials were added to.
-        trials: One trial or more.
-    """
-    by_score = max(trials, key=lambda trial: trial.score)
-    by_reduction = max(trials, key=lambda trial: trial.judgement.reduction)
-    if by_score is by_reduction:
-        return by_score
-    return max((by_score, by_reduction), key=lambda trial: _settled_score(hypothesis, trial))
-
-
-def _settled_score(hypothesis: Hypothesis, trial: Trial) -> float:
-    """The score of a trial that is fitted in full."""
-    return judge(hypothesis, hypothesis.with_effects(trial.package.effects)).score
-
-
-def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
-    """All kinds that convince, best first, with those that tie with the best marked.
-
-    Args:
-        hypothesis: What the kinds are added to.
-        criteria: What an effect must show.
-    """
-    offered = kinds(hypothesis.dataset.effects, hypothesis.unknowns.effects)
-    # A shape costs a parameter, so that places are counted, not shapes. A kind that was found at
-    # one joint is a hypothesis of its own at the others: no longer one of all kinds.
-    places = sum(len(kind.options) for kind in offered)
-    present = {effect.name for effect in hypothesis.unknowns.effects}
-    ranked = [
-        *_delays(hypothesis, criteria),
-        *_late_joints(hypothesis, criteria),
-        *_looser_prior(hypothesis, criteria),
-        *_other_payloads(hypothesis, criteria),
-    ]
-    for kind in offered:
-        tried = len(kind.options) if present.issuperset(kind.names) else places
-        trials = convincing(hypothesis, kind, tried, criteria)
-        if trials:
-            effects = tuple(effect for t in trials for effect in t.package.effects)
-            after = hypothesis.with_effects(effects)
-            ranked.append(
-                Ranked(
-                    kind.classes,
-                    tuple(dict.fromkeys(place for t in trials for place in t.package.place)),
-                    effects,
-                    after,
-                    judge(hypothesis, after, tried=tried),
-                )
-            )
-    return with_ties(ranked, criteria)
-
-
-def choose(ranked: Sequence[Ranked]) -> Ranked:
-    """Of those that cannot be distinguished from the best, the simplest; of these the best."""
-    return min((r for r in ranked if r.tied), key=lambda r: (r.complexity, -r.score))
-
-
-def with_ties(ranked: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
-    """Best first, with those marked that cannot be distinguished from the best.
-
-    Args:
-        ranked: Kinds that convince.
-        criteria: What counts as a tie.
-    """
-    ordered = sorted(ranked, key=lambda r: -r.score)
-    if not ordered:
-        return []
-    best, *others = ordered
-    tied = [replace(r, tied=judge(r.hypothesis, best.hypothesis).is_tie(criteria)) for r in others]
-    return [replace(best, tied=True), *tied]
-
-
-def _delays(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
-    """A delay of all efforts, that which is best with the weights as they are."""
-    dataset = hypothesis.dataset
-    delays = [dataset.delay_of_each(d) for d in range(len(dataset.delays))]
-    others = [delay for delay in delays if delay != hypothesis.delay]
-    if not others:
-        return []
-    gains = hypothesis.quick_gains(others)
-    return _whole(
-        hypothesis,
-        [hypothesis.delayed(others[int(np.argmax(gains))])],
-        kind=effect_of(Role.DELAY),
-        where=(),
-        parameters=1,
-        criteria=criteria,
-        tried=len(others),
-    )
-
-
-def _late_joints(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
-    """Delays of single joints that err mostly for them."""
-    dataset, found = hypothesis.dataset, list[Ranked]()
-    for name in open_joints(hypothesis):
-        at = dataset.joints.index(name)
-        errors = hypothesis.cv.errors_at_delays(at).sum(axis=1)
-        best = int(errors.argmin())
-        if errors[best] <= (1.0 - MOST) * errors[hypothesis.delay[at]]:
-            found += _whole(
-                hypothesis,
-                [delayed_at(hypothesis, (at,), best)],
-                kind=effect_of(Role.DELAY),
-                where=(name,),
-                parameters=1,
-                criteria=criteria,
-                tried=len(errors) * len(dataset.joints),
-            )
-    return found
-
-
-def _looser_prior(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
-    if hypothesis.looseness > 1.0 or hypothesis.has_fixed_bodies:
-        return []
-    bodies = hypothesis.dataset.bodies
-    return _whole(
-        hypothesis,
-        hypothesis.with_widths(LOOSER_PRIORS),
-        kind=effect_of(Role.INERTIA),
-        where=bodies,
-        parameters=2 * len(bodies),
-        criteria=criteria,
-        tried=len(LOOSER_PRIORS),
-    )
-
-
-def _other_payloads(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
-    """Payloads that the model came with, changed or put down since."""
-    found = []
-    for effect in hypothesis.unknowns.effects:
-        known = effect not in hypothesis.released and _is_known(hypothesis, effect)
-        if is_payload(effect) and known:
-            found += _whole(
-                hypothesis,
-                [hypothesis.release(effect)],
-                kind=type(effect),
-                where=effect.where,
-                parameters=len(effect.parameters),
-                criteria=criteria,
-            )
-    return found
-
-
-def _is_known(hypothesis: Hypothesis, effect: Effect) -> bool:
-    """Whether more is known about an effect than that it may be there."""
-    span = hypothesis.unknowns.span(effect)
-    known = hypothesis.unknowns.information[span, span]
-    return bool(np.trace(known) > 1.01 * np.trace(effect_prior(hypothesis.dataset, effect)[1]))
-
-
-def _whole(
-    hypothesis: Hypothesis,
-    others: Sequence[Hypothesis],
-    *,
+def with_forced(
+    case: Case,
     kind: type[Effect],
-    where: tuple[str, ...],
-    parameters: int,
-    criteria: Criteria,
-    tried: int | None = None,
-) -> list[Ranked]:
-    """The best of several variants of the whole hypothesis, if it convinces."""
-    if not others:
-        return []
-    best = max(others, key=lambda other: gain_of(hypothesis, other))
-    found = judge(hypothesis, best, parameters=parameters, tried=tried or len(others))
-    return [Ranked((kind,), where, (), best, found)] if found.convinces(criteria) else []
+    places: tuple[tuple[str, ...], ...] | None,
+    further: Sequence[Effect] = (),
+) -> Found:
+    """The explanation with one effect, whatever the evidence for it.
+
+    Args:
+        case: The case, with columns for candidates.
+        kind: The effect.
+        places: Where; None for all joints, or the place that helps most.
+        further: Instances to try beside those that the case has columns for.
+
+    Raises:
+        ArgumentError: It is one of an episode, and the residual shows none.
+    """
+    return _Search(case, Beliefs(), None).forced(kind, places, further)
+
+
+class _Search:
+    """Where a search is.
+
+    Attributes:
+        case: The case as it was reduced last.
+        model: Its Gaussian model.
+        fit: The most probable explanation so far.
+    """
+
+    def __init__(self, case: Case, beliefs: Beliefs, progress: Progress | None) -> None:
+        self.case, self._beliefs, self._progress = case, beliefs, progress
+        self._effects = list(dict.fromkeys(case.dataset.effects))
+        self._grid = tuple(self._effects)
+        self._origin = case.model.delays
+        self._step = float(np.abs(case.dataset.delays[1:, 0]).min(initial=np.inf))
+        self._delays: list[ArrayLike] = [*case.dataset.delays]
+        self._on_time: Delay = (0,) * len(case.model.joints)
+        self._zooms = dict[tuple[str, tuple[str, ...]], int]()
+        self._timed: Terms | None = None
+        self._looked = self._doubted = False
+        self._is_stopped = False
+        self.model = self._made()
+        self.fit = self._start()
+
+    def found(self) -> Found:
+        """Search to the end."""
+        try:
+            self._climb(hopeful=True)
+            self._climb(hopeful=False)
+            for _ in range(_MOST_ROUNDS):
+                if not self._goes_on():
+                    break
+        except StopSearch:
+            if not self.fit.terms:
+                raise
+            self._is_stopped = True
+        return Found(self.case, self.model, self.fit, self._start(), self._is_stopped)
+
+    def forced(
+        self,
+        kind: type[Effect],
+        places: tuple[tuple[str, ...], ...] | None,
+        further: Sequence[Effect],
+    ) -> Found:
+        """The explanation with one effect; see `with_forced`."""
+        if kind.role is Role.EPISODE or kind.proposer is Proposer.WAVES:
+            further = [e for e in self._suggested() if isinstance(e, kind)] or further
+            if kind.role is Role.EPISODE and not further:
+                raise ArgumentError(
+                    f"No {kind.name} stands out of what the model gets wrong in these logs.",
+                    advice="Friction may cover it up: explain the logs, or add what else is "
+                    "missing first.",
+                )
+        self._effects = [e for e in (*self._effects, *further) if isinstance(e, kind)]
+        self._grid = tuple(self._effects)
+        self._anew()
+        self.fit = self._with_best(kind, places)
+        for _ in range(_MOST_ROUNDS):
+            if not self._refined():
+                break
+            self.fit = self._with_best(kind, places)
+        return Found(self.case, self.model, self.fit, self._start())
+
+    def _with_best(self, kind: type[Effect], places: tuple[tuple[str, ...], ...] | None) -> Fit:
+        """The most probable explanation with one effect at some places, in its best shape."""
+        model, was = self.model, self._start()
+        if kind.role is Role.DELAY:
+            return self._latest(was, places)
+        if kind.role is Role.INERTIA:
+            choices = [model.nothing(w) for w in model.widths if w > model.beliefs.wrong]
+            return self._best(choices or [model.nothing(model.widths[-1])], was)
+        options = dict[tuple[str, ...], list[Term]]()
+        for term in model.terms:
+            if term.effect is not None and isinstance(term.effect, kind):
+                options.setdefault(term.where, []).append(term)
+        chosen = options if places is None else {p: options[p] for p in places if p in options}
+        single = places is None and kind.places != "joint"
+        best = dict[tuple[str, ...], Fit]()
+        for place, terms in chosen.items():
+            choices = [
+                model.choice((term,), width, was.choice.delay)
+                for term in terms
+                for width in model.widths
+            ]
+            best[place] = self._best(choices, was)
+        if single:
+            return max(best.values(), key=lambda fit: fit.score)
+        terms = tuple(fit.terms[0] for fit in best.values())
+        return self._best([model.choice(terms, w, was.choice.delay) for w in model.widths], was)
+
+    def _latest(self, was: Fit, places: tuple[tuple[str, ...], ...] | None) -> Fit:
+        """The best delay of all efforts, or of those of each of some joints."""
+        joints, fit = range(len(was.choice.delay)), was
+        every = [tuple(joints)]
+        if places is not None:
+            every = [(self.case.model.joints.index(name),) for (name,) in places]
+        for moved in every:
+            choices = [
+                Choice(
+                    (),
+                    was.choice.width,
+                    tuple(k if j in moved else fit.choice.delay[j] for j in joints),
+                )
+                for k in range(len(self.case.dataset.delays))
+            ]
+            late = [c for c in choices if any(c.delay[j] != self._on_time[j] for j in moved)]
+            fit = self._best(late, was)
+        return fit
+
+    def _best(self, choices: Sequence[Choice], was: Fit) -> Fit:
+        """The most probable of some explanations, even where it is not physical."""
+        shares = np.full(len(self.model.rows), _FORCED_SHARE)
+        for bounded in (True, False):
+            fits = [self.model.fit(c, shares, was.variance, bounded=bounded) for c in choices]
+            known = [fit for fit in fits if fit is not None]
+            if known:
+                return max(known, key=lambda fit: fit.score)
+        raise RuntimeError("a fit without bounds was refused")
+
+    def _suggested(self) -> list[Effect]:
+        """What the residual suggests: shared actuators, ripples, contacts."""
+        found = proposed(self.case, self.model, self.fit)
+        contacts = find_episodes(self.case, self.model.hypothesis(self.fit))
+        if contacts:
+            numbers = [log_number(trajectory.name) for trajectory in self.case.trajectories]
+            windows = [(numbers.index(c.log), c.start, c.end) for c in contacts]
+            folds = dealt_out(self.case.folds, self.case.trajectories, windows, pieces=PIECES)
+            self.case = replace(self.case, folds=folds)
+        return [e for e in (*found, *contacts) if e not in self._effects]
+
+    def _start(self) -> Fit:
+        """The model with nothing new, its bodies as near to the file as the logs say."""
+        shares = np.full(len(self.model.rows), _FIRST_SHARE)
+        fits = [self.model.fit(self.model.nothing(w), shares) for w in self.model.widths]
+        return max((fit for fit in fits if fit is not None), key=lambda fit: fit.score)
+
+    def _climb(self, *, hopeful: bool) -> None:
+        def watch(before: Fit, after: Fit) -> None:
+            self.fit = after
+            if self._progress is not None:
+                self._progress(progress_of(self.model, before, after))
+
+        for _ in range(_MOST_ROUNDS):
+            self.fit = climb(
+                self.model, self.fit, hopeful=hopeful, watch=watch, pause=self._is_inexact
+            )
+            if not self._is_inexact(self.fit) or not self._refined():
+                break
+
+    def _is_inexact(self, fit: Fit) -> bool:
+        """Whether what was found is to be made exact before anything else is looked for.
+
+        A delay or a slope about another place leaves an error that looks like further effects.
+        """
+        grid = self.case.dataset.delays
+        late = any(abs(grid[k, j]) > 1e-9 for j, k in enumerate(fit.choice.delay))
+        returned = self._timed is not None and fit.choice.delay == self._on_time
+        return (late and not returned) or bool(expansions(self.case, self.model, fit))
+
+    def _made(self) -> LogModel:
+        """The Gaussian model of the case with columns for all that is tried."""
+        model, logs = self.case.model, self.case.trajectories
+        columns = [*self._effects, *reversals(model, logs)]
+        dataset = reduced(self.case, columns, delays=self._delays)
+        self.case = replace(self.case, dataset=dataset)
+        return LogModel(model, dataset, self._effects, self._beliefs, self._on_time)
+
+    def _anew(
+        self, moved: dict[Effect, Effect] | None = None, *, retimed: bool = False
+    ) -> None:
+        """Make columns for what is tried now, and carry the explanation over.
+
+        Args:
+            moved: Effects that others take the place of.
+            retimed: Whether the model has the delays of the explanation now.
+        """
+        moved, was = moved or {}, self.fit
+        self.model = self._made()
+        by_effect = {term.effect: term for term in self.model.terms if term.effect is not None}
+        bodies = {term.where: term for term in self.model.terms if term.effect is None}
+        terms = [
+            bodies[term.where]
+            if term.effect is None
+            else by_effect[moved.get(term.effect, term.effect)]
+            for term in was.terms
+        ]
+        delay = (0,) * len(self._on_time) if retimed else was.choice.delay
+        choice = self.model.choice(tuple(terms), was.choice.width, delay)
+        shares = np.full(len(self.model.rows), 0.3)
+        fit = self.model.fit(choice, shares, was.variance)
+        if fit is None:  # something became negative
+            kept = [t for t in terms if not len(t.positive)]
+            choice = self.model.choice(tuple(kept), was.choice.width, delay)
+            fit = self.model.fit(choice, shares, was.variance) or self._start()
+        self.fit = fit
+
+    def _goes_on(self) -> bool:
+        """Make exact what was found, or find more to try; whether there is anything to search."""
+        if self._refined():
+            self._climb(hopeful=False)
+            return True
+        if not self._looked:
+            self._looked = True
+            more = self._suggested()
+            if more:
+                self._effects += more
+                self._grid = (*self._grid, *more)
+                self._anew()
+                self._climb(hopeful=True)
+                self._climb(hopeful=False)
+                self._looked = False
+                return True
+        if not self._doubted:
+            self._doubted = True
+            self._effects += unknown_functions(self.case.model, self.case.trajectories)
+            self._anew()
+            before = self.fit.choice.key
+            self._climb(hopeful=False)
+            return self.fit.choice.key != before
+        return False
+
+    def _refined(self) -> bool:
+        """Whether delays, shapes, slopes or loads were made anew."""
+        retimed = self._retimed()
+        changed = retimed
+        near = [
+            effect
+            for effect in finer_shapes(self.fit.terms, self._grid, self._zooms)
+            if effect not in self._effects
+        ]
+        for term in self.fit.terms:
+            if any((e.name, e.where) == term.key for e in near):
+                self._zooms[term.key] = self._zooms.get(term.key, 0) + 1
+        self._effects += near
+        moved = expansions(self.case, self.model, self.fit)
+        if moved:
+            self._effects = [moved.get(effect, effect) for effect in self._effects]
+        loads = fitted_loads(self.case, self.model, self.fit)
+        if loads is not None and self._needs_loads():
+            self.case = replace(self.case, loads=loads, kept=KeptMotion())
+            changed = True
+        if changed or near or moved:
+            self._anew(moved, retimed=retimed)
+            return True
+        return False
+
+    def _needs_loads(self) -> bool:
+        """Whether something in the explanation depends on the load."""
+        effects = [term.effect for term in self.fit.terms if not term.is_body]
+        return any(effect is not None and "load" in effect.depends_on for effect in effects)
+
+    def _retimed(self) -> bool:
+        """Advance the efforts by the delay that was found, if it is another one than before."""
+        delay = self.fit.choice.delay
+        late = any(
+            abs(self.case.dataset.delays[k, j]) > 1e-9 for j, k in enumerate(delay)
+        )
+        if self._timed is None and delay == self._on_time:
+            return False
+        if self._timed is not None and self.fit.terms == self._timed and not late:
+            return False
+        found = delays_of(self.model, self.fit)
+        far = np.abs(found.seconds) > _OTHER_DELAY * found.deviations
+        if self._timed is not None and not late and not far.any():
+            return False
+        self.case = with_delays(self.case, found)
+        half = 0.5 * self._step if self._timed is None else 0.25 * self._step
+        grid = np.unique(np.concatenate([self._step * np.arange(-3, 4), [half, -half]]))
+        others = [x for x in grid.tolist() if abs(x) > 1e-12]
+        self._delays = [0.0, self._origin - self.case.model.delays, *others]
+        self._on_time = (1,) * len(delay)
+        self._timed = self.fit.terms
+        return True

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from geodrake.effects.base import Effect
-from geodrake.identification.logs.case import error_table
-from geodrake.identification.logs.hypothesis import Hypothesis
+from geodrake.diagnosis.log_model import Fit, LogModel
 
 
 @dataclass(frozen=True)
@@ -49,27 +47,22 @@ Progress = Callable[[FoundStep], None]
 """Called with each step. It may raise `StopSearch`: what was found by then is the result."""
 
 
-def found_step(
-    start: Hypothesis, before: Hypothesis, after: Hypothesis, names: Sequence[str]
-) -> FoundStep:
-    """The step from one hypothesis to another.
+def progress_of(model: LogModel, before: Fit, after: Fit) -> FoundStep:
+    """The step from one explanation to another.
 
     Args:
-        start: The first hypothesis of the search.
-        before: The hypothesis before.
-        after: The hypothesis after.
-        names: What was added, where no effect shows it, as with a delay of all efforts.
+        model: The Gaussian model.
+        before: The explanation before.
+        after: The explanation after.
     """
-    new = [e for e in after.unknowns.effects if e not in before.unknowns.effects]
+    data = model.dataset
+    deviation = np.where(data.effort_std > 0.0, data.effort_std, np.inf)
+    new = [term for term in after.terms if term not in before.terms]
+    power = np.array([j.effort_sums[:, 1].sum() for j in data.data]) / model.rows
+    errors = (np.sqrt(before.variance), np.sqrt(after.variance), np.sqrt(power), data.noise_floor)
+    nrms = [float(np.sqrt(np.mean(np.square(error / deviation)))) for error in errors]
     return FoundStep(
-        " + ".join(dict.fromkeys(effect.name for effect in new)) or " + ".join(names),
-        _places(new),
-        before.nrms,
-        after.nrms,
-        start.nrms,
-        error_table(after.dataset, after.held_out).floor_nrms,
+        " + ".join(dict.fromkeys(term.name for term in new)) or "bodies",
+        tuple(dict.fromkeys(name for term in new for name in term.where)),
+        *nrms,
     )
-
-
-def _places(effects: Sequence[Effect]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(name for effect in effects for name in effect.where))

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.delay import fine_delays, later
 from geodrake.effects import FittedEffect
-from geodrake.identification.logs.hypothesis import Hypothesis
 
 Array = NDArray[np.float64]
-Values = dict[str, dict[str, float]]
 
 _SMALL = 1e-4
 """Share of a change at which what is reported is differentiated."""
@@ -49,32 +45,3 @@ def factor_of(covariance: Array) -> Array:
     """(k, k) independent shifts, row by row, that have a covariance (k, k)."""
     values, axes = np.linalg.eigh(covariance)
     return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * axes.T)
-
-
-def late_joints(joints: Sequence[str], start: Hypothesis, end: Hypothesis) -> tuple[str, ...]:
-    """Joints that are late alone at the end of a search; none where all are alike.
-
-    Args:
-        joints: Names of the joints.
-        start: The first hypothesis of the search.
-        end: The last one.
-    """
-    return tuple(joints[late[0]] for late in later(start, end) if len(late) == 1)
-
-
-def reported_delays(
-    joints: Sequence[str], start: Hypothesis, end: Hypothesis, delays: Array
-) -> tuple[Values, Values]:
-    """Delays that a search found and their deviations, s, by joint or that of all joints.
-
-    Args:
-        joints: Names of the joints.
-        start: Where the search began.
-        end: Where it ended.
-        delays: (nv,) delays of the fitted model, s.
-    """
-    late = later(start, end)
-    _, spread = fine_delays(end, late)
-    at = {"all joints" if len(some) > 1 else joints[some[0]]: some[0] for some in late}
-    values = {place: {"delay": float(delays[j])} for place, j in at.items()}
-    return values, {place: {"delay": float(spread[j])} for place, j in at.items()}

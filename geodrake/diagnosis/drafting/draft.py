@@ -15,7 +15,7 @@ from geodrake.diagnosis.drafting.search import Found, JointSearch
 from geodrake.diagnosis.drafting.term_columns import TermColumns
 from geodrake.diagnosis.drafting.vocabulary import short_vocabulary
 from geodrake.diagnosis.explain import Investigation, investigate
-from geodrake.diagnosis.pruning import prune
+from geodrake.diagnosis.judgement import judge
 from geodrake.diagnosis.results import Explanation
 from geodrake.diagnosis.search_progress import FoundStep, Progress
 from geodrake.effects.base import Effect
@@ -128,7 +128,7 @@ def draft_rest(
         if found is not None:
             drafts = [e for e in found.after.unknowns.effects if e.name == found.columns.name]
             before = hypothesis.nrms
-            hypothesis = prune(found.after, [*fixed, *drafts], criteria)
+            hypothesis = _without_needless(found.after, {*fixed, *drafts})
             drafted.append(_drafted(found, hypothesis))
             if progress is not None:
                 floor = error_table(start.dataset, start.held_out).floor_nrms
@@ -143,6 +143,15 @@ def draft_rest(
         error_table(hypothesis.dataset, hypothesis.held_out),
         start.dataset.logs,
     )
+
+
+def _without_needless(hypothesis: Hypothesis, kept: set[Effect]) -> Hypothesis:
+    """The hypothesis less the effects that a formula made needless, those kept left aside."""
+    for effect in hypothesis.unknowns.effects:
+        if effect not in kept:
+            less = hypothesis.without([effect])
+            hypothesis = hypothesis if judge(less, hypothesis).is_better else less
+    return hypothesis
 
 
 def _where_fewest_joints_err(hypothesis: Hypothesis) -> Hypothesis:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geodrake.effects import catalogue
 from geodrake.effects.base import Effect
+from geodrake.effects.role import Proposer
 from geodrake.effects.user_code import candidates_of
 from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.logs.motion import Trajectory
@@ -50,16 +51,22 @@ def candidate_effects(
     speed = dict(zip(model.joints, peaks.tolist(), strict=True))
     temperatures = mean_temperatures(trajectories)
     found: list[Effect] = []
+    segments = [segment for trajectory in trajectories for segment in (s[:100_000] for s in trajectory.segments)]
+    spans = np.max([np.ptp(segment.position, axis=0) for segment in segments], axis=0)
+    reach = dict(zip(model.joints, spans.tolist(), strict=True))
+    duration = max(float(t.segments[-1][-1:].time[0] - t.began) for t in trajectories)
     for effect in (*catalogue(), *extra):
         unknown = effect.needs_known_inertia and model.information is None
-        from_residual = effect.proposer is not None and effect.places != "joint_pair"
+        from_residual = effect.proposer in (Proposer.WAVES, Proposer.EPISODE)
         if from_residual or (unknown and effect.places != "joint"):
             continue
         if effect.places == "joint":
             for joint in known if unknown else single:
                 if effect.turning_only and joint in model.sliding_joints:
                     continue
-                if speed[joint] > 0.0:
+                if speed[joint] > 0.0 and effect.proposer in (Proposer.WARMING, Proposer.BRISTLES):
+                    found.extend(effect.shaped(joint, reach=reach[joint], duration=duration))
+                elif speed[joint] > 0.0:
                     found.extend(_at_joint(effect, joint, speed[joint], temperatures.get(joint)))
         elif effect.places == "joint_pair":
             for pair in model.joint_pairs:

@@ -1,0 +1,57 @@
+"""What is believed of a robot before its logs are seen: every number that decides.
+
+A diagnosis weighs explanations by their probability, and these are the prior probabilities and
+widths. Nothing else in a search decides between two explanations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from geodrake.boundary.arguments import number, positive
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """Prior odds and widths of everything that may be missing in a model.
+
+    Attributes:
+        size: Standard deviation of the effort that a parameter of an effect makes, as a share of
+            the deviation of its joint's measured effort: a friction may be as large as all else.
+        rarer: How much rarer an effect is than one that is less complex by one.
+        again: Odds against an effect at one joint more of a robot that has it elsewhere.
+        shape: Values among which the data choose a shape parameter, such as an exponent.
+        order: Values among which they choose one that is found in a spectrum.
+        delays: Delays among which they choose.
+        widths: How well a model file knows its bodies, as geometric distances: each is tried.
+        wrong: Widths above this one mean that the file is wrong.
+        free: Width of one body that is wrong while the others are right.
+        payload: Deviation of a payload, in units of one of a tenth of the robot's mass.
+        inner: Odds against a payload on a body that carries others.
+        unknown: As `size`, for each term of a function of the motion that no effect describes.
+        reversal: As `size`, for what friction does at speeds that a log does not resolve.
+        adopted: An explanation is adopted where it is so many times as probable as a simpler one.
+    """
+
+    size: float = 1.0
+    rarer: float = 5.0
+    again: float = 3.0
+    shape: float = 4.0
+    order: float = 100.0
+    delays: float = 20.0
+    widths: tuple[float, ...] = (0.003, 0.03, 0.1, 0.3, 1.0)
+    wrong: float = 0.3
+    free: float = 3.0
+    payload: float = 1.0
+    inner: float = 30.0
+    unknown: float = 0.3
+    reversal: float = 0.3
+    adopted: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if name == "widths":
+                for width in value:
+                    positive(width, "widths")
+            else:
+                number(value, name, lower=0.0)

@@ -1,0 +1,108 @@
+"""Climbing from one explanation to a more probable one, until none nearby is more probable."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.log_model import Choice, Fit, LogModel
+from geodrake.diagnosis.moves import neighbours
+
+Array = NDArray[np.float64]
+
+_MOST_STEPS = 40
+_OPTIMISTIC = 0.3
+"""On the way up, residuals are worth at least this share of their rows: what is missing still
+makes them look as if they were worth less."""
+_JUDGED = 5
+"""So many neighbours that promise most have their own residuals counted."""
+
+Watch = Callable[[Fit, Fit], None]
+"""Called with the explanation before and after each step."""
+
+
+def climb(
+    model: LogModel,
+    fit: Fit,
+    *,
+    hopeful: bool,
+    watch: Watch | None = None,
+    pause: Callable[[Fit], bool] | None = None,
+) -> Fit:
+    """The most probable explanation that steps to more probable neighbours lead to.
+
+    Args:
+        model: The Gaussian model.
+        fit: Where to begin.
+        hopeful: Whether residuals count for more than they do now, as terms may be missing still.
+        watch: Called with each step.
+        pause: Whether to return with what a step led to, as it is to be made exact first.
+    """
+    seen = {fit.choice.key}  # samples are counted anew at each step, which may lead back
+    for _ in range(_MOST_STEPS):
+        better = _step(model, fit, seen, hopeful=hopeful)
+        if better is None:
+            break
+        if watch is not None:
+            watch(fit, better)
+        fit = better
+        seen.add(fit.choice.key)
+        if pause is not None and pause(fit):
+            break
+    return fit
+
+
+def _step(model: LogModel, fit: Fit, seen: set[Hashable], *, hopeful: bool) -> Fit | None:
+    """The best neighbour of a fit that was not seen yet, if it is more probable."""
+    own = model.shares(fit)
+    high = np.maximum(own, _OPTIMISTIC)
+    fit = _refitted(model, fit, high if hopeful else own)
+    choices = [choice for choice in neighbours(model, fit) if choice.key not in seen]
+    tried = _fitted(model, choices, fit.variance, high)
+    promising = tried[:_JUDGED]
+    if not hopeful:
+        choices = [each.choice for each in tried]
+        promising += _fitted(model, choices, fit.variance, own)[:_JUDGED]
+    best, gain = None, 1e-6
+    for other in {each.choice.key: each for each in promising}.values():
+        found = gain_of(model, fit, other, hopeful=hopeful)
+        if found is not None and found[0] > gain:
+            gain, best = found
+    return best
+
+
+def _fitted(
+    model: LogModel, choices: list[Choice], variance: Array, shares: Array
+) -> list[Fit]:
+    """Fits of explanations, the most probable first."""
+    fits = [model.fit(choice, shares, variance) for choice in choices]
+    return sorted((fit for fit in fits if fit is not None), key=lambda fit: -fit.score)
+
+
+def _refitted(model: LogModel, fit: Fit, shares: Array) -> Fit:
+    found = model.fit(fit.choice, shares, fit.variance)
+    return fit if found is None else found
+
+
+def gain_of(
+    model: LogModel, fit: Fit, other: Fit, *, hopeful: bool = False
+) -> tuple[float, Fit] | None:
+    """How much higher another fit scores, where residuals count alike, and that fit.
+
+    Residuals of either joint are worth as many samples as those of the fit that leaves less.
+
+    Args:
+        model: The Gaussian model.
+        fit: A fit.
+        other: Another one.
+        hopeful: As for `climb`.
+    """
+    shares = np.where(other.variance < fit.variance, model.shares(other), model.shares(fit))
+    shares = np.maximum(shares, _OPTIMISTIC) if hopeful else shares
+    one = model.fit(fit.choice, shares, fit.variance)
+    two = model.fit(other.choice, shares, other.variance)
+    if two is None:
+        return None
+    return two.score - (fit.score if one is None else one.score), two

@@ -1,0 +1,518 @@
+"""Logs as one linear Gaussian model: the evidence of any set of terms in closed form.
+
+    b_j = A_j x + noise of joint j,   x ~ N(m, Λ⁻¹)
+
+with the rows of all logs and the parameters of bodies, effects and nuisances. Twice the logarithm
+of the evidence of a set of terms, at its own most probable noise, is
+
+    −Σ_j n_j log σ_j² − (x − m)ᵀ Λ (x − m) − log |Λ + Σ_j w_j A_jᵀA_j| + log |Λ|,
+
+w_j = n_j / (N_j σ_j²), for N_j rows that are worth n_j independent ones. Normal matrices of all
+columns are formed once. Terms that come, go or take the place of others are then small Schur
+complements: at the noise of a fit, all of them are tried at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.beliefs import Beliefs
+from geodrake.diagnosis.terms import (
+    Term,
+    Terms,
+    are_compatible,
+    odds_against,
+    terms_of,
+)
+from geodrake.diagnosis.unknown_efforts import UnresolvedReversal
+from geodrake.effects.base import Effect
+from geodrake.identification.logs.criteria import SPREAD
+from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut, hold_out
+from geodrake.identification.logs.dataset import Dataset
+from geodrake.identification.logs.hypothesis import Hypothesis, effective_of_each
+from geodrake.identification.logs.model_fit import model_unknowns
+from geodrake.identification.logs.unknowns import Unknowns
+from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.model.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Delay = tuple[int, ...]
+
+_LEAST_NOISE = 1e-4  # of the effort's deviation
+_LEAST_SHARE = 1e-4
+_RIDGE = 1e-11
+_ALIKE = 0.02  # noise is settled if no logarithm of a variance changes by more
+_MOST_FITS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """An explanation: terms, how far bodies may be from the file, and delays.
+
+    Attributes:
+        terms: The terms, in the order of their columns.
+        width: Width of the prior of all bodies, as a geometric distance.
+        delay: (nv,) index of the delay of each joint.
+    """
+
+    terms: Terms
+    width: float
+    delay: Delay
+
+    @property
+    def key(self) -> tuple[frozenset[Term], float, Delay]:
+        """What tells it from others."""
+        return frozenset(self.terms), self.width, self.delay
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The most probable parameters and noise of an explanation.
+
+    Attributes:
+        choice: The explanation.
+        columns: (n,) its columns among those of the model.
+        x: (n,) parameters.
+        variance: (nv,) mean squared residuals, (N·m)² or N².
+        weights: (nv,) w_j.
+        hessian: (n, n) Λ + Σ_j w_j A_jᵀA_j.
+        score: Twice the logarithm of the evidence and of the prior odds, but for a constant.
+    """
+
+    choice: Choice
+    columns: Indices
+    x: Array
+    variance: Array
+    weights: Array
+    hessian: Array
+    score: float
+
+    @property
+    def terms(self) -> Terms:
+        """The terms of the explanation."""
+        return self.choice.terms
+
+
+@dataclass(frozen=True, eq=False)
+class Dropped:
+    """What leaving terms out of a fit changes, at its noise.
+
+    Attributes:
+        loss: What is lost of the score, prior odds left aside.
+        rows: (i, P) rows of the dropped parameters in H⁻¹AᵀA.
+        inverse: (i, i) inverse of their covariance.
+        x: (i,) their values.
+    """
+
+    loss: float
+    rows: Array
+    inverse: Array
+    x: Array
+
+
+class LogModel:
+    """The Gaussian model of reduced logs.
+
+    Args:
+        model: The robot's model, whose parameters have a prior.
+        dataset: The reduced logs, with columns for effects and nuisances.
+        effects: Effects that the model may lack.
+        beliefs: Prior odds and widths.
+        on_time: (nv,) index of the dataset's delay that the model itself has.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        dataset: Dataset,
+        effects: Sequence[Effect],
+        beliefs: Beliefs,
+        on_time: Delay,
+    ) -> None:
+        self.model, self.dataset, self.beliefs, self.on_time = model, dataset, beliefs, on_time
+        self.unknowns = model_unknowns(dataset, model)
+        self.known = frozenset(
+            (kind.name, effect.where)
+            for effect in self.unknowns.effects
+            for kind in (type(effect), *effect.contains)
+        )
+        known = set(self.unknowns.effects)
+        self.terms = terms_of(
+            model, dataset, [e for e in effects if e not in known], beliefs
+        )
+        self.widths = beliefs.widths if model.information is None else (1.0, 3.0)
+        self.rows = np.maximum(dataset.samples.sum(axis=0), 1).astype(float)
+        self._bodies = len(dataset.bodies) * PARAMETERS_PER_BODY
+        self._assemble()
+        self._shares = dict[object, Array]()
+
+    # What there is to fit.
+
+    def _assemble(self) -> None:
+        """Normal matrices over all columns: model, gains, reversals, terms."""
+        data, nv = self.dataset, len(self.dataset.joints)
+        reversals = [e for e in data.effects if isinstance(e, UnresolvedReversal)]
+        sources = [self.unknowns.columns, np.full(nv, -1)]
+        sources += [data.effect_columns(effect) for effect in reversals]
+        self._first_term = sum(map(len, sources))
+        at, self.at = self._first_term, dict[Term, Indices]()
+        for term in self.terms:
+            self.at[term] = np.arange(at, at + len(term.columns))
+            sources.append(term.columns)
+            at += len(term.columns)
+        columns = np.concatenate(sources)
+        self._grams, self._places = [], []
+        for j, joint in enumerate(data.data):
+            p = len(joint.columns)
+            gram = joint.grams.sum(axis=0)
+            bodies = joint.local(np.arange(self._bodies))
+            load = np.zeros(len(gram))
+            load[bodies[bodies >= 0]] = self.unknowns.mean[: self._bodies][bodies >= 0]
+            wider = np.zeros((len(gram) + 2,) * 2)  # the joint's load, and zeros for what it is not
+            wider[:-2, :-2] = gram
+            wider[-2, :-2] = wider[:-2, -2] = gram @ load
+            wider[-2, -2] = load @ gram @ load
+            places = np.where(columns >= 0, joint.local(np.maximum(columns, 0)), -1)
+            places[len(self.unknowns.columns) + j] = len(gram)
+            self._grams.append(wider)
+            self._places.append(places)
+        self._efforts = [len(joint.columns) for joint in data.data]
+        self.mean = np.zeros(len(columns))
+        self.mean[: len(self.unknowns.columns)] = self.unknowns.mean
+        gains = np.maximum(data.gain_uncertainty, 1e-6) ** -2.0
+        speeds = {effect.where[0]: 1 for effect in reversals}
+        unsure = [
+            (self.beliefs.reversal * data.effort_std[data.joints.index(joint)]) ** -2.0
+            for joint in speeds
+            for _ in range(len(UnresolvedReversal.parameters))
+        ]
+        self._nuisances = np.concatenate([gains, unsure])
+        self._floor = np.square(_LEAST_NOISE * np.maximum(data.effort_std, 1e-12))
+
+    def _prior(self, choice: Choice) -> tuple[Array, float]:
+        """Λ (n, n) of an explanation and log |Λ|, but for a constant."""
+        p, first = len(self.unknowns.columns), self._first_term
+        sizes = [len(term.columns) for term in choice.terms]
+        information = np.zeros((first + sum(sizes),) * 2)
+        scale = np.ones(p)
+        scale[: self._bodies] = self._spread / choice.width
+        information[:p, :p] = self.unknowns.information * scale[:, None] * scale
+        own = np.arange(p, first)
+        information[own, own] = self._nuisances
+        logarithm, at = -2.0 * self._bodies * np.log(choice.width), first
+        for term, size in zip(choice.terms, sizes, strict=True):
+            information[at : at + size, at : at + size] = term.information
+            logarithm += term.log_information
+            at += size
+        return information, float(logarithm)
+
+    @property
+    def _spread(self) -> float:
+        """The width that the prior of the model's unknowns has."""
+        return SPREAD if self.model.information is None else 1.0
+
+    def odds_against(self, choice: Choice) -> float:
+        """Twice the logarithm of the prior odds against an explanation."""
+        beliefs = self.beliefs
+        late = {
+            j
+            for j, pair in enumerate(zip(choice.delay, self.on_time, strict=True))
+            if pair[0] != pair[1]
+        }
+        total = odds_against(choice.terms)
+        if late:
+            alike = len(late) == len(choice.delay) and len(self._seconds(choice.delay)) == 1
+            total += 2.0 * np.log(beliefs.delays)
+            if not alike:
+                total += 2.0 * len(late) * np.log(beliefs.again * beliefs.shape)
+        if choice.width != self.widths[0]:
+            total += 2.0 * np.log(beliefs.rarer)
+        if choice.width > (beliefs.wrong if self.model.information is None else 1.0):
+            total += 6.0 * np.log(beliefs.rarer)
+        return float(total)
+
+    def _seconds(self, delay: Delay) -> frozenset[float]:
+        """What joints are late by, s, beyond the model's delays."""
+        delays = self.dataset.delays
+        late = delays[list(delay), np.arange(len(delay))]
+        own = delays[list(self.on_time), np.arange(len(delay))]
+        return frozenset(np.round(late - own, 9).tolist())
+
+    def are_compatible(self, terms: Terms) -> bool:
+        """Whether terms may be together, beside what the model has."""
+        return are_compatible(terms, self.known)
+
+    # Fits.
+
+    def nothing(self, width: float) -> Choice:
+        """The model as it is, with bodies that may be so far from it."""
+        return Choice((), width, self.on_time)
+
+    def choice(self, terms: Terms, width: float, delay: Delay) -> Choice:
+        """An explanation, its terms in the order of their columns."""
+        return Choice(tuple(sorted(terms, key=lambda t: self.at[t][0])), width, delay)
+
+    def fit(
+        self,
+        choice: Choice,
+        shares: Array,
+        variance: Array | None = None,
+        *,
+        bounded: bool = True,
+    ) -> Fit | None:
+        """The most probable parameters and noise of an explanation.
+
+        Args:
+            choice: The explanation.
+            shares: (nv,) independent samples over rows.
+            variance: (nv,) variances of the noise to begin with.
+            bounded: Whether what cannot be negative must not be.
+
+        Returns:
+            The fit; None if something is negative that must not be.
+        """
+        columns = np.concatenate(
+            [np.arange(self._first_term), *(self.at[term] for term in choice.terms)]
+        )
+        prior, logarithm = self._prior(choice)
+        grams, moments, powers = self._normal(columns, choice.delay)
+        mean = self.mean[columns]
+        pull, rows = prior @ mean, self.rows
+        variance = powers / rows if variance is None else variance
+        for _ in range(_MOST_FITS):
+            weights = shares / np.maximum(variance, self._floor)
+            hessian = prior + np.tensordot(weights, grams, 1)
+            scale = 1.0 / np.sqrt(np.diag(hessian))
+            factor = np.linalg.cholesky(
+                hessian * scale[:, None] * scale + _RIDGE * np.eye(len(scale))
+            )
+            right = scale * (pull + weights @ moments)
+            x = scale * np.linalg.solve(factor.T, np.linalg.solve(factor, right))
+            left = powers - 2.0 * moments @ x + (grams @ x) @ x
+            before, variance = variance, np.maximum(left / rows, self._floor)
+            if np.all(np.abs(np.log(variance / before)) < _ALIKE):
+                break
+        if bounded and any(np.any(x[at] <= 0.0) for at in self._positive(choice)):
+            return None
+        way = x - mean
+        determinant = 2.0 * (np.log(np.diag(factor)).sum() - np.log(scale).sum())
+        score = (
+            -float((shares * rows) @ np.log(variance))
+            - float(way @ prior @ way)
+            - determinant
+            + logarithm
+            - self.odds_against(choice)
+        )
+        return Fit(choice, columns, x, variance, weights, hessian, score)
+
+    def _positive(self, choice: Choice) -> list[Indices]:
+        at, found = self._first_term, []
+        for term in choice.terms:
+            found.append(at + term.positive)
+            at += len(term.columns)
+        return found
+
+    def _normal(self, columns: Indices, delay: Delay) -> tuple[Array, Array, Array]:
+        """AᵀA (nv, n, n), Aᵀb (nv, n) and bᵀb (nv,) of each joint."""
+        n, nv = len(columns), len(self.rows)
+        grams, moments, powers = np.empty((nv, n, n)), np.empty((nv, n)), np.empty(nv)
+        for j, (gram, places) in enumerate(zip(self._grams, self._places, strict=True)):
+            at, effort = places[columns], self._efforts[j] + delay[j]
+            grams[j] = gram[at[:, None], at]
+            moments[j], powers[j] = gram[effort, at], gram[effort, effort]
+        return grams, moments, powers
+
+    def shares(self, fit: Fit) -> Array:
+        """(nv,) independent samples over rows that the residuals of a fit are worth."""
+        key = fit.choice.key
+        if key not in self._shares:
+            columns, x = self.dataset_parameters(fit)
+            folds = np.tile(x, (len(self.dataset.folds), 1))
+            found = effective_of_each(self.dataset, [(columns, folds)], delay=fit.choice.delay)[0]
+            self._shares[key] = np.clip(found / self.rows, _LEAST_SHARE, 1.0)
+        return self._shares[key]
+
+    def dataset_parameters(self, fit: Fit) -> tuple[Indices, Array]:
+        """Columns (p,) of the dataset and their parameters (p,), gains left aside."""
+        p, nv, data = len(self.unknowns.columns), len(self.rows), self.dataset
+        reversals = [e for e in data.effects if isinstance(e, UnresolvedReversal)]
+        columns = [self.unknowns.columns, *(data.effect_columns(e) for e in reversals)]
+        columns += [term.columns for term in fit.terms]
+        return np.concatenate(columns), np.delete(fit.x, np.arange(p, p + nv))
+
+    def parameters(self, fit: Fit, term: Term) -> Array:
+        """(k,) parameters of a term of a fit."""
+        at = self._first_term
+        for each in fit.terms:
+            if each is term:
+                return fit.x[at : at + len(term.columns)]
+            at += len(each.columns)
+        raise KeyError(term)
+
+    def bodies(self, fit: Fit) -> Array:
+        """(nb, 10) bodies of a fit, wrong ones as they were found; payloads are beside them."""
+        phi = fit.x[: self._bodies].reshape(-1, PARAMETERS_PER_BODY).copy()
+        for term in fit.terms:
+            if term.effect is None:
+                phi[self.dataset.bodies.index(term.where[0])] += self.parameters(fit, term)
+        return phi
+
+    # What a fit changes to where terms come and go, at its noise.
+
+    def around(self, fit: Fit) -> Neighbourhood:
+        """What is beside a fit."""
+        return Neighbourhood(self, fit)
+
+    # For what needs fits fold by fold.
+
+    def unknowns_of(self, choice: Choice) -> Unknowns:
+        """What a fit of an explanation may move, with its prior; nuisances are left aside."""
+        unknowns = self.unknowns.loosened(choice.width / self._spread, self._bodies)
+        wrong = [term for term in choice.terms if term.effect is None]
+        if wrong:
+            covariance = np.linalg.inv(unknowns.information[: self._bodies, : self._bodies])
+            for term in wrong:
+                at = np.ix_(term.columns, term.columns)
+                covariance[at] += np.linalg.inv(term.information)
+            information = unknowns.information.copy()
+            information[: self._bodies, : self._bodies] = np.linalg.inv(covariance)
+            unknowns = replace(unknowns, information=information)
+        for term in choice.terms:
+            if term.effect is not None:
+                unknowns = unknowns.with_effect(term.effect, term.columns, term.information)
+        return unknowns
+
+    def hypothesis(self, fit: Fit) -> Hypothesis:
+        """A fit as it is, for what looks at its residuals: all folds have the same parameters."""
+        unknowns, data, choice = self.unknowns_of(fit.choice), self.dataset, fit.choice
+        x = np.zeros(len(unknowns.columns))
+        p = len(self.unknowns.columns)
+        x[:p] = fit.x[:p]
+        x[: self._bodies] = self.bodies(fit).ravel()
+        for term in fit.terms:
+            if term.effect is not None:
+                x[unknowns.span(term.effect)] = self.parameters(fit, term)
+        held_out = hold_out(
+            data, unknowns.columns, np.tile(x, (len(data.folds), 1)), delay=choice.delay
+        )
+        return self._hypothesis(choice, unknowns, fit, held_out)
+
+    def validated(self, fit: Fit) -> Hypothesis:
+        """A fit validated fold by fold, with the noise that it has."""
+        return self._hypothesis(fit.choice, self.unknowns_of(fit.choice), fit, None)
+
+    def _hypothesis(
+        self, choice: Choice, unknowns: Unknowns, fit: Fit, held_out: HeldOut | None
+    ) -> Hypothesis:
+        cv = CrossValidation(
+            self.dataset, unknowns, fit.weights, delay=choice.delay, held_out=held_out
+        )
+        effective = self.shares(fit) * self.rows
+        looseness = choice.width / self._spread
+        return Hypothesis(
+            self.dataset, unknowns, fit.weights, choice.delay, looseness, cv, effective
+        )
+
+
+class Neighbourhood:
+    """Schur complements of all columns beside a fit, at its noise.
+
+    Args:
+        model: The Gaussian model.
+        fit: The fit.
+    """
+
+    def __init__(self, model: LogModel, fit: Fit) -> None:
+        self._model, self.fit = model, fit
+        size = len(model.mean)
+        gram, right = np.zeros((size, size)), np.zeros(size)
+        joints = zip(model._grams, model._places, fit.weights, strict=True)
+        for j, (own, places, weight) in enumerate(joints):
+            at = np.flatnonzero(places >= 0)
+            local = places[at]
+            gram[np.ix_(at, at)] += weight * own[np.ix_(local, local)]
+            right[at] += weight * own[model._efforts[j] + fit.choice.delay[j], local]
+        columns = fit.columns
+        self._inverse = np.linalg.inv(fit.hessian)
+        self._turned = self._inverse @ gram[columns]
+        self._schur = gram - gram[:, columns] @ self._turned
+        self._pull = right - gram[:, columns] @ fit.x
+        at, self._at = model._first_term, dict[Term, Indices]()
+        for term in fit.terms:
+            self._at[term] = np.arange(at, at + len(term.columns))
+            at += len(term.columns)
+
+    def delays(self) -> list[tuple[Delay, float]]:
+        """The best other delay of all joints, and of each joint alone, with what each gains."""
+        model, was = self._model, self.fit.choice.delay
+        columns, fit, joints = self.fit.columns, self.fit, range(len(was))
+        every = [model._normal(columns, (k,) * len(was)) for k in range(len(model.dataset.delays))]
+        if len(every) < 2:
+            return []
+        grams, own, _ = model._normal(columns, was)
+        samples = fit.weights * np.maximum(fit.variance, model._floor) * model.rows
+        now, found = fit.variance * model.rows, list[tuple[Delay, float]]()
+        for moved in (joints, *([j] for j in joints)):
+            tried = []
+            for k, (_, moments, powers) in enumerate(every):
+                change = fit.weights[moved] @ (moments[moved] - own[moved])
+                x = fit.x + self._inverse @ change
+                left = [powers[j] - 2.0 * moments[j] @ x + x @ grams[j] @ x for j in moved]
+                ratio = np.maximum(left, 1e-12 * now[moved]) / now[moved]
+                delay = tuple(k if j in moved else was[j] for j in joints)
+                tried.append((delay, float(-samples[moved] @ np.log(ratio))))
+            found.append(max((each for each in tried if each[0] != was), key=lambda each: each[1]))
+        return found
+
+    def dropped(self, terms: Sequence[Term]) -> Dropped:
+        """What leaving some of the fit's terms out changes."""
+        at = np.concatenate([self._at[term] for term in terms])
+        covariance, x = self._inverse[np.ix_(at, at)], self.fit.x[at]
+        inverse = np.linalg.inv(covariance)
+        known = sum(term.log_information for term in terms)
+        loss = -x @ inverse @ x - np.linalg.slogdet(covariance)[1] - known
+        return Dropped(float(loss), self._turned[at], inverse, x)
+
+    def gains(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
+        """(m,) what each package of terms adds to the score, prior odds left aside.
+
+        Args:
+            packages: Terms that come together, none of which is in the fit, or only in `dropped`.
+            dropped: What is left out first.
+
+        Returns:
+            Gains, without `dropped.loss`; −∞ where something is negative that cannot be.
+        """
+        found, sizes = np.full(len(packages), -np.inf), dict[int, list[int]]()
+        for k, package in enumerate(packages):
+            sizes.setdefault(sum(len(term.columns) for term in package), []).append(k)
+        for size, chosen in sizes.items():
+            alike = [packages[k] for k in chosen]
+            at = np.array([np.concatenate([self._model.at[t] for t in p]) for p in alike])
+            schur, pull = self._schur[at[:, :, None], at[:, None]], self._pull[at]
+            if dropped is not None:
+                rows = np.moveaxis(dropped.rows[:, at], 1, 0)
+                turned = np.swapaxes(rows, 1, 2)
+                schur = schur + turned @ (dropped.inverse @ rows)
+                pull = pull + turned @ (dropped.inverse @ dropped.x)
+            known, positive = np.zeros_like(schur), np.zeros(pull.shape, bool)
+            logarithm = np.array([sum(t.log_information for t in p) for p in alike])
+            for k, package in enumerate(alike):
+                start = 0
+                for term in package:
+                    end = start + len(term.columns)
+                    known[k, start:end, start:end] = term.information
+                    positive[k, start + term.positive] = True
+                    start = end
+            schur = schur + known
+            x = np.linalg.solve(schur, pull[..., None])[..., 0]
+            gain = (pull * x).sum(axis=1) - np.linalg.slogdet(schur)[1] + logarithm
+            below = np.any(positive & (x <= 0.0), axis=1)
+            found[chosen] = np.where(below, -np.inf, gain)
+        return found
+

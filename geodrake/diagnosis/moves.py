@@ -1,0 +1,230 @@
+"""Moves from one explanation to its neighbours: terms that come, go, or take others' places."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from geodrake.diagnosis.log_model import Choice, Dropped, Fit, LogModel, Neighbourhood
+from geodrake.diagnosis.terms import Term, Terms
+
+_MOST = 14
+"""So many neighbours, those that promise most, are fitted."""
+_POOL = 14
+"""So many effects of a joint, and all simple ones, are tried in pairs there."""
+_HOPE = -4.0
+"""A neighbour that promises less is not fitted: its noise may be smaller than the fit's."""
+_LOSS = -25.0
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """A neighbour of an explanation.
+
+    Attributes:
+        choice: The neighbour.
+        gain: What it adds to the score, at the noise of the fit.
+    """
+
+    choice: Choice
+    gain: float
+
+
+def neighbours(model: LogModel, fit: Fit, *, most: int = _MOST) -> list[Choice]:
+    """The neighbours of an explanation that promise most.
+
+    Args:
+        model: The Gaussian model.
+        fit: The explanation, fitted.
+        most: How many, beside other widths of the bodies and the best delays.
+    """
+    finder = _Finder(model, fit)
+    moves = sorted(finder.moves(), key=lambda move: -move.gain)
+    best = list({move.choice.key: move for move in moves}.values())[:most]
+    found = [move.choice for move in best]
+    for move in best[: most // 2]:
+        changed = set(move.choice.terms) ^ set(fit.terms)
+        if any(term.joint is None for term in changed):  # it may spare bodies their way
+            found += _other_widths(model, move.choice)
+    found += _other_widths(model, fit.choice)
+    was, base = fit.choice, finder.base
+    for delay, gain in finder.around.delays():
+        late = Choice(was.terms, was.width, delay)
+        if gain + base - model.odds_against(late) > _HOPE:
+            found.append(late)
+    return found
+
+
+def additions(model: LogModel, fit: Fit) -> list[Fit]:
+    """An explanation with terms of one name more, at every place where they gain, best first.
+
+    Args:
+        model: The Gaussian model.
+        fit: The explanation, fitted.
+    """
+    shares = model.shares(fit)
+    choices = [move.choice for move in _Finder(model, fit).added()]
+    fits = [model.fit(choice, shares, fit.variance) for choice in choices]
+    return sorted((each for each in fits if each is not None), key=lambda each: -each.score)
+
+
+def _other_widths(model: LogModel, choice: Choice) -> list[Choice]:
+    others = [width for width in model.widths if width != choice.width]
+    return [Choice(choice.terms, width, choice.delay) for width in others]
+
+
+class _Finder:
+    """Finds the neighbours of one fit."""
+
+    def __init__(self, model: LogModel, fit: Fit) -> None:
+        self.model, self.fit = model, fit
+        self.around: Neighbourhood = model.around(fit)
+        self.base = model.odds_against(fit.choice)
+        self.by_joint: dict[str, list[Term]] = {}
+        for term in model.terms:
+            if term.joint is not None:
+                self.by_joint.setdefault(term.joint, []).append(term)
+
+    def moves(self) -> Iterator[Move]:
+        """All moves that promise something."""
+        yield from self.added()
+        yield from self._rebuilt()
+        for term in self.fit.terms:
+            yield from self._replaced(term)
+        yield from self._without_kinds()
+
+    def _move(self, terms: Iterable[Term], gain: float) -> Move:
+        """A move by its gain without prior odds."""
+        choice = self._choice(terms)
+        return Move(choice, gain + self.base - self.model.odds_against(choice))
+
+    def _choice(self, terms: Iterable[Term]) -> Choice:
+        was = self.fit.choice
+        return self.model.choice(tuple(terms), was.width, was.delay)
+
+    def added(self) -> Iterator[Move]:
+        """One term more, the best at every joint together, and one kind at all joints together."""
+        present = self.fit.terms
+        offered = [
+            term
+            for term in self.model.terms
+            if term not in present and self.model.are_compatible((*present, term))
+        ]
+        gains = self.around.gains([(term,) for term in offered])
+        moves = [
+            (self._move((*present, t), float(g)), t)
+            for t, g in zip(offered, gains, strict=True)
+            if np.isfinite(g)
+        ]
+        moves = sorted((m for m in moves if m[0].gain > _HOPE), key=lambda each: -each[0].gain)
+        yield from (move for move, _ in moves[:_MOST])
+        best, kinds = dict[str, tuple[Term, float]](), dict[str, dict[str, tuple[Term, float]]]()
+        for move, term in moves:
+            if term.joint is not None:
+                kinds.setdefault(term.name, {}).setdefault(term.joint, (term, move.gain))
+                if move.gain > 0.0:
+                    best.setdefault(term.joint, (term, move.gain))
+        for group in (best, *kinds.values()):
+            if len(group) > 1:
+                terms, found = zip(*group.values(), strict=True)
+                yield Move(self._choice((*present, *terms)), sum(found))
+
+    def _rebuilt(self) -> Iterator[Move]:
+        """Every joint's own effects anew: alone, as pairs, and beside simple ones."""
+        present, every = self.fit.terms, list[tuple[Move, list[Term], Terms]]()
+        for joint, offered in self.by_joint.items():
+            here = [term for term in present if term.joint == joint]
+            rest = tuple(term for term in present if term not in here)
+            if not self.model.are_compatible(rest):
+                continue
+            dropped = self.around.dropped(here) if here else None
+            packages = [
+                package
+                for package in self._packages(offered, here, dropped)
+                if self.model.are_compatible((*rest, *package))
+            ]
+            loss = 0.0 if dropped is None else dropped.loss
+            gains = self.around.gains(packages, dropped) + loss
+            order = np.argsort(-gains)[:_MOST]
+            moves = [
+                (self._move((*rest, *packages[k]), float(gains[k])), here, packages[k])
+                for k in order
+                if np.isfinite(gains[k])
+            ]
+            moves.sort(key=lambda each: -each[0].gain)
+            yield from (move for move, _, _ in moves if move.gain > _HOPE)
+            every += moves[:1] if moves and moves[0][0].gain > 0.0 else []
+        if len(every) > 1:
+            gone = {term for _, here, _ in every for term in here}
+            kept = [term for term in present if term not in gone]
+            come = [term for _, _, package in every for term in package]
+            if self.model.are_compatible((*kept, *come)):
+                yield Move(self._choice((*kept, *come)), sum(move.gain for move, _, _ in every))
+
+    def _packages(
+        self, offered: list[Term], here: list[Term], dropped: Dropped | None
+    ) -> list[Terms]:
+        """What may stand at a joint in the place of what is there."""
+        gains = self.around.gains([(term,) for term in offered], dropped)
+        best = [offered[k] for k in np.argsort(-gains)[:_POOL]]
+        simple = [t for t in offered if _complexity(t) <= 1 and len(t.columns) == 1]
+        pool = list(dict.fromkeys([*best, *simple, *here]))
+        packages: list[Terms] = [(term,) for term in pool]
+        packages += [pair for pair in combinations(pool, 2) if pair[0].key != pair[1].key]
+        plain = [term for term in simple if _complexity(term) == 0]
+        packages += [
+            (*pair, term)
+            for pair in combinations(plain, 2)
+            for term in pool
+            if term not in pair
+        ]
+        if len(here) > 2:
+            packages += [tuple(t for t in here if t is not one) for one in here]
+        packages += [
+            (*(t for t in here if t is not one), term)
+            for one in here
+            for term in pool
+            if term not in here
+        ]
+        unique = {frozenset(package): package for package in packages}
+        unique.pop(frozenset(here), None)
+        return [*unique.values()]
+
+    def _replaced(self, term: Term) -> Iterator[Move]:
+        """Without one term, and with another one in its place that is no single joint's."""
+        rest = tuple(other for other in self.fit.terms if other is not term)
+        dropped = self.around.dropped([term])
+        if self.model.are_compatible(rest):
+            without = self._move(rest, dropped.loss)
+            if without.gain > _LOSS:
+                yield without
+        others = [
+            (other,)
+            for other in self.model.terms
+            if other not in self.fit.terms
+            and (term.joint is None or other.joint is None)
+            and self.model.are_compatible((*rest, other))
+        ]
+        gains = self.around.gains(others, dropped) + dropped.loss
+        for k in np.argsort(-gains)[:_MOST]:
+            if np.isfinite(gains[k]):
+                move = self._move((*rest, *others[k]), float(gains[k]))
+                if move.gain > _HOPE:
+                    yield move
+
+    def _without_kinds(self) -> Iterator[Move]:
+        """Without any effect of one name."""
+        for name in {term.name for term in self.fit.terms}:
+            gone = [term for term in self.fit.terms if term.name == name]
+            rest = tuple(term for term in self.fit.terms if term.name != name)
+            if len(gone) > 1 and self.model.are_compatible(rest):
+                move = self._move(rest, self.around.dropped(gone).loss)
+                if move.gain > _LOSS:
+                    yield move
+
+
+def _complexity(term: Term) -> int:
+    return 0 if term.effect is None else term.effect.complexity

@@ -1,0 +1,130 @@
+"""How probable a finding is: the sum over explanations that have it.
+
+The explanations are the most probable one and its neighbours, each by its evidence and prior odds,
+residuals counted alike. So probabilities add up, and what was adopted is the most probable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.log_model import Fit, LogModel
+from geodrake.diagnosis.moves import neighbours
+from geodrake.diagnosis.terms import Key, Term
+
+Array = NDArray[np.float64]
+
+_MOST = 60
+_LEAST = 0.01
+"""Rivals are told from this probability on."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """What stands in the place of a finding in other explanations.
+
+    Attributes:
+        effect: Name; several joined by " + ".
+        where: Joints or bodies.
+        probability: Sum over the explanations that have it in the place of the finding.
+        nrms: Error of the most probable of them, as `Fit.variance`, over efforts' deviations.
+    """
+
+    effect: str
+    where: tuple[str, ...]
+    probability: float
+    nrms: float
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """How probable a finding is.
+
+    Attributes:
+        probability: Sum over explanations that have all of it.
+        chance: Sum over those that have nothing in its place.
+        rivals: What else stands in its place, the most probable first.
+    """
+
+    probability: float
+    chance: float
+    rivals: tuple[Rival, ...]
+
+
+class Posterior:
+    """The most probable explanation and its neighbours, with their probabilities.
+
+    Args:
+        model: The Gaussian model.
+        fit: The most probable explanation.
+    """
+
+    def __init__(self, model: LogModel, fit: Fit) -> None:
+        shares = model.shares(fit)
+        fits = [
+            model.fit(choice, shares, fit.variance)
+            for choice in (fit.choice, *neighbours(model, fit, most=_MOST))
+        ]
+        self._model, self._fit = model, fit
+        self._fits = [each for each in fits if each is not None]
+        scores = np.array([each.score for each in self._fits])
+        weights = np.exp(0.5 * (scores - scores.max()))
+        self._weights = weights / weights.sum()
+
+    def of_terms(self, terms: Sequence[Term]) -> Certainty:
+        """How probable some terms of the explanation are together."""
+        keys = {term.key for term in terms}
+        return self._certainty([keys <= _keys(fit) for fit in self._fits], keys)
+
+    def of_delay(self) -> Certainty:
+        """How probable it is that efforts are late as they are found to be."""
+        late = self._model.on_time
+        has = [fit.choice.delay != late for fit in self._fits]
+        if not any(has):  # the model has the delays by now
+            own = self._fit.choice.delay
+            has = [fit.choice.delay == own for fit in self._fits]
+        return self._certainty(has, set())
+
+    def of_bodies(self) -> Certainty:
+        """How probable it is that bodies are farther from the file than it may be wrong."""
+        least = self._model.widths[0]
+        return self._certainty([fit.choice.width > least for fit in self._fits], set())
+
+    def _certainty(self, has: list[bool], keys: set[Key]) -> Certainty:
+        own = _keys(self._fit)
+        sums, best = dict[tuple[str, tuple[str, ...]], float](), dict[object, Fit]()
+        chance = 0.0
+        for fit, weight, there in zip(self._fits, self._weights, has, strict=True):
+            if there:
+                continue
+            instead = [term for term in fit.terms if term.key not in own]
+            if not instead:
+                chance += float(weight)
+                continue
+            name = " + ".join(dict.fromkeys(term.name for term in instead))
+            where = tuple(dict.fromkeys(place for term in instead for place in term.where))
+            sums[name, where] = sums.get((name, where), 0.0) + float(weight)
+            if (name, where) not in best or fit.score > best[name, where].score:
+                best[name, where] = fit
+        likely = [(key, p) for key, p in sums.items() if p >= _LEAST]
+        rivals = [Rival(*key, p, nrms_of(self._model, best[key])) for key, p in likely]
+        chance += sum(p for key, p in sums.items() if p < _LEAST)
+        probability = float(self._weights[np.array(has)].sum())
+        return Certainty(
+            probability, chance, tuple(sorted(rivals, key=lambda rival: -rival.probability))
+        )
+
+
+def _keys(fit: Fit) -> set[Key]:
+    return {term.key for term in fit.terms}
+
+
+def nrms_of(model: LogModel, fit: Fit) -> float:
+    """Root mean square over joints of a fit's error over the deviation of the efforts."""
+    deviation = model.dataset.effort_std
+    moving = deviation > 0.0
+    return float(np.sqrt(np.mean(fit.variance[moving] / np.square(deviation[moving]))))

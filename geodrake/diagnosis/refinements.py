@@ -1,0 +1,238 @@
+"""What an explanation is not linear in, made exact: delays, shapes, slopes about a place, loads.
+
+Each is a coordinate of the explanation. Columns are made anew for its neighbouring values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.log_model import Choice, Fit, LogModel
+from geodrake.diagnosis.parabola import least_between
+from geodrake.diagnosis.terms import Term
+from geodrake.effects import FittedEffect
+from geodrake.effects.base import Effect
+from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.delays import effort_delays
+from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.dataset import Dataset
+from geodrake.inertia import is_physical
+
+Array = NDArray[np.float64]
+
+_SHARES = (0.75, 0.5, 0.25, 0.0)  # of a step to bodies that are not physical
+_OTHER_LOADS = 0.02
+"""Columns are made anew if a load changes by more than this share of the effort's deviation."""
+
+
+# Delays.
+
+
+@dataclass(frozen=True, eq=False)
+class Delays:
+    """Delays of all joints between those of a grid.
+
+    Attributes:
+        seconds: (nv,) on top of the model's, s.
+        deviations: (nv,) standard deviations, s; infinite where nobody knows.
+    """
+
+    seconds: Array
+    deviations: Array
+
+
+def delays_of(model: LogModel, fit: Fit) -> Delays:
+    """The delays near those of a fit at which it is most probable.
+
+    Args:
+        model: The Gaussian model.
+        fit: A fit.
+    """
+    dataset, delay = model.dataset, fit.choice.delay
+    joints = np.arange(len(delay))
+    seconds = dataset.delays[list(delay), joints].copy()
+    deviations = np.full(len(delay), np.inf)
+    for moved in _late_together(model, fit.choice):
+        grid, own = dataset.delays[:, moved[0]], delay[moved[0]]
+        order = np.argsort(grid)
+        order = order[(grid[order] != grid[own]) | (order == own)]
+        at = int(np.flatnonzero(order == own)[0])
+        if not 0 < at < len(order) - 1:
+            continue
+        near = order[at - 1 : at + 2]
+        scores = [_score_at(model, fit, moved, int(k)) for k in near]
+        if any(score is None for score in scores):
+            continue
+        least = least_between(grid[near] - grid[own], -np.array(scores, float))
+        seconds[moved] += least.step
+        deviations[moved] = least.deviation
+    return Delays(seconds, deviations)
+
+
+def _score_at(model: LogModel, fit: Fit, joints: list[int], delay: int) -> float | None:
+    """Score of a fit with another delay of some joints, prior odds left aside."""
+    late = tuple(delay if j in joints else own for j, own in enumerate(fit.choice.delay))
+    choice = Choice(fit.terms, fit.choice.width, late)
+    found = model.fit(choice, model.shares(fit), fit.variance)
+    return None if found is None else found.score + model.odds_against(choice)
+
+
+def _late_together(model: LogModel, choice: Choice) -> list[list[int]]:
+    """Joints whose efforts are late by the same, all of them, or each alone."""
+    grid, joints = model.dataset.delays, range(len(choice.delay))
+    late = [float(grid[k, j] - grid[o, j]) for j, k, o in zip(joints, choice.delay, model.on_time, strict=True)]
+    moved = [j for j in joints if abs(late[j]) > 1e-9]
+    if len(moved) == len(late) and np.ptp(late) < 1e-9:
+        return [list(joints)]
+    return [[j] for j in moved]
+
+
+def with_delays(case: Case, found: Delays) -> Case:
+    """A case whose model has the delays that were found.
+
+    Args:
+        case: The case.
+        found: Delays on top of the model's.
+    """
+    lags = fitted_delays(case.model.delays + found.seconds, case.model.joints)
+    kept = [f for f in case.model.effects if f.effect.parameters]
+    return replace(case, model=replace(case.model, effects=(*kept, *lags)))
+
+
+def fitted_delays(delays: Array, joints: Sequence[str]) -> list[FittedEffect]:
+    """The effects of a fitted model that make delays (nv,), s, at its joints.
+
+    Args:
+        delays: (nv,) delays, s.
+        joints: Names of the nv joints.
+    """
+    none = np.empty(0)
+    return [FittedEffect(effect, none, none) for effect in effort_delays(delays, joints)]
+
+
+# Shapes.
+
+
+def finer_shapes(
+    terms: Sequence[Term], grid: Sequence[Effect], zooms: Mapping[tuple[str, tuple[str, ...]], int]
+) -> list[Effect]:
+    """Shapes between those of a grid, around those that were found.
+
+    Args:
+        terms: Terms of an explanation.
+        grid: Effects that are tried, with the coarse grids of their shapes.
+        zooms: Name and place -> how often the shape there was made finer.
+    """
+    found = list[Effect]()
+    for term in terms:
+        step = zooms.get(term.key, 0)
+        if term.effect is not None and step < len(_ZOOMS):
+            found += _finer(term.effect, grid, _ZOOMS[step])
+    return found
+
+
+_ZOOMS = (1.0 / 3.0, 1.0 / 12.0)
+"""Steps of finer and finer grids of a shape, in steps of the coarse one."""
+
+
+def free_shape(effect: Effect, grid: Sequence[Effect]) -> tuple[str, Array] | None:
+    """The shape parameter that a grid tries at several positive values, and these in order.
+
+    Args:
+        effect: An effect.
+        grid: Effects that are tried, among them those of its name and place.
+
+    Returns:
+        None where no parameter varies, more than one does, or not continuously.
+    """
+    tried = [e for e in grid if (e.name, e.where) == (effect.name, effect.where)]
+    values = {f.name: {getattr(e, f.name) for e in tried} for f in fields(effect)}  # type: ignore[arg-type]
+    varied = [name for name, found in values.items() if len(found) > 1]
+    if len(varied) != 1:
+        return None
+    (name,) = varied
+    if not all(isinstance(value, float) and value > 0.0 for value in values[name]):
+        return None
+    return name, np.sort(np.array([*values[name]]))
+
+
+def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]:
+    """Neighbours of an effect's shape, two to either side where they make sense."""
+    found = free_shape(effect, grid)
+    if found is None:
+        return []
+    name, values = found
+    value, gaps = getattr(effect, name), np.diff(np.log(values))
+    at = int(np.clip(np.searchsorted(values, value) - 1, 0, len(gaps) - 1))
+    steps = share * gaps[at] * np.array([-2.0, -1.0, 1.0, 2.0])
+    near = [replace(effect, **{name: float(value * factor)}) for factor in np.exp(steps)]  # type: ignore[type-var]
+    return [e for e in near if e.distinct and bool(e.refines) == bool(effect.refines)]
+
+
+# What columns are slopes of.
+
+
+def expansions(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
+    """Effects whose columns are slopes about another place than their parameters say, and those.
+
+    Args:
+        case: The case.
+        model: The Gaussian model.
+        fit: A fit.
+    """
+    terms = [term for term in fit.terms if term.effect is not None and term.effect.expandable]
+    if not terms:
+        return {}
+    robot, found = case.model, dict[Effect, Effect]()
+    bodies = RobotBodies(robot.tree, np.zeros((0, robot.tree.num_positions)), robot.total_phi)
+    for term in terms:
+        if term.effect is not None:
+            moved = term.effect.expanded_about(model.parameters(fit, term), bodies)
+            if moved != term.effect:
+                found[term.effect] = moved
+    return found
+
+
+# Loads.
+
+
+def fitted_loads(case: Case, model: LogModel, fit: Fit) -> Array | None:
+    """Bodies (nb, 10) of a fit with what they carry; None where loads change little by them.
+
+    Friction that grows with the load, gears that give way or have play: what they do is known at
+    the right instants only if the load is.
+
+    Args:
+        case: The case.
+        model: The Gaussian model.
+        fit: A fit.
+    """
+    robot, was = case.model, case.load_model.phi
+    phi = model.bodies(fit)
+    for term in fit.terms:
+        if term.is_body and term.effect is not None:
+            phi[robot.bodies.index(term.where[0])] += model.parameters(fit, term)
+    step = phi - robot.phi
+    for share in _SHARES:
+        beyond = ~is_physical(phi)
+        phi[beyond] = robot.phi[beyond] + share * step[beyond]
+    change = _change_of_load(model.dataset, (phi - was).ravel())
+    return phi if change >= _OTHER_LOADS else None
+
+
+def _change_of_load(dataset: Dataset, step: Array) -> float:
+    """What a step of all inertial parameters changes at most of a joint's effort, by its RMS."""
+    most = 0.0
+    for data, deviation in zip(dataset.data, dataset.effort_std, strict=True):
+        local = data.local(np.arange(len(step)))
+        seen = local >= 0
+        rows, moved = int(data.samples.sum()), np.zeros(len(data.columns))
+        moved[local[seen]] = step[seen]
+        power = float(np.square(data.factors[:, :, : len(moved)] @ moved).sum())
+        if rows and deviation > 0.0:
+            most = max(most, float(np.sqrt(power / rows)) / deviation)
+    return most

@@ -1,0 +1,221 @@
+"""Terms: what may be missing in a model, each with columns, a prior and prior odds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.beliefs import Beliefs
+from geodrake.diagnosis.unknown_efforts import UnknownFunction
+from geodrake.effects.base import Effect, Proposer
+from geodrake.effects.lookup import effect_of
+from geodrake.effects.role import Role
+from geodrake.identification.logs.dataset import Dataset, is_payload
+from geodrake.identification.logs.unknowns import pullback_information
+from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.model.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Key = tuple[str, tuple[str, ...]]
+"""Name and place of an effect."""
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """Something that a model may lack, at one place: an effect, or a body that is wrong.
+
+    Attributes:
+        name: Name of the effect.
+        where: Joints or bodies.
+        effect: The effect; None for a body that is wrong.
+        columns: (k,) its columns in the dataset.
+        information: (k, k) prior information of its parameters, whose prior mean is zero.
+        first: Twice the logarithm of the prior odds against it, in a robot that has it nowhere.
+        again: The same in a robot that has it elsewhere.
+        positive: Which of its parameters cannot be negative.
+        says: Names and places of what it contains, itself included.
+        needs: Sets of such keys, one of which must be there already; none for most.
+    """
+
+    name: str
+    where: tuple[str, ...]
+    effect: Effect | None
+    columns: Indices
+    information: Array
+    first: float
+    again: float
+    positive: Indices
+    says: frozenset[Key]
+    needs: tuple[frozenset[Key], ...] = ()
+    log_information: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        halves = 0.0 if self.is_body else 2.0 * np.log(2.0) * len(self.positive)
+        found = float(np.linalg.slogdet(self.information)[1]) + halves
+        object.__setattr__(self, "log_information", found)
+
+    def __repr__(self) -> str:
+        return f"{self.name}@{'+'.join(self.where)}"
+
+    @property
+    def key(self) -> Key:
+        """Its name and place."""
+        return self.name, self.where
+
+    @cached_property
+    def is_body(self) -> bool:
+        """Whether it moves ten inertial parameters: a payload, or a body that is wrong."""
+        return self.effect is None or is_payload(self.effect)
+
+    @cached_property
+    def joint(self) -> str | None:
+        """The joint whose own motion it is a function of; None for all others."""
+        own = self.effect is not None and self.effect.places == "joint"
+        return self.where[0] if own else None
+
+    @cached_property
+    def contains(self) -> frozenset[Key]:
+        """Names and places of what it replaces."""
+        return self.says - {self.key}
+
+
+def terms_of(
+    model: RobotModel, dataset: Dataset, effects: Sequence[Effect], beliefs: Beliefs
+) -> tuple[Term, ...]:
+    """What a model may lack: some effects, and every body being wrong.
+
+    Args:
+        model: The model.
+        dataset: The reduced logs, with columns for the effects.
+        effects: Effects that the model lacks.
+        beliefs: Prior odds and widths.
+    """
+    places: dict[type[Effect], set[tuple[str, ...]]] = {}
+    for effect in effects:
+        places.setdefault(type(effect), set()).add(effect.where)
+    counts = {kind: len(found) for kind, found in places.items()}
+    sizes = _column_sizes(dataset)
+    grid = _round_shapes(effects)
+    terms = [
+        _effect_term(effect, model, dataset, sizes, counts[type(effect)], beliefs, grid)
+        for effect in effects
+    ]
+    return (*terms, *_wrong_bodies(model, dataset, beliefs))
+
+
+def _effect_term(
+    effect: Effect,
+    model: RobotModel,
+    dataset: Dataset,
+    sizes: Array,
+    places: int,
+    beliefs: Beliefs,
+    grid: frozenset[Effect],
+) -> Term:
+    """The term of an effect that may be at so many places."""
+    kind, columns = type(effect), dataset.effect_columns(effect)
+    positive = [k for k, parameter in enumerate(effect.parameters) if parameter.lower == 0.0]
+    shape = beliefs.order if effect.proposer is Proposer.WAVES else beliefs.shape
+    price = 2.0 * np.log(shape) * effect.free_shapes + (0.0 if effect in grid else _ODD_SHAPE)
+    first = price + 2.0 * (np.log(places) + effect.complexity * np.log(beliefs.rarer))
+    again = min(first, price + 2.0 * np.log(beliefs.again))
+    if is_payload(effect):
+        information = pullback_information(dataset.payload[None], beliefs.payload)
+        inner = effect.where[0] not in model.last_bodies
+        first = again = first + 2.0 * np.log(beliefs.inner) * inner
+        positive = [0]
+    else:
+        size = beliefs.unknown if isinstance(effect, UnknownFunction) else beliefs.size
+        spread = np.array([parameter.spread for parameter in effect.parameters])
+        widths = np.minimum(size / np.maximum(sizes[columns], 1e-12), spread)
+        information = np.diag(widths**-2.0)
+    return Term(
+        effect.name,
+        effect.where,
+        effect,
+        columns,
+        information,
+        float(first),
+        float(again),
+        np.array(positive, np.intp),
+        frozenset((each.name, effect.where) for each in (kind, *effect.contains)),
+        tuple(frozenset((b.name, effect.where) for b in bases) for bases in effect.refines),
+    )
+
+
+_ODD_SHAPE = 4.0
+"""Price of an exponent that is no multiple of one half where such are tried."""
+
+
+def _round_shapes(effects: Iterable[Effect]) -> frozenset[Effect]:
+    """Effects whose shape is as likely as others: all but odd exponents beside round ones."""
+    found = set()
+    for effect in effects:
+        values = effect.shape.get("exponent")
+        if not isinstance(values, float) or (2.0 * values).is_integer():
+            found.add(effect)
+    return frozenset(found)
+
+
+def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list[Term]:
+    """Every body being wrong while the others are right."""
+    kind, metric = effect_of(Role.INERTIA), pullback_information(model.phi, beliefs.free)
+    odds = 2.0 * (np.log(len(model.bodies)) + kind.complexity * np.log(beliefs.rarer))
+    terms = []
+    for b, body in enumerate(model.bodies):
+        columns = np.arange(b * PARAMETERS_PER_BODY, (b + 1) * PARAMETERS_PER_BODY)
+        known = metric[np.ix_(columns, columns)]
+        key = (kind.name, (body,))
+        none = np.zeros(0, np.intp)
+        terms.append(
+            Term(kind.name, (body,), None, columns, known, odds, odds, none, frozenset({key}))
+        )
+    return terms
+
+
+def _column_sizes(dataset: Dataset) -> Array:
+    """(p,) RMS of every column where it is largest, over the deviation of the joint's effort."""
+    width = 1 + max(int(data.columns.max(initial=0)) for data in dataset.data)
+    sizes = np.zeros(width)
+    for data, deviation in zip(dataset.data, dataset.effort_std, strict=True):
+        rows = int(data.samples.sum())
+        if rows and deviation > 0.0:
+            power = np.square(data.factors[:, :, : len(data.columns)]).sum(axis=(0, 1)) / rows
+            sizes[data.columns] = np.maximum(sizes[data.columns], np.sqrt(power) / deviation)
+    return sizes
+
+
+Terms = tuple[Term, ...]
+
+
+def are_compatible(terms: Terms, known: frozenset[Key]) -> bool:
+    """Whether terms may be together: each place once, and with what it needs.
+
+    Args:
+        terms: The terms.
+        known: Names and places of what the model has already.
+    """
+    keys = {term.key for term in terms}
+    if len(keys) < len(terms) or keys & known:
+        return False
+    said = known.union(*(term.says for term in terms))
+    for term in terms:
+        if term.contains & keys or (term.needs and not any(n <= said for n in term.needs)):
+            return False
+    bodies = [term.where for term in terms if term.is_body]
+    return len(set(bodies)) == len(bodies)
+
+
+def odds_against(terms: Iterable[Term]) -> float:
+    """Twice the logarithm of the prior odds against terms: kinds that are elsewhere cost less."""
+    total, seen = 0.0, set[Any]()
+    for term in sorted(terms, key=lambda each: -each.first):
+        total += term.again if term.name in seen else term.first
+        seen.add(term.name)
+    return total

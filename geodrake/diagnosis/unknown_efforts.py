@@ -1,0 +1,152 @@
+"""Efforts that no effect of the catalogue describes, which every explanation competes with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.effects.base import JointEffect, JointMotion, Parameter
+from geodrake.effects.shape import Shape
+from geodrake.identification.logs.reduce import peak_speeds, sign_widths
+from geodrake.logs.motion import Trajectory
+from geodrake.model.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+
+_SAMPLES = 100_000  # of a segment that are looked at
+
+
+@dataclass(frozen=True)
+class UnresolvedReversal(JointEffect):
+    """What dry friction does at speeds below which a log does not tell the direction of motion.
+
+    effort = h₁ (sgn v − tanh(v/w)) + h₂ (tanh(v/3w) − tanh(v/w)) + h₃ e^{−|v|/w} tanh(v/w): dry
+    friction that jumps more sharply than the direction tanh(v/w) of other effects, or less, or
+    that is another one there. Speeds below w pass within a sample, or are noise.
+
+    Attributes:
+        speed: w, rad/s or m/s.
+    """
+
+    speed: float
+
+    name: ClassVar[str] = "unresolved_reversal"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("sharper", "N·m"),
+        Parameter("softer", "N·m"),
+        Parameter("excess", "N·m"),
+    )
+    shapes: ClassVar[tuple[Shape, ...]] = (Shape("speed", "rad/s"),)
+    depends_on: ClassVar[frozenset[str]] = frozenset({"v"})
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[sgn v − tanh(v/w), tanh(v/3w) − tanh(v/w), e^{−|v|/w} tanh(v/w)]."""
+        u = joint.v / self.speed
+        usual = np.tanh(u)
+        return [np.sign(u) - usual, np.tanh(u / 3.0) - usual, np.exp(-np.abs(u)) * usual]
+
+
+@dataclass(frozen=True)
+class UnknownFunction(JointEffect):
+    """A smooth function of a joint's own motion: something that no effect describes.
+
+    Attributes:
+        center: Middle of the joint's range of motion, rad or m.
+        reach: Half that range.
+        speed: Its peak speed, rad/s or m/s.
+    """
+
+    center: float
+    reach: float
+    speed: float
+
+    name: ClassVar[str] = "unknown_function"
+    parameters: ClassVar[tuple[Parameter, ...]] = tuple(
+        Parameter(f"coefficient_{k}", "N·m") for k in range(11)
+    )
+    shapes: ClassVar[tuple[Shape, ...]] = tuple(Shape(name) for name in ("center", "reach", "speed"))
+    depends_on: ClassVar[frozenset[str]] = frozenset({"q", "v"})
+    complexity: ClassVar[int] = 3
+
+    @property
+    def free_shapes(self) -> int:
+        """None: the scales are those of the motion."""
+        return 0
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """Polynomials of position and speed, and the direction of motion times the position."""
+        q, v = (joint.q - self.center) / self.reach, joint.v / self.speed
+        even, odd = q * q - 1.0 / 3.0, q**3 - 0.6 * q
+        return [
+            np.ones_like(q),
+            q,
+            even,
+            odd,
+            v,
+            np.abs(v) * v,
+            v**3,
+            v * v - 1.0 / 3.0,
+            q * v,
+            even * v,
+            joint.sign_v * q,
+        ]
+
+
+def reversals(
+    model: RobotModel, trajectories: Sequence[Trajectory]
+) -> tuple[UnresolvedReversal, ...]:
+    """What is not known of reversals, at every joint that moves.
+
+    Args:
+        model: The robot.
+        trajectories: Prepared logs.
+    """
+    peaks, widths = peak_speeds(trajectories), sign_widths(model, trajectories)
+    steps = np.zeros(len(model.joints))
+    for trajectory in trajectories:
+        for segment in trajectory.segments:
+            seen = segment[:_SAMPLES]
+            step = np.sqrt(np.mean(np.square(seen.acceleration), axis=0)) * seen.period
+            steps = np.maximum(steps, 0.5 * step)
+    speeds = np.maximum(widths, steps)
+    return tuple(
+        UnresolvedReversal(joint, float(speeds[j]))
+        for j, joint in enumerate(model.joints)
+        if peaks[j] > 0.0 and joint in model.single_joints
+    )
+
+
+def unknown_functions(
+    model: RobotModel, trajectories: Sequence[Trajectory]
+) -> tuple[UnknownFunction, ...]:
+    """An unknown function of the motion at every joint that moves.
+
+    Args:
+        model: The robot.
+        trajectories: Prepared logs.
+    """
+    peaks = peak_speeds(trajectories)
+    low, high = range_of_motion(trajectories)
+    return tuple(
+        UnknownFunction(
+            joint,
+            float(0.5 * (low[j] + high[j])),
+            float(max(0.5 * (high[j] - low[j]), 1e-9)),
+            float(peaks[j]),
+        )
+        for j, joint in enumerate(model.joints)
+        if peaks[j] > 0.0 and joint in model.single_joints
+    )
+
+
+def range_of_motion(trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
+    """Lowest and highest positions (nv,) of every joint, rad or m."""
+    seen = [s[:_SAMPLES].position for trajectory in trajectories for s in trajectory.segments]
+    return (
+        np.min([q.min(axis=0) for q in seen], axis=0),
+        np.max([q.max(axis=0) for q in seen], axis=0),
+    )
