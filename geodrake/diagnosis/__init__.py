@@ -19,11 +19,11 @@ from geodrake.identification.logs.model_errors import (
 from geodrake.identification.models.results import BodyChange
 
 __all__ = [
+    "Beliefs",
     "BodyChange",
     "Candidate",
     "ColumnFinding",
     "Comparison",
-    "Beliefs",
     "Criteria",
     "Diagnosis",
     "ErrorTable",

@@ -99,9 +99,7 @@ def _is_unidentifiable(fitted: FittedEffect) -> bool:
     return fitted.deviations is not None and not np.isfinite(fitted.deviations).any()
 
 
-def _further(
-    kind: type[Effect], case: Case, where: Sequence[str] | None
-) -> tuple[Effect, ...]:
+def _further(kind: type[Effect], case: Case, where: Sequence[str] | None) -> tuple[Effect, ...]:
     """Effects of joints that do not follow each other, where they are asked for."""
     if kind.places != "joint_pair":
         return ()

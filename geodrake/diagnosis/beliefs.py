@@ -30,6 +30,8 @@ class Beliefs:
         inner: Odds against a payload on a body that carries others.
         unknown: As `size`, for each term of a function of the motion that no effect describes.
         reversal: As `size`, for what friction does at speeds that a log does not resolve.
+        discrepancy: What is more than sensor noise in a residual is worth so many samples, however
+            long logs are: it goes with the motion in a way that no effect describes.
         adopted: An explanation is adopted where it is so many times as probable as a simpler one.
     """
 
@@ -46,6 +48,7 @@ class Beliefs:
     inner: float = 30.0
     unknown: float = 0.3
     reversal: float = 0.3
+    discrepancy: float = 100.0
     adopted: float = 1.0
 
     def __post_init__(self) -> None:

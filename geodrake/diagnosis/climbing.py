@@ -73,9 +73,7 @@ def _step(model: LogModel, fit: Fit, seen: set[Hashable], *, hopeful: bool) -> F
     return best
 
 
-def _fitted(
-    model: LogModel, choices: list[Choice], variance: Array, shares: Array
-) -> list[Fit]:
+def _fitted(model: LogModel, choices: list[Choice], variance: Array, shares: Array) -> list[Fit]:
     """Fits of explanations, the most probable first."""
     fits = [model.fit(choice, shares, variance) for choice in choices]
     return sorted((fit for fit in fits if fit is not None), key=lambda fit: -fit.score)

@@ -15,6 +15,7 @@ from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.search_progress import Progress
 from geodrake.diagnosis.stated_mass import stated_mass_notes
 from geodrake.diagnosis.steps import Finding, findings_of, staged, steps_of
+from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
@@ -94,11 +95,17 @@ def investigate(
         progress: Called with each step.
     """
     found = searched(case, beliefs, progress=progress)
-    return explained(case, found, findings_of(found))
+    findings = [each for each in findings_of(found) if each.name != UnknownFunction.name]
+    return explained(case, _without_unknown(found), findings, notes=_unknown_notes(found))
 
 
 def explained(
-    case: Case, found: Found, findings: Sequence[Finding], *, forced: bool = False
+    case: Case,
+    found: Found,
+    findings: Sequence[Finding],
+    *,
+    forced: bool = False,
+    notes: Sequence[str] = (),
 ) -> Investigation:
     """What a search found, fitted, and judged once by held-out data.
 
@@ -107,17 +114,17 @@ def explained(
         found: The search.
         findings: What it found.
         forced: Whether findings stay that do not lower the held-out error.
+        notes: Further notes.
     """
     found, after_case, fit, start, steps = _holding(case, found, findings, forced=forced)
     before, model = comparison(case), case.model
     after = comparison(after_case, fit.unknowns, fit.held_out) if steps else before
     bodies = changed_bodies(model, fit) if steps else ()
-    notes = [_STOPPED] if found.is_stopped else []
-    notes += case.notes
+    said = [*([_STOPPED] if found.is_stopped else []), *case.notes, *notes]
     if steps:
-        notes += companion_notes(found.model.unknowns_of(found.fit.choice), fit)
-        notes += fit.result.notes
-        notes += [*stated_mass_notes(case, fit.model), *common_factor_notes(bodies)]
+        said += companion_notes(found.model.unknowns_of(found.fit.choice), fit)
+        said += fit.result.notes
+        said += [*stated_mass_notes(case, fit.model), *common_factor_notes(bodies)]
     explanation = Explanation(
         verdict_of(after.errors, bool(steps)),
         steps,
@@ -127,7 +134,7 @@ def explained(
         fit.model if steps else model,
         before,
         after,
-        tuple(dict.fromkeys(notes)),
+        tuple(dict.fromkeys(said)),
         bodies,
         dict(zip(case.dataset.joints, fit.of_motion.tolist(), strict=True)),
         found.is_stopped,
@@ -135,6 +142,27 @@ def explained(
     )
     end = found.model.validated(found.fit).moved(after_case.dataset, delay=0)
     return Investigation(explanation, after_case, end)
+
+
+def _without_unknown(found: Found) -> Found:
+    """What was found, less functions of the motion that no effect describes."""
+    fit, model = found.fit, found.model
+    kept = tuple(t for t in fit.terms if not isinstance(t.effect, UnknownFunction))
+    if len(kept) == len(fit.terms):
+        return found
+    choice = model.choice(kept, fit.choice.width, fit.choice.delay)
+    known = model.fit(choice, model.shares(fit), fit.variance, bounded=False)
+    return found if known is None else replace(found, fit=known)
+
+
+def _unknown_notes(found: Found) -> list[str]:
+    """Where a function of the motion is left that no effect describes, in words."""
+    joints = [t.where[0] for t in found.fit.terms if isinstance(t.effect, UnknownFunction)]
+    return [
+        f"what is left at {joint} goes with its position and speed in a way that no effect "
+        "describes; `--draft` looks for a formula"
+        for joint in joints
+    ]
 
 
 def _holding(

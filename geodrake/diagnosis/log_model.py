@@ -30,7 +30,7 @@ from geodrake.diagnosis.terms import (
 )
 from geodrake.diagnosis.unknown_efforts import UnresolvedReversal
 from geodrake.effects.base import Effect
-from geodrake.identification.logs.criteria import SPREAD
+from geodrake.identification.logs.criteria import NOISE_MARGIN, SPREAD
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut, hold_out
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.hypothesis import Hypothesis, effective_of_each
@@ -142,9 +142,7 @@ class LogModel:
             for kind in (type(effect), *effect.contains)
         )
         known = set(self.unknowns.effects)
-        self.terms = terms_of(
-            model, dataset, [e for e in effects if e not in known], beliefs
-        )
+        self.terms = terms_of(model, dataset, [e for e in effects if e not in known], beliefs)
         self.widths = beliefs.widths if model.information is None else (1.0, 3.0)
         self.rows = np.maximum(dataset.samples.sum(axis=0), 1).astype(float)
         self._bodies = len(dataset.bodies) * PARAMETERS_PER_BODY
@@ -334,7 +332,12 @@ class LogModel:
             columns, x = self.dataset_parameters(fit)
             folds = np.tile(x, (len(self.dataset.folds), 1))
             found = effective_of_each(self.dataset, [(columns, folds)], delay=fit.choice.delay)[0]
-            self._shares[key] = np.clip(found / self.rows, _LEAST_SHARE, 1.0)
+            worth = np.minimum(found, self.beliefs.discrepancy)
+            # What is more than sensor noise goes with the motion, however often that repeats.
+            noise = np.square(NOISE_MARGIN * self.dataset.noise_floor) / fit.variance
+            more = np.clip(1.0 - noise, 0.0, 1.0)
+            samples = 1.0 / ((1.0 - more) / found + more / worth)
+            self._shares[key] = np.clip(samples / self.rows, _LEAST_SHARE, 1.0)
         return self._shares[key]
 
     def dataset_parameters(self, fit: Fit) -> tuple[Indices, Array]:
@@ -515,4 +518,3 @@ class Neighbourhood:
             below = np.any(positive & (x <= 0.0), axis=1)
             found[chosen] = np.where(below, -np.inf, gain)
         return found
-

@@ -176,10 +176,7 @@ class _Finder:
         packages += [pair for pair in combinations(pool, 2) if pair[0].key != pair[1].key]
         plain = [term for term in simple if _complexity(term) == 0]
         packages += [
-            (*pair, term)
-            for pair in combinations(plain, 2)
-            for term in pool
-            if term not in pair
+            (*pair, term) for pair in combinations(plain, 2) for term in pool if term not in pair
         ]
         if len(here) > 2:
             packages += [tuple(t for t in here if t is not one) for one in here]

@@ -84,7 +84,10 @@ def _score_at(model: LogModel, fit: Fit, joints: list[int], delay: int) -> float
 def _late_together(model: LogModel, choice: Choice) -> list[list[int]]:
     """Joints whose efforts are late by the same, all of them, or each alone."""
     grid, joints = model.dataset.delays, range(len(choice.delay))
-    late = [float(grid[k, j] - grid[o, j]) for j, k, o in zip(joints, choice.delay, model.on_time, strict=True)]
+    late = [
+        float(grid[k, j] - grid[o, j])
+        for j, k, o in zip(joints, choice.delay, model.on_time, strict=True)
+    ]
     moved = [j for j in joints if abs(late[j]) > 1e-9]
     if len(moved) == len(late) and np.ptp(late) < 1e-9:
         return [list(joints)]

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from geodrake.boundary.interrupts import StopSearch
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.climbing import climb
-from geodrake.diagnosis.episodes import find_episodes
 from geodrake.diagnosis.contact_window import PIECES
+from geodrake.diagnosis.episodes import find_episodes
 from geodrake.diagnosis.log_model import Choice, Delay, Fit, LogModel
 from geodrake.diagnosis.proposals import proposed
 from geodrake.diagnosis.refinements import (
@@ -262,9 +262,7 @@ class _Search:
         self.case = replace(self.case, dataset=dataset)
         return LogModel(model, dataset, self._effects, self._beliefs, self._on_time)
 
-    def _anew(
-        self, moved: dict[Effect, Effect] | None = None, *, retimed: bool = False
-    ) -> None:
+    def _anew(self, moved: dict[Effect, Effect] | None = None, *, retimed: bool = False) -> None:
         """Make columns for what is tried now, and carry the explanation over.
 
         Args:
@@ -349,9 +347,7 @@ class _Search:
     def _retimed(self) -> bool:
         """Advance the efforts by the delay that was found, if it is another one than before."""
         delay = self.fit.choice.delay
-        late = any(
-            abs(self.case.dataset.delays[k, j]) > 1e-9 for j, k in enumerate(delay)
-        )
+        late = any(abs(self.case.dataset.delays[k, j]) > 1e-9 for j, k in enumerate(delay))
         if self._timed is None and delay == self._on_time:
             return False
         if self._timed is not None and self.fit.terms == self._timed and not late:

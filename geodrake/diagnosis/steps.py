@@ -67,8 +67,10 @@ def findings_of(found: Found) -> list[Finding]:
         findings.append(Finding(DELAY, (), posterior.of_delay()))
     wide = found.fit.choice.width > max(found.model.beliefs.wrong, found.model.widths[0])
     far = found.model.model.information is not None or wide
-    if INERTIA not in names and found.fit.choice.width > found.model.widths[0] and (
-        far or not findings
+    if (
+        INERTIA not in names
+        and found.fit.choice.width > found.model.widths[0]
+        and (far or not findings)
     ):
         findings.append(Finding(INERTIA, (), posterior.of_bodies()))
     return findings
@@ -127,9 +129,7 @@ def _with(model: LogModel, fit: Fit, finding: Finding, end: Fit) -> Fit:
     return _fitted(model, (*was.terms, *finding.terms), width, delay, end)
 
 
-def _fitted(
-    model: LogModel, terms: Sequence[Term], width: float, delay: Delay, end: Fit
-) -> Fit:
+def _fitted(model: LogModel, terms: Sequence[Term], width: float, delay: Delay, end: Fit) -> Fit:
     choice = model.choice(tuple(terms), width, delay)
     shares = model.shares(end)
     found = model.fit(choice, shares)

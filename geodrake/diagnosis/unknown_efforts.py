@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -68,7 +68,9 @@ class UnknownFunction(JointEffect):
     parameters: ClassVar[tuple[Parameter, ...]] = tuple(
         Parameter(f"coefficient_{k}", "N·m") for k in range(11)
     )
-    shapes: ClassVar[tuple[Shape, ...]] = tuple(Shape(name) for name in ("center", "reach", "speed"))
+    shapes: ClassVar[tuple[Shape, ...]] = tuple(
+        Shape(name) for name in ("center", "reach", "speed")
+    )
     depends_on: ClassVar[frozenset[str]] = frozenset({"q", "v"})
     complexity: ClassVar[int] = 3
 

@@ -51,7 +51,11 @@ def candidate_effects(
     speed = dict(zip(model.joints, peaks.tolist(), strict=True))
     temperatures = mean_temperatures(trajectories)
     found: list[Effect] = []
-    segments = [segment for trajectory in trajectories for segment in (s[:100_000] for s in trajectory.segments)]
+    segments = [
+        segment
+        for trajectory in trajectories
+        for segment in (s[:100_000] for s in trajectory.segments)
+    ]
     spans = np.max([np.ptp(segment.position, axis=0) for segment in segments], axis=0)
     reach = dict(zip(model.joints, spans.tolist(), strict=True))
     duration = max(float(t.segments[-1][-1:].time[0] - t.began) for t in trajectories)
