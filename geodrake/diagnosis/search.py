@@ -283,12 +283,9 @@ class _Search:
         self.model = self._made()
         by_effect = {term.effect: term for term in self.model.terms if term.effect is not None}
         bodies = {term.where: term for term in self.model.terms if term.effect is None}
-        terms = [
-            bodies[term.where]
-            if term.effect is None
-            else by_effect[moved.get(term.effect, term.effect)]
-            for term in was.terms
-        ]
+        effects = [moved.get(term.effect, term.effect) for term in was.terms if term.effect]
+        terms = [bodies[term.where] for term in was.terms if term.effect is None]
+        terms += [by_effect[effect] for effect in effects if effect in by_effect]
         delay = (0,) * len(self._on_time) if retimed else was.choice.delay
         choice = self.model.choice(tuple(terms), was.choice.width, delay)
         shares = np.full(len(self.model.rows), 0.3)
