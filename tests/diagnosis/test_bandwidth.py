@@ -84,7 +84,10 @@ class TestPlay:
     def test_at_the_next_bandwidth_where_the_first_does_not_do(self):
         """There it passes for a wrong body."""
         heavier = replace(MODEL, phi=MODEL.phi * [[1.0], [1.003]])
-        assert told(loose_log(PLAY, noise=0.003), heavier) == ({"backlash": ("elbow",)}, "explained")
+        assert told(loose_log(PLAY, noise=0.003), heavier) == (
+            {"backlash": ("elbow",)},
+            "explained",
+        )
 
 
 class TestSoftness:
