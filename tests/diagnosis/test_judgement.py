@@ -1,4 +1,4 @@
-"""What decides between two explanations of the same logs.
+"""What held-out errors say of a hypothesis against another one.
 
 Logs are Pinocchio's inverse dynamics, so that no formula of the library makes them.
 """
@@ -15,11 +15,8 @@ from effort_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.diagnosis import Criteria
-from geodrake.diagnosis.exchange import exchange
 from geodrake.diagnosis.judgement import Judgement, judge
-from geodrake.diagnosis.pruning import prune
-from geodrake.diagnosis.refusals import Refusals
-from geodrake.effects import CoulombFriction, Payload
+from geodrake.effects import CoulombFriction
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.evidence import log_likelihood_gain
 from geodrake.identification.logs.hypothesis import first_hypothesis
@@ -98,21 +95,3 @@ class TestJudgement:
         found = Judgement(1.0, 0, before, left * before)
         assert 0.2 < found.chance_of_other < 0.3
         assert found.is_tie(Criteria()) == (left > 0.25)
-
-
-class TestMoves:
-    @pytest.mark.parametrize(
-        ("joint", "taken", "body"),
-        [(6, "forearm", "flange"), (6, "wrist", "flange"), (3, "forearm", "forearm")],
-    )
-    def test_a_payload_hangs_at_the_end_unless_the_log_convinces(self, joint, taken, body):
-        found = first(carrying(joint)).with_effects([Payload(taken)])
-        end = exchange(found, (), Criteria(), refusals=Refusals())
-        assert [e.where for e in end.unknowns.effects if e.name == "payload"] == [(body,)]
-
-    def test_bodies_that_need_not_go_far_are_held(self):
-        loose = first(rubbing).with_effects([FRICTION]).loosened(10.0)
-        after = prune(loose, (), Criteria())
-        assert after.looseness == pytest.approx(1.0)
-        assert after.unknowns.effects == (FRICTION,)
-        assert after.nrms < 1.2 * loose.nrms
