@@ -75,9 +75,13 @@ class TestCandidates:
 
     @pytest.mark.parametrize("sense", [1, -1])
     def test_rotor(self, sense):
-        (first, *_), _ = diagnosed(shared(1, 3, sense, lambda _, a: 0.1 * a))
-        assert "coupled_rotor_inertia" in first.effect.split(" + ")
-        assert first.where == SECOND_AND_LAST
+        """Its inertia is that of both joints, and couples them."""
+        log = chain_log(CHAIN, 1, shared(1, 3, sense, lambda _, a: 0.1 * a))
+        steps = {s.effect: s for s in explain(wrong(), [log], bandwidth=6.0).steps}
+        assert steps.keys() == {"rotor_inertia", "coupled_rotor_inertia"}
+        assert all(step.where == SECOND_AND_LAST for step in steps.values())
+        (values,) = steps["coupled_rotor_inertia"].parameters.values()
+        assert values["inertia"] == pytest.approx(sense * 0.1, rel=0.05)
 
     @pytest.mark.thorough
     def test_under_friction_of_the_joints(self):

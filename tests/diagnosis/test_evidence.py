@@ -23,7 +23,6 @@ from geodrake.effects import CoulombFriction, EffortOffset, GravityCompensator, 
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.dataset import Dataset, JointData
 from geodrake.identification.logs.unknowns import pullback_information
-from geodrake.logs.motion import JointLog
 
 PENDULUM = load_model(MODELS / "double_pendulum.urdf")
 BELIEFS = Beliefs()
@@ -201,16 +200,6 @@ def test_units_of_efforts_are_none(explained, unit):
         assert told(other)[key][0] == pytest.approx(probability, abs=0.01)
         assert told(other)[key][1] == pytest.approx(error, rel=0.01)
     np.testing.assert_allclose(other.model.phi[:, 0], unit * found.model.phi[:, 0], rtol=0.01)
-
-
-def test_the_order_of_joints_in_a_log_is_none(explained):
-    log, found = explained
-    turned = JointLog(
-        log.name, log.joints[::-1], log.time, log.position[:, ::-1], log.effort[:, ::-1]
-    )
-    other = explain(PENDULUM, [turned], bandwidth=6.0)
-    assert told(other).keys() == told(found).keys()
-    assert other.end.nrms == pytest.approx(found.end.nrms, rel=1e-6)
 
 
 def spring(q, v, vd, load):

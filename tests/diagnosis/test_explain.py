@@ -381,7 +381,7 @@ def test_diagnose_says_that_the_bodies_alone_are_wrong(model):
     (candidate,) = found.candidates
     assert (found.verdict, candidate.effect) == ("explained", "wrong_inertia")
     assert "lower_link" in candidate.where
-    assert candidate.error_before == found.start.nrms
+    assert candidate.error_before == pytest.approx(found.refitted.nrms)
     assert candidate.error_after < 0.2 * found.start.nrms
     assert candidate.false_alarm_probability < 0.01
 
@@ -407,7 +407,7 @@ def test_bodies_that_stay_are_not_shown(model):
 
 def test_nothing_is_found_that_is_believed_to_be_nothing(model, logs):
     """Effects of a millionth of the efforts, and bodies known to a millionth."""
-    none = Beliefs(size=1e-6, unknown=1e-6, widths=(1e-6,), free=1e-6, payload=1e-6)
+    none = Beliefs(size=1e-6, unknown=1e-6, widths=(1e-6,), free=1e-6, payload=1e-6, delays=1e30)
     found = explain(model, logs, bandwidth=BANDWIDTH, beliefs=none)
     assert found.steps == ()
     assert found.verdict == "unexplained"
@@ -444,7 +444,7 @@ def test_uncertain_gains_of_efforts_are_a_second_deviation(model, logs):
         ]
         assert by_gains[0] > 0.0
         assert by_gains[1] == pytest.approx(2.0 * by_gains[0], rel=1e-3)
-        assert none.deviations["elbow"][name] == once.deviations["elbow"][name]
+        assert none.deviations["elbow"][name] == pytest.approx(once.deviations["elbow"][name])
 
 
 def test_add_to_all_joints_by_default(model, logs):
@@ -497,7 +497,7 @@ def test_add_refuses_what_cannot_be(model, logs, effect, where, words):
 
 def test_add_refuses_what_is_there(model, logs):
     present = with_friction(model)
-    with pytest.raises(ArgumentError, match=r"it is there already.* can be added nowhere else"):
+    with pytest.raises(ArgumentError, match=r"can be added nowhere: the model has it already"):
         add("coulomb_friction", present, logs[:1], where=["elbow"], bandwidth=BANDWIDTH)
     with pytest.raises(ArgumentError, match="can be added nowhere"):
         add("coulomb_friction", present, logs[:1], bandwidth=BANDWIDTH)

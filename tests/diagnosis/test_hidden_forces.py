@@ -57,7 +57,7 @@ def wave(joint, amplitude, order, phase=0.4):
     return lambda seen: {joint: amplitude * np.sin(order * seen.q[:, joint] - phase)}
 
 
-@pytest.mark.thorough  # test_fixed_inertias.py has one, too
+@pytest.mark.thorough  # test_bodies_or_effects.py has one, too
 class TestGravityCompensator:
     @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ def draft_effects(
         bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
             or chosen from the data.
         blocks: Blocks into which every log is cut for validation.
-        criteria: When an effect or a formula counts as found.
+        criteria: When a formula counts as found.
         progress: Called with each `FoundStep`, and with each formula.
 
     Returns:
@@ -68,7 +68,7 @@ def draft_effects(
     if criteria is not None:
         instance(criteria, "criteria", Criteria)
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
-    found = investigate(case, criteria=criteria, progress=progress)
+    found = investigate(case, progress=progress)
     return found.explanation, draft_rest(
         found, fixed=effects_of(model), criteria=criteria, progress=progress
     )
