@@ -23,6 +23,7 @@ from geodrake.effects import CoulombFriction, EffortOffset, GravityCompensator, 
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.dataset import Dataset, JointData
 from geodrake.identification.logs.unknowns import pullback_information
+from geodrake.inertia import from_mass_com_inertia
 
 PENDULUM = load_model(MODELS / "double_pendulum.urdf")
 BELIEFS = Beliefs()
@@ -33,17 +34,19 @@ OFFSETS = tuple(EffortOffset(joint) for joint in JOINTS)
 COMPENSATORS = tuple(GravityCompensator(joint) for joint in JOINTS)
 PAYLOAD, RUBBING = Payload("lower_link"), CoulombFriction("elbow")
 EFFECTS = (*OFFSETS, *COMPENSATORS, PAYLOAD, RUBBING)
+BALL = from_mass_com_inertia(50.0, np.zeros(3), 30.0 * np.eye(3))
 BODIES = 10 * len(PENDULUM.bodies)
 SHARES = np.ones(2)
 
 
-def random_problem(effects=EFFECTS, empty=(), dry=0.4):
+def random_problem(effects=EFFECTS, empty=(), dry=0.4, ball=np.zeros(10)):
     """Random rows of two joints, as a dataset, and as columns by effect and efforts.
 
     Args:
         effects: Effects that get columns, in this order.
         empty: Effects whose columns are zero.
         dry: Friction of the elbow.
+        ball: (10,) what the lower link carries.
     """
     rng = np.random.default_rng(5)
     bodies = rng.normal(size=(2, ROWS, BODIES))
@@ -55,6 +58,7 @@ def random_problem(effects=EFFECTS, empty=(), dry=0.4):
         if effect in empty:
             own[effect] = np.zeros_like(own[effect])
     effort = bodies @ PENDULUM.phi.ravel() + rng.normal(size=(2, ROWS))
+    effort += own[PAYLOAD] @ ball
     effort += 0.5 * own[OFFSETS[0]][:, :, 0] + dry * own[RUBBING][:, :, 0]
     joints = []
     for j in range(2):
@@ -113,7 +117,7 @@ def problem():
     return random_problem()
 
 
-SETS = [(), OFFSETS[:1], (*OFFSETS, COMPENSATORS[1]), (PAYLOAD,), (PAYLOAD, RUBBING, OFFSETS[0])]
+SETS = [(), OFFSETS[:1], (*OFFSETS, COMPENSATORS[1]), (RUBBING,), (RUBBING, *COMPENSATORS)]
 
 
 def test_a_score_is_the_evidence(problem):
@@ -146,6 +150,20 @@ def test_gains_and_losses_are_differences_of_evidence(problem):
         for package, gain in zip(come, instead, strict=True):
             after = dense_evidence(problem, fit, (*left, *package))
             assert gain == pytest.approx(after - now, abs=1e-3)
+
+
+def test_bodies_that_cannot_be_are_as_improbable_as_they_are():
+    """A body of less than no mass, of which the prior has one in so many."""
+    could, cannot = random_problem(ball=BALL), random_problem(ball=-BALL)
+    costs = []
+    for each in (could, cannot):
+        fit = settled(each[0], PAYLOAD)
+        own = fit.score - prior_odds(each[0], fit) - dense_evidence(each, fit, fit.terms)
+        bare = settled(each[0])
+        none = bare.score - prior_odds(each[0], bare) - dense_evidence(each, bare, bare.terms)
+        costs.append(own - none)
+    assert costs[0] == pytest.approx(0.0, abs=0.1)
+    assert costs[1] < 2.0 * np.log(0.01)
 
 
 @pytest.mark.parametrize(("dry", "is_possible"), [(0.4, True), (-0.4, False)])
