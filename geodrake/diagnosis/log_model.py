@@ -412,13 +412,11 @@ class LogModel:
         unknowns = self.unknowns.loosened(choice.width / self._spread, self._bodies)
         wrong = [term for term in choice.terms if term.effect is None]
         if wrong:
-            covariance = np.linalg.inv(unknowns.information[: self._bodies, : self._bodies])
+            covariance = np.linalg.inv(unknowns.information)  # effects may go with bodies
             for term in wrong:
                 at = np.ix_(term.columns, term.columns)
                 covariance[at] += np.linalg.inv(term.information)
-            information = unknowns.information.copy()
-            information[: self._bodies, : self._bodies] = np.linalg.inv(covariance)
-            unknowns = replace(unknowns, information=information)
+            unknowns = replace(unknowns, information=np.linalg.inv(covariance))
         for term in choice.terms:
             if term.effect in unknowns.effects:
                 unknowns = unknowns.released(term.effect, term.information)

@@ -39,14 +39,14 @@ BODIES = 10 * len(PENDULUM.bodies)
 SHARES = np.ones(2)
 
 
-def random_problem(effects=EFFECTS, empty=(), dry=0.4, ball=np.zeros(10)):
+def random_problem(effects=EFFECTS, empty=(), dry=0.4, ball=0.0):
     """Random rows of two joints, as a dataset, and as columns by effect and efforts.
 
     Args:
         effects: Effects that get columns, in this order.
         empty: Effects whose columns are zero.
         dry: Friction of the elbow.
-        ball: (10,) what the lower link carries.
+        ball: How often the lower link carries a ball.
     """
     rng = np.random.default_rng(5)
     bodies = rng.normal(size=(2, ROWS, BODIES))
@@ -58,7 +58,7 @@ def random_problem(effects=EFFECTS, empty=(), dry=0.4, ball=np.zeros(10)):
         if effect in empty:
             own[effect] = np.zeros_like(own[effect])
     effort = bodies @ PENDULUM.phi.ravel() + rng.normal(size=(2, ROWS))
-    effort += own[PAYLOAD] @ ball
+    effort += ball * own[PAYLOAD] @ BALL
     effort += 0.5 * own[OFFSETS[0]][:, :, 0] + dry * own[RUBBING][:, :, 0]
     joints = []
     for j in range(2):
@@ -73,7 +73,7 @@ def random_problem(effects=EFFECTS, empty=(), dry=0.4, ball=np.zeros(10)):
     dataset = Dataset(
         JOINTS, PENDULUM.bodies, tuple(effects), np.zeros((1, 2)), ("fold",), ("log",),
         tuple(joints), effort.std(1), np.full(2, 0.1), 5.0, np.zeros(2),
-        PENDULUM.phi[1], GAINS,
+        BALL, GAINS,
     )  # fmt: skip
     model = LogModel(PENDULUM, dataset, effects, BELIEFS, (0, 0))
     return model, bodies, own, effort
@@ -154,7 +154,7 @@ def test_gains_and_losses_are_differences_of_evidence(problem):
 
 def test_bodies_that_cannot_be_are_as_improbable_as_they_are():
     """A body of less than no mass, of which the prior has one in so many."""
-    could, cannot = random_problem(ball=BALL), random_problem(ball=-BALL)
+    could, cannot = random_problem(ball=1.0), random_problem(ball=-1.0)
     costs = []
     for each in (could, cannot):
         fit = settled(each[0], PAYLOAD)

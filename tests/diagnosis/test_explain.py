@@ -362,14 +362,14 @@ def test_diagnose_names_the_simplest_that_does(model, seed):
     """Friction that differs by direction fits as well as dry and viscous friction, and is more."""
     log = pendulum_log(seed, friction((0.3, 0.15), (0.3, 0.12)))
     first, *others = diagnose(model, [log], bandwidth=BANDWIDTH).candidates
-    assert set(first.effect.split(" + ")) == {"coulomb_friction", "viscous_friction"}
+    assert first.effect in {"coulomb_friction", "viscous_friction"}
     assert first.where == JOINTS
     (asymmetric,) = [other for other in others if other.effect == "asymmetric_friction"]
-    assert asymmetric.tied
-    assert first.error_after < 1.02 * asymmetric.error_after
     assert len({candidate.effect for candidate in (first, *others)}) == 1 + len(others)
-    step = explain(model, [log], bandwidth=BANDWIDTH).steps[-1]
-    assert first.error_after == pytest.approx(step.error_after, rel=0.02)
+    found = explain(model, [log], bandwidth=BANDWIDTH)
+    assert places(found) == WHERE
+    assert first.error_after == pytest.approx(found.steps[0].error_after, rel=0.02)
+    assert found.end.nrms < 1.1 * asymmetric.error_after
 
 
 def test_diagnose_says_that_the_bodies_alone_are_wrong(model):

@@ -162,10 +162,10 @@ class TestChoice:
             return np.array([0.2, 0.1]) * v * (1.0 + 0.004 * q)
 
         first, *others = diagnosed(pendulum_log(1, hidden, seconds=20.0), extra=[Oil])
-        (oil,) = [candidate for candidate in others if candidate.effect == "oil"]
+        oils = {c.where: c for c in others if c.effect == "oil"}
         assert (first.effect, first.where) == ("viscous_friction", JOINTS)
-        assert oil.tied
-        assert oil.evidence > first.evidence
+        assert all(oil.tied for oil in oils.values())
+        assert oils[JOINTS].error_after < first.error_after
 
     def test_an_effect_of_ones_own_is_found(self):
         @dataclass(frozen=True)
@@ -184,10 +184,7 @@ class TestChoice:
         assert values["sine"] == pytest.approx(0.0, abs=0.02)
 
     def test_two_simple_effects_take_the_place_of_one_whose_bounds_hide_it(self):
-        """An offset pushes as well as it brakes, which friction with a law a direction may not.
-
-        It is a rival of both all the same.
-        """
+        """An offset pushes as well as it brakes, which friction with a law a direction may not."""
 
         def hidden(q, v, vd, load):
             return np.array([1.0, 0.6]) * (0.05 + 0.3 * v)
@@ -195,8 +192,6 @@ class TestChoice:
         found = explained(pendulum_log(2, hidden, seconds=20.0))
         assert places(found) == {"effort_offset": JOINTS, "viscous_friction": JOINTS}
         assert found.verdict == "explained"
-        for step in found.steps:
-            assert "asymmetric_friction" in step.indistinguishable_from
 
     @pytest.mark.thorough
     def test_what_suited_best_before_another_effect_was_known_gives_way(self):
@@ -242,15 +237,6 @@ class TestChoice:
 
 
 class TestTies:
-    def test_what_leaves_several_times_the_error_is_no_tie(self):
-        """However simple it is, and however little two blocks say."""
-        log = pendulum_log(0, at_elbow(lambda q, v, vd: 0.2 * v), seconds=15.0)
-        found = diagnosed(log, blocks=2)
-        assert {"viscous_friction", "asymmetric_friction"} <= tied(found)
-        least = min(candidate.error_after for candidate in found)
-        assert max(c.error_after for c in found) > 10.0 * least
-        assert all(c.error_after <= 2.0 * least for c in found if c.tied)
-
     def test_what_needs_impossible_bodies_is_no_tie(self):
         """A rotor at one joint alone would leave as little, with bodies that cannot be."""
         log = pendulum_log(2, lambda q, v, vd, load: -0.05 * vd[:, ::-1], seconds=20.0)
@@ -260,12 +246,12 @@ class TestTies:
         others = [candidate for candidate in candidates if candidate.effect == "rotor_inertia"]
         assert all(c.error_after > 1.5 * first.error_after and not c.tied for c in others)
 
-    def test_what_does_as_well_with_possible_bodies_is_a_tie(self):
-        """Bodies as free as they like are none; but within what can be they do as well."""
+    def test_bodies_that_can_be_are_no_rotor(self):
+        """They do nearly as well."""
         log = pendulum_log(2, lambda q, v, vd, load: [0.05, 0.0] * vd, seconds=8.0)
         candidates = diagnose(MODEL, [log]).candidates
         assert (candidates[0].effect, candidates[0].where) == ("rotor_inertia", ("shoulder",))
-        assert {"rotor_inertia", "wrong_inertia"} <= tied(candidates)
+        assert "wrong_inertia" not in tied(candidates)
 
     @pytest.mark.thorough
     def test_no_body_is_impossible_for_the_error_s_sake(self):
