@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from processor_time import limited
 
 from geodrake import compiling
 
@@ -41,7 +42,7 @@ def started(folder, *pairs, factor=2.0, operation="+"):
     path = folder / "scaled.py"
     path.write_text(SOURCE.format(factor=factor, operation=operation), "utf-8")
     os.utime(path, (1e9, 1e9))  # as files of one size that are written within a second
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-B", "-m", "scaled", *(pairs or [NUMBERS])],
         env={**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"},
         stdin=subprocess.PIPE,
@@ -49,11 +50,12 @@ def started(folder, *pairs, factor=2.0, operation="+"):
         stderr=subprocess.PIPE,
         text=True,
     )
+    return limited(process, 60)
 
 
 def said(process):
     """What a process prints, which says nothing is wrong."""
-    out, error = process.communicate(timeout=120)
+    out, error = process.communicate()
     assert error == ""
     return out.splitlines()
 

@@ -15,6 +15,7 @@ PACKAGE = ROOT / "geodrake"
 LAYERS = (
     "errors",
     "compiling",
+    "descent",
     "boundary",
     "inertia",
     "manifolds",

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 from pendulum_logs import PENDULUM, friction, pendulum_log
+from processor_time import limited
 from typer.testing import CliRunner
 
 import geodrake
@@ -116,7 +117,7 @@ def started(folder, pendulum, *options):
     # Jobs of a shell in the background ignore interrupts, and so do their children.
     heard = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)"
     run = f"{heard}\nfrom geodrake.cli import main\nmain()"
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-c", run, "explain", *pendulum, *options],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(PACKAGES)},
@@ -124,6 +125,7 @@ def started(folder, pendulum, *options):
         stderr=subprocess.PIPE,
         text=True,
     )
+    return limited(process, 60)
 
 
 @pytest.mark.thorough
@@ -131,7 +133,7 @@ def test_an_interrupt_after_a_step_keeps_what_was_found(tmp_path, pendulum):
     run = started(tmp_path, pendulum, "--json", "found.json", "--save", "model.yaml")
     first = run.stderr.readline()
     run.send_signal(signal.SIGINT)
-    out, err = run.communicate(timeout=60)
+    out, err = run.communicate()
     assert run.returncode == 130, err
     assert re.match(r"1  .*friction.*: nrms 0\.\d+ -> ", first)
     assert "Interrupted: keeping what was found" in err and "Traceback" not in err
@@ -149,6 +151,6 @@ def test_a_second_interrupt_ends_at_once(tmp_path, pendulum):
     lines = iter(run.stderr.readline, "")
     assert any("Interrupted: keeping" in line for line in lines)
     run.send_signal(signal.SIGINT)
-    out, err = run.communicate(timeout=60)
+    out, err = run.communicate()
     assert (run.returncode, out, err) == (130, "", "Interrupted.\n")
     assert not list(tmp_path.iterdir())

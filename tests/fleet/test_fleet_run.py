@@ -17,6 +17,7 @@ import numpy as np
 import psutil
 import pytest
 from distributed import LocalCluster
+from processor_time import limited
 from small_fleet import (
     DRY,
     FROM,
@@ -145,8 +146,8 @@ def test_a_run_that_was_killed_goes_on(own, tmp_path):
     command = [sys.executable, "-m", "geodrake", "fleet", str(path), "--workers", "0", "-q"]
     run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        until = time.monotonic() + 120.0
-        while len(digests(tmp_path)) < 3 and run.poll() is None and time.monotonic() < until:
+        limited(run, 120)
+        while len(digests(tmp_path)) < 3 and run.poll() is None:
             time.sleep(0.002)
     finally:
         os.kill(run.pid, signal.SIGKILL)
