@@ -100,7 +100,7 @@ def test_an_integral_does_not_wind_up():
     np.testing.assert_allclose(rates, [0.0, -0.2])  # the second effort is at +2 and falls
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     st.tuples(*[st.floats(-3.0, 3.0)] * 4),
     st.floats(0.1, 200.0),

@@ -111,6 +111,7 @@ def test_no_motion_in_that_time_is_an_error(clock):
     assert clock.monotonic() - begin < 0.5 + 1.0 + SLACK
 
 
+@pytest.mark.usefixtures("clock")
 def test_what_ends_by_itself_is_the_same_with_more_time():
     model = arm()
     limits = limits_of(model)

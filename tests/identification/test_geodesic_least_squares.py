@@ -60,7 +60,7 @@ def test_lambert_inverts_up_to_its_branch_point():
 
 
 @given(seed=st.integers(0, 10_000), noise=st.floats(0.01, 5.0))
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25)
 def test_projections_are_on_the_plane_and_geodesics_meet_it_at_right_angles(seed, noise):
     A, b = data(seed, noise=noise)
     X = covectors(A)
@@ -270,7 +270,7 @@ def test_outliers_are_rejected_and_do_no_harm():
 
 
 @given(seed=st.integers(0, 1000), length=st.floats(0.05, 20.0), mass=st.floats(0.05, 20.0))
-@settings(max_examples=5, deadline=None, derandomize=True)
+@settings(max_examples=5)
 def test_invariance_under_frames_and_units(seed, length, mass):
     rng = np.random.default_rng(seed)
     units = mass * np.repeat([1.0, length, length**2], [1, 3, 6])

@@ -11,7 +11,7 @@ from geodrake.inertia import positive_definite as pd
 
 SEEDS = st.integers(0, 2**32 - 1)
 SIZES = st.integers(1, 6)
-EXAMPLES = settings(max_examples=40, deadline=None, derandomize=True)
+EXAMPLES = settings(max_examples=40)
 
 
 def on_random_matrices(test):

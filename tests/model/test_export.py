@@ -268,7 +268,7 @@ def test_where_the_rest_is_no_body_all_change_alike(tmp_path):
     assert any("change alike" in note for note in export.notes)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(st.integers(0, 10**6), st.floats(0.01, 2.0), st.floats(0.05, 20.0))
 def test_shares_of_a_body_are_bodies_and_sum_to_it(seed, size, factor):
     rng = np.random.default_rng(seed)
