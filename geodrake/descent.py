@@ -18,7 +18,7 @@ _MOST_HALVINGS = 50
 
 
 def step_length(
-    decrease: Callable[[Array], Array],
+    decrease: Callable[[Array], Array | float],
     promise: Array | float,
     rounding: Array | float,
     *,

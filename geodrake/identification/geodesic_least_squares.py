@@ -337,7 +337,7 @@ class _GeodesicPoint:
         longest = _SHARE / max(_SHARE, -float(np.linalg.eigvalsh(change).min()))
         trial = self
 
-        def decrease(share: float) -> float:
+        def decrease(share: Array) -> float:
             nonlocal trial
             trial = self.moved(share * change)
             kept = trial.used[self.used]

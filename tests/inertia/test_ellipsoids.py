@@ -142,6 +142,14 @@ class TestBounding:
         theirs = Hyperellipsoid.MinimumVolumeCircumscribedEllipsoid(points.T)
         np.testing.assert_allclose(ellipsoid.volume, theirs.CalcVolume(), rtol=1e-3)
 
+    @pytest.mark.parametrize("seed", range(1, 4))
+    def test_a_tolerance_below_rounding_is_met_to_rounding(self, seed):
+        rng = np.random.default_rng(seed)
+        points = rng.normal(size=(96, 3)) * 10.0 ** rng.uniform(-3, 3, 3)
+        found = bounding_ellipsoid(points, tolerance=1e-300)
+        assert found.contains(points).all()
+        assert found.volume <= bounding_ellipsoid(points, tolerance=1e-9).volume * (1.0 + 1e-12)
+
     def test_of_a_box(self):
         corners = np.array([[x, y, z] for x in (-1, 1) for y in (-2, 2) for z in (-3, 3)])
         ellipsoid = bounding_ellipsoid(corners)

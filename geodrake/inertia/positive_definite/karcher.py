@@ -51,7 +51,7 @@ def karcher_mean(
     sizes: Sizes = {}
     P = real_array(matrices, "matrices", ("...", "k", "n", "n"), sizes)
     w = _normalized(weights, sizes)
-    mean, before, found = _first_guess(P, w), np.inf, False
+    mean, before, found = _first_guess(P, w), np.full((), np.inf), np.zeros((), bool)
     for _ in range(max_iterations):
         L, _ = whitening(mean)
         logs, axes = relative_spectrum(mean[..., None, :, :], P)
@@ -61,7 +61,7 @@ def karcher_mean(
         promise, cost = (gradient * step).sum((-2, -1)), _cost(P, w, mean)
         rounding = rounding_of_squares(cost, 1.0)
         found = found | (left <= tolerance) | is_within_rounding(promise, before, rounding)
-        if np.all(found):
+        if found.all():
             return mean
         before, mean = promise, _line_search(P, w, (L, step), (cost, promise, rounding))
     raise ConvergenceError(
