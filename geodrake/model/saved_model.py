@@ -366,7 +366,7 @@ def _given_with(path: Path, saved: SavedModel, given: Given) -> Given:
         )
     remembered = {name: folder / where for name, where in saved.packages.items()}
     there = {name: where for name, where in remembered.items() if where.is_dir()}
-    return Given(robot, {**there, **given.packages}, saved.xacro)
+    return Given(robot, {**there, **given.packages}, saved.xacro, given.trust_xacro)
 
 
 def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]]) -> None:
