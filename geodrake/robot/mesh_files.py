@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -11,8 +12,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.input_files import read_regular, regular_files
 from geodrake.errors import GeodrakeError, ModelError
-from geodrake.robot.files.xml_text import parse_xml
+from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -24,6 +26,11 @@ MOST_TRIANGLES = 6000
 
 _HEADER, _COUNT, _FACET = 80, 4, 50  # bytes of a binary STL file
 _VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
+_MATERIALS = re.compile(rb"^[ \t]*mtllib[ \t]+(.+)$", re.MULTILINE)
+_IMAGES = re.compile(
+    rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t].*?(\S+)[ \t\r]*$", re.MULTILINE
+)
+_URIS = re.compile(rb'"uri"\s*:\s*"([^"]{1,4000})"')  # longer ones are data
 _SMOOTH = 0.8  # cosine of the angle between a face's normal and the mean, up to which it is smooth
 _GRIDS = (256, 180, 128, 90, 64, 45, 32, 22, 16)  # cells along the longest side
 
@@ -51,6 +58,30 @@ def wavefront(path: Path, most: int = MOST_TRIANGLES) -> str:
     np.savetxt(text, normals, "vn %.2f %.2f %.2f")
     np.savetxt(text, corners, "f %d//%d %d//%d %d//%d")
     return text.getvalue()
+
+
+def check_mesh(path: Path) -> None:
+    """Raise if Drake would open what is no file, for a mesh or for what it names.
+
+    Args:
+        path: A mesh of any kind that is there.
+
+    Raises:
+        ModelError: It would.
+    """
+    data = read_regular(path, "mesh", ModelError, largest=LARGEST_FILE)
+    if path.suffix.lower() == ".obj":
+        for material in _beside(path, _MATERIALS.findall(data)):
+            told = read_regular(material, "material", ModelError, largest=LARGEST_FILE)
+            regular_files(_beside(path, _IMAGES.findall(told)), "texture", ModelError)
+    elif path.suffix.lower() == ".gltf":
+        regular_files(_beside(path, _URIS.findall(data)), "file of a mesh", ModelError)
+
+
+def _beside(path: Path, names: list[bytes]) -> list[Path]:
+    """Return the files of some names that are there, in the folder of a mesh."""
+    places = [path.parent / os.fsdecode(name.strip()) for name in dict.fromkeys(names)]
+    return [place for place in places if place.exists()]
 
 
 def _unreadable(path: Path, reason: str) -> ModelError:
@@ -120,10 +151,7 @@ def stl_vertices(path: Path) -> Array:
     Raises:
         ModelError: The file cannot be read, or has no triangles.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise _unreadable(path, error.strerror or "it is not there") from error
+    data = read_regular(path, "mesh", ModelError)
     start = _HEADER + _COUNT
     count = int.from_bytes(data[_HEADER:start], "little")
     if count and len(data) == start + _FACET * count:

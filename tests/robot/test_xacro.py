@@ -78,7 +78,8 @@ CONSTRUCTS = {
     "conditions": '<xacro:if value="${x == 2}"><yes/></xacro:if><xacro:unless value="1"><no/>'
     "</xacro:unless>",
     "properties": '<xacro:property name="x" default="9"/><xacro:property name="lazy" '
-    'value="${later}"/><xacro:property name="later" value="5"/><a v="${lazy}"/><xacro:property name="later" '
+    'value="${later}"/><xacro:property name="later" value="5"/><a v="${lazy}"/>'
+    '<xacro:property name="later" '
     'remove="true"/>',
     "block": '<xacro:property name="b"><o/><p/></xacro:property><xacro:insert_block name="b"/>',
     "comments": "<!-- ${x} --><!-- xacro:eval-comments --><!-- ${x} --><a>${x} text</a>",

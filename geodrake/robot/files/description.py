@@ -163,7 +163,7 @@ def read_description(path: Path, given: Given | None = None) -> ModelDescription
     else:
         found = ModelDescription(path, (read_model_text(path, given),), given=given)
     files = (text.path for text in found.texts)
-    if given.xacro and not any(is_xacro(file.read_bytes()) for file in files):
+    if given.xacro and not any(is_xacro(file) for file in files):
         raise ModelError(
             f"{path} is no xacro file, so it takes no argument {next(iter(given.xacro))!r}.",
             advice="Leave it out.",

@@ -38,9 +38,21 @@ _ENDS: Mapping[int, str] = {
 }
 
 
-def is_xacro(data: bytes) -> bool:
-    """Whether a model file has elements of xacro."""
+def is_xacro(path: Path) -> bool:
+    """Whether a model file has elements of xacro.
+
+    Raises:
+        ModelError: It cannot be read.
+    """
+    return _has_elements(_read(path))
+
+
+def _has_elements(data: bytes) -> bool:
     return _TAG.search(_COMMENT.sub(b"", data)) is not None
+
+
+def _read(path: Path) -> bytes:
+    return read_regular(path, "model file", ModelError, largest=LARGEST_FILE)
 
 
 def read_expanded(path: Path, given: Given) -> bytes:
@@ -54,8 +66,8 @@ def read_expanded(path: Path, given: Given) -> bytes:
         ModelError: It cannot be read; the package xacro is not installed, or cannot expand it; or
             it asks for more than a file may that nobody trusts.
     """
-    data = read_regular(path, "model file", ModelError, largest=LARGEST_FILE)
-    return _Expansion(path, given).expanded() if is_xacro(data) else data
+    data = _read(path)
+    return _Expansion(path, given).expanded() if _has_elements(data) else data
 
 
 class _Expansion:
