@@ -131,7 +131,8 @@ def _parse(parser: Parser, model: RobotModel, folder: Path) -> None:
     if model.path.suffix.lower() not in (".yaml", ".yml"):
         root = parse_xml_bytes(read_expanded(model.path, model.given), model.path)
     if root is None or root.tag not in ("robot", "sdf"):
-        check_geometry(read_description(model.path, model.given))
+        files = (text.path for text in read_description(model.path, model.given).texts)
+        check_geometry(files, parser.package_map(), model.given)
         parser.AddModels(str(model.path))
         return
     drop(root, "visual", "inertial", "mimic", "transmission", "sensor", "plugin", "gazebo")

@@ -80,7 +80,8 @@ def _readable(place: str, packages: PackageMap, model: Path, replacement: Path) 
             return place
         vertices = stl_vertices(Path(path))
     except ModelError as error:
-        raise _unusable(path, error.problem.partition(": ")[2].rstrip(".")) from error
+        words = error.problem.replace(f"The mesh {path} ", "it ").rstrip(".")
+        raise _unusable(path, words) from error
     corners = 1 + np.arange(len(vertices)).reshape(-1, 3)
     with replacement.open("w", encoding="utf-8") as file:
         np.savetxt(file, vertices, "v %.9g %.9g %.9g")

@@ -108,7 +108,7 @@ def _read(path: Path, given: Given, folder: Path, lost: _Lost) -> dict[str, tupl
     if path.suffix.lower() not in (".yaml", ".yml"):
         root = parse_xml_bytes(read_expanded(path, given), path)
     if root is None or root.tag not in ("robot", "sdf"):
-        check_geometry(description)
+        check_geometry((text.path for text in description.texts), parser.package_map(), given)
         parser.AddModels(str(path))
     else:
         _prepare(root, parser.package_map(), path, folder, lost)

@@ -10,11 +10,8 @@ from itertools import groupby, islice
 from pathlib import Path
 from typing import Any
 
-import yaml  # type: ignore[import-untyped]
-
 from geodrake.boundary.input_files import regular_files
 from geodrake.boundary.optional_packages import optional_package
-from geodrake.boundary.yaml_text import yaml_text
 from geodrake.errors import LogError
 from geodrake.logs.files.damage import readable
 from geodrake.logs.files.joined_topics import joined_topics
@@ -23,7 +20,6 @@ from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.files.topics import Topic, chosen_topics, topic_table
 
-_METADATA = "metadata.yaml"
 _FIRST = 20  # messages by which a topic is known; publishers of other joints may take turns
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
@@ -94,13 +90,12 @@ def _storage(path: Path) -> Path:
     """Return what the reader takes: the folder, or its only file if the recorder could not end it.
 
     Raises:
-        LogError: It would open what is no file, or several of which nobody says the order.
+        LogError: Something inside is no file, or nobody says the order of several.
     """
     if not path.is_dir():
         return path
     inside = regular_files((each for each in path.iterdir() if not each.is_dir()), "log", LogError)
-    if path / _METADATA in inside:
-        regular_files(_named_files(path), "log", LogError)
+    if path / "metadata.yaml" in inside:
         return path
     files = [each for each in inside if each.suffix in (".mcap", ".db3")]
     if len(files) == 1:
@@ -110,15 +105,6 @@ def _storage(path: Path) -> Path:
         "their order.",
         advice=f"Write it: ros2 bag reindex {path}. Or name one of the files.",
     )
-
-
-def _named_files(folder: Path) -> list[Path]:
-    """Return the files that the metadata of a bag name, wherever they are."""
-    metadata = yaml.safe_load(yaml_text(folder / _METADATA, "metadata of the log", LogError))
-    match metadata:
-        case {"rosbag2_bagfile_information": {"relative_file_paths": [*names]}}:
-            return [folder / str(name) for name in names]
-    return []  # of which the reader says what is wrong
 
 
 @dataclass(frozen=True)

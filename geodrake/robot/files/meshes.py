@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from pydrake.multibody.parsing import PackageMap
 
 from geodrake.robot.files.description import ModelDescription
+from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
@@ -35,24 +37,24 @@ def missing_meshes(description: ModelDescription) -> tuple[str, ...]:
     return tuple(found)
 
 
-def check_geometry(description: ModelDescription) -> None:
-    """Raise if Drake would open what is no file, for the geometry of a model file.
+def check_geometry(files: Iterable[Path], packages: PackageMap, given: Given) -> None:
+    """Raise if Drake would open what is no file, for the geometry of model files.
 
     Args:
-        description: The model file.
+        files: URDFs, SDFs and MJCF files.
+        packages: Where packages are.
+        given: How the files are read.
 
     Raises:
         ModelError: It would.
     """
-    packages = PackageMap()
-    description.add_every_package(packages)
-    for text in description.texts:
-        root = parse_xml_bytes(read_expanded(text.path, description.given), text.path)
-        includes = Includes(text.path, description.given.packages)
+    for path in files:
+        root = parse_xml_bytes(read_expanded(path, given), path)
+        includes = Includes(path, given.packages)
         if root.tag == "mujoco":
             includes.insert_elements(root)
         settings = [each.get(name) for each in root.iter("compiler") for name in _ASSETS]
-        folders = [text.path.parent / (each or "") for each in dict.fromkeys([None, *settings])]
+        folders = [path.parent / (each or "") for each in dict.fromkeys([None, *settings])]
         for place in filter(None, map(_file_of, root.iter())):
             for folder in folders:
                 found = _resolved(place, packages, folder)
