@@ -74,11 +74,19 @@ def open_text(
 
 
 def read_regular(
-    path: Path, what: str, error: type[GeodrakeError], *, largest: int | None = None
+    path: Path,
+    what: str,
+    error: type[GeodrakeError],
+    *,
+    largest: int | None = None,
+    empty: bool = False,
 ) -> bytes:
-    """Return the bytes of a file; see `open_regular`."""
+    """Return the bytes of a file that `open_regular` opens; it has some, unless it may be empty."""
     with open_regular(path, what, error, largest=largest) as file:
-        return file.read()
+        data = file.read()
+    if not data and not empty:
+        raise _empty(path, what, error)
+    return data
 
 
 def sha256_of(path: Path) -> str:
@@ -98,8 +106,12 @@ def regular_file(
     with open_regular(path, what, error, largest=largest) as file:
         empty = not os.fstat(file.fileno()).st_size
     if empty:
-        raise error(f"The {what} {path} is empty.", advice="Check how it was written.", path=path)
+        raise _empty(path, what, error)
     return path
+
+
+def _empty(path: Path, what: str, error: type[GeodrakeError]) -> GeodrakeError:
+    return error(f"The {what} {path} is empty.", advice="Check how it was written.", path=path)
 
 
 def regular_files(paths: Iterable[Path], what: str, error: type[GeodrakeError]) -> list[Path]:

@@ -69,10 +69,10 @@ def check_mesh(path: Path) -> None:
     Raises:
         ModelError: It would.
     """
-    data = read_regular(path, "mesh", ModelError, largest=LARGEST_FILE)
+    data = read_regular(path, "mesh", ModelError, largest=LARGEST_FILE, empty=True)
     if path.suffix.lower() == ".obj":
         for material in _beside(path, _MATERIALS.findall(data)):
-            told = read_regular(material, "material", ModelError, largest=LARGEST_FILE)
+            told = read_regular(material, "material", ModelError, empty=True)
             regular_files(_beside(path, _IMAGES.findall(told)), "texture", ModelError)
     elif path.suffix.lower() == ".gltf":
         regular_files(_beside(path, _URIS.findall(data)), "file of a mesh", ModelError)
@@ -151,7 +151,7 @@ def stl_vertices(path: Path) -> Array:
     Raises:
         ModelError: The file cannot be read, or has no triangles.
     """
-    data = read_regular(path, "mesh", ModelError)
+    data = read_regular(path, "mesh", ModelError, empty=True)
     start = _HEADER + _COUNT
     count = int.from_bytes(data[_HEADER:start], "little")
     if count and len(data) == start + _FACET * count:

@@ -167,7 +167,7 @@ class _Expansion:
         except (OSError, ValueError) as error:  # a file may be one that need not be there
             return [getattr(error, "errno", 0), getattr(error, "strerror", str(error))]
         what = f"file that {self._path} includes,"
-        data = read_regular(place, what, ModelError, largest=LARGEST_FILE)
+        data = read_regular(place, what, ModelError, largest=LARGEST_FILE, empty=True)
         return data.decode("latin-1")
 
     def _files(self, pattern: Path) -> list[str]:
