@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import ast
 import operator
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from copy import copy
+from functools import partial
 from itertools import islice
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 _MOST = 100_000  # letters of a text, values of a list
 _MOST_BITS = 10_000  # of an integer
-_WITHHELD = ("type", "vars")  # functions of xacro that give classes, and what they are made of
+_WITHHELD = ("type", "vars")  # which give classes, and what they are made of
 _WRITTEN = {ast.Lambda: "a lambda", ast.NamedExpr: "an assignment", ast.Await: "await"}
 _DATA = (str, list, dict, tuple, set, frozenset, int, float, complex)  # which have methods
 _OPERATORS: Mapping[type[ast.AST], Callable[..., Any]] = {
@@ -77,8 +78,22 @@ class RefusedError(BaseException):
     """An expression asks for more than values; no Exception, as xacro catches and wraps those."""
 
 
+def withhold(symbols: MutableMapping[str, Any]) -> None:
+    """Put refusals in the place of functions that lead further than to values.
+
+    Args:
+        symbols: Functions of Python, by their names.
+    """
+    for name in _WITHHELD:
+        symbols[name] = partial(_refuse, name)
+
+
+def _refuse(name: str, *_: Any, **__: Any) -> NoReturn:
+    raise RefusedError(f"{name} is asked for")
+
+
 def functions_of(symbols: Mapping[str, Any]) -> list[Callable[..., Any]]:
-    """Return the functions that xacro gives to expressions, but for those that lead further.
+    """Return the functions among symbols.
 
     Args:
         symbols: Name -> function or value, or a namespace of them.
@@ -87,7 +102,7 @@ def functions_of(symbols: Mapping[str, Any]) -> list[Callable[..., Any]]:
     for name, value in symbols.items():
         if isinstance(value, dict):
             found += functions_of(value)
-        elif callable(value) and not name.startswith("_") and name not in _WITHHELD:
+        elif callable(value) and not name.startswith("_"):
             found.append(value)
     return found
 

@@ -101,8 +101,9 @@ def _limit_expressions(xacro: Any, rules: dict[str, Any]) -> None:
     if not hasattr(xacro, "safe_eval"):
         raise ImportError("the package xacro is older than 2.1: pip install -U xacro")
     functions_of = rules["functions_of"]
+    python = xacro._global_symbols["python"]
+    rules["withhold"](python)
     known = functions_of(xacro._global_symbols)
-    python = dict(xacro._global_symbols["python"])
 
     def evaluated(text: str, names: Any, functions: list[Any]) -> Any:
         kinds = xacro.NameSpace, xacro.YamlDictWrapper
