@@ -1,6 +1,8 @@
 """Xacro files: expanded as the package xacro expands them, unless they ask for more than values."""
 
 import os
+import random
+import string
 import time
 from pathlib import Path
 
@@ -307,3 +309,67 @@ def test_what_takes_too_much_is_ended(tmp_path, monkeypatch, body, words):
     monkeypatch.setattr(f"{module}.__file__", str(tmp_path / source.name))
     with pytest.raises(ModelError, match=words):
         read_expanded(written(tmp_path / "model", body), Given())
+
+
+VALUES = {
+    "zero": 0,
+    "x": 7,
+    "half": 0.5,
+    "text": "ab",
+    "numbers": [1, 2],
+    "pair": (3, "b"),
+    "table": {1: "a"},
+    "few": {3},
+    "yes": True,
+    "none": None,
+}
+SHAPES = (
+    *("({} + {})", "({} * {})", "({} - {})", "({} / {})", "({} // {})", "({} % {})", "({} ** {})"),
+    *("({} < {})", "({} == {} != {})", "({} in {})", "({} is not {})", "({} and {})", "({} or {})"),
+    *(
+        "(not {})",
+        "(-{})",
+        "({} if {} else {})",
+        "({} or x)[{} or x]",
+        "({} or x)[{}:]",
+        "[{}, *{}]",
+        "len({})",
+    ),
+    *("[i for i in {} if {}]", "[(i, j) for i in {} for j in {}]", "str({}).upper()", "({},)"),
+    *(
+        "dict(a={})['a']",
+        "python.sorted({}, reverse={})",
+        "list(map(str, {}))",
+        "python.any(i for i in {})",
+    ),
+    *("({} & {})", "({} | {})", "({} << {})", "{{{}: {}}}", "max({}, {})", "'%s-%s' % ({}, {})"),
+)
+
+
+def grown(rng: random.Random, depth: int) -> str:
+    if not depth:
+        return rng.choice([*VALUES])
+    shape = rng.choice(SHAPES)
+    count = len([name for _, name, _, _ in string.Formatter().parse(shape) if name is not None])
+    return shape.format(*(grown(rng, rng.randrange(depth)) for _ in range(count)))
+
+
+def outcome(evaluation):
+    try:
+        return repr(evaluation())
+    except Exception as error:
+        return type(error)
+
+
+def test_expressions_have_the_values_and_errors_that_python_gives(known):
+    rng = random.Random(43)
+    names = {**known, **VALUES}
+    kinds = xacro.NameSpace, xacro.YamlDictWrapper
+    own = Expressions(names, functions_of(known), *kinds)
+    seen = set()
+    for _ in range(3000):
+        text = grown(rng, 4)
+        expected = outcome(lambda text=text: xacro.safe_eval(text, dict(names)))
+        assert outcome(lambda text=text: own.evaluate(text)) == expected, text
+        seen.add(expected)
+    assert sum(isinstance(each, str) for each in seen) > 100

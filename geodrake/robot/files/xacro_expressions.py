@@ -168,8 +168,8 @@ class Expressions:
             case ast.Attribute(owner, name):
                 return self._attribute(self._value(owner), name)
             case ast.Call(function, arguments, keywords):
-                given = self._pairs((each.arg, each.value) for each in keywords)
-                return self._called(function)(*self._elements(arguments), **given)
+                named = ((each.arg, each.value) for each in keywords)
+                return self._called(function)(*self._elements(arguments), **self._pairs(named))
             case ast.List(elements):
                 return self._elements(elements)
             case ast.Tuple(elements):
@@ -177,8 +177,7 @@ class Expressions:
             case ast.Set(elements):
                 return set(self._elements(elements))
             case ast.Dict(keys, values):
-                both = zip(keys, values, strict=True)
-                return self._pairs((key and self._value(key), value) for key, value in both)
+                return self._pairs(zip(keys, values, strict=True))
             case ast.ListComp(element, loops):
                 return _filled(inner._value(element) for inner in self._each(loops))
             case ast.GeneratorExp(element, loops):
@@ -244,11 +243,14 @@ class Expressions:
                 found.append(self._value(node))
         return found
 
-    def _pairs(self, pairs: Iterable[tuple[Any, ast.expr]]) -> dict[Any, Any]:
+    def _pairs(self, pairs: Iterable[tuple[ast.expr | str | None, ast.expr]]) -> dict[Any, Any]:
         found: dict[Any, Any] = {}
         for key, node in pairs:
-            value = self._value(node)
-            found |= value if key is None else {key: value}
+            if key is None:
+                found = {**found, **self._value(node)}
+            else:
+                name = self._value(key) if isinstance(key, ast.expr) else key
+                found[name] = self._value(node)
         return found
 
     def _each(self, loops: Sequence[ast.comprehension]) -> Iterator[Expressions]:

@@ -70,15 +70,20 @@ def _give_up(seconds: int) -> None:
     """Give up what is not needed, for good; a signal ends this after seconds of the processor."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is told to the process that asked
     signal.alarm(WALL_SECONDS)
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
-    for what, most in (
-        (resource.RLIMIT_AS, MEMORY),
-        (resource.RLIMIT_FSIZE, 0),
-        (resource.RLIMIT_CORE, 0),
-        (resource.RLIMIT_NPROC, 0),
-        (resource.RLIMIT_NOFILE, 0),  # what is open stays so
-    ):
-        resource.setrlimit(what, (most, most))
+    limits = {
+        resource.RLIMIT_CPU: seconds,
+        resource.RLIMIT_FSIZE: 0,
+        resource.RLIMIT_CORE: 0,
+        resource.RLIMIT_NPROC: 0,
+        resource.RLIMIT_NOFILE: 0,  # what is open stays so
+    }
+    if sys.platform != "darwin":  # whose system takes no such limit
+        limits[resource.RLIMIT_AS] = MEMORY
+    for what, most in limits.items():
+        _, hard = resource.getrlimit(what)
+        allowed = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        # The processor's soft limit ends this by its own signal, which says why, before the hard.
+        resource.setrlimit(what, (allowed, hard if what == resource.RLIMIT_CPU else allowed))
 
 
 def _serve_files(xacro: Any, ask: Any) -> None:
