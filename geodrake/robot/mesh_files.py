@@ -5,14 +5,14 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.input_files import read_regular, regular_files
+from geodrake.boundary.input_files import open_regular, read_regular, regular_files
 from geodrake.errors import GeodrakeError, ModelError
 from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml
 
@@ -64,24 +64,31 @@ def check_mesh(path: Path) -> None:
     """Raise if Drake would open what is no file, for a mesh or for what it names.
 
     Args:
-        path: A mesh of any kind that is there.
+        path: A mesh of any kind; one that is not there is nothing to wait for.
 
     Raises:
         ModelError: It would.
     """
-    data = read_regular(path, "mesh", ModelError, largest=LARGEST_FILE, empty=True)
-    if path.suffix.lower() == ".obj":
-        for material in _beside(path, _MATERIALS.findall(data)):
-            told = read_regular(material, "material", ModelError, empty=True)
-            regular_files(_beside(path, _IMAGES.findall(told)), "texture", ModelError)
-    elif path.suffix.lower() == ".gltf":
-        regular_files(_beside(path, _URIS.findall(data)), "file of a mesh", ModelError)
+    for mesh in _there([path]):
+        open_regular(mesh, "mesh", ModelError).close()
+        if mesh.suffix.lower() == ".obj":
+            for material in _named(mesh, _MATERIALS, "mesh"):
+                regular_files(_named(material, _IMAGES, "material"), "texture", ModelError)
+        elif mesh.suffix.lower() == ".gltf":
+            regular_files(_named(mesh, _URIS, "mesh"), "file of a mesh", ModelError)
 
 
-def _beside(path: Path, names: list[bytes]) -> list[Path]:
-    """Return the files of some names that are there, in the folder of a mesh."""
-    places = [path.parent / os.fsdecode(name.strip()) for name in dict.fromkeys(names)]
-    return [place for place in places if place.exists()]
+def _named(path: Path, pattern: re.Pattern[bytes], what: str) -> list[Path]:
+    """Return the files beside a file that it names."""
+    data = read_regular(path, what, ModelError, largest=LARGEST_FILE, empty=True)
+    names = dict.fromkeys(name.strip() for name in pattern.findall(data))
+    return _there(path.parent / os.fsdecode(name) for name in names)
+
+
+def _there(places: Iterable[Path]) -> list[Path]:
+    """Return the places where there is something that is no folder."""
+    exists = os.path.exists  # noqa: PTH110  # which knows names that no file can have
+    return [place for place in places if exists(place) and not place.is_dir()]
 
 
 def _unreadable(path: Path, reason: str) -> ModelError:

@@ -47,6 +47,26 @@ def test_a_pipe_that_a_mesh_of_mujoco_is_is_told(tmp_path):
         CollisionWorld(load_model(path))
 
 
+@pytest.mark.parametrize("included", [False, True])
+def test_a_pipe_of_an_sdf_is_told_where_it_would_give_an_inertia(tmp_path, included):
+    link = f"""<link name="l"><inertial auto="true"/><collision name="c"><geometry><mesh>
+<uri>file://{tmp_path}/m.obj</uri></mesh></geometry></collision></link>"""
+    model = f'<sdf version="1.11"><model name="r">{link}</model></sdf>'
+    if included:
+        (tmp_path / "part").mkdir()
+        (tmp_path / "part" / "model.sdf").write_text(model)
+        (tmp_path / "part" / "model.config").write_text(
+            '<model><name>r</name><sdf version="1.11">model.sdf</sdf></model>'
+        )
+        inside = f"<include><uri>file://{tmp_path}/part</uri></include>"
+        model = f'<sdf version="1.11"><model name="r">{inside}</model></sdf>'
+    path = tmp_path / "r.sdf"
+    path.write_text(model)
+    os.mkfifo(tmp_path / "m.obj")
+    with pytest.raises(ModelError, match="is a pipe"):
+        load_model(path)
+
+
 def test_materials_and_images_of_meshes_are_files(tmp_path):
     mesh, material, image = tmp_path / "a.obj", tmp_path / "a.mtl", tmp_path / "a.png"
     mesh.write_text(OBJ)

@@ -58,7 +58,7 @@ def check_geometry(files: Iterable[Path], packages: PackageMap, given: Given) ->
         for place in filter(None, map(_file_of, root.iter())):
             for folder in folders:
                 found = _resolved(place, packages, folder)
-                if found is not None and found.exists() and not found.is_dir():
+                if found is not None:
                     check_mesh(found)
 
 
