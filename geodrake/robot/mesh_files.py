@@ -87,7 +87,7 @@ def _named(path: Path, pattern: re.Pattern[bytes], what: str) -> list[Path]:
 
 def _there(places: Iterable[Path]) -> list[Path]:
     """Return the places where there is something that is no folder."""
-    exists = os.path.exists  # noqa: PTH110  # which knows names that no file can have
+    exists = os.path.exists  # which takes names that no file can have
     return [place for place in places if exists(place) and not place.is_dir()]
 
 
