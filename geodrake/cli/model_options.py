@@ -47,6 +47,15 @@ class ModelOptions:
         list[str] | None,
         typer.Option(metavar="NAME:=VALUE", help="Argument of a xacro file. Repeatable."),
     ] = None
+    trust_xacro: Annotated[
+        bool,
+        typer.Option(
+            "--trust-xacro",
+            help="Evaluate any expression of a xacro file and let it read any file, where you "
+            "trust who wrote it. If absent, expressions of values and xacro's own functions, and "
+            "files in its folder and packages.",
+        ),
+    ] = False
     transmission: Annotated[
         str | None,
         typer.Option(
@@ -70,7 +79,9 @@ class ModelOptions:
         """
         from geodrake.model import Given
 
-        return Given.of_words(self.robot, self.package or (), self.xacro_arg or ())
+        return Given.of_words(
+            self.robot, self.package or (), self.xacro_arg or (), trust_xacro=self.trust_xacro
+        )
 
     @property
     def transmission_files(self) -> list[Path]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import file_path, instance
 from geodrake.boundary.escaping import one_line
-from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.errors import DigestError
 from geodrake.fleet.digest import Digest, DigestedLog, JointDigest
 from geodrake.fleet.settings import FORMAT, DigestSettings, settings_of
@@ -75,7 +75,7 @@ def read_digest(path: str | Path) -> Digest:
     """
     path = regular_file(file_path(path), "digest", DigestError, largest=_LARGEST_FILE)
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_regular(path, "digest", DigestError) as file, zipfile.ZipFile(file) as archive:
             if sum(entry.file_size for entry in archive.infolist()) > _LARGEST_FILE:
                 raise ValueError("it unpacks to more than any digest has")
             arrays = {

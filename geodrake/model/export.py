@@ -275,7 +275,7 @@ def _relative_note(data: bytes, path: Path) -> list[str]:
 
 
 def _file_notes(data: bytes, model: RobotModel) -> list[str]:
-    if is_xacro(model.path.read_bytes()):
+    if is_xacro(model.path):
         return [f"the exported file is what {model.path.name} expands to, without its macros"]
     if not re.search(rb"""inertiafromgeom\s*=\s*["']true""", data):
         return []

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from geodrake.boundary.arguments import file_path
-from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.errors import LogError
 from geodrake.logs.files.lcm_log import MAGIC, read_lcm
 from geodrake.logs.files.lerobot_dataset import INFO, read_lerobot
@@ -76,7 +76,7 @@ def reader_of(path: Path) -> Reader | None:
         return next((reader for mark, reader in FOLDERS.items() if any(path.glob(mark))), None)
     if path.suffix.lower() in SUFFIXES:
         return SUFFIXES[path.suffix.lower()]
-    with path.open("rb") as file:
+    with open_regular(path, "log", LogError) as file:
         first = file.read(max(map(len, BEGINNINGS)))
     return BEGINNINGS.get(first)
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from geodrake.boundary.input_files import open_regular
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.joint_messages import JointFields, MessageRows
@@ -31,7 +32,7 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
     Channels are known by the types of their messages, whatever their names.
     """
     lcm = optional_package("lcm", "lcm", "LCM logs", LogError)
-    with path.open("rb") as file:
+    with open_regular(path, "log", LogError) as file:
         if file.read(len(MAGIC)) != MAGIC:
             raise LogError(
                 f"Log {str(path)!r} is no LCM log: it does not begin as one.",

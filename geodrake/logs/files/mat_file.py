@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat
 
+from geodrake.boundary.input_files import open_regular
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.damage import readable
@@ -40,7 +41,7 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
 
 
 def _is_hdf5(path: Path) -> bool:
-    with path.open("rb") as file:
+    with open_regular(path, "log", LogError) as file:
         for start in _HDF5_STARTS:
             file.seek(start)
             if file.read(len(_HDF5)) == _HDF5:

@@ -10,6 +10,7 @@ from itertools import groupby, islice
 from pathlib import Path
 from typing import Any
 
+from geodrake.boundary.input_files import regular_files
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.damage import readable
@@ -86,10 +87,17 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
 
 
 def _storage(path: Path) -> Path:
-    """What the reader takes: the folder, or its only file if the recorder could not end it."""
-    if not path.is_dir() or (path / "metadata.yaml").exists():
+    """Return what the reader takes: the folder, or its only file if the recorder could not end it.
+
+    Raises:
+        LogError: Something inside is no file, or nobody says the order of several.
+    """
+    if not path.is_dir():
         return path
-    files = sorted(each for each in path.iterdir() if each.suffix in (".mcap", ".db3"))
+    inside = regular_files((each for each in path.iterdir() if not each.is_dir()), "log", LogError)
+    if path / "metadata.yaml" in inside:
+        return path
+    files = [each for each in inside if each.suffix in (".mcap", ".db3")]
     if len(files) == 1:
         return files[0]
     raise LogError(

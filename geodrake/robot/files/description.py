@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 from pydrake.multibody.parsing import (
     FlattenModelDirectives,
     LoadModelDirectivesFromString,
+    ModelDirective,
     ModelDirectives,
     PackageMap,
     Parser,
@@ -163,7 +164,7 @@ def read_description(path: Path, given: Given | None = None) -> ModelDescription
     else:
         found = ModelDescription(path, (read_model_text(path, given),), given=given)
     files = (text.path for text in found.texts)
-    if given.xacro and not any(is_xacro(file.read_bytes()) for file in files):
+    if given.xacro and not any(is_xacro(file) for file in files):
         raise ModelError(
             f"{path} is no xacro file, so it takes no argument {next(iter(given.xacro))!r}.",
             advice="Leave it out.",
@@ -194,6 +195,25 @@ def _read_directives(path: Path, given: Given) -> ModelDescription:
         file = includes.checked(includes.resolve(model.file, path.parent))
         texts.append(read_model_text(file, given, model.name))
     return ModelDescription(path, tuple(texts), directives, given)
+
+
+def model_files(directives: Iterable[ModelDirective], includes: Includes) -> Iterator[Path]:
+    """Yield the model files that directives add, and those that they lead to.
+
+    Args:
+        directives: Directives whose paths are URLs.
+        includes: What follows them.
+
+    Raises:
+        ModelError: A file cannot be read, or there is no end to them.
+    """
+    for each in directives:
+        if each.add_model:
+            yield includes.checked(includes.resolve(each.add_model.file, Path()))
+        if each.add_directives:
+            file = includes.resolve(each.add_directives.file, Path())
+            loaded = _load_directives(file, includes, includes.enter((), file))
+            yield from model_files(loaded.directives, includes)
 
 
 def _load_directives(path: Path, includes: Includes, chain: tuple[Path, ...]) -> ModelDirectives:
