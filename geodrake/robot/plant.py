@@ -24,7 +24,7 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import Context
 
-from geodrake.boundary.arguments import instance, number, real_array
+from geodrake.boundary.arguments import file_path, instance, number, real_array
 from geodrake.errors import ModelError
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
@@ -124,8 +124,10 @@ def load_plant(
         ModelError: The file cannot be read, is no robot description, or nothing moves in it; a
             joint cannot be held; or Drake refuses the inertial parameters that are given.
     """
-    path, given = Path(path), instance(given or Given(), "given", Given)
-    held = {n: number(x, f"held[{n!r}]") for n, x in instance(held or {}, "held", Mapping).items()}
+    path = file_path(path)
+    given = Given() if given is None else instance(given, "given", Given)
+    held = {} if held is None else instance(held, "held", Mapping)
+    held = {name: number(value, f"held[{name!r}]") for name, value in held.items()}
     with drake_messages() as messages:
         description = read_description(path, given)
         draft, arrangement = _draft(description, floating=floating, held=held, given=given)
