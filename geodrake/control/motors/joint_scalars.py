@@ -64,6 +64,6 @@ def _scalars(value: Any, name: str) -> Scalars:
     if is_array and value.dtype == object and all(isinstance(x, _OTHERS) for x in value.flat):
         return np.asarray(value)
     array = value if is_array and value.dtype == _FLOAT else real_array(value, name, finite=False)
-    if (array != array).any():
+    if np.isnan(array).any():
         raise ArgumentError(f"{name} must be numbers; it holds NaN.", name=name)
     return array
