@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
+from geodrake.boundary.memory import machine_memory
 from geodrake.errors import LogError
 
 _LARGEST_SHARE = 0.5  # of the memory that the numbers of a log may take; the rest is for the work
@@ -18,18 +18,10 @@ def check_room(path: Path, count: int, words: str) -> None:
         count: How many numbers it has, of 8 bytes.
         words: What it has, such as "100 rows of 15 numbers".
     """
-    needed, there = 8 * count, _memory()
+    needed, there = 8 * count, machine_memory()
     if needed > _LARGEST_SHARE * there:
         raise LogError(
             f"Log {str(path)!r} has {words}, {needed / 1e9:.3g} GB; this machine has "
             f"{there / 1e9:.3g} GB of memory.",
             advice="Give excerpts of it, or fewer columns.",
         )
-
-
-def _memory() -> int:
-    """Bytes of memory of this machine, where its system tells; else more than any log needs."""
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):
-        return 1 << 62
