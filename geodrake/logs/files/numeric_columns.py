@@ -82,7 +82,7 @@ def numbers(values: Any) -> tuple[Array | None, int | None]:
     Of dates, the seconds from the first on, and the first, ns since 1970.
     """
     if isinstance(values, np.ma.MaskedArray):
-        values = values.astype(object).filled(None)
+        values = np.where(np.ma.getmaskarray(values), None, values.data)
     try:
         array = np.asarray(values)
         if array.dtype.kind == "M":
