@@ -82,7 +82,8 @@ def numbers(values: Any) -> tuple[Array | None, int | None]:
     Of dates, the seconds from the first on, and the first, ns since 1970.
     """
     if isinstance(values, np.ma.MaskedArray):
-        values = np.where(np.ma.getmaskarray(values), None, values.data)
+        missing, values = np.ma.getmaskarray(values), np.array(values.data, object)
+        values[missing] = None
     try:
         array = np.asarray(values)
         if array.dtype.kind == "M":
