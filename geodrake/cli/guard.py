@@ -12,7 +12,7 @@ from pathlib import Path
 
 import typer
 
-from geodrake.boundary.escaping import kind_and_line, printable
+from geodrake.boundary.escaping import kind_and_line, one_line, printable
 from geodrake.boundary.interrupts import deferred_interrupts
 from geodrake.cli.interruption import was_interrupted
 from geodrake.cli.surroundings import PIPE_CLOSED, check_surroundings
@@ -20,6 +20,7 @@ from geodrake.errors import GeodrakeError
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 1
+_SMALLER = "Check that the files are what they should be, and give less at once."
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
@@ -49,6 +50,8 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
             _say("\n".join(map(printable, lines)))
         if isinstance(error, GeodrakeError):
             _stop(f"Error: {error}", BAD_INPUT)
+        if isinstance(error, MemoryError):
+            _stop(f"Error: There is not enough memory: {one_line(error)}. {_SMALLER}", BAD_INPUT)
         line = _line_of_user(error, effect_files)
         if line:
             _stop(f"Error: {line} raises {kind_and_line(error)}.", BAD_INPUT)

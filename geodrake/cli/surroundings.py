@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
+from geodrake.boundary.memory import limit_memory
 from geodrake.errors import GeodrakeError
 
 BAD_OUTPUT = 2
@@ -22,11 +23,13 @@ PIPE_CLOSED = 141  # 128 + SIGPIPE, as shells have it
 def settled_surroundings() -> Iterator[None]:
     """Surroundings in which nothing but the input decides what a command does.
 
-    Standard streams that are closed are opened to nothing, and take every letter. Figures look
+    Standard streams that are closed are opened to nothing, and take every letter. Memory has a
+    limit. Figures look
     alike whatever matplotlib is told elsewhere. What standard output still holds is written at the
     end; it may be full, or a pipe that nobody reads any more.
     """
     _open_streams()
+    limit_memory()
     os.environ.update(MPLBACKEND="Agg", MATPLOTLIBRC=os.devnull)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its cache is no news
     try:

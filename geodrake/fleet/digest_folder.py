@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import file_path, instance, instances, number
+from geodrake.boundary.arguments import file_path, instance, instances, number, typed
 from geodrake.boundary.showing import Short
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import check_writable, make_folder, write_new, write_whole
@@ -172,6 +172,7 @@ class _Folder:
         return digest
 
 
+@typed
 def digest_logs(
     model: RobotModel,
     logs: Sequence[str | Path],
@@ -202,11 +203,10 @@ def digest_logs(
         ArgumentError: A setting is no usable number, or there is no log.
         OutputError: The folder cannot be written to.
     """
-    instance(model, "model", RobotModel)
     files = [file_path(log) for log in instances(logs, "logs", (str, Path))]
     if not files:
         raise ArgumentError("There is no log to digest.", advice="Give at least one.")
-    wanted = instance(wanted or Wanted(), "wanted", Wanted)
+    wanted = wanted or Wanted()
     carried = _checked_payloads(payloads or {}, files)
     if date is not None:
         number(date, "date", lower=0.0, strict=True)

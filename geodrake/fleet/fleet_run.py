@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import instance, integer, number
+from geodrake.boundary.arguments import instance, integer, number, typed
 from geodrake.boundary.showing import Short
 from geodrake.boundary.whole_files import make_folder
 from geodrake.fleet.digest_folder import Told
@@ -58,6 +58,7 @@ class FleetWork(Short):
         number(self.false_alarms, "false_alarms", lower=0.0, upper=1.0, strict=True)
 
 
+@typed
 def run_fleet(
     fleet: Fleet,
     work: FleetWork | None = None,
@@ -82,8 +83,7 @@ def run_fleet(
         DigestError: There are digests of another model, version, or other settings.
         OutputError: The folder cannot be written to.
     """
-    instance(fleet, "fleet", Fleet)
-    work = instance(work or FleetWork(), "work", FleetWork)
+    work = work or FleetWork()
     with _taken_in(fleet, work, (), told, said, pieces=len(fleet.robots)) as (digests, team):
         return _result(fleet, digests, work.false_alarms, told, team), digests
 

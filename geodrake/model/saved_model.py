@@ -17,7 +17,7 @@ import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
 
-from geodrake.boundary.arguments import file_path, instance, instances
+from geodrake.boundary.arguments import file_path, instance, instances, typed
 from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.boundary.whole_files import write_whole
@@ -131,6 +131,7 @@ class SavedModel:
     information: list[list[float]] = dc.field(default_factory=list)
 
 
+@typed
 def load_model(
     path: str | Path,
     *,
@@ -161,7 +162,7 @@ def load_model(
             transmission does not fit.
     """
     instances(extra, "extra", type)
-    given = instance(given or Given(), "given", Given)
+    given = given or Given()
     path = regular_file(file_path(path), "model file", ModelError)
     if is_saved_model(path):
         if transmission is not None:

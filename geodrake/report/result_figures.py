@@ -7,6 +7,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from geodrake.boundary.arguments import typed
 from geodrake.boundary.escaping import path_part
 from geodrake.boundary.whole_files import write_together
 from geodrake.diagnosis.results import Diagnosis, Explanation
@@ -23,6 +24,7 @@ from geodrake.report.numbers import Units
 from geodrake.report.series_figures import effort_figure, residual_figure
 
 
+@typed
 def comparison_figures(comparison: Comparison, *, units: Units | None = None) -> dict[str, Figure]:
     """The figures of a comparison's report, by name.
 
@@ -37,6 +39,7 @@ def comparison_figures(comparison: Comparison, *, units: Units | None = None) ->
     }
 
 
+@typed
 def diagnosis_figures(diagnosis: Diagnosis, *, units: Units | None = None) -> dict[str, Figure]:
     """The figures of a diagnosis' report, by name.
 
@@ -50,6 +53,7 @@ def diagnosis_figures(diagnosis: Diagnosis, *, units: Units | None = None) -> di
     return figures
 
 
+@typed
 def report_figures(explanation: Explanation) -> dict[str, Figure]:
     """The figures of an explanation's report, by name."""
     units = Units.of(explanation.model)
@@ -65,6 +69,7 @@ def report_figures(explanation: Explanation) -> dict[str, Figure]:
     }
 
 
+@typed
 def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> tuple[Path, ...]:
     """Write figures as PNG files, all of them or none.
 

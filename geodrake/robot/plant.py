@@ -24,7 +24,7 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import Context
 
-from geodrake.boundary.arguments import instance, number, real_array
+from geodrake.boundary.arguments import file_path, instance, number, real_array, typed
 from geodrake.errors import ModelError
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
@@ -124,8 +124,10 @@ def load_plant(
         ModelError: The file cannot be read, is no robot description, or nothing moves in it; a
             joint cannot be held; or Drake refuses the inertial parameters that are given.
     """
-    path, given = Path(path), instance(given or Given(), "given", Given)
-    held = {n: number(x, f"held[{n!r}]") for n, x in instance(held or {}, "held", Mapping).items()}
+    path = file_path(path)
+    given = Given() if given is None else instance(given, "given", Given)
+    held = {} if held is None else instance(held, "held", Mapping)
+    held = {name: number(value, f"held[{name!r}]") for name, value in held.items()}
     with drake_messages() as messages:
         description = read_description(path, given)
         draft, arrangement = _draft(description, floating=floating, held=held, given=given)
@@ -450,6 +452,7 @@ def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayL
         )
 
 
+@typed
 def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
     """Names of the velocities (nv): the joint's, with a suffix where it has several.
 
@@ -475,6 +478,7 @@ def scoped_joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
     return tuple(names[k] for k in range(plant.num_velocities()))
 
 
+@typed
 def effort_limits(plant: MultibodyPlant) -> Array:
     """Largest efforts (nv,) of the plant's actuators, N·m or N; infinite where there is none."""
     limits = np.full(plant.num_velocities(), np.inf)
@@ -483,11 +487,13 @@ def effort_limits(plant: MultibodyPlant) -> Array:
     return limits
 
 
+@typed
 def position_limits(plant: MultibodyPlant) -> tuple[Array, Array]:
     """Lower and upper limits of the positions, each (nq,), rad or m."""
     return plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
 
 
+@typed
 def velocity_limits(plant: MultibodyPlant) -> Array:
     """Largest speeds (nv,) in both directions, rad/s or m/s; infinite where there is no limit."""
     return np.minimum(-plant.GetVelocityLowerLimits(), plant.GetVelocityUpperLimits())

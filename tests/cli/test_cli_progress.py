@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from importlib.resources import files
 from pathlib import Path
 
@@ -45,6 +46,15 @@ def test_share_and_time_left_are_told_where_nothing_was_said_for_long(capsys, mo
         shown("Simulating", 0.5)
         shown("Simulating", 0.6)
     assert capsys.readouterr().err == "Simulating (50 %, 10 s, about 10 s left)\n"
+
+
+def test_work_that_says_nothing_goes_on(capsys, monkeypatch):
+    monkeypatch.setattr("geodrake.cli.progress._SILENT", 0.02)
+    monkeypatch.setattr("geodrake.cli.progress._PAUSE", 0.01)
+    with progress("Reading a file") as shown:
+        shown("Comparing")
+        time.sleep(0.3)
+    assert "Comparing (0 s)" in capsys.readouterr().err
 
 
 def test_quiet_is_silent(capsys):

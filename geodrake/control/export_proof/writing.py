@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from geodrake.boundary.arguments import file_path, instance
+from geodrake.boundary.arguments import file_path, instance, typed
 from geodrake.boundary.whole_files import Content, write_together
 from geodrake.control.export_proof.export import ProvenExport, export_with_proof
 from geodrake.errors import OutputError
@@ -18,6 +18,7 @@ from geodrake.model.exporting.held import HeldModel
 from geodrake.model.robot_model import RobotModel
 
 
+@typed
 def export_to(
     to: str,
     model: RobotModel,
@@ -50,7 +51,6 @@ def export_to(
         OutputError: A file is there already, or cannot be written.
     """
     form, folder = export_format(instance(to, "to", str)), file_path(folder)
-    instance(model, "model", RobotModel)
     check_folder(model, form, folder, (), force=instance(force, "force", bool))
     found = export_with_proof(model, form, folder, logs, bandwidth=bandwidth)
     write_files(found, folder)

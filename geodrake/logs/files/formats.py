@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from geodrake.boundary.arguments import file_path
+from geodrake.boundary.arguments import file_path, typed
 from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.errors import LogError
 from geodrake.logs.files.lcm_log import MAGIC, read_lcm
@@ -88,6 +88,7 @@ def _is_folder(path: Path) -> bool:
         return False
 
 
+@typed
 def check_log(path: Path) -> Path:
     """The path of a log that can be opened: a file, or the folder of a format that is one.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 
 import numpy as np
@@ -10,13 +9,13 @@ from numpy.typing import NDArray
 
 from geodrake.errors import LogError
 from geodrake.logs.files.column_names import Columns, Source
+from geodrake.logs.files.room import check_room
 from geodrake.logs.files.torn_rows import TornRows
 from geodrake.logs.motion import JointLog
 
 Array = NDArray[np.float64]
 
 LEAST_ROWS = 10
-_LARGEST_SHARE = 0.5  # of the memory that the numbers of a log may take; the rest is for the work
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 _UNITS = {"ns": 1e-9, "µs": 1e-6, "ms": 1e-3}
 _EPOCH = 9e8, 4.2e9  # s since 1970 at which a robot may have been logged: from 1998 to 2103
@@ -35,14 +34,8 @@ class Recording:
             LogError: There is none: with what is made of them they would fill the memory.
         """
         self.columns = columns
-        needed, there = 8 * rows * len(columns.names), _memory()
-        if needed > _LARGEST_SHARE * there:
-            raise LogError(
-                f"Log {str(columns.path)!r} has {rows} rows of {len(columns.names)} numbers, "
-                f"{needed / 1e9:.3g} GB; this machine has {there / 1e9:.3g} GB of memory.",
-                advice="Give excerpts of it, or fewer columns.",
-                rows=rows,
-            )
+        width = len(columns.names)
+        check_room(columns.path, rows * width, f"{rows} rows of {width} numbers")
         self.torn = TornRows(columns.path, rows, columns.reading.skip_bad_rows)
         self.time = np.empty(rows)
         self._start: float | None = None
@@ -139,11 +132,3 @@ class Recording:
             if _EPOCH[0] < factor * typical < _EPOCH[1]:
                 return factor * time, (f"time is in {name} since 1970, by its size: converted",)
         return time, ()
-
-
-def _memory() -> int:
-    """Bytes of memory of this machine, where its system tells; else more than any log needs."""
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):
-        return 1 << 62

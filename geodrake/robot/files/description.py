@@ -22,6 +22,7 @@ from pydrake.multibody.parsing import (
 )
 from pydrake.multibody.plant import MultibodyPlant
 
+from geodrake.boundary.arguments import typed
 from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.yaml_text import yaml_text
 from geodrake.errors import GeodrakeError, ModelError
@@ -147,6 +148,7 @@ class ModelDescription:
                 ProcessModelDirectives(self.directives, parser)
 
 
+@typed
 def read_description(path: Path, given: Given | None = None) -> ModelDescription:
     """Reads a model file of any supported format.
 
