@@ -6,10 +6,9 @@ if nothing is found for long; there are no control characters.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
@@ -17,6 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from geodrake.boundary.escaping import printable
+from geodrake.cli.surroundings import warn
 from geodrake.compiling import while_compiling
 
 if TYPE_CHECKING:
@@ -39,6 +39,9 @@ class Activity(Protocol):
 
     def history(self, line: str) -> None:
         """A line that stays."""
+
+    def warning(self, line: str) -> None:
+        """A line that stays and is shown even to those who want to see no progress."""
 
 
 @dataclass
@@ -69,6 +72,9 @@ class _Quiet:
     def history(self, line: str) -> None:
         pass
 
+    def warning(self, line: str) -> None:
+        warn(line)
+
 
 @dataclass
 class _Lines:
@@ -83,8 +89,10 @@ class _Lines:
 
     def history(self, line: str) -> None:
         self.told = self.clock.passed
-        with suppress(OSError):  # a full stderr is no reason to stop
-            print(printable(line), file=sys.stderr, flush=True)
+        warn(line)
+
+    def warning(self, line: str) -> None:
+        self.history(line)
 
 
 @dataclass
@@ -111,6 +119,9 @@ class _Bar:
 
     def history(self, line: str) -> None:
         self.bar.console.print(printable(line), soft_wrap=True)
+
+    def warning(self, line: str) -> None:
+        self.history(line)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
+from geodrake.boundary.escaping import printable
 from geodrake.errors import GeodrakeError
 
 BAD_OUTPUT = 2
@@ -62,6 +63,12 @@ def check_surroundings() -> None:
             f"Python takes files for {encoding}, and model files and Drake's own are UTF-8.",
             advice="Set PYTHONUTF8=1, or LC_ALL to a locale with UTF-8, such as C.UTF-8.",
         )
+
+
+def warn(message: str) -> None:
+    """Say on stderr what is wrong, though the command goes on."""
+    with suppress(OSError):  # standard error may be full, and there is nowhere else to say it
+        print(printable(message), file=sys.stderr, flush=True)
 
 
 def print_whole(text: str) -> None:

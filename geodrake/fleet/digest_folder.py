@@ -18,9 +18,9 @@ from geodrake.boundary.showing import Short
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import check_writable, make_folder, write_new, write_whole
 from geodrake.errors import ArgumentError, DigestError, GeodrakeError, OutputError
-from geodrake.fleet.digest import Digest, DigestedLog, check_same
+from geodrake.fleet.digest import Digest, DigestedLog
 from geodrake.fleet.digest_dataset import model_of_digests
-from geodrake.fleet.digest_file import digest_content, read_digest
+from geodrake.fleet.digest_file import digest_content, read_digest_of
 from geodrake.fleet.log_dates import date_text
 from geodrake.fleet.making import LogFacts, Wanted, make_digest, make_settings, said_of_reading
 from geodrake.fleet.model_hash import file_hash, text_hash
@@ -90,12 +90,14 @@ class DigestRun(Short):
         settings: Their settings; None if no log could be used, so that none are chosen.
         rows: The logs, in the order in which they were named.
         chosen: Whether the settings are new.
+        repairs: What of the model's file is not believed.
     """
 
     folder: Path
     settings: DigestSettings | None
     rows: tuple[DigestRow, ...]
     chosen: bool = False
+    repairs: tuple[str, ...] = ()
 
     def count(self, status: str) -> int:
         """How many logs have a status."""
@@ -121,7 +123,7 @@ class _Folder:
         reason = ""
         if self.settings is not None and (file := self._file(self.settings, facts)).exists():
             try:
-                return DigestRow.of(log, THERE, file, self._there(file))
+                return DigestRow.of(log, THERE, file, read_digest_of(file, self.settings))
             except DigestError as error:
                 reason = f"made again: {error.problem}"
         known, reading = self.model.known_joints, self.wanted.reading
@@ -164,12 +166,6 @@ class _Folder:
 
     def _file(self, settings: DigestSettings, facts: LogFacts) -> Path:
         return self.path / f"{facts.key(settings)}{_SUFFIX}"
-
-    def _there(self, file: Path) -> Digest:
-        digest = read_digest(file)
-        if self.settings is not None:
-            check_same(digest.settings, self.settings, str(file))
-        return digest
 
 
 def digest_logs(
@@ -218,7 +214,7 @@ def digest_logs(
     for at, log in enumerate(files):
         told(f"Digesting {log.name}", at / len(files))
         rows.append(_row(folder, log, date, carried.get(log, ())))
-    return DigestRun(path, folder.settings, tuple(rows), folder.chosen)
+    return DigestRun(path, folder.settings, tuple(rows), folder.chosen, model.repairs)
 
 
 def _checked_payloads(

@@ -64,20 +64,25 @@ class FleetDigests(Short):
         failed: Logs that have none, each with its reason.
         settings: Type -> settings of its digests; None if none of its logs can be used.
         made: How many logs were digested.
+        repairs: What of the model files is not believed.
     """
 
     records: dict[str, tuple[LogRecord, ...]]
     failed: tuple[LogRecord, ...]
     settings: dict[str, DigestSettings | None]
     made: int
+    repairs: tuple[str, ...] = ()
 
 
-def check_places(fleet: Fleet, *, local: bool) -> None:
+def check_places(fleet: Fleet, *, local: bool) -> tuple[str, ...]:
     """Refuse what no worker could do, before any work.
 
     Args:
         fleet: The fleet.
         local: Whether all is done in this process.
+
+    Returns:
+        What of the model files is not believed.
 
     Raises:
         FleetError: Logs are in the memory of this process, and others are to read them.
@@ -92,16 +97,21 @@ def check_places(fleet: Fleet, *, local: bool) -> None:
                     "other one sees.",
                     advice="Read them in this process: --workers 0.",
                 )
+    models = list[RobotModel]()
     for kind in fleet.types.values():
         source = type_source(kind)
         model = source.model
+        models.append(model)
         settings = read_settings(fleet.folder / kind.name / DIGESTS)
         if settings is not None:
             check_settings(settings, model, source.wanted)
         for robot in fleet.of_type(kind.name):
             _check_payloads(robot, model)
             if robot.model is not None:
-                _check_same_robot(robot, own_model(kind, robot.model), model)
+                models.append(own_model(kind, robot.model))
+                _check_same_robot(robot, models[-1], model)
+    found = [f"{model.path.name}: {each}" for model in models for each in model.repairs]
+    return tuple(dict.fromkeys(found))
 
 
 def _check_payloads(robot: FleetRobot, model: RobotModel) -> None:

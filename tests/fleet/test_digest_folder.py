@@ -2,6 +2,7 @@
 
 import errno
 import multiprocessing
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -117,6 +118,16 @@ def test_a_damaged_digest_is_made_again(model, made, folder):
     assert damaged.read_bytes() == good
 
 
+def test_a_digest_under_the_name_of_another_log_is_made_again(model, made, folder):
+    first, second = digest_files(folder)[:2]
+    good = first.read_bytes()
+    first.write_bytes(second.read_bytes())
+    run = digested(model, [made / "log_1.csv", made / "log_2.csv"], folder)
+    (again,) = (row for row in run.rows if row.status == "made")
+    assert re.search("made again: .* holds the digest of another log", again.reason)
+    assert first.read_bytes() == good
+
+
 def test_settings_of_something_else_are_refused_by_name(model, made, folder):
     log, before = [made / "log_3.csv"], bytes_of(folder)
     own = read_settings(folder)
@@ -148,7 +159,7 @@ def test_settings_of_something_else_are_refused_by_name(model, made, folder):
         (lambda text: text[: len(text) // 2], "does not hold settings"),
         (lambda text: "", "is empty"),
         (lambda text: "[]", "does not hold settings"),
-        (lambda text: text.replace("geodrake digest 1", "geodrake digest 9"), "has the format"),
+        (lambda text: text.replace("geodrake digest 2", "geodrake digest 9"), "has the format"),
         (lambda text: text.replace('"blocks": 4', '"blocks": "four"'), "does not hold settings"),
         (lambda text: text.replace('"held"', '"holds"'), "does not hold settings"),
         (lambda text: text.replace('"lags": 200', '"lags": NaN'), "does not hold settings"),
