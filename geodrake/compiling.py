@@ -211,7 +211,7 @@ class _Files(_DataFiles):
             OSError: It is not there, is a link, or others can write it.
         """
         number = os.open(self._data_path(name), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-        with open(number, "rb") as file:
+        with os.fdopen(number, "rb") as file:
             status = os.fstat(number)
             if not (stat.S_ISREG(status.st_mode) and _is_own(status)):
                 raise PermissionError(f"others can write {name}")

@@ -14,7 +14,7 @@ from geodrake.boundary.whole_files import Content, write_together
 from geodrake.cli.fleet_options import FleetOptions
 from geodrake.cli.model_options import repairs_in_short
 from geodrake.cli.progress import progress
-from geodrake.cli.surroundings import print_whole, printing, warn
+from geodrake.cli.surroundings import print_whole, printing, results, warn
 from geodrake.cli.tables import head, make_console, say, show_list, show_saved, show_table
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.errors import ArgumentError, FleetError
@@ -189,7 +189,7 @@ def _tell_new(fleet: Fleet, result: FleetResult) -> list[FleetFinding]:
     new = new_findings(fleet.folder, result.findings)
     with printing():
         for finding in new:
-            print(finding_line(finding), flush=True)
+            print(finding_line(finding), file=results(), flush=True)
     if new:
         keep_told(fleet.folder, new)
     return new

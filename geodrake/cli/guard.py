@@ -14,7 +14,7 @@ import typer
 from geodrake.boundary.escaping import kind_and_line
 from geodrake.boundary.interrupts import deferred_interrupts
 from geodrake.cli.interruption import was_interrupted
-from geodrake.cli.surroundings import PIPE_CLOSED, check_surroundings, warn
+from geodrake.cli.surroundings import PIPE_CLOSED, check_surroundings, results_apart, warn
 from geodrake.errors import GeodrakeError
 
 BAD_INPUT = 2
@@ -32,8 +32,9 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
     """
     try:
         check_surroundings()
-        _load_drake()
-        yield
+        with results_apart():
+            _load_drake()
+            yield
     except typer.Exit:
         raise
     except BrokenPipeError:
