@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import file_path, instance, instances, number
 from geodrake.boundary.showing import Short
 from geodrake.boundary.version import version
-from geodrake.boundary.whole_files import check_writable, make_folder, write_new, write_whole
+from geodrake.boundary.whole_files import check_writable, made_folder, write_new, write_whole
 from geodrake.errors import ArgumentError, DigestError, GeodrakeError, OutputError
 from geodrake.fleet.digest import Digest, DigestedLog
 from geodrake.fleet.digest_dataset import model_of_digests
@@ -130,14 +130,15 @@ class _Folder:
         read = read_log(log, joints=known, partial=True, reading=reading)
         settings = self.settings or self._chosen_from(read)
         digest = make_digest(self.model, read, settings, facts, extra=self.wanted.extra)
-        make_folder(self.path)
-        if self.settings is None:
-            if not write_new(self.path / SETTINGS_FILE, settings.text()):
+        file, content = self._file(settings, facts), digest_content(digest)
+        with made_folder(self.path):
+            if self.settings is not None:
+                write_whole(file, content)
+            elif write_new(self.path / SETTINGS_FILE, settings.text(), {file: content}):
+                self.settings, self.chosen = settings, True
+            else:
                 self.take_settings()  # another run was quicker to choose them
                 return self.add(log, facts)
-            self.settings, self.chosen = settings, True
-        file = self._file(settings, facts)
-        write_whole(file, digest_content(digest))
         return DigestRow.of(log, MADE, file, digest, reason)
 
     def _chosen_from(self, log: JointLog) -> DigestSettings:

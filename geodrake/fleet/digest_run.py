@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from geodrake.boundary.showing import Short
-from geodrake.boundary.whole_files import make_folder
+from geodrake.boundary.whole_files import made_folder
 from geodrake.errors import ArgumentError, DigestError, FleetError, GeodrakeError, OutputError
 from geodrake.fleet.digest_folder import FAILED, Told, check_settings, digest_logs
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
@@ -221,11 +222,14 @@ def digest_fleet(
         known[record.robot][record.address] = record
         done += 1
 
-    rest = _choose_settings(fleet, tasks, take, told)
-    for piece in team.each(digest_task, rest):
-        task = rest[piece.at]
-        take(task, piece.result or _failure(task, _KILLED))
-        told(f"Digested {task.place.name} of {task.robot.name}", done / len(tasks))
+    with ExitStack() as folders:
+        for name in fleet.types:
+            folders.enter_context(made_folder(fleet.folder / name / DIGESTS))
+        rest = _choose_settings(fleet, tasks, take, told)
+        for piece in team.each(digest_task, rest):
+            task = rest[piece.at]
+            take(task, piece.result or _failure(task, _KILLED))
+            told(f"Digested {task.place.name} of {task.robot.name}", done / len(tasks))
     by_date = {name: sorted(own.values(), key=_by_date) for name, own in known.items()}
     return FleetDigests(
         {name: tuple(each for each in own if each.digest) for name, own in by_date.items()},
@@ -245,7 +249,6 @@ def _choose_settings(
     rest: list[LogTask] = []
     for kind in fleet.types.values():
         folder = fleet.folder / kind.name
-        make_folder(folder / DIGESTS)
         own = [task for task in tasks if task.kind is kind]
         while own and read_settings(folder / DIGESTS) is None:
             told(f"Choosing settings of {kind.name}", None)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, integer, number
 from geodrake.boundary.showing import Short
-from geodrake.boundary.whole_files import make_folder
 from geodrake.fleet.digest_folder import Told
 from geodrake.fleet.digest_run import (
     FleetDigests,
@@ -127,7 +126,6 @@ def _taken_in(
     repairs = check_places(fleet, local=work.workers == 0 and work.scheduler is None)
     told("Looking for logs", None)
     tasks, known = find_tasks(fleet, failed)
-    make_folder(fleet.folder)
     most = max(len(tasks), pieces)
     with workers(most, count=work.workers, scheduler=work.scheduler, told=said) as team:
         digests = digest_fleet(fleet, tasks, known, team, told)

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
-from geodrake.boundary.whole_files import make_folder, write_whole
+from geodrake.boundary.whole_files import made_folder, write_whole
 from geodrake.fleet.fleet_file import FleetRobot
 from geodrake.fleet.log_places import LogPlace, fits
 from geodrake.fleet.model_hash import text_hash
@@ -86,8 +86,8 @@ def write_record(folder: Path, record: LogRecord) -> None:
         OutputError: It cannot be written.
     """
     path = record_file(folder, record.robot, record.address)
-    make_folder(path.parent)
-    write_whole(path, json.dumps(asdict(record), indent=1) + "\n")
+    with made_folder(path.parent):
+        write_whole(path, json.dumps(asdict(record), indent=1) + "\n")
 
 
 def look_again(folder: Path, record: LogRecord) -> None:

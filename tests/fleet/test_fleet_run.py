@@ -419,6 +419,7 @@ def test_a_scheduler_that_does_not_answer_is_said(own, monkeypatch):
     ):
         with pytest.raises(FleetError, match=r"tcp://127\.0\.0\.1:9 cannot be reached"):
             look()
+    assert not fleet.folder.exists()
 
 
 @pytest.mark.thorough
