@@ -46,8 +46,8 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
             raise
         if debug or os.environ.get("GEODRAKE_DEBUG", "0") not in ("", "0"):
             lines = "".join(traceback.format_exception(error)).splitlines()
-            for line in lines:
-                warn(line)
+            for shown in lines:
+                warn(shown)
         if isinstance(error, GeodrakeError):
             _stop(f"Error: {error}", BAD_INPUT)
         line = _line_of_user(error, effect_files)
