@@ -67,7 +67,7 @@ def export(*arguments):
 
 
 def refused(*arguments):
-    result = export(*arguments)
+    result = export(*arguments, "-q")
     assert result.exit_code == 2, result.output
     assert "Traceback" not in result.output
     assert result.stdout == ""
