@@ -12,8 +12,11 @@ import typer
 from geodrake.errors import ArgumentError
 
 if TYPE_CHECKING:
+    from geodrake.cli.progress import Activity
     from geodrake.effects import Effect
     from geodrake.model import Given, RobotModel
+
+_MOST_REPAIRS = 5  # that are said one by one; notes have all
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,12 +117,15 @@ class ModelOptions:
         return found
 
 
-def read_model(path: Path, options: ModelOptions, extra: Sequence[type[Effect]] = ()) -> RobotModel:
-    """The model of a command.
+def read_model(
+    path: Path, options: ModelOptions, told: Activity, extra: Sequence[type[Effect]] = ()
+) -> RobotModel:
+    """The model of a command; what of its file is not believed is said at once.
 
     Args:
         path: MODEL.
         options: How it is to be read.
+        told: Shows what is going on.
         extra: Effects of the user's own.
 
     Raises:
@@ -127,7 +133,7 @@ def read_model(path: Path, options: ModelOptions, extra: Sequence[type[Effect]] 
     """
     from geodrake.model import load_model
 
-    return load_model(
+    model = load_model(
         path,
         floating=options.floating,
         extra=extra,
@@ -135,3 +141,27 @@ def read_model(path: Path, options: ModelOptions, extra: Sequence[type[Effect]] 
         given=options.given,
         transmission=options.transmission,
     )
+    tell_repairs(model, told)
+    return model
+
+
+def tell_repairs(model: RobotModel, told: Activity) -> None:
+    """Say what of a model's file is not believed.
+
+    Args:
+        model: The model, as it was read.
+        told: Shows what is going on.
+    """
+    for repair in repairs_in_short(model.repairs):
+        told.warning(f"Warning: {model.path.name} is not used as it stands. {repair}")
+
+
+def repairs_in_short(repairs: Sequence[str]) -> tuple[str, ...]:
+    """The first of many repairs, and how many there are.
+
+    Args:
+        repairs: What they say.
+    """
+    more = len(repairs) - _MOST_REPAIRS
+    rest = [f"{more} more of its inertias were replaced or left out."] if more > 0 else []
+    return (*repairs[:_MOST_REPAIRS], *rest)

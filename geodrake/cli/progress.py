@@ -6,11 +6,10 @@ if nothing is found for long; there are no control characters.
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
@@ -18,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from geodrake.boundary.escaping import printable
+from geodrake.cli.surroundings import warn
 from geodrake.compiling import while_compiling
 
 if TYPE_CHECKING:
@@ -40,6 +40,9 @@ class Activity(Protocol):
 
     def history(self, line: str) -> None:
         """A line that stays."""
+
+    def warning(self, line: str) -> None:
+        """A line that stays and is shown even to those who want to see no progress."""
 
 
 @dataclass
@@ -70,6 +73,9 @@ class _Quiet:
     def history(self, line: str) -> None:
         pass
 
+    def warning(self, line: str) -> None:
+        warn(line)
+
 
 @dataclass
 class _Lines:
@@ -86,8 +92,10 @@ class _Lines:
 
     def history(self, line: str) -> None:
         self.told = self.clock.passed
-        with suppress(OSError):  # a full stderr is no reason to stop
-            print(printable(line), file=sys.stderr, flush=True)
+        warn(line)
+
+    def warning(self, line: str) -> None:
+        self.history(line)
 
     @contextmanager
     def repeating(self) -> Iterator[None]:
@@ -131,6 +139,9 @@ class _Bar:
 
     def history(self, line: str) -> None:
         self.bar.console.print(printable(line), soft_wrap=True)
+
+    def warning(self, line: str) -> None:
+        self.history(line)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.console import Console
 
+from geodrake.cli.model_options import tell_repairs
 from geodrake.cli.options import RolloutOptions
 from geodrake.cli.rollout_fit import check_fit, run_rollout_fit
 from geodrake.cli.session import Command, Input, run
@@ -92,6 +93,7 @@ def other_model(path: Path, given: Input) -> RobotModel:
     other = load_model(
         path, floating=model.floating, extra=given.extra, given=how, transmission=drives
     )
+    tell_repairs(other, given.progress)
     return holding(other, {j: place for j, place in model.held.items() if j in other.joints})
 
 

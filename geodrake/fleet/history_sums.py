@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.input_files import open_regular
 from geodrake.boundary.showing import Short
-from geodrake.boundary.whole_files import make_folder, write_whole
+from geodrake.boundary.whole_files import made_folder, write_whole
 from geodrake.errors import FleetError
 from geodrake.fleet.digest_file import DAMAGED
 from geodrake.fleet.history import RobotHistory, joint_history
@@ -175,8 +175,8 @@ def write_sums(path: Path, key: str, sums: HistorySums) -> None:
     }
     for j, joint in enumerate(sums.joints):
         arrays |= {f"{j}.columns": joint.columns, f"{j}.grams": joint.grams}
-    make_folder(path.parent)
-    write_whole(path, partial(_save, arrays))
+    with made_folder(path.parent):
+        write_whole(path, partial(_save, arrays))
 
 
 def _save(arrays: dict[str, NDArray[Any]], file: Any) -> None:

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 from geodrake.boundary.input_files import read_regular
-from geodrake.boundary.whole_files import make_folder, write_whole
+from geodrake.boundary.whole_files import made_folder, write_whole
 from geodrake.errors import FleetError
 from geodrake.fleet.fleet_file import FleetRobot
 from geodrake.fleet.log_places import LogPlace, fits
@@ -88,8 +88,8 @@ def write_record(folder: Path, record: LogRecord) -> None:
         OutputError: It cannot be written.
     """
     path = record_file(folder, record.robot, record.address)
-    make_folder(path.parent)
-    write_whole(path, json.dumps(asdict(record), indent=1) + "\n")
+    with made_folder(path.parent):
+        write_whole(path, json.dumps(asdict(record), indent=1) + "\n")
 
 
 def look_again(folder: Path, record: LogRecord) -> None:

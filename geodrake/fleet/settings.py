@@ -38,7 +38,7 @@ SETTINGS_FILE = "digest_settings.json"
 DIGEST_NAME = r"[0-9a-f]{32}\.npz"
 """What names of digests' files are like."""
 
-FORMAT = "geodrake digest 1"
+FORMAT = "geodrake digest 2"
 """Name and version of the format of settings and digests."""
 
 LAGS = 200

@@ -9,9 +9,8 @@ from matplotlib.figure import Figure
 
 from geodrake.boundary.arguments import typed
 from geodrake.boundary.escaping import path_part
-from geodrake.boundary.whole_files import write_together
+from geodrake.boundary.whole_files import made_folder, write_together
 from geodrake.diagnosis.results import Diagnosis, Explanation
-from geodrake.errors import OutputError
 from geodrake.identification.logs.model_errors import Comparison
 from geodrake.report import style
 from geodrake.report.figures import (
@@ -82,13 +81,6 @@ def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> tuple[Pat
     """
     folder = Path(folder)
     paths = {name: folder / f"{path_part(name)}.png" for name in figures}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(
-            f"Cannot write to {folder}: {error.strerror}.",
-            advice="Choose another place.",
-            path=folder,
-        ) from error
-    write_together({paths[name]: style.png(figure) for name, figure in figures.items()})
+    with made_folder(folder):
+        write_together({paths[name]: style.png(figure) for name, figure in figures.items()})
     return tuple(paths.values())

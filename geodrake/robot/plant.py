@@ -53,6 +53,7 @@ class LoadedPlant:
         plant: Finalized, continuous in time, without damping, friction and rotor inertia.
         path: The model file.
         repairs: Bodies whose inertia no body can have, with what they got instead.
+        changes: Sentences on all inertias that are not those of the file, repairs first.
         notes: Sentences on what else of the file was read in a way worth knowing.
         file_damping: (nv,) damping of the file, N·m·s/rad or N·s/m; here and below nv without
             followers, whose share is their leader's.
@@ -72,6 +73,7 @@ class LoadedPlant:
     plant: MultibodyPlant
     path: Path
     repairs: tuple[Repair, ...]
+    changes: tuple[str, ...]
     notes: tuple[str, ...]
     file_damping: Array
     file_friction: Array
@@ -131,7 +133,7 @@ def load_plant(
     with drake_messages() as messages:
         description = read_description(path, given)
         draft, arrangement = _draft(description, floating=floating, held=held, given=given)
-        repairs, repair_notes, changed = repair_inertias(description, draft.plant)
+        repairs, left_out, changed = repair_inertias(description, draft.plant)
         if phi is not None:
             _write_inertias(description, draft.plant, phi)
             changed = True
@@ -141,13 +143,14 @@ def load_plant(
         if phi is not None:
             _check_inertias(built.plant, phi, path)
     notes = [*description.notes, *built.notes, *_follower_notes(description, arrangement)]
-    notes += [*repair_notes, *_relevant(messages)]
+    changes = [*map(str, repairs), *left_out, *description.lost, *_relevant(messages)]
     coordinates = OwnCoordinates(built.plant, arrangement.followers)
     stiffness, rest = built.springs
     return LoadedPlant(
         built.plant,
         path,
         repairs,
+        tuple(dict.fromkeys(changes)),
         tuple(dict.fromkeys(notes)),
         coordinates.joined(built.damping, 2),
         coordinates.joined(built.friction, 1),

@@ -118,7 +118,8 @@ def written(folder, name, text):
 
 
 def without_inertials(data):
-    """A file less its inertial elements and the white space before them."""
+    """A file less its inertial elements, what is said of them, and the white space before them."""
+    data = re.sub(rb"\s*<!-- geodrake did not take .*?-->", b"", data)
     return re.sub(rb"\s*<inertial\b[^>]*?(/>|>.*?</inertial>)", b"", data, flags=re.DOTALL)
 
 

@@ -119,15 +119,17 @@ class Recording:
         """Where a joint stands whose effort is not there; NaN if it moves."""
         numbers = self._standing[joint][:rows]
         numbers = numbers[np.isfinite(numbers)]
-        still = len(numbers) and np.ptp(numbers) <= _STILL
-        return float(numbers.mean()) if still else np.nan
+        if not len(numbers) or numbers.max() - _STILL > numbers.min():
+            return np.nan
+        return float(numbers[0] + (numbers - numbers[0]).mean())
 
     def _seconds(self, time: Array) -> tuple[Array, tuple[str, ...]]:
         """Time stamps in s, where they are of an epoch in ms, µs or ns, and a note of that."""
         source = self.columns.sources.get("time")
         if source is None or source.unit is not None or source.nanoseconds is not None:
             return time, ()
-        typical = float(np.nanmedian(time)) if np.isfinite(time).any() else 0.0
+        known = np.sort(time[np.isfinite(time)])
+        typical = known[len(known) // 2] if len(known) else 0.0
         for name, factor in _UNITS.items():
             if _EPOCH[0] < factor * typical < _EPOCH[1]:
                 return factor * time, (f"time is in {name} since 1970, by its size: converted",)

@@ -63,6 +63,11 @@ class ModelDescription:
         return tuple(note for text in self.texts for note in text.notes)
 
     @property
+    def lost(self) -> tuple[str, ...]:
+        """Inertias that the texts do not state and nothing else tells, in words."""
+        return tuple(note for text in self.texts for note in text.lost)
+
+    @property
     def set_aside(self) -> Mapping[str, Array]:
         """Scoped link names with inertial parameters (10,) that no body can have."""
         return ChainMap(*(text.set_aside for text in self.texts))

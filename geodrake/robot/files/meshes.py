@@ -23,7 +23,7 @@ def missing_meshes(description: ModelDescription) -> tuple[str, ...]:
     """Places of meshes, as the files of a model name them, at which no file is found.
 
     Args:
-        description: The model file, of URDFs and SDFs; of MJCF files `ModelText.notes` tell.
+        description: The model file, of URDFs and SDFs; of MJCF files `ModelText.lost` tells.
     """
     packages = PackageMap()
     description.add_packages(packages, description.named_packages())
