@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from hostile import PATIENCE, limit_own_time
 
 from geodrake.errors import GeodrakeError
 from geodrake.identification import PointMasses, PointMassEuclidean, PointMassKL, identify
@@ -30,7 +31,7 @@ from geodrake.inertia import (
     pseudo_inertia,
 )
 
-SECONDS = 90.0  # that a program may take: four calls of a conic solver, each of which has 20 s
+SECONDS = 90  # of the processor, for a program: four calls of a conic solver with 20 s each
 SOLVERS = (None, "newton", "clarabel", "scs", "csdp")
 SHARES = (0.4, 0.18, 0.3, 0.1, 0.02)
 REGULARIZERS = ("euclidean", "pullback", "entropic", "riemannian", "masses_l2", "masses_kl")
@@ -219,12 +220,16 @@ def compared(program, outcome):
 
 
 def apart(task, seconds):
-    """What a function without arguments returns in a process of its own; its signal if it dies."""
+    """What a function without arguments returns in a process of its own; its signal if it dies.
+
+    It is "hung" after so many seconds of the processor, or after `PATIENCE` by the clock.
+    """
     reader, writer = os.pipe()
     child = os.fork()
     if child == 0:
         try:
             os.close(reader)
+            limit_own_time(seconds)
             silence = os.open(os.devnull, os.O_WRONLY)
             for stream in (1, 2):
                 os.dup2(silence, stream)
@@ -233,7 +238,7 @@ def apart(task, seconds):
         finally:
             os._exit(0)
     os.close(writer)
-    parts, end = [], time.monotonic() + seconds
+    parts, end = [], time.monotonic() + PATIENCE
     with os.fdopen(reader, "rb") as stream:
         while ready := select.select([stream], [], [], max(0.0, end - time.monotonic()))[0]:
             parts.append(os.read(stream.fileno(), 1 << 16))
@@ -242,10 +247,11 @@ def apart(task, seconds):
         if not ready:
             os.kill(child, signal.SIGKILL)
     status = os.waitpid(child, 0)[1]
-    if not ready:
+    died = os.WTERMSIG(status) if os.WIFSIGNALED(status) else None
+    if not ready or died == signal.SIGXCPU:
         return "hung"
-    if os.WIFSIGNALED(status):
-        return signal.Signals(os.WTERMSIG(status)).name
+    if died is not None:
+        return signal.Signals(died).name
     return pickle.loads(b"".join(parts)) if any(parts) else "nothing"
 
 
@@ -258,7 +264,7 @@ def run(seed, number, *, compare=True, seconds=SECONDS):
         end = "hung" if outcome == "hung" else "died"
         outcome = Outcome(end, outcome, time.perf_counter() - begin)
     if compare and outcome.end == "solved":
-        checked = apart(lambda: compared(program, outcome), 2.0 * seconds)
+        checked = apart(lambda: compared(program, outcome), 2 * seconds)
         outcome = replace(outcome, other=checked) if isinstance(checked, str) else checked
     return replace(outcome, program=program)
 

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 from measurements import DATA
-from programs import SECONDS, random_program, run
+from programs import random_program, run
 
 from geodrake.errors import ArgumentError, GeodrakeError, IdentificationError
 from geodrake.identification import identify
@@ -28,7 +28,6 @@ QUICK = [n for n in range(44) if random_program(1, n).solver != "csdp"]  # which
 def test_random_program(number):
     outcome = run(1, number, compare=False)
     assert outcome.end in ("solved", "refused"), outcome
-    assert outcome.seconds < SECONDS
 
 
 @pytest.mark.measurements("data/solver_abort.npz")
