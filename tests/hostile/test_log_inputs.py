@@ -274,6 +274,7 @@ PATHS = [
     Row("no name", "compare robot.urdf ''", ("is a folder",)),
     Row("folder", CSV, ("is a folder",), lambda f: (f / "x.csv").mkdir()),
     Row("in a file", "compare robot.urdf log.csv/x.csv", ("Not a directory",)),
+    Row("memory of the process", "compare robot.urdf /proc/self/mem", ("is empty",)),
     Row("log as model", "compare log.csv other.csv", ("log.csv",)),
     Row("model as log", "compare robot.urdf robot.urdf", ("ends in '.urdf'",)),
     Row("page as log", "compare robot.urdf kept.html", ("ends in '.html'",)),
