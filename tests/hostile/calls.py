@@ -331,96 +331,84 @@ def wrong_things(*but):
     return [Wrong(words, value) for words, value in found.items() if words not in but]
 
 
+def wrongs(must, pairs) -> Iterator[Wrong]:
+    return (Wrong(words, value, must) for words, value in pairs.items())
+
+
+def spoiled(array, value):
+    """An array with a value in its last place."""
+    found = np.array(array, float)
+    found[(-1,) * found.ndim] = value
+    return found
+
+
 def wrong_arrays(array) -> Iterator[Wrong]:
     yield from wrong_things()
     if not array.size:
         return
-    for words, value in (("NaN", np.nan), ("infinity", np.inf)):
-        spoiled = np.array(array, float)
-        spoiled[(-1,) * spoiled.ndim] = value
-        yield Wrong(f"{words} at one place", spoiled, must=words == "NaN")
-    for words, value in (
-        ("complex", array + 1j),
-        ("complex without an imaginary part", array + 0j),
-        ("texts", array.astype(str)),
-        ("objects", np.full(array.shape, None)),
-        ("truth values", array > 0),
-        ("a mask", np.ma.masked_invalid(np.where(array == array.flat[0], np.nan, array))),
-        ("a generator", (row for row in np.atleast_1d(array))),
-        ("dates", np.zeros(array.shape, "M8[s]")),
-        ("a number beyond floats", np.full(array.shape, 10**400, object).tolist()),
-        ("ragged", [array.tolist(), [0.0]]),
-        ("nothing", None),
-    )[: None if array.ndim else -2]:
-        yield Wrong(words, value)
+    yield from wrongs(True, {
+        "NaN at one place": spoiled(array, np.nan), "complex": array + 1j,
+        "complex without an imaginary part": array + 0j, "texts": array.astype(str),
+        "objects": np.full(array.shape, None), "truth values": array > 0,
+        "a mask": np.ma.masked_invalid(spoiled(array, np.nan)),
+        "a generator": (row for row in np.atleast_1d(array)),
+        "dates": np.zeros(array.shape, "M8[s]"), "ragged": [array.tolist(), [0.0]],
+        "a number beyond floats": np.full(array.shape, 10**400, object).tolist(),
+    })  # fmt: skip
+    if array.ndim:
+        yield Wrong("nothing", None)
     for axis in range(array.ndim):
-        more = np.concatenate([array, array.take([0], axis)], axis)
-        yield Wrong(f"one more along axis {axis}", more, must=False)
-        less = array.take(range(1, array.shape[axis]), axis)
-        yield Wrong(f"one less along axis {axis}", less, must=False)
-        yield Wrong(f"none along axis {axis}", array.take([], axis), must=False)
+        yield from wrongs(False, {
+            f"one more along axis {axis}": np.concatenate([array, array.take([0], axis)], axis),
+            f"one less along axis {axis}": array.take(range(1, array.shape[axis]), axis),
+            f"none along axis {axis}": array.take([], axis),
+        })  # fmt: skip
     if array.ndim > 1 and array.shape[-1] == array.shape[-2]:
         skewed = array.astype(float)
         skewed[..., 0, -1] += 1.0 + np.abs(array).max()
         yield Wrong("not symmetric", skewed, must=False)
-    for words, value in (
-        ("its first row", array[0] if array.ndim else array),
-        ("a further axis", array[None]),
-        ("a further last axis", array[..., None]),
-        ("negative", -1.0 * array),
-        ("zero", 0.0 * array),
-        ("huge", 1e200 * np.where(array == 0, 1.0, array)),
-        ("a list", array.tolist()),
-        ("whole numbers", np.round(array).astype(int)),
-        ("single precision", array.astype(np.float32)),
-        ("a scalar", 1.0),
-    ):
-        yield Wrong(words, value, must=False)
+    yield from wrongs(False, {
+        "infinity at one place": spoiled(array, np.inf), "a scalar": 1.0,
+        "its first row": array[0] if array.ndim else array, "a further axis": array[None],
+        "a further last axis": array[..., None], "negative": -1.0 * array, "zero": 0.0 * array,
+        "huge": 1e200 * np.where(array == 0, 1.0, array), "a list": array.tolist(),
+        "whole numbers": np.round(array).astype(int),
+        "single precision": array.astype(np.float32),
+    })  # fmt: skip
 
 
 def wrong_numbers(number, *, whole) -> Iterator[Wrong]:
     yield from wrong_things()
-    for words, value in (
-        ("NaN", np.nan),
-        ("complex", complex(number, 1.0)),
-        ("a number as text", str(number)),
-        ("two numbers", [number, number]),
-        ("true", True),
-        ("beyond floats", 10**400),
-        ("nothing", None),
-    ):
-        yield Wrong(words, value)
+    yield from wrongs(True, {
+        "NaN": np.nan, "complex": complex(number, 1.0), "a number as text": str(number),
+        "two numbers": [number, number], "true": True, "beyond floats": 10**400, "nothing": None,
+    })  # fmt: skip
     if whole:
         yield Wrong("between whole numbers", number + 0.5)
         yield Wrong("beyond machine integers", 10**30)
         yield Wrong("of NumPy", np.int64(number), must=False)
+    else:
+        more = {"huge": 1e300, "tiny": 1e-300, "single": np.float32(number)}
+        yield from wrongs(False, more)
     yield Wrong("infinity", np.inf, must=whole)
-    for words, value in (("negative", -1 - number), ("zero", 0), ("minus infinity", -np.inf)):
-        yield Wrong(words, value, must=False)
-    if not whole:
-        for words, value in (("huge", 1e300), ("tiny", 1e-300), ("single", np.float32(number))):
-            yield Wrong(words, value, must=False)
+    yield from wrongs(False, {"negative": -1 - number, "zero": 0, "minus infinity": -np.inf})
 
 
 def wrong_sequences(values) -> Iterator[Wrong]:
     yield from wrong_things()
-    yield Wrong("a number", 3)
-    yield Wrong("nothing", None)
-    yield Wrong("of objects", (Anything(),))
-    yield Wrong("of nothings", (None,) * max(len(values), 1))
-    for words, value in (
-        ("empty", ()),
-        ("a list", list(values)),
-        ("a generator", (value for value in values)),
-    ):
-        yield Wrong(words, value, must=False)
+    nothings = (None,) * max(len(values), 1)
+    objects = {"of objects": (Anything(),), "of nothings": nothings}
+    yield from wrongs(True, {"a number": 3, "nothing": None, **objects})
+    generator = (value for value in values)
+    yield from wrongs(False, {"empty": (), "a list": list(values), "a generator": generator})
     if values and all(isinstance(value, str) for value in values):
-        yield Wrong("unknown names", tuple(f"no {value}" for value in values), must=False)
-        yield Wrong("a name twice", (*values[:1], *values), must=False)
+        unknown = tuple(f"no {value}" for value in values)
+        yield from wrongs(False, {"unknown names": unknown, "a name twice": values[:1] + values})
     if values and all(type(value) in (float, int) for value in values):
-        yield Wrong("complex", tuple(value + 1j for value in values))
-        yield Wrong("NaN", (np.nan,) * len(values))
-        yield Wrong("texts", tuple(map(str, values)))
+        yield from wrongs(True, {
+            "complex": tuple(value + 1j for value in values), "NaN": (np.nan,) * len(values),
+            "texts": tuple(map(str, values)),
+        })  # fmt: skip
         yield Wrong("negative", tuple(-1 - value for value in values), must=False)
 
 
