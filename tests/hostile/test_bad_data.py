@@ -187,7 +187,7 @@ TIMES = [
 ]  # fmt: skip
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("row", [*SPIKES, *TURNS, *EMPTY, *TIMES], ids=str)
 def test_row(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)

@@ -142,6 +142,7 @@ CHANGED = [
 ]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("row", [*FILES, *CLASSES, *RELATIONS, *CHANGED], ids=str)
 def test_row(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)

@@ -297,7 +297,7 @@ PATHS = [
 ]  # fmt: skip
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("row", [*ARCHIVES, *TABLES, *PATHS], ids=str)
 def test_row(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)

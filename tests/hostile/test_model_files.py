@@ -229,15 +229,22 @@ PATHS = [
 ]  # fmt: skip
 
 
-ALL = [*text_rows(), *tree_rows(), *MADE, *PATHS]
+TEXTS = list(text_rows())
+FILES = [*tree_rows(), *MADE, *PATHS]
 
 
-@pytest.mark.parametrize("row", [row for row in ALL if row.code], ids=str)
-def test_what_is_refused(row, tmp_path, monkeypatch):
+@pytest.mark.parametrize("row", [row for row in FILES if row.code], ids=str)
+def test_files_that_are_refused(row, tmp_path, monkeypatch):
+    row.check(tmp_path, monkeypatch)
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("row", [row for row in TEXTS if row.code], ids=str)
+def test_texts_that_are_refused(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 
 
 @pytest.mark.sampled(4)
-@pytest.mark.parametrize("row", [row for row in ALL if not row.code], ids=str)
+@pytest.mark.parametrize("row", [row for row in FILES + TEXTS if not row.code], ids=str)
 def test_what_is_read(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)

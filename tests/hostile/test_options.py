@@ -179,7 +179,7 @@ def test_row(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("row", [*CHECK, *DIGEST, *FLEET, *LOG_OPTIONS], ids=str)
 def test_options_of_commands_on_logs(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
