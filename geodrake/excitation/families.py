@@ -288,7 +288,7 @@ class FreeSamples(MotionFamily):
 
     def basis(self, times: ArrayLike) -> Array:
         """(3, samples, count): each picks its third of the coefficients, whatever the time."""
-        del times
+        real_array(times, "times")
         return np.eye(self.count).reshape(3, self.samples, self.count)
 
     def conditions(self, *, rest: bool, start: bool) -> Array:

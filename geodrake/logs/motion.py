@@ -118,6 +118,7 @@ class JointLog(Short):
                 )
         if len(set(self.joints)) != len(self.joints):
             raise ArgumentError(f"Log {self.name!r} names a joint twice: {self.joints}.")
+        instances(self.payloads, "payloads", KnownPayload)
         self._check_efforts()
         check_time(self.name, np.asarray(self.time, float))
 

@@ -14,8 +14,7 @@ from hostile import HEADER, Row, table, write_log
 from numpy.lib import format as npy
 
 from geodrake.errors import LogError
-from geodrake.logs.files import read_log
-from geodrake.logs.files import recording as columns
+from geodrake.logs.files import read_log, room
 
 NAMES = HEADER.split(",")
 NPZ, CSV = "compare robot.urdf x.npz", "compare robot.urdf x.csv"
@@ -316,7 +315,7 @@ def test_what_must_not_be_read(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", ["x.npz", "x.csv"])
 def test_more_than_memory_is_refused_before_it_is_read(tmp_path, monkeypatch, name):
-    monkeypatch.setattr(columns, "_memory", lambda: 100_000)
+    monkeypatch.setattr(room, "machine_memory", lambda: 100_000)
     if name == "x.npz":
         archive()(tmp_path)
     else:

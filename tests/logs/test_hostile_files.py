@@ -115,7 +115,9 @@ def objects(values):
 
 
 @pytest.mark.parametrize(
-    "effort", [[10**400] * 60, [1j] * 60, [object()] * 60, ["1_0"] * 60], ids=str
+    "effort",
+    [[10**400] * 60, [1j] * 60, [object()] * 60, ["1_0"] * 60],
+    ids=["beyond floats", "complex", "objects", "words"],
 )
 def test_objects_that_are_no_numbers_are_not_missing_ones(effort):
     with pytest.raises(LogError, match=r"a\.effort.* holds no numbers"):

@@ -15,6 +15,7 @@ from geodrake.boundary.arguments.annotations import typed
 from geodrake.boundary.arguments.arrays import (
     Shape,
     Sizes,
+    mask,
     one_or_each,
     positive_definite,
     real_array,
@@ -31,6 +32,7 @@ __all__ = [
     "instances",
     "integer",
     "integers",
+    "mask",
     "number",
     "one_of",
     "one_or_each",

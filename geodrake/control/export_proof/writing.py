@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from geodrake.boundary.arguments import file_path, instance, typed
+from geodrake.boundary.arguments import file_path, instances, positive, typed
 from geodrake.boundary.whole_files import Content, made_folder, write_together
 from geodrake.control.export_proof.export import ProvenExport, export_with_proof
 from geodrake.errors import OutputError
@@ -49,8 +49,11 @@ def export_to(
         LogError: A log cannot be used.
         OutputError: A file is there already, or cannot be written.
     """
-    form, folder = export_format(instance(to, "to", str)), file_path(folder)
-    check_folder(model, form, folder, (), force=instance(force, "force", bool))
+    form, folder = export_format(to), file_path(folder)
+    logs = instances(logs, "logs", (JointLog, str, Path))
+    if bandwidth is not None:
+        positive(bandwidth, "bandwidth")
+    check_folder(model, form, folder, (), force=force)
     found = export_with_proof(model, form, folder, logs, bandwidth=bandwidth)
     write_files(found, folder)
     return found

@@ -44,6 +44,7 @@ BEGINNINGS: Mapping[bytes, Reader] = {MAGIC: read_lcm}
 """Reader of files by their first bytes: lcm-logger's names end in a date."""
 
 
+@typed
 def read_table(path: str | Path, reading: Reading | None = None) -> LogTable:
     """Read a log of any format but CSV and NPZ.
 
