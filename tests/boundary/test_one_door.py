@@ -59,7 +59,7 @@ HELD = {
 OWN = {
     "boundary/whole_files.py": {"open"},
     "cli/surroundings.py": {"open"},
-    "compiling.py": {"open", "read_text"},
+    "compiling.py": {"fdopen", "open", "read_text"},
     "excitation/collision_meshes.py": {"open"},
     "identification/own_process.py": {"open"},
     "report/page.py": {"read_text"},

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from geodrake.errors import ModelError
+from geodrake.robot.files import xacro_file
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.xacro_expressions import (
     Expressions,
@@ -373,3 +374,25 @@ def test_expressions_have_the_values_and_errors_that_python_gives(known):
         assert outcome(lambda text=text: own.evaluate(text)) == expected, text
         seen.add(expected)
     assert sum(isinstance(each, str) for each in seen) > 100
+
+
+def test_a_file_is_expanded_again_only_if_something_in_it_has_changed(tmp_path, monkeypatch):
+    top, part, given = tmp_path / "top.xacro", tmp_path / "part.xacro", Given()
+    name = '<robot xmlns:xacro="x"><xacro:property name="n" value="{}"/></robot>'
+    top.write_text(
+        '<robot xmlns:xacro="x"><xacro:include filename="part.xacro"/><link name="${n}"/></robot>'
+    )
+    counted = []
+    start = xacro_file.subprocess.Popen
+    monkeypatch.setattr(
+        xacro_file.subprocess, "Popen", lambda *a, **k: counted.append(1) or start(*a, **k)
+    )
+    for value, times in (("a", 1), ("a", 1), ("b", 2), ("a", 3)):
+        part.write_text(name.format(value))
+        assert f'name="{value}"'.encode() in read_expanded(top, given)
+        assert len(counted) == times
+    top.write_text(top.read_text().replace("<link", '<link name="c"/><link'))
+    assert b'name="c"' in read_expanded(top, given)
+    part.unlink()
+    with pytest.raises(ModelError, match="part.xacro"):
+        read_expanded(top, given)

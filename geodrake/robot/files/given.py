@@ -6,11 +6,26 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from geodrake.boundary.arguments import file_path, instance
 from geodrake.errors import ArgumentError, ModelError
 
 _NAME = re.compile(r"[^\s/:=]+")
+
+
+class Expanded(NamedTuple):
+    """What a xacro file was expanded to, of what.
+
+    Attributes:
+        begin: Checksum of the file and its arguments.
+        asked: Kind, value and checksum of the answer of all that it asked for.
+        data: What it was expanded to.
+    """
+
+    begin: bytes
+    asked: Sequence[tuple[str, Any, bytes]]
+    data: bytes
 
 
 @dataclass(frozen=True)
@@ -23,6 +38,7 @@ class Given:
         xacro: Argument of a xacro file -> its value.
         trust_xacro: Whether a xacro file may evaluate any expression and read files of any folder,
             as those may that the user or a friend has written.
+        expansions: What xacro files were expanded to; see `read_expanded`.
 
     Raises:
         ArgumentError: Something is not of its type.
@@ -33,6 +49,9 @@ class Given:
     packages: Mapping[str, Path] = field(default_factory=dict)
     xacro: Mapping[str, str] = field(default_factory=dict)
     trust_xacro: bool = False
+    expansions: dict[Path, Expanded] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         if self.robot is not None:

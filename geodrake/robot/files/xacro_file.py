@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import json
 import os
@@ -9,7 +10,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from glob import iglob
 from itertools import islice
@@ -20,7 +21,7 @@ from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import read_regular
 from geodrake.errors import ModelError
 from geodrake.robot.files import xacro_process
-from geodrake.robot.files.given import Given
+from geodrake.robot.files.given import Expanded, Given
 from geodrake.robot.files.packages import folder_of_package
 from geodrake.robot.files.xml_text import LARGEST_FILE
 
@@ -58,6 +59,9 @@ def _read(path: Path) -> bytes:
 def read_expanded(path: Path, given: Given) -> bytes:
     """Return the bytes of a model file, those that it expands to where it is a xacro file.
 
+    They are kept in `given`, and taken from there while the file, and whatever it asks for while it
+    is expanded, is the same.
+
     Args:
         path: The file.
         given: Arguments of xacro, folders of packages, and whether any expression is evaluated.
@@ -67,7 +71,14 @@ def read_expanded(path: Path, given: Given) -> bytes:
             it asks for more than a file may that nobody trusts.
     """
     data = _read(path)
-    return _Expansion(path, given).expanded() if _has_elements(data) else data
+    if not _has_elements(data):
+        return data
+    begin = _checksum([data.decode("latin-1"), dict(given.xacro)])
+    known = given.expansions.get(path)
+    if known is None or known.begin != begin or not _Expansion(path, given).is_still(known.asked):
+        expansion = _Expansion(path, given)
+        known = given.expansions[path] = Expanded(begin, expansion.asked, expansion.expanded())
+    return known.data
 
 
 class _Expansion:
@@ -80,6 +91,7 @@ class _Expansion:
 
     def __init__(self, path: Path, given: Given) -> None:
         self._path, self._given, self._count = path, given, 0
+        self.asked = list[tuple[str, Any, bytes]]()  # kind, value and checksum of the answer
         around = _place(path).parents
         package = next((each for each in around if (each / "package.xml").is_file()), around[0])
         self._reach = {around[0], package, *map(_place, given.packages.values())}
@@ -96,9 +108,15 @@ class _Expansion:
                     kind, value = self._told(process)
                     if kind == "done":
                         return str(value).encode()
-                    _tell(process, self._answer(kind, value))
+                    answer = self._answer(kind, value)
+                    self.asked.append((kind, value, _checksum(answer)))
+                    _tell(process, answer)
             finally:
                 process.kill()
+
+    def is_still(self, asked: Sequence[tuple[str, Any, bytes]]) -> bool:
+        """Whether what was asked for once is answered as it was."""
+        return all(_checksum(self._answer(kind, value)) == known for kind, value, known in asked)
 
     def _folders(self) -> list[Path]:
         """Where the packages are that the process imports."""
@@ -184,6 +202,10 @@ class _Expansion:
 
     def _error(self, what: str, advice: str = "Correct the file.") -> ModelError:
         return ModelError(f"{self._path} {what}", advice=advice, path=self._path)
+
+
+def _checksum(value: Any) -> bytes:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).digest()
 
 
 def _tell(process: subprocess.Popen[bytes], answer: Any) -> None:
