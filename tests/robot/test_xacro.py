@@ -394,5 +394,5 @@ def test_a_file_is_expanded_again_only_if_something_in_it_has_changed(tmp_path, 
     top.write_text(top.read_text().replace("<link", '<link name="c"/><link'))
     assert b'name="c"' in read_expanded(top, given)
     part.unlink()
-    with pytest.raises(ModelError, match="part.xacro"):
+    with pytest.raises(ModelError, match=r"part\.xacro"):
         read_expanded(top, given)
