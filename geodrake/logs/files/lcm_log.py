@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import os
 import struct
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from geodrake.boundary.input_files import open_regular
 from geodrake.boundary.optional_packages import optional_package
@@ -25,6 +26,8 @@ _TYPES = ("lcmt_iiwa_status", "lcmt_jaco_status", "lcmt_panda_status")
 _NEGATIVE = ("lcmt_iiwa_status",)
 """Types with torques of the other sign than Drake's, as their definition says."""
 
+_EVENT = struct.Struct(">4sQQII")  # begin, number, time, and lengths of a channel and its message
+_LARGEST = 100_000_000  # bytes of a message, which the package lcm would take into memory
 _FINGERPRINT = 8  # bytes of the type at the beginning of a message
 
 
@@ -40,6 +43,8 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
                 f"Log {str(path)!r} is no LCM log: it does not begin as one.",
                 advice="Record it by lcm-logger.",
             )
+        file.seek(0)
+        _check_sizes(path, file)
     with readable(path, "LCM log"):
         topics = _topics(lcm.EventLog(str(path), "r"), _types())
     topic, *others = chosen_topics(path, topics, reading)
@@ -57,6 +62,21 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
     }
     note = f"efforts turned in sign, as {topic.kind} defines torques"
     return replace(table, columns=turned, notes=(*table.notes, note))
+
+
+def _check_sizes(path: Path, file: BinaryIO) -> None:
+    """Raise a LogError if a message is too large."""
+    while len(head := file.read(_EVENT.size)) == _EVENT.size:
+        begin, number, _, channel, message = _EVENT.unpack(head)
+        if begin != MAGIC:  # the package lcm looks for the next
+            return
+        if channel + message > _LARGEST:
+            raise LogError(
+                f"Message {number} of the log {str(path)!r} has {message / 1e6:.0f} MB; geodrake "
+                f"reads up to {_LARGEST / 1e6:.0f} MB.",
+                advice="Record again, without such channels.",
+            )
+        file.seek(channel + message, os.SEEK_CUR)
 
 
 def _types() -> Mapping[bytes, type]:
