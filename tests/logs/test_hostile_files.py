@@ -114,7 +114,7 @@ def test_messages_of_lcm_beyond_measure(tmp_path):
     path = spoiled_lcm(tmp_path / "large.lcm", {})
     with path.open("ab") as file:
         file.write(struct.pack(">IQQII", 0xEDA1DA01, 60, 0, 1, 2 * 10**9) + b"Xdata")
-    with pytest.raises(LogError, match="Message 60 .* has 2000 MB"):
+    with pytest.raises(LogError, match=r"Message 60 .* has 2000 MB"):
         read_log(path)
 
 
