@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import typer
@@ -35,23 +36,25 @@ def run_check(options: CheckOptions) -> None:
         targets.check([options.model, *files, model.path])
         update("Comparing with MultibodyPlant")
         found = check_dynamics(model, samples=options.samples, seed=options.seed)
-        numbers = to_json({"version": version(), "command": "check", **check_dict(found)})
+        notes = tuple(dict.fromkeys((*found.repairs, *model.notes)))
+        numbers = to_json({"version": version(), "command": "check", **check_dict(found, notes)})
         written = targets.write(model, {"json": lambda: numbers})
     with printing():
         if options.json == STDOUT:
             print_whole(numbers)
         console = make_console(stderr=options.json == STDOUT)
-        show_check(console, found, name=options.model.name)
+        show_check(console, found, notes, name=options.model.name)
         show_saved(console, written)
     if not found.holds:
         raise typer.Exit(INTERNAL_ERROR)
 
 
-def check_dict(found: DynamicsCheck) -> dict[str, Any]:
+def check_dict(found: DynamicsCheck, notes: Sequence[str]) -> dict[str, Any]:
     """A check as plain numbers, for JSON.
 
     Args:
         found: The check.
+        notes: What is to be known of the model, repairs first.
     """
     why = "a computed value is no number"
     return {
@@ -72,16 +75,17 @@ def check_dict(found: DynamicsCheck) -> dict[str, Any]:
             for each in found.agreements
         },
         "worst": found.worst.quantity,
-        "notes": list(found.repairs),
+        "notes": list(notes),
     }
 
 
-def show_check(console: Console, found: DynamicsCheck, *, name: str) -> None:
+def show_check(console: Console, found: DynamicsCheck, notes: Sequence[str], *, name: str) -> None:
     """The largest difference of every quantity, and whether they are rounding.
 
     Args:
         console: Where to print.
         found: The check.
+        notes: As for `check_dict`.
         name: Name of the model's file.
     """
     states = "1 random state" if found.samples == 1 else f"{found.samples} random states"
@@ -102,7 +106,7 @@ def show_check(console: Console, found: DynamicsCheck, *, name: str) -> None:
     )
     titles = ("quantity", "largest at", "difference", "of", "relative")
     show_table(console, Table(titles, rows, words=2))
-    show_list(console, "Notes", found.repairs)
+    show_list(console, "Notes", notes)
     say(console, "Verdict", check_verdict(found))
 
 
