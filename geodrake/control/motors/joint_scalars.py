@@ -19,7 +19,7 @@ _OTHERS = (AutoDiffXd, Expression, float, int)
 
 
 class JointScalars:
-    """A dataclass of scalars of n joints, one for all joints or (n,)."""
+    """A dataclass of scalars of n joints, one for all joints or (..., n)."""
 
     def __post_init__(self) -> None:
         fields = dataclasses.fields(self)  # type: ignore[arg-type]
@@ -30,15 +30,15 @@ class JointScalars:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """() or (n,), that of all fields together."""
+        """() or (..., n), that of all fields together."""
         return np.broadcast_shapes(*(value.shape for value in vars(self).values()))
 
 
 def joint_scalars(shape: tuple[int, ...], **values: Any) -> list[Scalars]:
-    """Return the values as arrays, one for all joints or (n,).
+    """Return the values as arrays, one for all joints or (..., n).
 
     Args:
-        shape: () or (n,), with which they must go together.
+        shape: () or (..., n), with which they must go together.
         values: Name -> what the caller passed.
 
     Raises:
@@ -46,14 +46,17 @@ def joint_scalars(shape: tuple[int, ...], **values: Any) -> list[Scalars]:
     """
     found = [_scalars(value, name) for name, value in values.items()]
     for name, array in zip(values, found, strict=True):
-        if array.ndim and array.shape != (shape or array.shape):
+        if array.ndim and shape and array.shape[-1] != shape[-1]:
             raise ArgumentError(
-                f"{name} must be one number or {shape[0]}; it has the shape {array.shape}.",
+                f"{name} must be one number or {shape[-1]}; it has the shape {array.shape}.",
                 name=name,
             )
-        shape = shape or array.shape
-        if len(shape) > 1:
-            raise ArgumentError(f"{name} must be one number or (n,); it is {shape}.", name=name)
+        try:
+            shape = np.broadcast_shapes(shape, array.shape)
+        except ValueError as error:
+            raise ArgumentError(
+                f"{name} has the shape {array.shape}, and others {shape}.", name=name
+            ) from error
     return found
 
 

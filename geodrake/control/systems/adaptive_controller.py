@@ -223,10 +223,10 @@ class AdaptiveController(LeafSystem):
         Raises:
             ArgumentError: It is not positive, or there is no law with a γ.
         """
-        check_context(self, context)
         positive(gamma, "gamma")
         if self.law is None:
             raise ArgumentError("The controller does not adapt, so it has no γ.")
+        check_context(self, context)
         self.law.with_slowness(gamma)
         context.get_mutable_numeric_parameter(_GAMMA).SetFromVector([gamma])
 

@@ -49,9 +49,7 @@ class MjcfText(ModelText):
         drop(self.root, *_IGNORED)
         made = [tag for tag in _GENERATORS if self.root.find(f".//{tag}") is not None]
         if made:
-            self.notes.append(
-                f"<{'>, <'.join(made)}> is ignored: its bodies are missing."
-            )
+            self.notes.append(f"<{'>, <'.join(made)}> is ignored: its bodies are missing.")
         drop(self.root, *_GENERATORS)
         scope = self.scope or self.root.get("model") or self.path.stem
         self._take_equalities(scope)
