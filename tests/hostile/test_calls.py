@@ -53,41 +53,29 @@ def held(call):
             yield f"{call.name}({argument} = {words}): {end}: {told}"
 
 
+NAMES = [
+    pytest.param(name, marks=pytest.mark.thorough if call.is_slow else ())
+    for name, call in CALLS.items()
+    if name not in KNOWN
+]
+
+
 @pytest.mark.sampled(5)
-@pytest.mark.parametrize("name", [n for n in CALLS if n not in KNOWN and not CALLS[n].is_slow])
+@pytest.mark.parametrize("name", NAMES)
 def test_wrong_calls(name):
     wrong = list(held(CALLS[name]))
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", [n for n in CALLS if n not in KNOWN and CALLS[n].is_slow])
-def test_wrong_calls_of_what_takes_long(name):
-    wrong = list(held(CALLS[name]))
-    assert not wrong, "\n".join(wrong)
-
-
 @pytest.mark.sampled(5)
-@pytest.mark.parametrize("name", [name for name, call in CALLS.items() if not call.is_slow])
+@pytest.mark.parametrize("name", NAMES)
 def test_good_call(name):
-    if name not in KNOWN:
-        end, told = ended(CALLS[name])
-        assert end == "accepted", told
+    end, told = ended(CALLS[name])
+    assert end == "accepted", told
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("name", [name for name, call in CALLS.items() if call.is_slow])
-def test_good_call_that_takes_long(name):
-    if name not in KNOWN:
-        end, told = ended(CALLS[name])
-        assert end == "accepted", told
-
-
-ABORTING = {"EffectForce.lags", "RobotInstance.set_inertial_parameters", "take_out_stated"}
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", sorted(set(KNOWN) - ABORTING))
+@pytest.mark.parametrize("name", sorted(KNOWN))
 def test_what_is_known_is_still_so(name):
     assert list(held(CALLS[name])) or ended(CALLS[name])[0] != "accepted", "take it out of KNOWN"
 

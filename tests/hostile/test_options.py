@@ -6,7 +6,6 @@ import pytest
 from hostile import Row, fill
 
 from geodrake.errors import ArgumentError
-from geodrake.excitation import FourierMotion, FreeSamples, SplineMotion
 from geodrake.identification.logs.compare import compare
 from geodrake.logs.filtering import design_filter
 from geodrake.model.saved_model import load_model
@@ -180,20 +179,10 @@ def test_row(row, tmp_path, monkeypatch):
 
 
 @pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", [*CHECK, *DIGEST, *FLEET, *LOG_OPTIONS], ids=str)
-def test_options_of_commands_on_logs(row, tmp_path, monkeypatch):
-    row.check(tmp_path, monkeypatch)
-
-
-@pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", PAYLOADS, ids=str)
-def test_known_payloads(row, tmp_path, monkeypatch):
-    row.check(tmp_path, monkeypatch)
-
-
-@pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", DESIGNS, ids=str)
-def test_options_of_designs(row, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "row", [*CHECK, *DIGEST, *FLEET, *LOG_OPTIONS, *PAYLOADS, *DESIGNS], ids=str
+)
+def test_options(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 
 
@@ -201,21 +190,6 @@ def test_options_of_designs(row, tmp_path, monkeypatch):
 def test_filters_have_a_bandwidth_that_fits(bandwidth):
     with pytest.raises(ArgumentError, match=r"Choose a bandwidth from 0\.005 to 25 Hz"):
         design_filter(0.01, bandwidth)
-
-
-@pytest.mark.parametrize("duration", [float("nan"), 0.0, -1.0, 1e-300, 1e6, 1e300])
-@pytest.mark.parametrize("family", [FourierMotion, SplineMotion])
-def test_motions_last_a_while(family, duration):
-    with pytest.raises(ArgumentError, match="duration"):
-        family(duration)
-
-
-@pytest.mark.parametrize("count", [0, -1, 10**5, 10**30])
-@pytest.mark.parametrize("family", [lambda n: FourierMotion(10.0, n),
-                                    lambda n: SplineMotion(10.0, n), FreeSamples])  # fmt: skip
-def test_motions_have_some_coefficients(family, count):
-    with pytest.raises(ArgumentError):
-        family(count)
 
 
 def test_a_library_call_has_the_bounds_of_the_command(tmp_path):

@@ -76,33 +76,14 @@ MORE = [
     Row("a motion in a missing folder", f"{EXCITE} --save none/m.csv", ("no folder",)),
     Row("a replay to standard output", f"{EXCITE} --meshcat -", ("standard output",)),
     Row("one target twice", f"compare robot.urdf log.csv {ALL} --json kept.html", ("end in",)),
-    Row(
-        "one target by two names",
-        f"{IDENTIFY} --report kept.html --meshcat two.html",
-        ("already the target",),
-        lambda folder: (folder / "two.html").symlink_to("kept.html"),
-    ),
-    Row(
-        "numbers to standard output",
-        "compare robot.urdf log.csv --json - --save new.yaml",
-        ('"version"',),
-        code=0,
-        writes=("new.yaml",),
-    ),
-    Row(
-        "a longest name",
-        f"compare robot.urdf log.csv --json {'x' * 250}.json",
-        code=0,
-        writes=(f"{'x' * 250}.json",),
-    ),
-    Row(
-        "letters of two bytes",
-        f"compare robot.urdf log.csv --json {'ü' * 120}.json",
-        code=0,
-        writes=(f"{'ü' * 120}.json",),
-    ),
+    Row("one target by two names", f"{IDENTIFY} --report kept.html --meshcat two.html",
+        ("already the target",), lambda folder: (folder / "two.html").symlink_to("kept.html")),
+    Row("numbers to standard output", "compare robot.urdf log.csv --json - --save new.yaml",
+        ('"version"',), code=0, writes=("new.yaml",)),
+    *(Row(what, f"compare robot.urdf log.csv --json {name}.json", code=0, writes=(f"{name}.json",))
+        for what, name in (("a longest name", "x" * 250), ("letters of two bytes", "ü" * 120))),
     Row("all at once", f"compare robot.urdf log.csv {ALL}", code=0, writes=tuple(KEPT)),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("row", REFUSED + MORE, ids=str)

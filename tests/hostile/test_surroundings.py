@@ -86,14 +86,11 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize("row", TOGETHER[:1] + REFUSED, ids=str)
+OTHERS = [pytest.param(row, marks=pytest.mark.thorough) for row in TOGETHER[1:]]
+
+
+@pytest.mark.parametrize("row", [TOGETHER[0], *REFUSED, *OTHERS], ids=str)
 def test_row(row, tmp_path, monkeypatch):
-    row.check(tmp_path, monkeypatch)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("row", TOGETHER[1:], ids=str)
-def test_row_of_others(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 
 
