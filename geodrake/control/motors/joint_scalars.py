@@ -46,7 +46,9 @@ def joint_scalars(shape: tuple[int, ...], **values: Any) -> list[Scalars]:
     """
     found = [_scalars(value, name) for name, value in values.items()]
     for name, array in zip(values, found, strict=True):
-        if array.ndim and shape and array.shape[-1] != shape[-1]:
+        if array.shape in ((), shape):
+            continue
+        if shape and array.shape[-1] != shape[-1]:
             raise ArgumentError(
                 f"{name} must be one number or {shape[-1]}; it has the shape {array.shape}.",
                 name=name,
