@@ -419,6 +419,7 @@ BY_CALL = {
     "Interval": {"lower": (0.0, -1.0), "upper": (1.0, 2.0)},
     "ConstrainedInertia": {"normals": np.eye(10)[:1], "offsets": np.array([0.01])},
     "bregman_projection": {"constraints": slab([1.0, 1.0], 0.5, 1.0)},
+    "Separation": {"prior": np.eye(2), "lower": -np.ones(2), "upper": np.ones(2)},
     "Polyhedron": {"matrix": np.array([[1.0, 1.0]]), "lower": [0.5], "upper": [1.0]},
     "Polyhedron.violation": {"y": np.ones(22)},
     "affine_set": {"A": np.eye(2), "b": np.ones(2)},
