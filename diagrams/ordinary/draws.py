@@ -13,7 +13,8 @@ from ordinary.uncatalogued import KINDS
 ORDINARY, OUTSIDE, QUIET = "ordinary", "outside", "quiet"
 ARMS = ("ur5", "xarm7", "z1", "kinova")
 ENGINES = ("pinocchio", "mujoco")
-COLOURS = ("white", "coloured")
+WHITE, COLOURED = "white", "coloured"
+COLOURS = (WHITE, COLOURED)
 _OFF = (0.0, 0.15, 0.3)
 _RATES = (50.0, 100.0, 200.0, 500.0)
 _QUIET = 2  # logs a colour and seed
@@ -83,7 +84,7 @@ def draw(case: str, robot: str, number: int, seed: int, **fixed: object) -> Draw
         "rate": float(rng.choice(_RATES)),
         "velocities": bool(rng.random() < 0.5),
         "noise": round(float(np.exp(rng.uniform(*np.log((0.005, 0.02))))), 4),
-        "colour": "white",
+        "colour": WHITE,
         "quantised": bool(rng.random() < 1.0 / 3.0),
         "calibrated": bool(rng.random() < 0.5),
     }

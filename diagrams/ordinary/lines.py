@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-
 from hidden.bars import Line, share
+
 from ordinary.draws import COLOURS, ORDINARY, OUTSIDE, QUIET
 
 Row = Mapping[str, Any]

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-
-from geodrake.logs import JointLog
-from hidden.engines import congruent, make_engine, pseudo
+from hidden.engines import Engine, congruent, make_engine, pseudo
 from hidden.motions import FAST, POINTS, make_motion
 from hidden.robots import robot_file, robot_model
 from hidden.truths import Array, Effort, Seen
-from ordinary.draws import Draw
+
+from geodrake.logs import JointLog
+from ordinary.draws import COLOURED, Draw
 from ordinary.uncatalogued import KINDS, Site
 
 DRY, WET, ROTOR, TOOL = "coulomb_friction", "viscous_friction", "rotor_inertia", "payload"
@@ -84,10 +84,9 @@ def make_recording(draw: Draw) -> Recording:
         joints = tuple(model.joints[k] for k in (site.joint, site.other))
         beside = dict.fromkeys(KINDS[draw.kind].comes_with, joints[:1])
     totals = [seen.load + sum(effort(seen, 1.0) for effort in efforts) for seen in motions]
-    sensors = draw.rng("sensors")
-    encoder, tacho = (float(_between(each, sensors)) for each in (_ENCODER, _TACHO))
+    sensors = _Sensors(draw)
     logs = tuple(
-        _measured(draw, f"log {k + 1}", seen, total, (encoder, tacho), sensors)
+        sensors.measured(f"log {k + 1}", seen, total)
         for k, (seen, total) in enumerate(zip(motions, totals, strict=True))
     )
     return Recording(logs, hidden, beside, mass, joints)
@@ -98,7 +97,7 @@ def _effort_limits(draw: Draw) -> Array:
     return np.asarray(robot_model(draw.robot).effort_limits)
 
 
-def _moved(draw: Draw, engine, kind: str) -> Seen:
+def _moved(draw: Draw, engine: Engine, kind: str) -> Seen:
     time = np.arange(0.0, draw.duration, 1.0 / draw.rate)
     q, v, a = make_motion(kind, engine, time, draw.rng(kind))
     return Seen(time, q, v, a, engine.efforts(q, v, a), engine)
@@ -152,28 +151,35 @@ def _sized(draw: Draw, site: Site, seen: Seen) -> Effort:
     return lambda each, scale: effort(each, scale * size)
 
 
-def _measured(
-    draw: Draw,
-    name: str,
-    seen: Seen,
-    effort: Array,
-    deviations: tuple[float, float],
-    rng: np.random.Generator,
-) -> JointLog:
-    """What sensors make of it."""
-    encoder, tacho = deviations
-    noise = rng.normal(size=effort.shape)
-    if draw.colour == "coloured":
-        memory = np.exp(-1.0 / (draw.rate * _between(_COLOURS, rng)))
-        noise[1:] *= np.sqrt(1.0 - memory**2)
-        for k in range(1, len(noise)):
-            noise[k] += memory * noise[k - 1]
-    size = draw.noise * np.maximum(effort.std(0), _LEAST_NOISY * _effort_limits(draw))
-    q, u = seen.q + encoder * rng.normal(size=effort.shape), effort + size * noise
-    v = seen.v + tacho * rng.normal(size=effort.shape)
-    if draw.quantised:
-        q = np.round(q * _COUNTS / (2.0 * np.pi)) * 2.0 * np.pi / _COUNTS
-        u = np.round(u / (_STEP * size)) * _STEP * size
-    stated = {"effort_uncertainty": 0.0} if draw.calibrated else {}
-    joints = seen.engine.joints
-    return JointLog(name, joints, seen.time, q, u, v if draw.velocities else None, **stated)
+class _Sensors:
+    """A draw's sensors, the same for all its logs."""
+
+    def __init__(self, draw: Draw) -> None:
+        self._draw, self._rng = draw, draw.rng("sensors")
+        self._encoder, self._tacho = (
+            float(_between(each, self._rng)) for each in (_ENCODER, _TACHO)
+        )
+
+    def measured(self, name: str, seen: Seen, effort: Array) -> JointLog:
+        """What they make of a motion and its efforts (N, n)."""
+        draw, rng = self._draw, self._rng
+        size = draw.noise * np.maximum(effort.std(0), _LEAST_NOISY * _effort_limits(draw))
+        u = effort + size * self._noise(effort.shape)
+        q = seen.q + self._encoder * rng.normal(size=effort.shape)
+        v = seen.v + self._tacho * rng.normal(size=effort.shape)
+        if draw.quantised:
+            q = np.round(q * _COUNTS / (2.0 * np.pi)) * 2.0 * np.pi / _COUNTS
+            u = np.round(u / (_STEP * size)) * _STEP * size
+        stated = {"effort_uncertainty": 0.0} if draw.calibrated else {}
+        joints, velocity = seen.engine.joints, v if draw.velocities else None
+        return JointLog(name, joints, seen.time, q, u, velocity, **stated)
+
+    def _noise(self, shape: tuple[int, ...]) -> Array:
+        """Noise of deviation one, white or coloured."""
+        noise = self._rng.normal(size=shape)
+        if self._draw.colour == COLOURED:
+            memory = np.exp(-1.0 / (self._draw.rate * _between(_COLOURS, self._rng)))
+            noise[1:] *= np.sqrt(1.0 - memory**2)
+            for k in range(1, len(noise)):
+                noise[k] += memory * noise[k - 1]
+        return np.asarray(noise)

@@ -8,10 +8,10 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from hidden.robots import robot_model
 
 from geodrake.diagnosis import Step, explain
 from geodrake.errors import GeodrakeError
-from hidden.robots import robot_model
 from ordinary.draws import ORDINARY, Draw
 from ordinary.logs import TOOL, Recording, make_recording
 

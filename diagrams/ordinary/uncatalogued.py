@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-
 from hidden.robots import RobotFile
 from hidden.truths import Array, Effort, Seen, smooth_sign
 
