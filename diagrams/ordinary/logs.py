@@ -37,6 +37,7 @@ class Recording:
         beside: Further names that are right -> where.
         mass: Mass of the tool, kg; 0 without one.
         joints: Joints of the effect of no catalogue.
+        values: Effect -> what it is sized by, by joint: N·m, N·m·s, kg·m²; and "breakaway", rad/s.
     """
 
     logs: tuple[JointLog, ...]
@@ -44,6 +45,7 @@ class Recording:
     beside: dict[str, tuple[str, ...]]
     mass: float
     joints: tuple[str, ...]
+    values: dict[str, list[float]]
 
 
 def make_recording(draw: Draw) -> Recording:
@@ -67,14 +69,16 @@ def make_recording(draw: Draw) -> Recording:
     hidden: dict[str, tuple[str, ...]] = {}
     beside: dict[str, tuple[str, ...]] = {}
     efforts: list[Effort] = []
+    values: dict[str, list[float]] = {}
     if draw.friction:
-        efforts.append(_friction(motions, ranges, rng))
+        rubbing, values = _friction(motions, ranges, rng)
+        efforts.append(rubbing)
         hidden |= dict.fromkeys((DRY, WET), model.joints)
     if draw.rotors:
         fastest = np.max([np.abs(seen.a).max(0) for seen in motions], 0)
         inertias = _between(_ROTOR, rng, len(ranges)) * ranges / fastest
         efforts.append(lambda seen, size: size * inertias * seen.a)
-        hidden[ROTOR] = model.joints
+        hidden[ROTOR], values[ROTOR] = model.joints, inertias.tolist()
     if draw.tool:
         hidden[TOOL] = (model.bodies[-1],)
     joints: tuple[str, ...] = ()
@@ -89,7 +93,7 @@ def make_recording(draw: Draw) -> Recording:
         sensors.measured(f"log {k + 1}", seen, total)
         for k, (seen, total) in enumerate(zip(motions, totals, strict=True))
     )
-    return Recording(logs, hidden, beside, mass, joints)
+    return Recording(logs, hidden, beside, mass, joints, values)
 
 
 def _effort_limits(draw: Draw) -> Array:
@@ -108,8 +112,10 @@ def _between(bounds: tuple[float, float], rng: np.random.Generator, n: int | Non
     return np.exp(rng.uniform(*np.log(bounds), n))
 
 
-def _friction(motions: list[Seen], ranges: Array, rng: np.random.Generator) -> Effort:
-    """Dry and viscous friction of all joints, by a draw's own smooth sign."""
+def _friction(
+    motions: list[Seen], ranges: Array, rng: np.random.Generator
+) -> tuple[Effort, dict[str, list[float]]]:
+    """Dry and viscous friction of all joints, by a draw's own smooth sign; its sizes."""
     dry = _between(_FRICTION, rng, len(ranges)) * ranges
     fastest = np.max([np.abs(seen.v).max(0) for seen in motions], 0)
     wet = dry * rng.uniform(*_WET, len(ranges)) / fastest
@@ -119,7 +125,7 @@ def _friction(motions: list[Seen], ranges: Array, rng: np.random.Generator) -> E
         sign = np.tanh(seen.v / width) if is_tanh else seen.v / np.hypot(seen.v, width)
         return size * (dry * sign + wet * seen.v)
 
-    return effort
+    return effort, {DRY: dry.tolist(), WET: wet.tolist(), "breakaway": [width]}
 
 
 def _site(draw: Draw, motions: list[Seen], largest: Array) -> Site:

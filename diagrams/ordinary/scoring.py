@@ -26,7 +26,7 @@ def score_draw(draw: Draw) -> dict[str, Any]:
 def score(draw: Draw, recording: Recording) -> dict[str, Any]:
     """The same of a recording that was made."""
     row = {**asdict(draw), "hidden": recording.hidden, "beside": recording.beside}
-    row |= {"mass": recording.mass, "joints": recording.joints}
+    row |= {"mass": recording.mass, "joints": recording.joints, "values": recording.values}
     model = robot_model(draw.robot)
     began = time.process_time()
     try:
@@ -111,6 +111,8 @@ def miss_words(row: Mapping[str, Any]) -> str:
     what += [name for name in ("velocities", "quantised", "calibrated") if row[name]]
     what += [f"tool {row['mass']:.2f} kg"] if row["mass"] else []
     hides = [*row["hidden"], *([f"{row['kind']} at {row['joints']}"] if row["kind"] else [])]
+    if "breakaway" in row["values"]:
+        what.append(f"breakaway {row['values']['breakaway'][0]:.3f} rad/s")
     text = (
         f"{row['case']} seed {row['seed']} number {row['number']} {row['robot']} {row['engine']} "
         f"({', '.join(what)}) hides {', '.join(hides) or 'nothing'}"
