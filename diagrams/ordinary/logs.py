@@ -20,6 +20,7 @@ _ROTOR = (0.03, 0.2)
 _LEAST_RANGE = 0.1  # of the motor's limit: gears rub in joints without load, too
 _BREAKAWAY = (0.005, 0.02)  # rad/s
 _SHARE = (0.05, 0.25)  # of an effect of no catalogue
+_LEAST_USUAL = 0.05  # N·m
 _ENCODER, _TACHO = (1e-5, 5e-5), (2e-4, 2e-3)  # rad, rad/s
 _STEP, _COUNTS = 1.5, 2.0**17  # of an effort's noise, of a turn
 _LEAST_NOISY = 0.005  # of the motor's limit: sensors are noisy at joints without load, too
@@ -84,7 +85,7 @@ def make_recording(draw: Draw) -> Recording:
     joints: tuple[str, ...] = ()
     if draw.kind:
         site = _site(draw, motions, largest)
-        efforts.append(_sized(draw, site, motions[0]))
+        efforts.append(_sized(draw, site, motions))
         joints = tuple(model.joints[k] for k in (site.joint, site.other))
         beside = dict.fromkeys(KINDS[draw.kind].comes_with, joints[:1])
     totals = [seen.load + sum(effort(seen, 1.0) for effort in efforts) for seen in motions]
@@ -140,16 +141,14 @@ def _site(draw: Draw, motions: list[Seen], largest: Array) -> Site:
     return Site(joint, other, robot_file(draw.robot), center, 0.6 * half, speed, largest, rng)
 
 
-def _sized(draw: Draw, site: Site, seen: Seen) -> Effort:
-    """An effect of no catalogue whose RMS is a drawn share of its joint's effort."""
+def _sized(draw: Draw, site: Site, motions: list[Seen]) -> Effort:
+    """An effect of no catalogue whose RMS in all motions is a drawn share of its joint's effort."""
     kind, wanted = KINDS[draw.kind], float(_between(_SHARE, draw.rng("size")))
     effort, size = kind.make(site), min(1.0, kind.largest)
+    usual = np.maximum(np.concatenate([seen.load for seen in motions]).std(0), _LEAST_USUAL)
     for _ in range(6):
-        reached = float(
-            np.max(
-                np.sqrt(np.mean(effort(seen, size) ** 2, 0)) / np.maximum(seen.load.std(0), 0.05)
-            )
-        )
+        efforts = np.concatenate([effort(seen, size) for seen in motions])
+        reached = float(np.max(np.sqrt(np.mean(efforts**2, 0)) / usual))
         better = min(size * wanted / reached, kind.largest)
         if abs(better / size - 1.0) < 0.05:
             break
