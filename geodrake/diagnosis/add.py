@@ -138,8 +138,8 @@ def _places(
         )
     if not options:
         raise ArgumentError(
-            f"{kind.name} can be added nowhere: the model has it already, or no joint that moves in "
-            "the logs, pair of joints or body can have it."
+            f"{kind.name} can be added nowhere: the model has it already, or no joint that "
+            "moves in the logs, pair of joints or body can have it."
         )
     if where is None:
         return None

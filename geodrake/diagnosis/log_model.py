@@ -32,11 +32,11 @@ from geodrake.diagnosis.unknown_efforts import UnresolvedReversal
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import NOISE_MARGIN, SPREAD
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut, hold_out
-from geodrake.identification.logs.dataset import Dataset
+from geodrake.identification.logs.dataset import Dataset, is_payload
 from geodrake.identification.logs.hypothesis import Hypothesis, effective_of_each
 from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns
-from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.inertia import PARAMETERS_PER_BODY, pseudo_inertia_basis
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -48,6 +48,8 @@ _LEAST_SHARE = 1e-4
 _RIDGE = 1e-11
 _ALIKE = 0.02  # noise is settled if no logarithm of a variance changes by more
 _MOST_FITS = 8
+_UNSURE = 3.0  # deviations, by which a payload may be beyond what is physical
+_PSEUDO = pseudo_inertia_basis()
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,9 +141,10 @@ class LogModel:
         self.known = frozenset(
             (kind.name, effect.where)
             for effect in self.unknowns.effects
+            if not is_payload(effect)  # it may have been put down, or changed
             for kind in (type(effect), *effect.contains)
         )
-        known = set(self.unknowns.effects)
+        known = {effect for effect in self.unknowns.effects if not is_payload(effect)}
         self.terms = terms_of(model, dataset, [e for e in effects if e not in known], beliefs)
         self.widths = beliefs.widths if model.information is None else (1.0, 3.0)
         self.rows = np.maximum(dataset.samples.sum(axis=0), 1).astype(float)
@@ -166,7 +169,6 @@ class LogModel:
         columns = np.concatenate(sources)
         self._grams, self._places = [], []
         for j, joint in enumerate(data.data):
-            p = len(joint.columns)
             gram = joint.grams.sum(axis=0)
             bodies = joint.local(np.arange(self._bodies))
             load = np.zeros(len(gram))
@@ -297,6 +299,8 @@ class LogModel:
                 break
         if bounded and any(np.any(x[at] <= 0.0) for at in self._positive(choice)):
             return None
+        if bounded and not self._is_physical(choice, x, hessian):
+            return None
         way = x - mean
         determinant = 2.0 * (np.log(np.diag(factor)).sum() - np.log(scale).sum())
         score = (
@@ -314,6 +318,22 @@ class LogModel:
             found.append(at + term.positive)
             at += len(term.columns)
         return found
+
+    def _is_physical(self, choice: Choice, x: Array, hessian: Array) -> bool:
+        """Whether payloads may be physical, as far as they are known."""
+        at = self._first_term
+        for term in choice.terms:
+            size = len(term.columns)
+            if term.is_whole:
+                values, axes = np.linalg.eigh(np.tensordot(x[at : at + size], _PSEUDO, 1))
+                slope = np.einsum("kij,i,j->k", _PSEUDO, axes[:, 0], axes[:, 0])
+                right = np.zeros(len(x))
+                right[at : at + size] = slope
+                spread = float(np.sqrt(right @ np.linalg.solve(hessian, right)))
+                if values[0] < -_UNSURE * spread:
+                    return False
+            at += size
+        return True
 
     def _normal(self, columns: Indices, delay: Delay) -> tuple[Array, Array, Array]:
         """AᵀA (nv, n, n), Aᵀb (nv, n) and bᵀb (nv,) of each joint."""
@@ -386,7 +406,9 @@ class LogModel:
             information[: self._bodies, : self._bodies] = np.linalg.inv(covariance)
             unknowns = replace(unknowns, information=information)
         for term in choice.terms:
-            if term.effect is not None:
+            if term.effect in unknowns.effects:
+                unknowns = unknowns.released(term.effect, term.information)
+            elif term.effect is not None:
                 unknowns = unknowns.with_effect(term.effect, term.columns, term.information)
         return unknowns
 
@@ -399,7 +421,7 @@ class LogModel:
         x[: self._bodies] = self.bodies(fit).ravel()
         for term in fit.terms:
             if term.effect is not None:
-                x[unknowns.span(term.effect)] = self.parameters(fit, term)
+                x[unknowns.span(term.effect)] += self.parameters(fit, term)
         held_out = hold_out(
             data, unknowns.columns, np.tile(x, (len(data.folds), 1)), delay=choice.delay
         )
@@ -491,10 +513,10 @@ class Neighbourhood:
         Returns:
             Gains, without `dropped.loss`; −∞ where something is negative that cannot be.
         """
-        found, sizes = np.full(len(packages), -np.inf), dict[int, list[int]]()
+        found, widths = np.full(len(packages), -np.inf), dict[int, list[int]]()
         for k, package in enumerate(packages):
-            sizes.setdefault(sum(len(term.columns) for term in package), []).append(k)
-        for size, chosen in sizes.items():
+            widths.setdefault(sum(len(term.columns) for term in package), []).append(k)
+        for chosen in widths.values():
             alike = [packages[k] for k in chosen]
             at = np.array([np.concatenate([self._model.at[t] for t in p]) for p in alike])
             schur, pull = self._schur[at[:, :, None], at[:, None]], self._pull[at]

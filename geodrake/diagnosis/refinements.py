@@ -138,7 +138,7 @@ def finer_shapes(
     return found
 
 
-_ZOOMS = (1.0 / 3.0, 1.0 / 12.0)
+_ZOOMS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)
 """Steps of finer and finer grids of a shape, in steps of the coarse one."""
 
 

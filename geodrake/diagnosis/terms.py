@@ -25,6 +25,9 @@ Indices = NDArray[np.intp]
 Key = tuple[str, tuple[str, ...]]
 """Name and place of an effect."""
 
+_PHYSICAL = 0.0025
+"""Share of a prior about no body, by the geometric metric, that is physical, whatever its width."""
+
 
 @dataclass(frozen=True, eq=False)
 class Term:
@@ -56,8 +59,9 @@ class Term:
     log_information: float = field(init=False)
 
     def __post_init__(self) -> None:
-        halves = 0.0 if self.is_body else 2.0 * np.log(2.0) * len(self.positive)
-        found = float(np.linalg.slogdet(self.information)[1]) + halves
+        # What is left of the prior where things are as they must be.
+        share = _PHYSICAL if self.is_whole else 0.5 ** len(self.positive)
+        found = float(np.linalg.slogdet(self.information)[1]) - 2.0 * np.log(share)
         object.__setattr__(self, "log_information", found)
 
     def __repr__(self) -> str:
@@ -72,6 +76,11 @@ class Term:
     def is_body(self) -> bool:
         """Whether it moves ten inertial parameters: a payload, or a body that is wrong."""
         return self.effect is None or is_payload(self.effect)
+
+    @cached_property
+    def is_whole(self) -> bool:
+        """Whether it is a body that must be physical: a payload that the model does not have."""
+        return self.effect is not None and self.is_body and len(self.positive) > 0
 
     @cached_property
     def joint(self) -> str | None:
@@ -99,68 +108,55 @@ def terms_of(
     places: dict[type[Effect], set[tuple[str, ...]]] = {}
     for effect in effects:
         places.setdefault(type(effect), set()).add(effect.where)
-    counts = {kind: len(found) for kind, found in places.items()}
-    sizes = _column_sizes(dataset)
-    grid = _round_shapes(effects)
-    terms = [
-        _effect_term(effect, model, dataset, sizes, counts[type(effect)], beliefs, grid)
-        for effect in effects
-    ]
+    sizes, terms = _column_sizes(dataset), list[Term]()
+    for effect in effects:
+        columns, odds = dataset.effect_columns(effect), float(len(places[type(effect)]))
+        if is_payload(effect):
+            odds *= 1.0 if effect.where[0] in model.last_bodies else beliefs.inner
+            information = pullback_information(dataset.payload[None], beliefs.payload)
+            held = any(fitted.effect == effect for fitted in model.effects)
+            positive = [] if held else [0]  # what is held may have been put down
+        else:
+            information = _slab(effect, sizes[columns], beliefs)
+            positive = [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
+        first, again = _prices(effect, odds, beliefs)
+        terms.append(
+            Term(
+                effect.name,
+                effect.where,
+                effect,
+                columns,
+                information,
+                first,
+                again,
+                np.array(positive, np.intp),
+                frozenset((e.name, effect.where) for e in (type(effect), *effect.contains)),
+                tuple(frozenset((e.name, effect.where) for e in bases) for bases in effect.refines),
+            )
+        )
     return (*terms, *_wrong_bodies(model, dataset, beliefs))
 
 
-def _effect_term(
-    effect: Effect,
-    model: RobotModel,
-    dataset: Dataset,
-    sizes: Array,
-    places: int,
-    beliefs: Beliefs,
-    grid: frozenset[Effect],
-) -> Term:
-    """The term of an effect that may be at so many places."""
-    kind, columns = type(effect), dataset.effect_columns(effect)
-    positive = [k for k, parameter in enumerate(effect.parameters) if parameter.lower == 0.0]
-    shape = beliefs.order if effect.proposer is Proposer.WAVES else beliefs.shape
-    price = 2.0 * np.log(shape) * effect.free_shapes + (0.0 if effect in grid else _ODD_SHAPE)
-    first = price + 2.0 * (np.log(places) + effect.complexity * np.log(beliefs.rarer))
-    again = min(first, price + 2.0 * np.log(beliefs.again))
-    if is_payload(effect):
-        information = pullback_information(dataset.payload[None], beliefs.payload)
-        inner = effect.where[0] not in model.last_bodies
-        first = again = first + 2.0 * np.log(beliefs.inner) * inner
-        positive = [0]
-    else:
-        size = beliefs.unknown if isinstance(effect, UnknownFunction) else beliefs.size
-        spread = np.array([parameter.spread for parameter in effect.parameters])
-        widths = np.minimum(size / np.maximum(sizes[columns], 1e-12), spread)
-        information = np.diag(widths**-2.0)
-    return Term(
-        effect.name,
-        effect.where,
-        effect,
-        columns,
-        information,
-        float(first),
-        float(again),
-        np.array(positive, np.intp),
-        frozenset((each.name, effect.where) for each in (kind, *effect.contains)),
-        tuple(frozenset((b.name, effect.where) for b in bases) for bases in effect.refines),
-    )
+def _slab(effect: Effect, sizes: Array, beliefs: Beliefs) -> Array:
+    """(k, k) prior information of parameters whose columns have sizes (k,)."""
+    size = beliefs.unknown if isinstance(effect, UnknownFunction) else beliefs.size
+    spread = np.array([parameter.spread for parameter in effect.parameters])
+    return np.diag(np.minimum(size / np.maximum(sizes, 1e-12), spread) ** -2.0)
 
 
 _ODD_SHAPE = 4.0
-"""Price of an exponent that is no multiple of one half where such are tried."""
+"""Price of an exponent that is no multiple of one half, as those of laws are."""
 
 
-def _round_shapes(effects: Iterable[Effect]) -> frozenset[Effect]:
-    """Effects whose shape is as likely as others: all but odd exponents beside round ones."""
-    found = set()
-    for effect in effects:
-        values = effect.shape.get("exponent")
-        if not isinstance(values, float) or (2.0 * values).is_integer():
-            found.add(effect)
-    return frozenset(found)
+def _prices(effect: Effect, odds: float, beliefs: Beliefs) -> tuple[float, float]:
+    """Prices of an effect that is nowhere else, by the odds against its place, and of one more."""
+    exponent = effect.shape.get("exponent")
+    odd = isinstance(exponent, float) and not (2.0 * exponent).is_integer()
+    shape = beliefs.order if effect.proposer is Proposer.WAVES else beliefs.shape
+    price = 2.0 * np.log(shape) * effect.free_shapes + _ODD_SHAPE * odd
+    first = price + 2.0 * (np.log(odds) + effect.complexity * np.log(beliefs.rarer))
+    again = first if is_payload(effect) else min(first, price + 2.0 * np.log(beliefs.again))
+    return float(first), float(again)
 
 
 def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list[Term]:
