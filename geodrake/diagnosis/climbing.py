@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Collection, Hashable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ def climb(
     hopeful: bool,
     watch: Watch | None = None,
     pause: Callable[[Fit], bool] | None = None,
+    joints: Collection[str] | None = None,
 ) -> Fit:
     """The most probable explanation that steps to more probable neighbours lead to.
 
@@ -39,10 +40,11 @@ def climb(
         hopeful: Whether residuals count for more than they do now, as terms may be missing still.
         watch: Called with each step.
         pause: Whether to return with what a step led to, as it is to be made exact first.
+        joints: Joints whose own effects alone may change; everything may if None.
     """
     seen = {fit.choice.key}  # samples are counted anew at each step, which may lead back
     for _ in range(_MOST_STEPS):
-        better = _step(model, fit, seen, hopeful=hopeful)
+        better = _step(model, fit, seen, joints, hopeful=hopeful)
         if better is None:
             break
         if watch is not None:
@@ -54,12 +56,19 @@ def climb(
     return fit
 
 
-def _step(model: LogModel, fit: Fit, seen: set[Hashable], *, hopeful: bool) -> Fit | None:
+def _step(
+    model: LogModel,
+    fit: Fit,
+    seen: Collection[Hashable],
+    joints: Collection[str] | None,
+    *,
+    hopeful: bool,
+) -> Fit | None:
     """The best neighbour of a fit that was not seen yet, if it is more probable."""
     own = model.shares(fit)
     high = np.maximum(own, _OPTIMISTIC)
     fit = _refitted(model, fit, high if hopeful else own)
-    choices = [choice for choice in neighbours(model, fit) if choice.key not in seen]
+    choices = [choice for choice in neighbours(model, fit, joints=joints) if choice.key not in seen]
     tried = _fitted(model, choices, fit.variance, high)
     promising = tried[:_JUDGED]
     if not hopeful:

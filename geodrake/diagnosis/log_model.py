@@ -230,8 +230,6 @@ class LogModel:
             total += 2.0 * np.log(beliefs.delays)
             if not alike:
                 total += 2.0 * len(late) * np.log(beliefs.again * beliefs.shape)
-        if choice.width != self.widths[0]:
-            total += 2.0 * np.log(beliefs.rarer)
         if choice.width > (beliefs.wrong if self.model.information is None else 1.0):
             total += 6.0 * np.log(beliefs.rarer)
         return float(total)

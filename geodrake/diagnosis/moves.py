@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -33,18 +33,24 @@ class Move:
     gain: float
 
 
-def neighbours(model: LogModel, fit: Fit, *, most: int = _MOST) -> list[Choice]:
+def neighbours(
+    model: LogModel, fit: Fit, *, most: int = _MOST, joints: Collection[str] | None = None
+) -> list[Choice]:
     """The neighbours of an explanation that promise most.
 
     Args:
         model: The Gaussian model.
         fit: The explanation, fitted.
         most: How many, beside other widths of the bodies and the best delays.
+        joints: Joints whose own effects alone may change; everything may if None.
     """
     finder = _Finder(model, fit)
-    moves = sorted(finder.moves(), key=lambda move: -move.gain)
+    moves = finder.moves() if joints is None else finder.rebuilt(joints)
+    moves = sorted(moves, key=lambda move: -move.gain)
     best = list({move.choice.key: move for move in moves}.values())[:most]
     found = [move.choice for move in best]
+    if joints is not None:
+        return found
     for move in best[: most // 2]:
         changed = set(move.choice.terms) ^ set(fit.terms)
         if any(term.joint is None for term in changed):  # it may spare bodies their way
@@ -91,7 +97,7 @@ class _Finder:
     def moves(self) -> Iterator[Move]:
         """All moves that promise something."""
         yield from self.added()
-        yield from self._rebuilt()
+        yield from self.rebuilt(self.by_joint)
         for term in self.fit.terms:
             yield from self._replaced(term)
         yield from self._without_kinds()
@@ -132,10 +138,11 @@ class _Finder:
                 terms, found = zip(*group.values(), strict=True)
                 yield Move(self._choice((*present, *terms)), sum(found))
 
-    def _rebuilt(self) -> Iterator[Move]:
-        """Every joint's own effects anew: alone, as pairs, and beside simple ones."""
+    def rebuilt(self, joints: Collection[str]) -> Iterator[Move]:
+        """The own effects of some joints anew: alone, as pairs, and beside simple ones."""
         present, every = self.fit.terms, list[tuple[Move, list[Term], Terms]]()
-        for joint, offered in self.by_joint.items():
+        for joint in joints:
+            offered = self.by_joint.get(joint, [])
             here = [term for term in present if term.joint == joint]
             rest = tuple(term for term in present if term not in here)
             if not self.model.are_compatible(rest):

@@ -243,6 +243,9 @@ class _Search:
             )
             if not self._is_inexact(self.fit) or not self._refined():
                 break
+            shaped = {term.where[0] for term in self.fit.terms if term.key in self._zooms}
+            if shaped:  # before anything else makes up for a shape that is not exact
+                self.fit = climb(self.model, self.fit, hopeful=hopeful, joints=shaped)
 
     def _is_inexact(self, fit: Fit) -> bool:
         """Whether what was found is to be made exact before anything else is looked for.
@@ -252,7 +255,9 @@ class _Search:
         grid = self.case.dataset.delays
         late = any(abs(grid[k, j]) > 1e-9 for j, k in enumerate(fit.choice.delay))
         returned = self._timed is not None and fit.choice.delay == self._on_time
-        return (late and not returned) or bool(expansions(self.case, self.model, fit))
+        if (late and not returned) or expansions(self.case, self.model, fit):
+            return True
+        return bool(finer_shapes(fit.terms, self._grid, self._zooms))
 
     def _made(self) -> LogModel:
         """The Gaussian model of the case with columns for all that is tried."""
@@ -301,6 +306,8 @@ class _Search:
                 self._effects += more
                 self._grid = (*self._grid, *more)
                 self._anew()
+                if any(effect.role is Role.EPISODE for effect in more):
+                    self.fit = self._start()  # what was found may have followed the contact
                 self._climb(hopeful=True)
                 self._climb(hopeful=False)
                 self._looked = False

@@ -18,36 +18,42 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 
 _SAMPLES = 100_000  # of a segment that are looked at
+_SLIP = 0.02  # of a joint's peak speed, below which surfaces may give way before they slide
 
 
 @dataclass(frozen=True)
 class UnresolvedReversal(JointEffect):
-    """What dry friction does at speeds below which a log does not tell the direction of motion.
+    """What dry friction does at speeds at which a log hardly tells the direction of motion.
 
-    effort = h₁ (sgn v − tanh(v/w)) + h₂ (tanh(v/3w) − tanh(v/w)) + h₃ e^{−|v|/w} tanh(v/w): dry
-    friction that jumps more sharply than the direction tanh(v/w) of other effects, or less, or
-    that is another one there. Speeds below w pass within a sample, or are noise.
+    effort = h₁ (sgn v − d) + h₂ e^{−|v|/w} d + Σ_k h_k (v/√(v² + s_k²) − d), with d = tanh(v/w):
+    friction that jumps more sharply than the direction d of other effects, or less, or that
+    is another one there. Speeds below w pass within a sample, or are noise; how surfaces give way
+    before they slide, below the speeds s_k, no log of ordinary motions tells.
 
     Attributes:
         speed: w, rad/s or m/s.
+        slip: The largest s_k, rad/s or m/s.
     """
 
     speed: float
+    slip: float
 
     name: ClassVar[str] = "unresolved_reversal"
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("sharper", "N·m"),
-        Parameter("softer", "N·m"),
         Parameter("excess", "N·m"),
+        Parameter("softer", "N·m"),
+        Parameter("soft", "N·m"),
     )
-    shapes: ClassVar[tuple[Shape, ...]] = (Shape("speed", "rad/s"),)
+    shapes: ClassVar[tuple[Shape, ...]] = (Shape("speed", "rad/s"), Shape("slip", "rad/s"))
     depends_on: ClassVar[frozenset[str]] = frozenset({"v"})
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """[sgn v − tanh(v/w), tanh(v/3w) − tanh(v/w), e^{−|v|/w} tanh(v/w)]."""
-        u = joint.v / self.speed
-        usual = np.tanh(u)
-        return [np.sign(u) - usual, np.tanh(u / 3.0) - usual, np.exp(-np.abs(u)) * usual]
+        """One column for each h, in the order of the equation."""
+        v, u = joint.v, joint.v / self.speed
+        usual, middle = np.tanh(u), np.sqrt(self.speed * self.slip)
+        soft = [v / np.hypot(v, s) - usual for s in (middle, self.slip)]
+        return [np.sign(u) - usual, np.exp(-np.abs(u)) * usual, *soft]
 
 
 @dataclass(frozen=True)
@@ -116,7 +122,7 @@ def reversals(
             steps = np.maximum(steps, 0.5 * step)
     speeds = np.maximum(widths, steps)
     return tuple(
-        UnresolvedReversal(joint, float(speeds[j]))
+        UnresolvedReversal(joint, float(speeds[j]), float(max(3.0 * speeds[j], _SLIP * peaks[j])))
         for j, joint in enumerate(model.joints)
         if peaks[j] > 0.0 and joint in model.single_joints
     )
@@ -147,7 +153,8 @@ def unknown_functions(
 
 def range_of_motion(trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
     """Lowest and highest positions (nv,) of every joint, rad or m."""
-    seen = [s[:_SAMPLES].position for trajectory in trajectories for s in trajectory.segments]
+    segments = [s for trajectory in trajectories for s in trajectory.segments if len(s)]
+    seen = [s[:_SAMPLES].position for s in segments]
     return (
         np.min([q.min(axis=0) for q in seen], axis=0),
         np.max([q.max(axis=0) for q in seen], axis=0),
