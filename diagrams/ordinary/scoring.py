@@ -100,8 +100,8 @@ def _tool_row(steps: Sequence[Step], recording: Recording) -> dict[str, Any]:
 
 
 def is_missed(row: Mapping[str, Any]) -> bool:
-    """Whether something is missing, or named that is not there."""
-    return bool(row["missing"] or row["wrong"] or row["failed"])
+    """Whether a name is wrong or, of an ordinary robot, something is missing."""
+    return bool(row["wrong"] or row["failed"] or (row["missing"] and row["case"] == ORDINARY))
 
 
 def miss_words(row: Mapping[str, Any]) -> str:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from hidden.body_truths import with_bodies
+from hidden.engines import pseudo
 from hidden.robots import RobotFile
 from hidden.truths import Array, Effort, Seen, smooth_sign
 
@@ -74,7 +76,10 @@ def _growing_friction(site: Site) -> Effort:
 
 
 def _pendulum(site: Site) -> Effort:
-    """A weight that swings in a link, less the same weight held fixed, which the file has."""
+    """A weight that swings in a link, less the same weight at the hinge, where the file has it.
+
+    A weight that hangs quietly pulls at its hinge: what is left is the swing.
+    """
     length, damping = site.rng.uniform(0.05, 0.2), site.rng.uniform(0.05, 0.3)
     spec = mujoco.MjSpec.from_string(site.file.text)
     axis, at = site.rng.normal(size=3), site.rng.uniform(-0.1, 0.1, 3)
@@ -112,11 +117,12 @@ def _pendulum(site: Site) -> Effort:
                 torque = needed(between, (angle, rate, 0.0))  # type: ignore[arg-type]
                 bend = -(drag * rate + torque[free]) / inertia
                 if i == 0:
-                    held = needed(now, (0.0, 0.0, 0.0))
-                    found[k] = (needed(now, (angle, rate, bend)) - held)[arm]
+                    found[k] = needed(now, (angle, rate, bend))[arm]
                 rate += bend * period / steps
                 angle += rate * period / steps
-        return size * found
+        bodies = seen.engine.bodies()
+        bodies[site.joint] += pseudo(1.0, at, 1e-4 * np.eye(3))
+        return size * (found - seen.load - with_bodies(seen, bodies))
 
     return effort
 
