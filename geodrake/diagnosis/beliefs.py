@@ -47,7 +47,7 @@ class Beliefs:
     payload: float = 1.0
     inner: float = 30.0
     unknown: float = 0.3
-    reversal: float = 0.3
+    reversal: float = 1.0
     discrepancy: float = 100.0
     adopted: float = 1.0
 

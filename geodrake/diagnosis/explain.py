@@ -10,6 +10,7 @@ from geodrake.boundary.arguments import function, instance
 from geodrake.boundary.showing import Short
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.final_fit import companion_notes, final_fit
+from geodrake.diagnosis.refinements import fading_notes
 from geodrake.diagnosis.results import Explanation, Step, Verdict
 from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.search_progress import Progress
@@ -124,6 +125,7 @@ def explained(
     if steps:
         said += companion_notes(found.model.unknowns_of(found.fit.choice), fit)
         said += fit.result.notes
+        said += fading_notes(model, fit.model)
         said += [*stated_mass_notes(case, fit.model), *common_factor_notes(bodies)]
     explanation = Explanation(
         verdict_of(after.errors, bool(steps)),

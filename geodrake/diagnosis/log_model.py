@@ -49,6 +49,8 @@ _RIDGE = 1e-11
 _ALIKE = 0.02  # noise is settled if no logarithm of a variance changes by more
 _MOST_FITS = 8
 _UNSURE = 3.0  # deviations, by which a payload may be beyond what is physical
+_SIMPLER = 0.5
+_USUAL_SHARE = 0.3
 _PSEUDO = pseudo_inertia_basis()
 
 
@@ -157,9 +159,9 @@ class LogModel:
     def _assemble(self) -> None:
         """Normal matrices over all columns: model, gains, reversals, terms."""
         data, nv = self.dataset, len(self.dataset.joints)
-        reversals = [e for e in data.effects if isinstance(e, UnresolvedReversal)]
+        self._reversals = [e for e in data.effects if isinstance(e, UnresolvedReversal)]
         sources = [self.unknowns.columns, np.full(nv, -1)]
-        sources += [data.effect_columns(effect) for effect in reversals]
+        sources += [data.effect_columns(effect) for effect in self._reversals]
         self._first_term = sum(map(len, sources))
         at, self.at = self._first_term, dict[Term, Indices]()
         for term in self.terms:
@@ -185,11 +187,10 @@ class LogModel:
         self.mean = np.zeros(len(columns))
         self.mean[: len(self.unknowns.columns)] = self.unknowns.mean
         gains = np.maximum(data.gain_uncertainty, 1e-6) ** -2.0
-        speeds = {effect.where[0]: 1 for effect in reversals}
         unsure = [
-            (self.beliefs.reversal * data.effort_std[data.joints.index(joint)]) ** -2.0
-            for joint in speeds
-            for _ in range(len(UnresolvedReversal.parameters))
+            (self.beliefs.reversal * data.effort_std[data.joints.index(effect.joint)]) ** -2.0
+            for effect in self._reversals
+            for _ in effect.parameters
         ]
         self._nuisances = np.concatenate([gains, unsure])
         self._floor = np.square(_LEAST_NOISE * np.maximum(data.effort_std, 1e-12))
@@ -230,6 +231,8 @@ class LogModel:
             total += 2.0 * np.log(beliefs.delays)
             if not alike:
                 total += 2.0 * len(late) * np.log(beliefs.again * beliefs.shape)
+        # Of widths that explain the same, the narrower one is the simpler one.
+        total += 2.0 * np.log1p(_SIMPLER * self.widths.index(choice.width))
         if choice.width > (beliefs.wrong if self.model.information is None else 1.0):
             total += 6.0 * np.log(beliefs.rarer)
         return float(total)
@@ -310,6 +313,18 @@ class LogModel:
         )
         return Fit(choice, columns, x, variance, weights, hessian, score)
 
+    def refitted(self, fit: Fit) -> Fit:
+        """A fit of another model's terms to this one's columns, where bounds do not count."""
+        own = {term.effect: term for term in self.terms if term.effect is not None}
+        wrong = {term.where: term for term in self.terms if term.effect is None}
+        terms = [wrong[t.where] if t.effect is None else own[t.effect] for t in fit.terms]
+        choice = self.choice(tuple(terms), fit.choice.width, fit.choice.delay)
+        shares = np.full(len(self.rows), _USUAL_SHARE)
+        found = self.fit(choice, shares, fit.variance, bounded=False)
+        if found is None:
+            raise RuntimeError("a fit without bounds was refused")
+        return found
+
     def _positive(self, choice: Choice) -> list[Indices]:
         at, found = self._first_term, []
         for term in choice.terms:
@@ -361,8 +376,7 @@ class LogModel:
     def dataset_parameters(self, fit: Fit) -> tuple[Indices, Array]:
         """Columns (p,) of the dataset and their parameters (p,), gains left aside."""
         p, nv, data = len(self.unknowns.columns), len(self.rows), self.dataset
-        reversals = [e for e in data.effects if isinstance(e, UnresolvedReversal)]
-        columns = [self.unknowns.columns, *(data.effect_columns(e) for e in reversals)]
+        columns = [self.unknowns.columns, *(data.effect_columns(e) for e in self._reversals)]
         columns += [term.columns for term in fit.terms]
         return np.concatenate(columns), np.delete(fit.x, np.arange(p, p + nv))
 
@@ -413,6 +427,9 @@ class LogModel:
     def hypothesis(self, fit: Fit) -> Hypothesis:
         """A fit as it is, for what looks at its residuals: all folds have the same parameters."""
         unknowns, data, choice = self.unknowns_of(fit.choice), self.dataset, fit.choice
+        for effect in self._reversals:
+            known = np.zeros((len(effect.parameters),) * 2)
+            unknowns = unknowns.with_effect(effect, data.effect_columns(effect), known)
         x = np.zeros(len(unknowns.columns))
         p = len(self.unknowns.columns)
         x[:p] = fit.x[:p]
@@ -420,6 +437,11 @@ class LogModel:
         for term in fit.terms:
             if term.effect is not None:
                 x[unknowns.span(term.effect)] += self.parameters(fit, term)
+        at = p + len(self.rows)
+        for effect in self._reversals:
+            span = unknowns.span(effect)
+            x[span] = fit.x[at : at + span.stop - span.start]
+            at += span.stop - span.start
         held_out = hold_out(
             data, unknowns.columns, np.tile(x, (len(data.folds), 1)), delay=choice.delay
         )

@@ -65,9 +65,10 @@ class Posterior:
 
     def __init__(self, model: LogModel, fit: Fit) -> None:
         shares = model.shares(fit)
+        others = neighbours(model, fit, most=_MOST)
         fits = [
-            model.fit(choice, shares, fit.variance)
-            for choice in (fit.choice, *neighbours(model, fit, most=_MOST))
+            model.fit(fit.choice, shares, fit.variance, bounded=False),
+            *(model.fit(choice, shares, fit.variance) for choice in others),
         ]
         self._model, self._fit = model, fit
         self._fits = [each for each in fits if each is not None]

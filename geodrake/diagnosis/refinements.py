@@ -18,9 +18,12 @@ from geodrake.effects import FittedEffect
 from geodrake.effects.base import Effect
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.delays import effort_delays
-from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.case import Case, reduced
+from geodrake.identification.logs.criteria import MOST, SEARCH_MARGIN
 from geodrake.identification.logs.dataset import Dataset
+from geodrake.identification.logs.reduce import peak_speeds, sign_widths
 from geodrake.inertia import is_physical
+from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -239,3 +242,77 @@ def _change_of_load(dataset: Dataset, step: Array) -> float:
         if rows and deviation > 0.0:
             most = max(most, float(np.sqrt(power / rows)) / deviation)
     return most
+
+
+# The speed below which dry friction fades.
+
+
+def fading_speeds(case: Case, model: LogModel, fit: Fit) -> Array | None:
+    """Speeds (nv,) below which the dry friction of each joint fades, rad/s or m/s.
+
+    Surfaces that touch give way a little before they slide, so that measured dry friction does not
+    jump where a joint turns round.
+
+    Args:
+        case: The case.
+        model: The Gaussian model.
+        fit: A fit.
+
+    Returns:
+        None where no joint has less than half of its squared error with another speed than now.
+        Friction that fades with the way from a reversal on, as real friction does, has more: a
+        speed found for it does not hold where joints creep.
+    """
+    robot, logs = case.model, case.trajectories
+    effects = [*model.unknowns.effects, *(t.effect for t in fit.terms if t.effect is not None)]
+    rubbing = {place for effect in effects if effect.jumps for place in effect.where}
+    least = sign_widths(replace(robot, fading_speed=None), logs)
+    most = _FASTEST * peak_speeds(logs)
+    known = np.zeros(len(least)) if robot.fading_speed is None else robot.fading_speed
+
+    def errors(speeds: Array) -> Array:
+        """(nv,) mean squared residuals, what is not known of reversals left aside."""
+        other = replace(robot, fading_speed=speeds)
+        there = replace(case, model=other, shared=case.shared.read_only())
+        dataset = reduced(there, list(dict.fromkeys(effects)))
+        bare = LogModel(other, dataset, effects, model.beliefs, model.on_time)
+        return bare.refitted(fit).variance
+
+    before = errors(known)
+    tried = np.array([joint in rubbing for joint in robot.joints]) & (least < most)
+    tried &= before > np.square(SEARCH_MARGIN * model.dataset.noise_floor)
+    if not tried.any():
+        return None
+    speeds, left = [known], [before]
+    for power in range(1, _DOUBLINGS + 1):
+        speed = np.where(tried, np.minimum(least * 2.0**power, most), known)
+        speeds.append(speed)
+        left.append(errors(speed))
+        if np.all(speed[tried] >= most[tried]):
+            break
+    best = np.argmin(left, axis=0)
+    joints = np.arange(len(best))
+    clear = tried & (np.array(left)[best, joints] <= MOST * before) & (best > 0)
+    return np.where(clear, np.array(speeds)[best, joints], known) if clear.any() else None
+
+
+_FASTEST = 0.1
+"""Dry friction fades below this share of a joint's peak speed at most."""
+_DOUBLINGS = 7
+
+
+def fading_notes(before: RobotModel, after: RobotModel) -> list[str]:
+    """At which speeds dry friction was found to fade, in words.
+
+    Args:
+        before: The model as it came.
+        after: The fitted model.
+    """
+    speeds, known = after.sign_widths(0.0), before.sign_widths(0.0)
+    rubbing = {p for f in after.effects if f.effect.jumps for p in f.effect.where}
+    return [
+        f"dry friction of {joint} fades below {speeds[j]:.2g} "
+        f"{'m/s' if joint in after.sliding_joints else 'rad/s'}"
+        for j, joint in enumerate(after.joints)
+        if joint in rubbing and speeds[j] not in (0.0, known[j])
+    ]

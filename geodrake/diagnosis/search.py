@@ -18,13 +18,14 @@ from geodrake.diagnosis.proposals import proposed
 from geodrake.diagnosis.refinements import (
     delays_of,
     expansions,
+    fading_speeds,
     finer_shapes,
     fitted_loads,
     with_delays,
 )
 from geodrake.diagnosis.search_progress import Progress, progress_of
 from geodrake.diagnosis.terms import Term, Terms
-from geodrake.diagnosis.unknown_efforts import reversals, unknown_functions
+from geodrake.diagnosis.unknown_efforts import is_resolved, reversals, unknown_functions
 from geodrake.effects import Effect
 from geodrake.effects.robot_motion import log_number
 from geodrake.effects.role import Proposer, Role
@@ -37,6 +38,7 @@ Array = NDArray[np.float64]
 _MOST_ROUNDS = 12
 _FIRST_SHARE = 0.05
 _FORCED_SHARE = 0.3
+_MOST_FADINGS = 3
 _OTHER_DELAY = 3.0  # deviations
 
 
@@ -114,6 +116,7 @@ class _Search:
         self._on_time: Delay = (0,) * len(case.model.joints)
         self._zooms = dict[tuple[str, tuple[str, ...]], int]()
         self._timed: Terms | None = None
+        self._faded = list[Terms]()
         self._looked = self._doubted = False
         self._is_stopped = False
         self.model = self._made()
@@ -262,7 +265,9 @@ class _Search:
     def _made(self) -> LogModel:
         """The Gaussian model of the case with columns for all that is tried."""
         model, logs = self.case.model, self.case.trajectories
-        columns = [*self._effects, *reversals(model, logs)]
+        unsure = reversals(model, logs)
+        self._effects = [e for e in self._effects if is_resolved(e, unsure)]
+        columns = [*self._effects, *unsure]
         dataset = reduced(self.case, columns, delays=self._delays)
         self.case = replace(self.case, dataset=dataset)
         return LogModel(model, dataset, self._effects, self._beliefs, self._on_time)
@@ -297,6 +302,9 @@ class _Search:
     def _goes_on(self) -> bool:
         """Make exact what was found, or find more to try; whether there is anything to search."""
         if self._refined():
+            self._climb(hopeful=False)
+            return True
+        if self._fades():
             self._climb(hopeful=False)
             return True
         if not self._looked:
@@ -345,6 +353,19 @@ class _Search:
             self._anew(moved, retimed=retimed)
             return True
         return False
+
+    def _fades(self) -> bool:
+        """Whether dry friction fades at other speeds than was thought, as suits what was found."""
+        if len(self._faded) >= _MOST_FADINGS or self.fit.terms in self._faded:
+            return False
+        self._faded.append(self.fit.terms)
+        speeds = fading_speeds(self.case, self.model, self.fit)
+        if speeds is None:
+            return False
+        faded = replace(self.case.model, fading_speed=speeds)
+        self.case = replace(self.case, model=faded, kept=KeptMotion())
+        self._anew()
+        return True
 
     def _needs_loads(self) -> bool:
         """Whether something in the explanation depends on the load."""

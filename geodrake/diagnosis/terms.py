@@ -25,6 +25,7 @@ Indices = NDArray[np.intp]
 Key = tuple[str, tuple[str, ...]]
 """Name and place of an effect."""
 
+_REACH = 3.0  # of a tool, over that of a dataset's payload: as large as a link
 _PHYSICAL = 0.0025
 """Share of a prior about no body, by the geometric metric, that is physical, whatever its width."""
 
@@ -109,11 +110,13 @@ def terms_of(
     for effect in effects:
         places.setdefault(type(effect), set()).add(effect.where)
     sizes, terms = _column_sizes(dataset), list[Term]()
+    load = dataset.payload * np.array([1.0, *(_REACH for _ in range(3)), *(_REACH**2,) * 6])
+    payload = pullback_information(load[None], beliefs.payload)
     for effect in effects:
         columns, odds = dataset.effect_columns(effect), float(len(places[type(effect)]))
         if is_payload(effect):
             odds *= 1.0 if effect.where[0] in model.last_bodies else beliefs.inner
-            information = pullback_information(dataset.payload[None], beliefs.payload)
+            information = payload
             held = any(fitted.effect == effect for fitted in model.effects)
             positive = [] if held else [0]  # what is held may have been put down
         else:

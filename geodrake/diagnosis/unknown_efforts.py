@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.effects.base import JointEffect, JointMotion, Parameter
+from geodrake.effects.base import Effect, JointEffect, JointMotion, Parameter
 from geodrake.effects.shape import Shape
 from geodrake.identification.logs.reduce import peak_speeds, sign_widths
 from geodrake.logs.motion import Trajectory
@@ -18,6 +18,7 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 
 _SAMPLES = 100_000  # of a segment that are looked at
+_RESOLVED = 2.0  # times the speed below which the direction is not known
 _SLIP = 0.02  # of a joint's peak speed, below which surfaces may give way before they slide
 
 
@@ -25,7 +26,8 @@ _SLIP = 0.02  # of a joint's peak speed, below which surfaces may give way befor
 class UnresolvedReversal(JointEffect):
     """What dry friction does at speeds at which a log hardly tells the direction of motion.
 
-    effort = h₁ (sgn v − d) + h₂ e^{−|v|/w} d + Σ_k h_k (v/√(v² + s_k²) − d), with d = tanh(v/w):
+    effort = h₀ (sgn v − d) + h₁ (tanh(2v/w) − d) + Σ_k e_k e^{−|v|/s_k} d
+             + Σ_k j_k (v/√(v² + s_k²) − d), with d = tanh(v/w):
     friction that jumps more sharply than the direction d of other effects, or less, or that
     is another one there. Speeds below w pass within a sample, or are noise; how surfaces give way
     before they slide, below the speeds s_k, no log of ordinary motions tells.
@@ -40,20 +42,21 @@ class UnresolvedReversal(JointEffect):
 
     name: ClassVar[str] = "unresolved_reversal"
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("sharper", "N·m"),
-        Parameter("excess", "N·m"),
-        Parameter("softer", "N·m"),
-        Parameter("soft", "N·m"),
+        *(Parameter(f"sharper_{k}", "N·m") for k in range(2)),
+        *(Parameter(f"excess_{k}", "N·m") for k in range(3)),
+        *(Parameter(f"softer_{k}", "N·m") for k in range(2)),
     )
     shapes: ClassVar[tuple[Shape, ...]] = (Shape("speed", "rad/s"), Shape("slip", "rad/s"))
     depends_on: ClassVar[frozenset[str]] = frozenset({"v"})
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """One column for each h, in the order of the equation."""
-        v, u = joint.v, joint.v / self.speed
-        usual, middle = np.tanh(u), np.sqrt(self.speed * self.slip)
-        soft = [v / np.hypot(v, s) - usual for s in (middle, self.slip)]
-        return [np.sign(u) - usual, np.exp(-np.abs(u)) * usual, *soft]
+        """One column for each parameter, in the order of the equation."""
+        v, usual = joint.v, np.tanh(joint.v / self.speed)
+        speeds = self.speed, float(np.sqrt(self.speed * self.slip)), self.slip
+        excess = [np.exp(-np.abs(v) / s) * usual for s in speeds]
+        softer = [v / np.hypot(v, s) - usual for s in speeds[1:]]
+        sharper = [np.sign(v) - usual, np.tanh(2.0 * v / self.speed) - usual]
+        return [*sharper, *excess, *softer]
 
 
 @dataclass(frozen=True)
@@ -126,6 +129,19 @@ def reversals(
         for j, joint in enumerate(model.joints)
         if peaks[j] > 0.0 and joint in model.single_joints
     )
+
+
+def is_resolved(effect: Effect, unsure: Sequence[UnresolvedReversal]) -> bool:
+    """Whether a shape of an effect that is a speed is one at which logs tell the direction.
+
+    Args:
+        effect: The effect.
+        unsure: What is not known of reversals.
+    """
+    least = {each.joint: _RESOLVED * each.speed for each in unsure}
+    names = [shape.name for shape in effect.shapes if shape.scale == "speed"]
+    values = [getattr(effect, name) for name in names]
+    return all(value >= least.get(joint, 0.0) for value in values for joint in effect.where)
 
 
 def unknown_functions(

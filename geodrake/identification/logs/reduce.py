@@ -31,8 +31,9 @@ Array = NDArray[np.float64]
 LEAST_SIGN_WIDTH = 0.002
 """The direction of motion is unknown below this share of a joint's peak speed, at least."""
 
-SIGN_NOISE = 3.0
-"""The direction of motion is unknown below so many deviations of the speed's noise."""
+SIGN_NOISE = 1.2
+"""The direction of motion is unknown below so many deviations σ of the speed's noise: its mean is
+erf(v / √2σ), about tanh(v / 1.2 σ)."""
 
 AT_REST = 8.0
 """A joint never moves if its speed stays below so many deviations of its noise."""
