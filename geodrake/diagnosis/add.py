@@ -55,7 +55,7 @@ def add(
         LogError: A log cannot be used.
     """
     instance(model, "model", RobotModel)
-    where = tuple(dict.fromkeys(instances(where or (), "where", str))) or None
+    where = tuple(dict.fromkeys(instances(() if where is None else where, "where", str))) or None
     kind = effect_class(effect, extra)
     _refuse_what_cannot_be(kind, model, where)
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
