@@ -106,10 +106,10 @@ class TestStopped:
         assert first.before > first.after and first.where
 
     def test_before_the_first_step_there_is_no_result(self, monkeypatch, pendulum):
-        def stopped(*_):
+        def stopped(*_, **options):
             raise StopSearch
 
-        monkeypatch.setattr("geodrake.diagnosis.stepwise_search.next_step", stopped)
+        monkeypatch.setattr("geodrake.diagnosis.search.climb", stopped)
         model, log = pendulum
         with pytest.raises(StopSearch):
             explain(load_model(model), [log])

@@ -90,7 +90,7 @@ def test_at_rest_the_posture_changes():
 
 
 class TestDiagnosis:
-    """On an arm; test_other_bandwidth.py has a pendulum whose soft joint is found."""
+    """On an arm; test_bandwidth.py has a pendulum whose soft joint is found."""
 
     @pytest.mark.parametrize(
         ("joint", "stiffness", "friction", "seed"),

@@ -236,7 +236,7 @@ class TestWhatItMustShow:
             # The link's acceleration is known only at a lower bandwidth than the motor's.
             pytest.param(
                 *("one", ("joint_elasticity",), 1, 18),
-                marks=pytest.mark.thorough,  # as is TestSoftness of test_other_bandwidth.py
+                marks=pytest.mark.thorough,  # as is TestSoftness of test_bandwidth.py
             ),
         ],
     )
