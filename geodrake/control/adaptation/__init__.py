@@ -34,6 +34,7 @@ from geodrake.control.adaptation.law import (
     pullback_adaptation,
 )
 from geodrake.control.adaptation.partial import PartialLaw
+from geodrake.control.adaptation.plausible import limited, plausible_limits
 from geodrake.control.adaptation.projected import ProjectedLaw
 from geodrake.control.adaptation.robot_manifold import adapted_parameters, parameter_manifold
 
@@ -54,10 +55,12 @@ __all__ = [
     "euclidean_adaptation",
     "inside_ellipsoid",
     "intersection",
+    "limited",
     "mass_limits",
     "natural_adaptation",
     "parameter_limits",
     "parameter_manifold",
+    "plausible_limits",
     "prediction_covector",
     "pullback_adaptation",
     "tracking_energy",

@@ -65,6 +65,22 @@ class UpdateLaw(abc.ABC):
         """
         return 0.0
 
+    def leak(self, parameters: ArrayLike, toward: ArrayLike) -> Array:
+        """The covector γ (∇h(p̂) − ∇h(p₀)) (n,), which takes the estimate to p₀ at a rate of 1/s.
+
+        With σ times it, V̇ has another −γ σ (D(p‖p̂) + D(p̂‖p₀) − D(p‖p₀)), so that the estimate comes
+        at least as near to the truth as p₀ is, whatever drives it off: the σ-modification of P. A.
+        Ioannou and P. V. Kokotović, Automatica 20(5), 1984, in the metric of the law.
+
+        Args:
+            parameters: (n,) estimate p̂.
+            toward: (n,) p₀, such as the parameters of the model.
+
+        Returns:
+            (n,) the covector; zero from a law that does not know one.
+        """
+        return np.zeros(np.shape(parameters))
+
     @abc.abstractmethod
     def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
         """The rate of the estimate (n,), for a continuous integrator.
@@ -155,6 +171,12 @@ class AdaptationLaw(UpdateLaw):
         """γ⁻¹ tr(Y g(p̂)⁻¹ Yᵀ), 1/s, of rows Y (k, n), which is at least the greatest eigenvalue."""
         p, rows = np.asarray(parameters, float), np.asarray(rows, float)
         return self.manifold.calc_mirror_span(p, rows).squared_length / self.gamma
+
+    def leak(self, parameters: ArrayLike, toward: ArrayLike) -> Array:
+        """γ (∇h(p̂) − ∇h(p₀)) (n,)."""
+        p, toward = np.asarray(parameters, float), np.asarray(toward, float)
+        here = self.manifold.calc_gradient(p)
+        return self.gamma * (here - self.manifold.calc_gradient(toward))
 
     def parameter_error(self, truth: ArrayLike, parameters: ArrayLike) -> Array:
         """γ D(p‖p̂) (...), [Lee2019] Eq. (5.4.49)."""

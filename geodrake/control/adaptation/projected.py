@@ -82,6 +82,10 @@ class ProjectedLaw(UpdateLaw):
         """That of the law inside of C: limits make no rate greater."""
         return self.law.reach(parameters, rows)
 
+    def leak(self, parameters: ArrayLike, toward: ArrayLike) -> Array:
+        """That of the law inside of C."""
+        return self.law.leak(parameters, toward)
+
     @cached_property
     def _set(self) -> ConvexSet:
         given = self.constraints

@@ -147,7 +147,3 @@ class AdaptiveComputedTorqueController(AdaptiveController):
             return 0.0
         e = np.concatenate([seen.q - seen.q_d, seen.qd - seen.v_d])
         return float(0.5 * e @ self._weight_at(gains) @ e)
-
-    def _resting(self, seen: Seen, gains: Array) -> bool:
-        r = seen.qd - seen.v_d + gains * (seen.q - seen.q_d)
-        return bool((np.abs(r) < self._dead_zone).all())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,9 +19,9 @@ from pydrake.systems.framework import (
 )
 
 from geodrake.boundary.arguments import instance, positive
-from geodrake.control.adaptation import UpdateLaw
+from geodrake.control.adaptation import UpdateLaw, limited, plausible_limits
 from geodrake.control.regressor import ControlModel
-from geodrake.control.systems.control_result import ControlResult, Covector
+from geodrake.control.systems.control_result import ControlResult
 from geodrake.control.systems.prediction_error import Prediction, PredictionError
 from geodrake.control.systems.requirements import (
     checked_estimate,
@@ -35,6 +34,7 @@ from geodrake.inertia import Array
 
 _PARAMETERS, _ACTUATION, _WATCH = 0, 1, 2
 _GAINS, _GAMMA = 0, 1  # numeric parameters
+_NOISE = 3.0  # standard deviations that are not adapted to
 _QUIETLY = np.errstate(all="ignore")  # what is not finite is looked for and replaced
 
 
@@ -55,7 +55,25 @@ class AdaptiveController(LeafSystem):
       a time step: at the measured one). Adaptation waits.
     - Without any of both, and where numbers overflow, the last actuation is held (without a time
       step: none is applied).
+    - A state that contradicts the last ones, as outliers, steps of an encoder and sudden noise do
+      (with a time step only, see `Watch`), is missing as well, and adaptation waits until states
+      have been believed for the safeguards' `settling_time`.
     - Efforts beyond their limits are cut off, and adaptation waits.
+
+    The law that the controller is given moves the estimate as it is, and V̇ ≤ 0 holds by its proof
+    ([Lee2019] Proposition 5.7), as long as the estimate is within limits, noise within the dead
+    zone, and adaptation slower than `Safeguards.fastest`. Otherwise:
+
+    - Limits (`plausible_limits`, unless the law is a `ProjectedLaw` already) hold by the geometric
+      projection, Eq. (5.4.57) and (5.4.59). It keeps V̇ ≤ 0 where the truth is within them
+      (Propositions 5.8 and 5.9).
+    - Inside of the dead zone adaptation waits: D(p‖p̂) stays as it is, and V rises only by what V_t
+      does there (B. B. Peterson, K. S. Narendra, IEEE Trans. Automatic Control 27(6), 1982).
+    - A covector that is too long is shortened, as by the normalized gradients of P. A. Ioannou and
+      J. Sun, Robust Adaptive Control, 1996, §4.3. The proof above is of continuous time: a step of
+      length ℓ in the metric adds γ ℓ²/2 to V, which this bounds. While it acts, V may rise.
+    - With leakage, V falls wherever the estimate is further from the truth than the model is, see
+      `UpdateLaw.leak`.
 
     Adaptation by the error of prediction goes on at limits and in the dead zone, as efforts are
     known there. Of its filter, whose memory is a discrete state, whatever is missing is left out
@@ -63,8 +81,8 @@ class AdaptiveController(LeafSystem):
 
     `lyapunov` is the largest float where it is not finite, as where the estimate is not physical.
 
-    Large errors that no parameters can explain, as of a motion that the motors cannot make, still
-    move the estimate whenever no limit is reached. A `ProjectedLaw` keeps it where it makes sense.
+    Errors that no parameters can explain, as of actuators that have lost their strength, still move
+    the estimate, within the limits.
 
     Gains and γ are numeric parameters of the Context (`set_gains`, `set_gamma`). Controllers can be
     cloned, and converted to AutoDiffXd: their kernels are of floats, so that derivatives are by
@@ -114,16 +132,20 @@ class AdaptiveController(LeafSystem):
             self._prediction = Prediction.of(prediction, control, time_step)
         if law is not None:
             instance(law, "law", UpdateLaw)
-        self._law_then = law
         self.DeclareNumericParameter(BasicVector(gains))
         self.DeclareNumericParameter(BasicVector([1.0 if law is None else law.slowness]))
         start = checked_estimate(control, law, parameters)
+        if law is not None and safeguards.factor < np.inf and isinstance(control, ControlModel):
+            self.law = limited(law, plausible_limits(control, start, safeguards.factor))
+        self._law_then = self.law
         self._truth = None if truth is None else checked_estimate(control, law, truth)
         self._limits = safeguards.limits(nv)
+        self._fastest, self._leakage = safeguards.fastest, safeguards.leakage
         self._dead_zone = safeguards.dead_zones(nv)
-        self._rests = bool((self._dead_zone > 0).any())
-        patience = np.inf if time_step == 0 else safeguards.stale_time / time_step
-        self._watch = Watch(nv, max(patience, 1.0))
+        self._watch = Watch(nv)
+        if time_step > 0:
+            guards = safeguards.stale_time, safeguards.drift, safeguards.settling_time
+            self._watch = Watch(nv, time_step, *guards)
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
         self._desired_port = self.DeclareVectorInputPort("desired_state", BasicVector(2 * nv))
         self._acceleration_port = self.DeclareVectorInputPort(
@@ -180,9 +202,14 @@ class AdaptiveController(LeafSystem):
     def _tracking_energy(self, truth: Array, seen: Seen, gains: Array) -> float:
         """V_t."""
 
-    @abc.abstractmethod
     def _resting(self, seen: Seen, gains: Array) -> bool:
-        """Whether the tracking error is within the dead zone."""
+        """Whether r = q̇ − q̇_d + Λ (q − q_d) is within the dead zone."""
+        rate = gains[: self._nv]
+        zone = self._dead_zone
+        if zone is None:
+            zone = _NOISE * (seen.noise[1] + rate * seen.noise[0])
+        r = seen.qd - seen.v_d + rate * (seen.q - seen.q_d)
+        return bool((np.abs(r) < zone).all())
 
     @property
     def time_step(self) -> float:
@@ -270,29 +297,32 @@ class AdaptiveController(LeafSystem):
             or not seen.trusted
             or (self._prediction is not None and self._prediction.alone)
             or bool((applied != effort).any())
-            or (self._rests and self._resting(seen, gains))
+            or self._resting(seen, gains)
         )
         return ControlResult(applied, result.sample, None if waits else result.covector)
 
     def _watched(self, context: Context) -> Array:
-        """What the watch remembers, (3 nv + 1,)."""
+        """What the watch remembers, (8 nv + 3,)."""
         return np.asarray(context.get_discrete_state(_WATCH).value())
 
     def _held(self, context: Context) -> Array:
         """The actuation (nv,) since the last update."""
         return np.asarray(context.get_discrete_state(_ACTUATION).value())
 
-    def _adapted(self, p: Array, covectors: Sequence[Covector], context: Context) -> Array:
-        """The estimate after a time step; as it was where it cannot be moved."""
-        law = self._law_in(context)
-        if law is None:
-            return p
-        try:
-            found = [b for covector in covectors if (b := covector(context)) is not None]
-            following = law.step(p, sum(found), self._time_step) if found else p
-        except (GeodrakeError, np.linalg.LinAlgError):
-            return p
-        return following if usable(following) else p
+    def _pull(
+        self, context: Context, law: UpdateLaw, p: Array, result: ControlResult | None
+    ) -> Array:
+        """What the tracking error and leakage are to the estimate (p,); zero where both wait."""
+        b = np.zeros(len(p))
+        if self._leakage > 0:
+            b = self._leakage * law.leak(p, self.control.prior)
+        tracking = None if result is None or result.covector is None else result.covector(context)
+        if tracking is None:
+            return b
+        if self._time_step > 0:  # steps that are too long are not those of the proof
+            speed = float(np.sqrt(law.reach(p, tracking[None]) / law.slowness))
+            tracking = tracking * min(1.0, self._fastest / max(speed, self._fastest))
+        return b + tracking
 
     @_QUIETLY
     def _update(self, context: Context, state: DiscreteValues) -> None:
@@ -302,30 +332,31 @@ class AdaptiveController(LeafSystem):
         result = self._controlled(p, seen, self._gains(context))
         if result is not None:
             state.set_value(_ACTUATION, result.effort)
-        following = self._following(context, state, p, seen, result)
-        if following is not p:
-            state.set_value(_PARAMETERS, following)
+        if (law := self._law_in(context)) is not None:
+            state.set_value(_PARAMETERS, self._following(context, state, law, seen, result))
 
     def _following(
         self,
         context: Context,
         state: DiscreteValues,
-        p: Array,
+        law: UpdateLaw,
         seen: Seen,
         result: ControlResult | None,
     ) -> Array:
-        """The estimate (p,) after a time step."""
-        law, covectors = self._law_in(context), []
-        if law is None:
-            return p
-        if result is not None and result.covector is not None:
-            covectors.append(result.covector)
+        """The estimate (p,) after a time step; as it was where it cannot be moved."""
+        p = context.get_discrete_state(_PARAMETERS).value()
+        memory = np.zeros(0)
         if (prediction := self._prediction) is not None:
             memory = self._filtered(context, prediction, seen, result)
             state.set_value(self._memory, memory)
-            if seen.trusted and result is not None:
-                covectors.append(lambda _: prediction.covector(law, p, memory))
-        return self._adapted(p, covectors, context) if covectors else p
+        try:
+            b = self._pull(context, law, p, result)
+            if prediction is not None and seen.trusted and result is not None:
+                b = b + prediction.covector(law, p, memory)
+            following = law.step(p, b, self._time_step) if b.any() else p
+        except (GeodrakeError, np.linalg.LinAlgError):
+            return p
+        return following if usable(following) else p
 
     def _filtered(
         self, context: Context, prediction: Prediction, seen: Seen, result: ControlResult | None
@@ -362,11 +393,10 @@ class AdaptiveController(LeafSystem):
     def _rate_of(self, p: Array, context: Context) -> Array:
         """The rate of an estimate (p,); zero where it cannot be moved."""
         result, law = self._result.Eval(context), self._law_in(context)
-        if law is None or result is None or result.covector is None:
+        if law is None:
             return np.zeros(len(p))
         try:
-            b = result.covector(context)
-            rate = np.zeros(len(p)) if b is None else law.rate(p, b)
+            rate = law.rate(p, self._pull(context, law, p, result))
         except (GeodrakeError, np.linalg.LinAlgError):
             return np.zeros(len(p))
         return rate if np.isfinite(rate).all() else np.zeros(len(p))

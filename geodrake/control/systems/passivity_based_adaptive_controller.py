@@ -174,10 +174,6 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         sample = self.control.at(seen.q, seen.qd, seen.qd, np.zeros(self._nv))
         return calc_tracking_energy(sample.mass_matrix(truth), r)
 
-    def _resting(self, seen: Seen, gains: Array) -> bool:
-        r = self._error(seen, gains[: self._nv])[2]
-        return bool((np.abs(r) < self._dead_zone).all())
-
 
 def _gain_vector(gains: VaryingGains | FixedGains, nv: int) -> Array:
     """Rates Λ and, where gains are fixed, damping K: (nv,) or (2 nv,)."""
