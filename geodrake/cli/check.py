@@ -14,7 +14,7 @@ from geodrake.cli.model_options import read_model
 from geodrake.cli.progress import progress
 from geodrake.cli.session import own_effects
 from geodrake.cli.surroundings import print_whole, printing
-from geodrake.cli.tables import head, make_console, say, show_saved, show_table
+from geodrake.cli.tables import head, make_console, say, show_list, show_saved, show_table
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.model.dynamics_check import TOLERANCE, DynamicsCheck, check_dynamics
 from geodrake.report.json_output import number_or, to_json
@@ -22,7 +22,7 @@ from geodrake.report.tables import Table, cells
 
 
 def run_check(options: CheckOptions) -> None:
-    """Run the command; its exit code is 1 where the two differ by more than rounding.
+    """Run the command; its exit code is 1 unless the two agree on the file as it stands.
 
     Raises:
         GeodrakeError: Something about the input, or about the target, does not do.
@@ -31,7 +31,7 @@ def run_check(options: CheckOptions) -> None:
     targets.check([options.model, *files])
     with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
         extra = own_effects(files)
-        model = read_model(options.model, options, extra)
+        model = read_model(options.model, options, update, extra)
         targets.check([options.model, *files, model.path])
         update("Comparing with MultibodyPlant")
         found = check_dynamics(model, samples=options.samples, seed=options.seed)
@@ -56,6 +56,7 @@ def check_dict(found: DynamicsCheck) -> dict[str, Any]:
     why = "a computed value is no number"
     return {
         "agrees": found.holds,
+        "repaired": bool(found.repairs),
         "tolerance": TOLERANCE,
         "samples": found.samples,
         "seed": found.seed,
@@ -71,6 +72,7 @@ def check_dict(found: DynamicsCheck) -> dict[str, Any]:
             for each in found.agreements
         },
         "worst": found.worst.quantity,
+        "notes": list(found.repairs),
     }
 
 
@@ -100,6 +102,7 @@ def show_check(console: Console, found: DynamicsCheck, *, name: str) -> None:
     )
     titles = ("quantity", "largest at", "difference", "of", "relative")
     show_table(console, Table(titles, rows, words=2))
+    show_list(console, "Notes", found.repairs)
     say(console, "Verdict", check_verdict(found))
 
 
@@ -111,6 +114,12 @@ def check_verdict(found: DynamicsCheck) -> str:
     """
     worst = found.worst
     most = f"{worst.relative:.0e} at {' & '.join(worst.where)} ({worst.quantity})"
+    if found.repairs and found.is_rounding:
+        return (
+            "the file has inertias that cannot be used, so what was checked is not the file as it "
+            f"stands (see Notes). Of what is used instead, the largest relative difference is "
+            f"{most}. Correct the inertias in the file."
+        )
     if found.holds:
         return f"geodrake and MultibodyPlant agree; the largest relative difference is {most}."
     return (

@@ -66,7 +66,7 @@ def add(
         LogError: A log cannot be used.
     """
     instance(model, "model", RobotModel)
-    where = tuple(dict.fromkeys(instances(where or (), "where", str))) or None
+    where = tuple(dict.fromkeys(instances(() if where is None else where, "where", str))) or None
     _refuse_what_cannot_be(effect, model, where, extra)
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.optimize import lsq_linear
 
+from geodrake.errors import IdentificationError
+
 Array = NDArray[np.float64]
 
 RIDGE = 1e-9
@@ -40,7 +42,7 @@ def choleskies(matrices: Array, ridge: float = RIDGE) -> list[Array]:
         (n, n) arrays whose lower triangles are the factors; above it there may be anything.
 
     Raises:
-        LinAlgError: A matrix is not positive definite, or not finite.
+        IdentificationError: A matrix is not positive definite, or not finite.
     """
     ridged = np.array(matrices, order="C")
     diagonals = np.einsum("fii->fi", ridged)
@@ -52,7 +54,11 @@ def choleskies(matrices: Array, ridge: float = RIDGE) -> list[Array]:
         failed |= info != 0
     # Factors stand where their matrices were, so that these are the diagonals of the factors.
     if failed or not np.isfinite(diagonals).all():
-        raise np.linalg.LinAlgError("The normal matrix of a fit is not positive definite.")
+        raise IdentificationError(
+            "Some parameters have neither data nor a prior that hold them: the normal matrix of a "
+            "fit is not positive definite.",
+            advice="Give logs with more motion, or the model file instead of a saved model.",
+        )
     return factors
 
 

@@ -22,7 +22,7 @@ from pydrake.multibody.tree import (
 from pydrake.systems.framework import Context, DiagramBuilder, InputPort, OutputPort
 from pydrake.systems.primitives import Adder, MatrixGain
 
-from geodrake.boundary.arguments import instance, real_array
+from geodrake.boundary.arguments import instance, real_array, typed
 from geodrake.errors import ArgumentError
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
@@ -403,6 +403,7 @@ class RobotInstance:
         return np.eye(len(joints))[at]
 
 
+@typed
 def take_out_stated(plant: MultibodyPlant, name: str) -> None:
     """Takes damping and rotor inertia out of a robot, where they are to be effects of a model.
 

@@ -250,7 +250,7 @@ class TestBodies:
         assert np.abs(found).max() > 1e-3
 
     @given(arrays(float, 2, elements=st.floats(-1.5, 1.5)))
-    @settings(max_examples=25, deadline=None)
+    @settings(max_examples=25)
     def test_tilt_is_exact_where_it_is_expanded(self, angles):
         angle = float(np.linalg.norm(angles))
         effect = effects.GravityTilt().expanded_about(angles, self.motion.bodies)

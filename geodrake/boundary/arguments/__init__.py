@@ -11,6 +11,7 @@ Numbers are real: complex ones, strings, objects, booleans, masked arrays and ra
 refused instead of being half believed.
 """
 
+from geodrake.boundary.arguments.annotations import typed
 from geodrake.boundary.arguments.arrays import (
     Shape,
     Sizes,
@@ -36,4 +37,5 @@ __all__ = [
     "positive",
     "positive_definite",
     "real_array",
+    "typed",
 ]

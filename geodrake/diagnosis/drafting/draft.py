@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geodrake.boundary.arguments import function, instance
+from geodrake.boundary.arguments import function, instance, typed
 from geodrake.diagnosis.drafting.formula import Formula
 from geodrake.diagnosis.drafting.results import Array, Correlate, Draft, DraftedEffect
 from geodrake.diagnosis.drafting.screening import Screen
@@ -74,6 +74,7 @@ def draft_effects(
     )
 
 
+@typed
 def rest_correlates(investigation: Investigation) -> tuple[Correlate, ...]:
     """What the error that an investigation left goes with, without a search for formulas.
 

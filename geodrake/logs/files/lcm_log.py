@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import importlib
+import struct
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from geodrake.boundary.input_files import open_regular
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
+from geodrake.logs.files.damage import readable
 from geodrake.logs.files.joint_messages import JointFields, MessageRows
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
@@ -31,13 +34,14 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
     Channels are known by the types of their messages, whatever their names.
     """
     lcm = optional_package("lcm", "lcm", "LCM logs", LogError)
-    with path.open("rb") as file:
+    with open_regular(path, "log", LogError) as file:
         if file.read(len(MAGIC)) != MAGIC:
             raise LogError(
                 f"Log {str(path)!r} is no LCM log: it does not begin as one.",
                 advice="Record it by lcm-logger.",
             )
-    topics = _topics(lcm.EventLog(str(path), "r"), _types())
+    with readable(path, "LCM log"):
+        topics = _topics(lcm.EventLog(str(path), "r"), _types())
     topic, *others = chosen_topics(path, topics, reading)
     if others:
         raise LogError(
@@ -71,7 +75,7 @@ def _topics(events: Any, types: Mapping[bytes, type]) -> list[Topic]:
         if kind is None:
             topics.setdefault(event.channel, Topic(event.channel, "another type"))
             continue
-        message = kind.decode(event.data)
+        message = _decoded(kind, event)
         if event.channel not in rows:
             fields = JointFields.of(message)
             if fields is None:
@@ -80,3 +84,15 @@ def _topics(events: Any, types: Mapping[bytes, type]) -> list[Topic]:
             topics[event.channel] = Topic(event.channel, kind.__name__, rows[event.channel], True)
         rows[event.channel].add(message, 1000 * message.utime, 1000 * event.timestamp)
     return list(topics.values())
+
+
+def _decoded(kind: Any, event: Any) -> Any:
+    """Return the message of an event, or raise if it is not of its type."""
+    try:
+        return kind.decode(event.data)
+    except (struct.error, ValueError) as error:
+        raise LogError(
+            f"Message {event.eventnum} of the log, on channel {event.channel}, is cut off or "
+            f"damaged: {error}.",
+            advice="Record again, or leave that message out.",
+        ) from error

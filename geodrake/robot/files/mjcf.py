@@ -165,7 +165,7 @@ class MjcfText(ModelText):
             if geoms and body.find("inertial") is None:
                 unknown.append(body.get("name", ""))
         if unknown:
-            self.notes.append(
+            self.lost.append(
                 f"The inertia of {', '.join(unknown)} follows from meshes that are not there "
                 f"or not .obj (in {folder}); these meshes do not count."
             )
