@@ -53,9 +53,7 @@ GAP = (6.0, 12.0)  # s, from the end of a fault to the next one
 WRONG = 0.3  # of masses, at first
 GAMMA = 0.05
 TIME_STEP = 4e-3  # s, of a controller
-UNGUARDED = Safeguards(
-    LIMITS, dead_zone=0.0, drift=np.inf, settling_time=0.0, factor=np.inf, fastest=np.inf
-)
+UNGUARDED = Safeguards(LIMITS, dead_zone=0.0, drift=np.inf, settling_time=0.0, factor=np.inf)
 CONTROLLERS = ("passivity", "computed torque", "unguarded")
 
 

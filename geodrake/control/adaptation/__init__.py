@@ -34,7 +34,7 @@ from geodrake.control.adaptation.law import (
     pullback_adaptation,
 )
 from geodrake.control.adaptation.partial import PartialLaw
-from geodrake.control.adaptation.plausible import limited, plausible_limits
+from geodrake.control.adaptation.plausible import limited
 from geodrake.control.adaptation.projected import ProjectedLaw
 from geodrake.control.adaptation.robot_manifold import adapted_parameters, parameter_manifold
 
@@ -60,7 +60,6 @@ __all__ = [
     "natural_adaptation",
     "parameter_limits",
     "parameter_manifold",
-    "plausible_limits",
     "prediction_covector",
     "pullback_adaptation",
     "tracking_energy",

@@ -75,12 +75,6 @@ class PartialLaw(UpdateLaw, Short):
         """That of what is adapted."""
         return self.law.reach(self._own(parameters), self._own(rows))
 
-    def leak(self, parameters: ArrayLike, toward: ArrayLike) -> Array:
-        """That of what is adapted, zero for what is held."""
-        covector = np.zeros(len(self.adapted))
-        covector[self._places] = self.law.leak(self._own(parameters), self._own(toward))
-        return covector
-
     def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
         """The rate (n,), zero for what is held."""
         rate = np.zeros(len(self.adapted))

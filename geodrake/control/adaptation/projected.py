@@ -82,10 +82,6 @@ class ProjectedLaw(UpdateLaw):
         """That of the law inside of C: limits make no rate greater."""
         return self.law.reach(parameters, rows)
 
-    def leak(self, parameters: ArrayLike, toward: ArrayLike) -> Array:
-        """That of the law inside of C."""
-        return self.law.leak(parameters, toward)
-
     @cached_property
     def _set(self) -> ConvexSet:
         given = self.constraints
@@ -133,7 +129,8 @@ class ProjectedLaw(UpdateLaw):
             return self.project(p)
         except GeodrakeError:
             # vᵀ g v = −γ⁻¹ vᵀ b for the rate v, without g.
-            speed = -np.dot(self.law.rate(parameters, b), b) / self.law.gamma
+            pull = self.law.pull(parameters, b)
+            speed = -np.dot(self.law.rate(parameters, b), pull) / self.law.gamma
         length = float(dt * np.sqrt(max(speed, 0.0)))
         for most in _SHORTENED:
             if length > most:

@@ -19,7 +19,7 @@ from pydrake.systems.framework import (
 )
 
 from geodrake.boundary.arguments import instance, positive
-from geodrake.control.adaptation import UpdateLaw, limited, plausible_limits
+from geodrake.control.adaptation import UpdateLaw, limited
 from geodrake.control.regressor import ControlModel
 from geodrake.control.systems.control_result import ControlResult
 from geodrake.control.systems.prediction_error import Prediction, PredictionError
@@ -34,7 +34,6 @@ from geodrake.inertia import Array
 
 _PARAMETERS, _ACTUATION, _WATCH = 0, 1, 2
 _GAINS, _GAMMA = 0, 1  # numeric parameters
-_NOISE = 3.0  # standard deviations that are not adapted to
 _QUIETLY = np.errstate(all="ignore")  # what is not finite is looked for and replaced
 
 
@@ -48,41 +47,30 @@ class AdaptiveController(LeafSystem):
     Actuation is always finite, and the estimate stays in its manifold (where the law has one; in
     continuous time as far as the integrator is exact):
 
-    - A measured state that is not finite, or that stands still for the safeguards' `stale_time`
-      while it says that the robot moves (with a time step only), is replaced by the desired one:
-      feedforward of the model. Adaptation waits, also where a state only repeats the last one.
+    - A measured state that is not finite, that stands still for the safeguards' `stale_time` while
+      it says that the robot moves, or that contradicts the last ones, as outliers, steps of an
+      encoder and sudden noise do (both with a time step only, see `Watch`), is replaced by the
+      desired one: feedforward of the model. Adaptation waits, also where a state only repeats the
+      last one, and after a contradiction for the safeguards' `settling_time`.
     - A desired motion that is not finite is replaced by rest at the last desired position (without
       a time step: at the measured one). Adaptation waits.
     - Without any of both, and where numbers overflow, the last actuation is held (without a time
       step: none is applied).
-    - A state that contradicts the last ones, as outliers, steps of an encoder and sudden noise do
-      (with a time step only, see `Watch`), is missing as well, and adaptation waits until states
-      have been believed for the safeguards' `settling_time`.
     - Efforts beyond their limits are cut off, and adaptation waits.
 
-    The law that the controller is given moves the estimate as it is, and V̇ ≤ 0 holds by its proof
-    ([Lee2019] Proposition 5.7), as long as the estimate is within limits, noise within the dead
-    zone, and adaptation slower than `Safeguards.fastest`. Otherwise:
-
-    - Limits (`plausible_limits`, unless the law is a `ProjectedLaw` already) hold by the geometric
-      projection, Eq. (5.4.57) and (5.4.59). It keeps V̇ ≤ 0 where the truth is within them
-      (Propositions 5.8 and 5.9).
-    - Inside of the dead zone adaptation waits: D(p‖p̂) stays as it is, and V rises only by what V_t
-      does there (B. B. Peterson, K. S. Narendra, IEEE Trans. Automatic Control 27(6), 1982).
-    - A covector that is too long is shortened, as by the normalized gradients of P. A. Ioannou and
-      J. Sun, Robust Adaptive Control, 1996, §4.3. The proof above is of continuous time: a step of
-      length ℓ in the metric adds γ ℓ²/2 to V, which this bounds. While it acts, V may rise.
-    - With leakage, V falls wherever the estimate is further from the truth than the model is, see
-      `UpdateLaw.leak`.
+    With V = V_t + γ D(p‖p̂), the law of the covector b keeps V̇ ≤ 0, [Lee2019] Proposition 5.7, and
+    so does the projection onto the safeguards' limits of plausible parameters (see `limited`; none
+    if the law is a `ProjectedLaw`), Eq. (5.4.57) and (5.4.59), as the truth is within them
+    (Propositions 5.8 and 5.9). Where adaptation waits, D(p‖p̂) stays as it is, and V may rise by
+    what the actual state makes of V_t. Leakage may raise V near the truth, see `AdaptationLaw`.
+    Errors that no parameters explain, as of actuators that have lost their strength, move the
+    estimate as well, within the limits.
 
     Adaptation by the error of prediction goes on at limits and in the dead zone, as efforts are
     known there. Of its filter, whose memory is a discrete state, whatever is missing is left out
     on both sides, a measured effort that is not finite too.
 
     `lyapunov` is the largest float where it is not finite, as where the estimate is not physical.
-
-    Errors that no parameters can explain, as of actuators that have lost their strength, still move
-    the estimate, within the limits.
 
     Gains and γ are numeric parameters of the Context (`set_gains`, `set_gamma`). Controllers can be
     cloned, and converted to AutoDiffXd: their kernels are of floats, so that derivatives are by
@@ -135,12 +123,11 @@ class AdaptiveController(LeafSystem):
         self.DeclareNumericParameter(BasicVector(gains))
         self.DeclareNumericParameter(BasicVector([1.0 if law is None else law.slowness]))
         start = checked_estimate(control, law, parameters)
-        if law is not None and safeguards.factor < np.inf and isinstance(control, ControlModel):
-            self.law = limited(law, plausible_limits(control, start, safeguards.factor))
+        if law is not None and safeguards.factor < np.inf:
+            self.law = limited(law, [control.prior, start], safeguards.factor)
         self._law_then = self.law
         self._truth = None if truth is None else checked_estimate(control, law, truth)
         self._limits = safeguards.limits(nv)
-        self._fastest, self._leakage = safeguards.fastest, safeguards.leakage
         self._dead_zone = safeguards.dead_zones(nv)
         self._watch = Watch(nv)
         if time_step > 0:
@@ -204,12 +191,8 @@ class AdaptiveController(LeafSystem):
 
     def _resting(self, seen: Seen, gains: Array) -> bool:
         """Whether r = q̇ − q̇_d + Λ (q − q_d) is within the dead zone."""
-        rate = gains[: self._nv]
-        zone = self._dead_zone
-        if zone is None:
-            zone = _NOISE * (seen.noise[1] + rate * seen.noise[0])
-        r = seen.qd - seen.v_d + rate * (seen.q - seen.q_d)
-        return bool((np.abs(r) < zone).all())
+        r = seen.qd - seen.v_d + gains[: self._nv] * (seen.q - seen.q_d)
+        return bool((np.abs(r) < self._dead_zone).all())
 
     @property
     def time_step(self) -> float:
@@ -285,13 +268,12 @@ class AdaptiveController(LeafSystem):
             return None
         try:
             result = self._result_at(p, seen, gains)
-            effort = applied = result.effort
+            effort = result.effort
         except (GeodrakeError, np.linalg.LinAlgError):
             return None
         if not usable(effort):
             return None
-        if self._limits is not None:
-            applied = np.clip(effort, -self._limits, self._limits)
+        applied = np.clip(effort, -self._limits, self._limits)
         waits = (
             self.law is None
             or not seen.trusted
@@ -302,27 +284,12 @@ class AdaptiveController(LeafSystem):
         return ControlResult(applied, result.sample, None if waits else result.covector)
 
     def _watched(self, context: Context) -> Array:
-        """What the watch remembers, (8 nv + 3,)."""
+        """What the watch remembers, (4 nv + 3,)."""
         return np.asarray(context.get_discrete_state(_WATCH).value())
 
     def _held(self, context: Context) -> Array:
         """The actuation (nv,) since the last update."""
         return np.asarray(context.get_discrete_state(_ACTUATION).value())
-
-    def _pull(
-        self, context: Context, law: UpdateLaw, p: Array, result: ControlResult | None
-    ) -> Array:
-        """What the tracking error and leakage are to the estimate (p,); zero where both wait."""
-        b = np.zeros(len(p))
-        if self._leakage > 0:
-            b = self._leakage * law.leak(p, self.control.prior)
-        tracking = None if result is None or result.covector is None else result.covector(context)
-        if tracking is None:
-            return b
-        if self._time_step > 0:  # steps that are too long are not those of the proof
-            speed = float(np.sqrt(law.reach(p, tracking[None]) / law.slowness))
-            tracking = tracking * min(1.0, self._fastest / max(speed, self._fastest))
-        return b + tracking
 
     @_QUIETLY
     def _update(self, context: Context, state: DiscreteValues) -> None:
@@ -350,7 +317,7 @@ class AdaptiveController(LeafSystem):
             memory = self._filtered(context, prediction, seen, result)
             state.set_value(self._memory, memory)
         try:
-            b = self._pull(context, law, p, result)
+            b = _covector(context, result, len(p))
             if prediction is not None and seen.trusted and result is not None:
                 b = b + prediction.covector(law, p, memory)
             following = law.step(p, b, self._time_step) if b.any() else p
@@ -396,7 +363,7 @@ class AdaptiveController(LeafSystem):
         if law is None:
             return np.zeros(len(p))
         try:
-            rate = law.rate(p, self._pull(context, law, p, result))
+            rate = law.rate(p, _covector(context, result, len(p)))
         except (GeodrakeError, np.linalg.LinAlgError):
             return np.zeros(len(p))
         return rate if np.isfinite(rate).all() else np.zeros(len(p))
@@ -417,3 +384,9 @@ class AdaptiveController(LeafSystem):
         if seen.trusted:
             value += self._tracking_energy(truth, seen, self._gains(context))
         output.SetFromVector([value if np.isfinite(value) else np.finfo(float).max])
+
+
+def _covector(context: Context, result: ControlResult | None, size: int) -> Array:
+    """Return what the tracking error is to the estimate (size,); zero where adaptation waits."""
+    covector = None if result is None or result.covector is None else result.covector(context)
+    return np.zeros(size) if covector is None else covector
