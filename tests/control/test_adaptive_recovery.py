@@ -12,10 +12,10 @@ from geodrake.control.adaptation import (
     PartialLaw,
     adapted_parameters,
     euclidean_adaptation,
-    limited,
     natural_adaptation,
     parameter_manifold,
 )
+from geodrake.control.adaptation.plausible import limited
 from geodrake.control.regressor import ControlModel
 from geodrake.control.systems import (
     AdaptiveComputedTorqueController,

@@ -34,7 +34,6 @@ from geodrake.control.adaptation.law import (
     pullback_adaptation,
 )
 from geodrake.control.adaptation.partial import PartialLaw
-from geodrake.control.adaptation.plausible import limited
 from geodrake.control.adaptation.projected import ProjectedLaw
 from geodrake.control.adaptation.robot_manifold import adapted_parameters, parameter_manifold
 
@@ -55,7 +54,6 @@ __all__ = [
     "euclidean_adaptation",
     "inside_ellipsoid",
     "intersection",
-    "limited",
     "mass_limits",
     "natural_adaptation",
     "parameter_limits",

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from geodrake.boundary.arguments import number, real_array
+from geodrake.boundary.arguments import instance, number, real_array
 from geodrake.control.adaptation.law import AdaptationLaw, UpdateLaw
 from geodrake.control.adaptation.partial import PartialLaw
 from geodrake.control.adaptation.projected import ProjectedLaw
@@ -34,9 +34,9 @@ def limited(law: UpdateLaw, points: ArrayLike, factor: float) -> UpdateLaw:
         points: (k, n) the model's parameters, and the first estimate.
         factor: Above one.
     """
-    points = real_array(points, "points", ("k", "n"))
     if not number(factor, "factor") > 1:
         raise ArgumentError(f"factor must be above one; got {factor}.")
+    points = real_array(points, "points", ("k", instance(law, "law", UpdateLaw).dimension or "n"))
     if isinstance(law, PartialLaw):
         return replace(law, law=limited(law.law, points[:, law.adapted], factor))
     if not isinstance(law, AdaptationLaw) or law.integrator != "geodesic":

@@ -19,7 +19,8 @@ from pydrake.systems.framework import (
 )
 
 from geodrake.boundary.arguments import instance, positive
-from geodrake.control.adaptation import UpdateLaw, limited
+from geodrake.control.adaptation import UpdateLaw
+from geodrake.control.adaptation.plausible import limited
 from geodrake.control.regressor import ControlModel
 from geodrake.control.systems.control_result import ControlResult
 from geodrake.control.systems.prediction_error import Prediction, PredictionError
@@ -58,9 +59,9 @@ class AdaptiveController(LeafSystem):
       step: none is applied).
     - Efforts beyond their limits are cut off, and adaptation waits.
 
-    With V = V_t + γ D(p‖p̂), the law of the covector b keeps V̇ ≤ 0, [Lee2019] Proposition 5.7, and
-    so does the projection onto the safeguards' limits of plausible parameters (see `limited`; none
-    if the law is a `ProjectedLaw`), Eq. (5.4.57) and (5.4.59), as the truth is within them
+    With V = V_t + γ D(p‖p̂), the law of the covector b keeps V̇ ≤ 0, [Lee2019] Proposition 5.7. So
+    does the projection onto limits of plausible parameters (`adaptation.plausible`; none if the law
+    is a `ProjectedLaw`), Eq. (5.4.57) and (5.4.59), as long as the truth is within them
     (Propositions 5.8 and 5.9). Where adaptation waits, D(p‖p̂) stays as it is, and V may rise by
     what the actual state makes of V_t. Leakage may raise V near the truth, see `AdaptationLaw`.
     Errors that no parameters explain, as of actuators that have lost their strength, move the

@@ -113,7 +113,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
             time_step: Period of control and adaptation, s; zero for continuous time.
             parameters: (p,) first estimate; that of the model if None.
             truth: (p,) true parameters, for the port `lyapunov`.
-            safeguards: Limits; none if None, but for sensors that stand still.
+            safeguards: Those of `Safeguards()` if None, which has no limits of effort.
             prediction: Adaptation by the error of prediction, beside the tracking error or alone;
                 needs a time step.
 

@@ -38,7 +38,7 @@ class Safeguards(Short):
             inf to believe all.
         settling_time: For how long states must have been believed before adaptation goes on, s.
         factor: How many times the parameters of the model, or the first estimate, an estimate may
-            reach, see `limited`; inf for no limits.
+            reach, see `control.adaptation.plausible`; inf for no limits.
 
     Raises:
         ArgumentError: A number is out of range.
