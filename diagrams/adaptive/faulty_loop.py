@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.trajectories import Trajectory
@@ -12,7 +14,6 @@ from pydrake.trajectories import Trajectory
 from adaptive.faults import Array, Episode, FaultySensor, WeakActuators
 from geodrake.control import add_adaptive_loop
 from geodrake.control.systems import AdaptiveController
-from geodrake.model import RobotModel
 from geodrake.robot import RobotPorts
 
 PLANT_STEP = 4e-3  # s, of a third-order integrator
@@ -38,7 +39,7 @@ class Moment:
 
 def moments(
     controller: AdaptiveController,
-    robot: RobotModel,
+    plant: MultibodyPlant,
     motion: Trajectory,
     episodes: Sequence[Episode],
     *,
@@ -51,7 +52,7 @@ def moments(
 
     Args:
         controller: The controller, which says how often it acts.
-        robot: What is controlled, with its effects.
+        plant: What is controlled, in continuous time, with an actuator at each joint in turn.
         motion: What is to be tracked.
         episodes: The faults.
         limits: (n,) limits of the efforts, N·m.
@@ -60,15 +61,17 @@ def moments(
         period: From one moment to the next, s.
     """
     builder = DiagramBuilder()
-    inside, joints = robot.add_to_builder(builder), controller.control.joints
+    builder.AddSystem(plant)
+    joints = controller.control.joints
     weak = builder.AddSystem(WeakActuators(WEAKENED * limits, episodes))
-    builder.Connect(weak.get_output_port(), inside.effort)
-    ports = RobotPorts(joints, inside.state, None, weak.get_input_port())
+    builder.Connect(weak.get_output_port(), plant.get_actuation_input_port())
+    ports = RobotPorts(joints, plant.get_state_output_port(), None, weak.get_input_port())
     sensor = FaultySensor(2 * len(joints), episodes, seed=seed)
     loop = add_adaptive_loop(builder, ports, controller, motion, sensor=sensor)
     diagram = builder.Build()
     root = diagram.CreateDefaultContext()
-    inside.set_state(root, motion.value(0.0).ravel(), motion.EvalDerivative(0.0).ravel())
+    at_first = np.concatenate([motion.value(0.0).ravel(), motion.EvalDerivative(0.0).ravel()])
+    plant.SetPositionsAndVelocities(plant.GetMyMutableContextFromRoot(root), at_first)
     simulator = Simulator(diagram, root)
     config = SimulatorConfig(
         integration_scheme="runge_kutta3", max_step_size=PLANT_STEP, use_error_control=False

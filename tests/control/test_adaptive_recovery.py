@@ -6,7 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from adaptive_loops import CONTROL, MANIFOLD, MODEL, TRUTH, motion, natural, perturbed
+from adaptive_loops import (
+    CONTROL,
+    DAMPING,
+    MANIFOLD,
+    MODEL,
+    TRUTH,
+    motion,
+    natural,
+    pendulum_plant,
+    perturbed,
+)
 
 from geodrake.control.adaptation import (
     PartialLaw,
@@ -102,7 +112,8 @@ def test_a_second_of_faults_ruins_no_estimate(kind, law, friction, fault, seed):
     patience, growth = WITHIN_THEN if (fault, friction) == WOUND_UP else WITHIN
     episode, end = Episode(fault, START, STOP), STOP + patience + 0.5
     path = motion(duration=end + 1.0)
-    found = list(moments(system, model, path, [episode], limits=LIMITS, end=end, seed=seed))
+    plant = pendulum_plant(damping=DAMPING if friction else 0.0)
+    found = list(moments(system, plant, path, [episode], limits=LIMITS, end=end, seed=seed))
     time = np.array([moment.time for moment in found])
     estimates = np.array([moment.parameters for moment in found])
     error = np.array([np.abs(moment.error).max() for moment in found])
