@@ -48,7 +48,7 @@ class Safeguards(Short):
     stale_time: float = 0.05
     dead_zone: ArrayLike = 0.0
     drift: float = 0.02
-    settling_time: float = 1.0
+    settling_time: float = 2.0
     factor: float = 10.0
 
     def __post_init__(self) -> None:
@@ -121,7 +121,8 @@ class Watch:
 
         d ← exp(−h/τ) d + q − q⁻ − h (q̇ + q̇⁻)/2,   τ = 0.25 s
 
-    The first state after 0.25 s without one is taken, whatever it says.
+    The first state after `stale_time` without any, or 0.25 s of contradictions, is taken, whatever
+    it says.
 
     A measured state that is missing is taken to be the desired one, which leaves the feedforward of
     the model. A desired motion that is missing is to rest at the last desired position, or if there
@@ -208,7 +209,8 @@ def calc_measured(
         counts[1] = counts[1] + 1.0 if moving else 0.0
         return counts[1] == 0.0 or counts[1] * period < stale, False
     gap, following, believed = counts[0] * period, np.zeros(n), True
-    for i in range(n) if gap <= _FORGOTTEN else range(0):
+    oldest = _FORGOTTEN if counts[2] < counts[0] else min(stale, _FORGOTTEN)
+    for i in range(n) if gap <= oldest else range(0):
         off = state[i] - memory[i] - 0.5 * gap * (state[n + i] + memory[n + i])
         following[i] = np.exp(-gap / _FORGOTTEN) * drift[i] + off
         believed &= not abs(following[i]) > most
