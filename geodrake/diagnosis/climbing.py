@@ -56,6 +56,28 @@ def climb(
     return fit
 
 
+def settled(model: LogModel, fit: Fit) -> Fit:
+    """The most probable explanation where residuals count as those of the last one throughout.
+
+    Probabilities are told by the samples that the residuals of the answer are worth. So nothing
+    nearby may be more probable by them.
+
+    Args:
+        model: The Gaussian model.
+        fit: Where climbing ended.
+    """
+    shares, seen = model.shares(fit), {fit.choice.key}
+    fit = _refitted(model, fit, shares)
+    for _ in range(_MOST_STEPS):
+        choices = [choice for choice in neighbours(model, fit) if choice.key not in seen]
+        tried = _fitted(model, choices, fit.variance, shares)
+        if not tried or tried[0].score <= fit.score:
+            break
+        fit = tried[0]
+        seen.add(fit.choice.key)
+    return fit
+
+
 def _step(
     model: LogModel,
     fit: Fit,

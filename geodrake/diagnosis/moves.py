@@ -56,6 +56,8 @@ def neighbours(
         if any(term.joint is None for term in changed):  # it may spare bodies their way
             found += _other_widths(model, move.choice)
     found += _other_widths(model, fit.choice)
+    for choice in finder.sparing():
+        found += [choice, *_other_widths(model, choice)]
     was, base = fit.choice, finder.base
     for delay, gain in finder.around.delays():
         late = Choice(was.terms, was.width, delay)
@@ -229,6 +231,18 @@ class _Finder:
                 move = self._move(rest, self.around.dropped(gone).loss)
                 if move.gain > _LOSS:
                     yield move
+
+    def sparing(self) -> Iterator[Choice]:
+        """One payload more, or another effect of the whole robot, which may spare bodies their way.
+
+        With bodies as free as they are it may promise nothing, and much with bodies that stay.
+        """
+        present, last = self.fit.terms, set(self.model.model.last_bodies)
+        for term in self.model.terms:
+            whole = term.effect is not None and term.effect.places == "robot"
+            held = term.is_whole and term.where[0] in last
+            if (whole or held) and self.model.are_compatible((*present, term)):
+                yield self._choice((*present, term))
 
     def _kinds_replaced(self) -> Iterator[Move]:
         """One kind of effect in the place of another one at all of its joints."""

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.interrupts import StopSearch
 from geodrake.diagnosis.beliefs import Beliefs
-from geodrake.diagnosis.climbing import climb
+from geodrake.diagnosis.climbing import climb, settled
 from geodrake.diagnosis.contact_window import PIECES
 from geodrake.diagnosis.episodes import find_episodes
 from geodrake.diagnosis.log_model import Choice, Delay, Fit, LogModel
@@ -136,6 +136,7 @@ class _Search:
             for _ in range(_MOST_ROUNDS):
                 if not self._goes_on():
                     break
+            self.fit = settled(self.model, self.fit)
         except StopSearch:
             if not self.fit.terms:
                 raise

@@ -323,13 +323,13 @@ def test_what_does_not_fit_is_refused():
         passive(gains=VaryingGains(0.0))
     with pytest.raises(ArgumentError, match="damping gains"):
         passive(gains=FixedGains([1.0, 2.0, 3.0], 1.0))
-    with pytest.raises(ArgumentError, match="Effort limits"):
+    with pytest.raises(ArgumentError, match="effort_limits"):
         passive(safeguards=Safeguards(effort_limits=[1.0, -1.0]))
     with pytest.raises(ArgumentError, match="rate must be a finite real number"):
         passive(gains=VaryingGains([1.0, 9.0]))
     with pytest.raises(ArgumentError, match="VaryingGains or FixedGains"):
         passive(gains=8.0)
-    with pytest.raises(ArgumentError, match="dead zone"):
+    with pytest.raises(ArgumentError, match="dead_zone"):
         passive(safeguards=Safeguards(dead_zone=[1.0, 1.0, 1.0]))
     with pytest.raises(ArgumentError, match="stale_time"):
         Safeguards(stale_time=np.nan)

@@ -80,7 +80,8 @@ def test_an_exact_sensor_of_efforts_says_what_the_controller_knows():
 def test_a_step_is_by_the_sum_of_both_covectors():
     """Against the pure functions, from the second sample on, where there are filtered rows."""
     error = PredictionError([0.3, 0.2], bandwidth=30.0, tolerance=[0.01, 0.02])
-    system = passive(error, natural(0.7), parameters=perturbed(0.2))
+    guards = Safeguards(drift=np.inf, dead_zone=0.0)  # states are random
+    system = passive(error, natural(0.7), parameters=perturbed(0.2), safeguards=guards)
     context = system.CreateDefaultContext()
     filtered = FilteredRegressor(CONTROL, STEP, 30.0, held_effort=True)
     memory, held, p = filtered.start(), np.zeros(2), perturbed(0.2)

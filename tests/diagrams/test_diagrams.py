@@ -19,6 +19,7 @@ from geodrake.logs.files import read_log
 
 APART = "computed_torque_or_passivity"
 LONG = {  # whose parts are tested elsewhere, too
+    "adaptive_soak",
     "ambidex_sandbags",
     "criteria_worth",
     "fleet_kills",
@@ -158,7 +159,18 @@ def identifies_less_but_better(table):
     assert rows["reduced"]["moment"] < rows["full"]["moment"]
 
 
+def survives_its_faults(table):
+    """Estimates stay near the truth, tracking comes back, and nothing is kept in memory."""
+    for row in table["rows"]:
+        if row["controller"] != "unguarded":
+            assert row["faults"] >= 2
+            assert row["ratio"] < 3.0 and row["recovery"] < 5.0
+            assert 0.02 < row["least_mass"] < row["greatest_mass"] < 20.0
+            assert row["last_memory"] - row["first_memory"] < 20.0
+
+
 SHOWS = {
+    "adaptive_soak": survives_its_faults,
     "ambidex_sandbags": adapts_to_a_sandbag_and_stays_physical,
     "atlas_identification": identifies_less_but_better,
     "iiwa_excitation": orders_normalizations_as_the_source,

@@ -10,7 +10,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.boundary.arguments import instance, integer, one_of, positive, real_array
+from geodrake.boundary.arguments import (
+    instance,
+    integer,
+    number,
+    one_of,
+    positive,
+    real_array,
+)
 from geodrake.control.adaptation.flat import ConstantMetric
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Manifold
@@ -109,16 +116,31 @@ class AdaptationLaw(UpdateLaw):
         gamma: γ > 0; adaptation is as fast as γ⁻¹.
         integrator: "geodesic" steps stay inside of the manifold however long they are; "euler" is
             p̂ + dt p̂̇, the source's, and may leave it.
+        leakage: σ ≥ 0, 1/s, of a pull γ σ (∇h(p̂) − ∇h(p₀)) that is added to b, wherever b is not
+            zero: the σ-modification of P. A. Ioannou and P. V. Kokotović, Automatica 20(5), 1984,
+            in this metric. V̇ has another −γ σ (D(p‖p̂) + D(p̂‖p₀) − D(p‖p₀)), and may only rise
+            where p̂ is nearer to the truth than p₀ is.
+        toward: (n,) p₀, such as the parameters of the model.
+
+    Raises:
+        ArgumentError: A number is out of range, or there is leakage toward no point of the
+            manifold.
     """
 
     manifold: Manifold
     gamma: float = 1.0
     integrator: Integrator = "geodesic"
+    leakage: float = 0.0
+    toward: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         instance(self.manifold, "manifold", Manifold)
         positive(self.gamma, "gamma")
         one_of(self.integrator, "integrator", ("geodesic", "euler"))
+        if number(self.leakage, "leakage", lower=0.0) > 0:
+            toward = real_array(self.toward, "toward", (self.manifold.dimension,))
+            if not self.manifold.contains(toward):
+                raise ArgumentError("Leakage is toward a point inside of the manifold.")
 
     @property
     def slowness(self) -> float:
@@ -140,16 +162,24 @@ class AdaptationLaw(UpdateLaw):
 
     def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
         """−γ⁻¹ g(p̂)⁻¹ b (n,), [Lee2019] Eq. (5.4.51); zero if b is not finite."""
-        b = _finite(b)
         p = np.asarray(parameters, float)
-        return self.manifold.calc_inverse_metric_times(p, b) / -self.gamma
+        return self.manifold.calc_inverse_metric_times(p, self.pull(p, b)) / -self.gamma
 
     def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
         """The estimate (n,) after dt seconds, by the integrator; as it was if b is not finite."""
-        b = _finite(b)
+        p = np.asarray(parameters, float)
         if self.integrator == "euler":
-            return np.asarray(parameters, float) + dt * self.rate(parameters, b)
-        return self.manifold.calc_natural_step(np.asarray(parameters, float), b, dt / self.gamma)
+            return p + dt * self.rate(p, b)
+        return self.manifold.calc_natural_step(p, self.pull(p, b), dt / self.gamma)
+
+    def pull(self, parameters: ArrayLike, b: ArrayLike) -> Array:
+        """Return b (n,) with leakage; zero if b is not finite."""
+        b = _finite(b)
+        if self.leakage == 0 or not b.any():
+            return b
+        points = np.array([parameters, self.toward], float)
+        here, there = self.manifold.gradient(points)
+        return b + self.gamma * self.leakage * (here - there)
 
     def reach(self, parameters: ArrayLike, rows: ArrayLike) -> float:
         """γ⁻¹ tr(Y g(p̂)⁻¹ Yᵀ), 1/s, of rows Y (k, n), which is at least the greatest eigenvalue."""

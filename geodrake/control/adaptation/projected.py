@@ -129,7 +129,8 @@ class ProjectedLaw(UpdateLaw):
             return self.project(p)
         except GeodrakeError:
             # vᵀ g v = −γ⁻¹ vᵀ b for the rate v, without g.
-            speed = -np.dot(self.law.rate(parameters, b), b) / self.law.gamma
+            pull = self.law.pull(parameters, b)
+            speed = -np.dot(self.law.rate(parameters, b), pull) / self.law.gamma
         length = float(dt * np.sqrt(max(speed, 0.0)))
         for most in _SHORTENED:
             if length > most:

@@ -80,7 +80,7 @@ class AdaptiveComputedTorqueController(AdaptiveController):
             time_step: Period of control and adaptation, s; zero for continuous time.
             parameters: (p,) first estimate; that of the model if None.
             truth: (p,) true parameters, for the port `lyapunov`.
-            safeguards: Limits; none if None, but for sensors that stand still.
+            safeguards: Those of `Safeguards()` if None, which has no limits of effort.
             prediction: Adaptation by the error of prediction, beside the tracking error or alone;
                 needs a time step.
 
@@ -147,7 +147,3 @@ class AdaptiveComputedTorqueController(AdaptiveController):
             return 0.0
         e = np.concatenate([seen.q - seen.q_d, seen.qd - seen.v_d])
         return float(0.5 * e @ self._weight_at(gains) @ e)
-
-    def _resting(self, seen: Seen, gains: Array) -> bool:
-        r = seen.qd - seen.v_d + gains * (seen.q - seen.q_d)
-        return bool((np.abs(r) < self._dead_zone).all())

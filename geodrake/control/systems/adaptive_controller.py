@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,8 +20,9 @@ from pydrake.systems.framework import (
 
 from geodrake.boundary.arguments import instance, positive
 from geodrake.control.adaptation import UpdateLaw
+from geodrake.control.adaptation.plausible import limited
 from geodrake.control.regressor import ControlModel
-from geodrake.control.systems.control_result import ControlResult, Covector
+from geodrake.control.systems.control_result import ControlResult
 from geodrake.control.systems.prediction_error import Prediction, PredictionError
 from geodrake.control.systems.requirements import (
     checked_estimate,
@@ -49,23 +49,30 @@ class AdaptiveController(LeafSystem):
     Actuation is always finite, and the estimate stays in its manifold (where the law has one; in
     continuous time as far as the integrator is exact):
 
-    - A measured state that is not finite, or that stands still for the safeguards' `stale_time`
-      while it says that the robot moves (with a time step only), is replaced by the desired one:
-      feedforward of the model. Adaptation waits, also where a state only repeats the last one.
+    - A measured state that is not finite, that stands still for the safeguards' `stale_time` while
+      it says that the robot moves, or that contradicts the last ones, as outliers, steps of an
+      encoder and sudden noise do (both with a time step only, see `Watch`), is replaced by the
+      desired one: feedforward of the model. Adaptation waits, also where a state only repeats the
+      last one, and after a contradiction for the safeguards' `settling_time`.
     - A desired motion that is not finite is replaced by rest at the last desired position (without
       a time step: at the measured one). Adaptation waits.
     - Without any of both, and where numbers overflow, the last actuation is held (without a time
       step: none is applied).
     - Efforts beyond their limits are cut off, and adaptation waits.
 
+    With V = V_t + γ D(p‖p̂), the law of the covector b keeps V̇ ≤ 0, [Lee2019] Proposition 5.7. So
+    does the projection onto limits of plausible parameters (`adaptation.plausible`; none if the law
+    is a `ProjectedLaw`), Eq. (5.4.57) and (5.4.59), as long as the truth is within them
+    (Propositions 5.8 and 5.9). Where adaptation waits, D(p‖p̂) stays as it is, and V may rise by
+    what the actual state makes of V_t. Leakage may raise V near the truth, see `AdaptationLaw`.
+    Errors that no parameters explain, as of actuators that have lost their strength, move the
+    estimate as well, within the limits.
+
     Adaptation by the error of prediction goes on at limits and in the dead zone, as efforts are
     known there. Of its filter, whose memory is a discrete state, whatever is missing is left out
     on both sides, a measured effort that is not finite too.
 
     `lyapunov` is the largest float where it is not finite, as where the estimate is not physical.
-
-    Large errors that no parameters can explain, as of a motion that the motors cannot make, still
-    move the estimate whenever no limit is reached. A `ProjectedLaw` keeps it where it makes sense.
 
     Gains and γ are numeric parameters of the Context (`set_gains`, `set_gamma`). Controllers can be
     cloned, and converted to AutoDiffXd: their kernels are of floats, so that derivatives are by
@@ -115,16 +122,19 @@ class AdaptiveController(LeafSystem):
             self._prediction = Prediction.of(prediction, control, time_step)
         if law is not None:
             instance(law, "law", UpdateLaw)
-        self._law_then = law
         self.DeclareNumericParameter(BasicVector(gains))
         self.DeclareNumericParameter(BasicVector([1.0 if law is None else law.slowness]))
         start = checked_estimate(control, law, parameters)
+        if law is not None and safeguards.factor < np.inf:
+            self.law = limited(law, [control.prior, start], safeguards.factor)
+        self._law_then = self.law
         self._truth = None if truth is None else checked_estimate(control, law, truth)
         self._limits = safeguards.limits(nv)
         self._dead_zone = safeguards.dead_zones(nv)
-        self._rests = bool((self._dead_zone > 0).any())
-        patience = np.inf if time_step == 0 else safeguards.stale_time / time_step
-        self._watch = Watch(nv, max(patience, 1.0))
+        self._watch = Watch(nv)
+        if time_step > 0:
+            guards = safeguards.stale_time, safeguards.drift, safeguards.settling_time
+            self._watch = Watch(nv, time_step, *guards)
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
         self._desired_port = self.DeclareVectorInputPort("desired_state", BasicVector(2 * nv))
         self._acceleration_port = self.DeclareVectorInputPort(
@@ -181,9 +191,10 @@ class AdaptiveController(LeafSystem):
     def _tracking_energy(self, truth: Array, seen: Seen, gains: Array) -> float:
         """V_t."""
 
-    @abc.abstractmethod
     def _resting(self, seen: Seen, gains: Array) -> bool:
-        """Whether the tracking error is within the dead zone."""
+        """Whether r = q̇ − q̇_d + Λ (q − q_d) is within the dead zone."""
+        r = seen.qd - seen.v_d + gains[: self._nv] * (seen.q - seen.q_d)
+        return bool((np.abs(r) < self._dead_zone).all())
 
     @property
     def time_step(self) -> float:
@@ -262,41 +273,28 @@ class AdaptiveController(LeafSystem):
             return None
         try:
             result = self._result_at(p, seen, gains)
-            effort = applied = result.effort
+            effort = result.effort
         except (GeodrakeError, np.linalg.LinAlgError):
             return None
         if not usable(effort):
             return None
-        if self._limits is not None:
-            applied = np.clip(effort, -self._limits, self._limits)
+        applied = np.clip(effort, -self._limits, self._limits)
         waits = (
             self.law is None
             or not seen.trusted
             or (self._prediction is not None and self._prediction.alone)
             or bool((applied != effort).any())
-            or (self._rests and self._resting(seen, gains))
+            or self._resting(seen, gains)
         )
         return ControlResult(applied, result.sample, None if waits else result.covector)
 
     def _watched(self, context: Context) -> Array:
-        """What the watch remembers, (3 nv + 1,)."""
+        """What the watch remembers, (4 nv + 3,)."""
         return np.asarray(context.get_discrete_state(_WATCH).value())
 
     def _held(self, context: Context) -> Array:
         """The actuation (nv,) since the last update."""
         return np.asarray(context.get_discrete_state(_ACTUATION).value())
-
-    def _adapted(self, p: Array, covectors: Sequence[Covector], context: Context) -> Array:
-        """The estimate after a time step; as it was where it cannot be moved."""
-        law = self._law_in(context)
-        if law is None:
-            return p
-        try:
-            found = [b for covector in covectors if (b := covector(context)) is not None]
-            following = law.step(p, sum(found), self._time_step) if found else p
-        except (GeodrakeError, np.linalg.LinAlgError):
-            return p
-        return following if usable(following) else p
 
     @_QUIETLY
     def _update(self, context: Context, state: DiscreteValues) -> None:
@@ -306,30 +304,31 @@ class AdaptiveController(LeafSystem):
         result = self._controlled(p, seen, self._gains(context))
         if result is not None:
             state.set_value(_ACTUATION, result.effort)
-        following = self._following(context, state, p, seen, result)
-        if following is not p:
-            state.set_value(_PARAMETERS, following)
+        if (law := self._law_in(context)) is not None:
+            state.set_value(_PARAMETERS, self._following(context, state, law, seen, result))
 
     def _following(
         self,
         context: Context,
         state: DiscreteValues,
-        p: Array,
+        law: UpdateLaw,
         seen: Seen,
         result: ControlResult | None,
     ) -> Array:
-        """The estimate (p,) after a time step."""
-        law, covectors = self._law_in(context), []
-        if law is None:
-            return p
-        if result is not None and result.covector is not None:
-            covectors.append(result.covector)
+        """The estimate (p,) after a time step; as it was where it cannot be moved."""
+        p = context.get_discrete_state(_PARAMETERS).value()
+        memory = np.zeros(0)
         if (prediction := self._prediction) is not None:
             memory = self._filtered(context, prediction, seen, result)
             state.set_value(self._memory, memory)
-            if seen.trusted and result is not None:
-                covectors.append(lambda _: prediction.covector(law, p, memory))
-        return self._adapted(p, covectors, context) if covectors else p
+        try:
+            b = _covector(context, result, len(p))
+            if prediction is not None and seen.trusted and result is not None:
+                b = b + prediction.covector(law, p, memory)
+            following = law.step(p, b, self._time_step) if b.any() else p
+        except (GeodrakeError, np.linalg.LinAlgError):
+            return p
+        return following if usable(following) else p
 
     def _filtered(
         self, context: Context, prediction: Prediction, seen: Seen, result: ControlResult | None
@@ -366,11 +365,10 @@ class AdaptiveController(LeafSystem):
     def _rate_of(self, p: Array, context: Context) -> Array:
         """The rate of an estimate (p,); zero where it cannot be moved."""
         result, law = self._result.Eval(context), self._law_in(context)
-        if law is None or result is None or result.covector is None:
+        if law is None:
             return np.zeros(len(p))
         try:
-            b = result.covector(context)
-            rate = np.zeros(len(p)) if b is None else law.rate(p, b)
+            rate = law.rate(p, _covector(context, result, len(p)))
         except (GeodrakeError, np.linalg.LinAlgError):
             return np.zeros(len(p))
         return rate if np.isfinite(rate).all() else np.zeros(len(p))
@@ -391,3 +389,9 @@ class AdaptiveController(LeafSystem):
         if seen.trusted:
             value += self._tracking_energy(truth, seen, self._gains(context))
         output.SetFromVector([value if np.isfinite(value) else np.finfo(float).max])
+
+
+def _covector(context: Context, result: ControlResult | None, size: int) -> Array:
+    """Return what the tracking error is to the estimate (size,); zero where adaptation waits."""
+    covector = None if result is None or result.covector is None else result.covector(context)
+    return np.zeros(size) if covector is None else covector

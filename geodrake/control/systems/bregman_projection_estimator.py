@@ -10,7 +10,6 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem, State
 
 from geodrake.boundary.arguments import instance, integer, number, positive
-from geodrake.compiling import contiguous
 from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate
 from geodrake.control.online_estimation.sample_update import Rows
 from geodrake.control.regressor import ControlModel
@@ -19,7 +18,7 @@ from geodrake.control.systems.requirements import (
     require_same_robot,
     require_single_joints,
 )
-from geodrake.control.systems.safeguards import Safeguards, Watch, look_at, usable
+from geodrake.control.systems.safeguards import Safeguards, Watch, usable
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_context
@@ -141,13 +140,18 @@ class BregmanProjectionEstimator(LeafSystem):
         self._nv, self._time_step = nv, time_step
         self._every = update_every
         self._spacing = max(1, round(memory / (_SLOTS * time_step * update_every)))
-        self._watch = Watch(nv, max(stale_time / time_step, 1.0))
+        self._watch = Watch(nv, time_step, stale_time)
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
         self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(nv))
-        seen = self._watch.start()[: 2 * nv + 1]
         self._estimate, self._memory, self._seen, self._residual, self._error = (
             self.DeclareDiscreteState(value)
-            for value in (start, filtered.start(), seen, np.zeros(nv), np.array([np.inf]))
+            for value in (
+                start,
+                filtered.start(),
+                self._watch.start(),
+                np.zeros(nv),
+                np.array([np.inf]),
+            )
         )
         # (Not discrete state, all of which Drake copies at every update.)
         samples = _Remembered(np.zeros((_SLOTS, *filtered.shape)), np.zeros((_SLOTS, nv)))
@@ -182,9 +186,9 @@ class BregmanProjectionEstimator(LeafSystem):
 
     def _update(self, context: Context, state: DiscreteValues) -> None:
         x, effort = self._state_port.Eval(context), self._effort_port.Eval(context)
-        watched = context.get_discrete_state(self._seen).value()
-        measured, new, count = look_at(contiguous(x), self._watch.patience, watched)
-        state.set_value(self._seen, np.concatenate((x if new else watched[:-1], (count,))))
+        watched = np.array(context.get_discrete_state(self._seen).value())
+        measured, new = self._watch.measure(watched, x)
+        state.set_value(self._seen, watched)
         memory = context.get_discrete_state(self._memory).value()
         if not (measured and usable(effort)):
             state.set_value(self._memory, self._filter.skipped(memory))

@@ -113,7 +113,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
             time_step: Period of control and adaptation, s; zero for continuous time.
             parameters: (p,) first estimate; that of the model if None.
             truth: (p,) true parameters, for the port `lyapunov`.
-            safeguards: Limits; none if None, but for sensors that stand still.
+            safeguards: Those of `Safeguards()` if None, which has no limits of effort.
             prediction: Adaptation by the error of prediction, beside the tracking error or alone;
                 needs a time step.
 
@@ -173,10 +173,6 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         r = self._error(seen, gains[: self._nv])[2]
         sample = self.control.at(seen.q, seen.qd, seen.qd, np.zeros(self._nv))
         return calc_tracking_energy(sample.mass_matrix(truth), r)
-
-    def _resting(self, seen: Seen, gains: Array) -> bool:
-        r = self._error(seen, gains[: self._nv])[2]
-        return bool((np.abs(r) < self._dead_zone).all())
 
 
 def _gain_vector(gains: VaryingGains | FixedGains, nv: int) -> Array:

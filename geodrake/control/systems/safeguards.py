@@ -10,14 +10,16 @@ from numpy.typing import ArrayLike
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointActuatorIndex
 
-from geodrake.boundary.arguments import number, real_array
+from geodrake.boundary.arguments import number, one_or_each
 from geodrake.boundary.showing import Short
-from geodrake.compiling import compiled, contiguous, inlined
+from geodrake.compiling import compiled, contiguous
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_plant
 
 _MOVING = 1e-4  # rad/s or m/s, speed above which two equal measurements are one
+_LARGEST = 1e6  # rad, m, rad/s or m/s, norm of a state that no robot has
+_FORGOTTEN = 0.25  # s, for which drift adds up, and states are held against the last one
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,25 +33,34 @@ class Safeguards(Short):
             that the robot moves, counts as missing, s; inf for never.
         dead_zone: (nv,) or one tracking error |r|, rad/s or m/s, that is not adapted to: what noise
             makes of the velocity. Adaptation by this error waits while all joints are inside.
+        drift: What positions may drift from what velocities say within a quarter of a second, rad
+            or m; several times the noise of positions. A state that goes further is not believed.
+            inf to believe all.
+        settling_time: For how long states must have been believed before adaptation goes on, s.
+        factor: How many times the parameters of the model, or the first estimate, an estimate may
+            reach, see `control.adaptation.plausible`; inf for no limits.
 
     Raises:
-        ArgumentError: The stale time is not positive.
+        ArgumentError: A number is out of range.
     """
 
     effort_limits: ArrayLike | None = None
     stale_time: float = 0.05
     dead_zone: ArrayLike = 0.0
+    drift: float = 0.02
+    settling_time: float = 2.0
+    factor: float = 10.0
 
     def __post_init__(self) -> None:
-        if not number(self.stale_time, "stale_time", finite=False) > 0:
-            raise ArgumentError(f"A stale time is positive; got {self.stale_time} s.")
-        zone = real_array(self.dead_zone, "dead_zone")
-        if zone.ndim > 1 or not (zone >= 0).all():
-            raise ArgumentError(f"A dead zone is zero or more; got {zone.tolist()}.")
+        for name in ("stale_time", "drift"):
+            if not number(given := getattr(self, name), name, finite=False) > 0:
+                raise ArgumentError(f"{name} must be positive; got {given}.")
+        number(self.settling_time, "settling_time", lower=0.0)
+        if not number(self.factor, "factor", finite=False) > 1:
+            raise ArgumentError(f"factor must be above one; got {self.factor}.")
+        self.dead_zones(np.size(self.dead_zone))
         if self.effort_limits is not None:
-            limits = real_array(self.effort_limits, "effort_limits", finite=False)
-            if limits.ndim > 1 or not (limits > 0).all():
-                raise ArgumentError(f"Effort limits must be positive; got {limits.tolist()}.")
+            self.limits(np.size(self.effort_limits))
 
     @classmethod
     def of_plant(cls, plant: MultibodyPlant, *, stale_time: float = 0.05) -> Safeguards:
@@ -66,21 +77,14 @@ class Safeguards(Short):
             limits[actuator.joint().velocity_start()] = actuator.effort_limit()
         return cls(limits, stale_time)
 
-    def limits(self, nv: int) -> Array | None:
-        """The effort limits (nv,), checked."""
-        if self.effort_limits is None:
-            return None
-        limits = np.asarray(self.effort_limits, float)
-        if limits.shape not in ((), (nv,)):
-            raise ArgumentError(f"Effort limits are one or {nv}; got {limits.tolist()}.")
-        return np.broadcast_to(limits, (nv,))
+    def limits(self, nv: int) -> Array:
+        """Return the effort limits (nv,), checked; infinite where there are none."""
+        limits = np.inf if self.effort_limits is None else self.effort_limits
+        return one_or_each(limits, "effort_limits", nv, strict=True, finite=False)
 
     def dead_zones(self, nv: int) -> Array:
-        """The dead zone (nv,), checked."""
-        zone = np.asarray(self.dead_zone, float)
-        if zone.shape not in ((), (nv,)):
-            raise ArgumentError(f"A dead zone is one or {nv}; got {zone.tolist()}.")
-        return np.broadcast_to(zone, (nv,))
+        """Return the dead zone (nv,), checked."""
+        return one_or_each(self.dead_zone, "dead_zone", nv)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +97,8 @@ class Seen:
         q_d: (n,) desired positions.
         v_d: (n,) desired velocities.
         a_d: (n,) desired accelerations.
-        trusted: Whether all of it was measured and asked for just now.
-        repeated: Whether all of that is so but that the state is the last one again.
+        trusted: Whether all of it was measured and asked for just now, and has been plausible.
+        repeated: Whether all of it is usable but the state is the last one again.
         known: Whether there is anything to go by.
     """
 
@@ -110,24 +114,45 @@ class Seen:
 
 @dataclass(frozen=True)
 class Watch:
-    """Replaces inputs that are missing.
+    """Looks after a sensor, and replaces inputs that are missing.
+
+    A state is missing where it is not finite, has stood still for too long, or contradicts the last
+    one, as positions drift by more than `drift` from what velocities say of them:
+
+        d ← exp(−h/τ) d + q − q⁻ − h (q̇ + q̇⁻)/2,   τ = 0.25 s
+
+    The first state after `stale_time` without any, or 0.25 s of contradictions, is taken, whatever
+    it says.
 
     A measured state that is missing is taken to be the desired one, which leaves the feedforward of
     the model. A desired motion that is missing is to rest at the last desired position, or if there
-    was none at the measured one. The memory holds the last measured state, for how many samples it
-    has not changed, and the last desired position.
+    was none at the measured one.
+
+    The memory holds the last measured state, the last desired position, the drift, and for how many
+    samples there was no new state, a moving robot has stood still, and there was no contradiction.
 
     Attributes:
         size: Number n of positions, which are as many as velocities.
-        patience: Number of samples without change after which a moving robot's state is missing.
+        period: From sample to sample, s; zero where nothing is remembered.
+        stale_time, drift, settling_time: Those of `Safeguards`.
     """
 
     size: int
-    patience: float = np.inf
+    period: float = 0.0
+    stale_time: float = np.inf
+    drift: float = np.inf
+    settling_time: float = 0.0
 
     def start(self) -> Array:
-        """The memory (3 n + 1,) before the first sample."""
-        return np.concatenate([np.full(2 * self.size, np.nan), [0.0], np.full(self.size, np.nan)])
+        """The memory (4 n + 3,) before the first sample."""
+        never = np.finfo(float).max
+        return np.concatenate(
+            [np.full(3 * self.size, np.nan), np.zeros(self.size), [never, 0.0, never]]
+        )
+
+    def measure(self, memory: Array, state: Array) -> tuple[bool, bool]:
+        """Whether a state (2 n,) is believed, and whether it is new; puts it into the memory."""
+        return calc_measured(contiguous(state), (self.period, self.stale_time, self.drift), memory)
 
     def look(
         self, memory: Array, state: Array, desired: Array, acceleration: Array
@@ -135,96 +160,67 @@ class Watch:
         """What to go by, and the memory after the sample.
 
         Args:
-            memory: (3 n + 1,) of the last sample.
+            memory: (4 n + 3,) of the last sample.
             state: (2 n,) measured positions and velocities.
             desired: (2 n,) desired positions and velocities.
             acceleration: (n,) desired accelerations.
         """
         n, following = self.size, memory.copy()
-        seen = np.empty((5, n))
-        desired, acceleration = contiguous(desired), contiguous(acceleration)
-        trusted, repeated, known = calc_look(
-            (contiguous(state), desired, acceleration), self.patience, following, seen
-        )
-        q, qd, q_d, v_d, a_d = seen
-        return Seen(q, qd, q_d, v_d, a_d, trusted, repeated, known), following
+        measured, new = self.measure(following, state)
+        last = following[2 * n : 3 * n]
+        if asked := usable(desired) and usable(acceleration):
+            q_d, v_d, a_d = desired[:n], desired[n:], acceleration
+        else:
+            q_d = state[:n] if measured and not usable(last) else last.copy()
+            v_d = a_d = np.zeros(n)
+        if known := usable(q_d):
+            last[:] = q_d
+        q, qd = (state[:n], state[n:]) if measured else (q_d, v_d)
+        settled = following[-1] * self.period >= self.settling_time
+        both = measured and asked
+        trusted = both and new and bool(settled)
+        return Seen(q, qd, q_d, v_d, a_d, trusted, both and not new, known), following
 
 
 @compiled
-def calc_look(
-    inputs: tuple[Array, Array, Array], patience: float, memory: Array, seen: Array
-) -> tuple[bool, bool, bool]:
-    """Writes what to go by, and the memory after the sample; see `Watch.look`.
-
-    Args:
-        inputs: State (2 n,), desired state (2 n,) and acceleration (n,).
-        patience: That of a `Watch`.
-        memory: (3 n + 1,) of the last sample, then of this one.
-        seen: (5, n) rows of a `Seen`.
-
-    Returns:
-        Whether it is trusted, repeated and known.
-    """
-    state, desired, acceleration = inputs
-    n = len(acceleration)
-    measured, new, count = look_at(state, patience, memory)
-    memory[2 * n] = count
-    if new:
-        put_all(memory, state)
-    asked = is_usable(desired) and is_usable(acceleration)
-    last = memory[2 * n + 1 :]
-    put_all(seen[2], desired[:n] if asked else last)
-    for i in range(n):
-        seen[3, i] = desired[n + i] if asked else 0.0
-        seen[4, i] = acceleration[i] if asked else 0.0
-    if measured and not is_usable(seen[2]):
-        put_all(seen[2], state[:n])
-    known = asked or is_usable(seen[2])
-    if known:
-        put_all(last, seen[2])
-    put_all(seen[0], state[:n] if measured else seen[2])
-    put_all(seen[1], state[n:] if measured else seen[3])
-    both = measured and asked
-    return both and new, both and not new, known
-
-
-@compiled
-def look_at(state: Array, patience: float, memory: Array) -> tuple[bool, bool, float]:
-    """Whether a state can be used, whether it is new as well, and since how many samples not.
+def calc_measured(
+    state: Array, times: tuple[float, float, float], memory: Array
+) -> tuple[bool, bool]:
+    """Kernel of `Watch.measure`.
 
     Args:
         state: (2 n,) measured positions and velocities.
-        patience: That of a `Watch`.
-        memory: (2 n + 1, ...) of the last sample.
+        times: Period, stale time and drift of a `Watch`.
+        memory: (4 n + 3,) of the last sample, then of this one.
     """
-    size = len(state)
-    count = memory[size]
-    if not is_usable(state):
-        return False, False, count
-    changed, moving = False, False
-    for i in range(size):
+    period, stale, most = times
+    n = len(state) // 2
+    drift, counts = memory[3 * n : 4 * n], memory[4 * n :]
+    counts[0] += 1.0
+    counts[2] += 1.0
+    size, changed, moving = 0.0, False, False
+    for i in range(2 * n):
+        size += state[i] * state[i]
         changed |= state[i] != memory[i]
-        moving |= i >= size // 2 and abs(state[i]) > _MOVING
-    if changed:
-        return True, True, 0.0
-    count = count + 1.0 if moving else 0.0
-    return count < patience, count == 0.0, count
-
-
-@inlined
-def put_all(out: Array, x: Array) -> None:
-    """Writes x (n,) into the first n of an array; an array's own assignment compiles slowly."""
-    for i in range(len(x)):
-        out[i] = x[i]
-
-
-@inlined
-def is_usable(x: Array) -> bool:
-    """Whether all of x (n,) are numbers, and not absurdly large ones."""
-    total = 0.0
-    for value in x:
-        total += value * value
-    return total < np.inf
+        moving |= i >= n and abs(state[i]) > _MOVING
+    if not size < _LARGEST * _LARGEST:
+        return False, False
+    if not changed:
+        counts[1] = counts[1] + 1.0 if moving else 0.0
+        return counts[1] == 0.0 or counts[1] * period < stale, False
+    gap, following, believed = counts[0] * period, np.zeros(n), True
+    oldest = _FORGOTTEN if counts[2] < counts[0] else min(stale, _FORGOTTEN)
+    for i in range(n) if gap <= oldest else range(0):
+        off = state[i] - memory[i] - 0.5 * gap * (state[n + i] + memory[n + i])
+        following[i] = np.exp(-gap / _FORGOTTEN) * drift[i] + off
+        believed &= not abs(following[i]) > most
+    if not believed:
+        counts[2] = 0.0
+        return False, False
+    for i in range(n):
+        memory[i], memory[n + i], drift[i] = state[i], state[n + i], following[i]
+    counts[0], counts[1] = 0.0, 0.0
+    return True, True
 
 
 def usable(x: Array) -> bool:

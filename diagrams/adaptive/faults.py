@@ -1,0 +1,233 @@
+"""Sensors and actuators that have faults, each for a while."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+
+Array = NDArray[np.float64]
+
+PERIOD = 2e-3  # s, between samples of a sensor
+DELAY = 10  # samples
+NOISE = 0.05  # rad, and rad/s
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What a faulty sensor makes its value of.
+
+    Attributes:
+        true: (2 n,) the state.
+        earlier: (2 n,) the state of `DELAY` samples before.
+        held: (2 n,) the last state before the fault.
+        number: Of the sample.
+        rng: Random numbers of this sample.
+    """
+
+    true: Array
+    earlier: Array
+    held: Array
+    number: int
+    rng: np.random.Generator
+
+    def one(self) -> int:
+        """Any one of the places."""
+        return int(self.rng.integers(len(self.true)))
+
+    def often(self, every: int, length: int = 1) -> bool:
+        """Whether this sample is one of the first `length` of `every`."""
+        return self.number % every < length
+
+
+def noise(sample: Sample) -> Array:
+    """Gaussian noise on positions and velocities."""
+    return sample.true + NOISE * sample.rng.normal(size=len(sample.true))
+
+
+def huge(sample: Sample) -> Array:
+    """One value of every eighth sample is 1e12."""
+    return _put(sample, sample.one(), 1e12) if sample.often(8) else sample.true
+
+
+def turns(sample: Sample) -> Array:
+    """The first position of every tenth sample is a turn off."""
+    return _put(sample, 0, sample.true[0] + 2.0 * np.pi) if sample.often(10) else sample.true
+
+
+def dropped(sample: Sample) -> Array:
+    """No samples at all for two thirds of the time, 100 ms each."""
+    return np.full(len(sample.true), np.nan) if sample.often(75, 50) else sample.true
+
+
+def frozen(sample: Sample) -> Array:
+    """The last state before the fault."""
+    return sample.held
+
+
+def frozen_positions(sample: Sample) -> Array:
+    """Positions that are 0.1 rad for 50 ms of every 200, with velocities as they are."""
+    if not sample.often(100, 25):
+        return sample.true
+    half = len(sample.true) // 2
+    return np.concatenate([np.full(half, 0.1), sample.true[half:]])
+
+
+def not_numbers(sample: Sample) -> Array:
+    """One value of every third sample is NaN."""
+    return _put(sample, sample.one(), np.nan) if sample.often(3) else sample.true
+
+
+def flips(sample: Sample) -> Array:
+    """Every fifth sample has the wrong sign."""
+    return -sample.true if sample.often(5) else sample.true
+
+
+def reversed_joint(sample: Sample) -> Array:
+    """The first joint is measured in the other direction."""
+    turned = sample.true.copy()
+    turned[:: len(turned) // 2] *= -1.0
+    return turned
+
+
+def stuck(sample: Sample) -> Array:
+    """The encoder of the last joint says what it said; velocities are as they are."""
+    last = len(sample.true) // 2 - 1
+    return _put(sample, last, sample.held[last])
+
+
+def delayed(sample: Sample) -> Array:
+    """The state of 20 ms before."""
+    return sample.earlier
+
+
+SENSOR_FAULTS: dict[str, Callable[[Sample], Array]] = {
+    fault.__name__.replace("_", " "): fault
+    for fault in (
+        noise,
+        huge,
+        turns,
+        dropped,
+        frozen,
+        frozen_positions,
+        not_numbers,
+        flips,
+        reversed_joint,
+        stuck,
+        delayed,
+    )
+}
+WEAK = "weak actuators"
+FAULTS = (*SENSOR_FAULTS, WEAK)
+"""Names of all faults."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A fault for a while.
+
+    Attributes:
+        fault: One of `FAULTS`.
+        start: When it begins, s.
+        end: When it is over, s.
+    """
+
+    fault: str
+    start: float
+    end: float
+
+
+class FaultySensor(LeafSystem):
+    """Measures a state, and does it wrong for a while now and then.
+
+    .. pydrake_system::
+
+        name: FaultySensor
+        input_ports:
+        - state
+        output_ports:
+        - measured_state
+    """
+
+    def __init__(self, size: int, episodes: Sequence[Episode], *, seed: int) -> None:
+        """Constructs the system.
+
+        Args:
+            size: Number of positions and velocities.
+            episodes: What goes wrong when; those of actuators are left out.
+            seed: Of all that is random.
+        """
+        LeafSystem.__init__(self)
+        self._episodes = [each for each in episodes if each.fault in SENSOR_FAULTS]
+        self._seed = seed
+        self._state = self.DeclareVectorInputPort("state", BasicVector(size))
+        self._held = self.DeclareDiscreteState(size)
+        self._buffer = self.DeclareDiscreteState(size * (DELAY + 1))
+        self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._keep)
+        self.DeclareVectorOutputPort("measured_state", BasicVector(size), self._measure)
+
+    def _now(self, context: Context) -> Episode | None:
+        t = context.get_time() + 1e-9
+        return next((each for each in self._episodes if each.start <= t < each.end), None)
+
+    def _keep(self, context: Context, values: DiscreteValues) -> None:
+        state = self._state.Eval(context)
+        buffer = context.get_discrete_state(self._buffer).value()
+        values.set_value(self._buffer, np.concatenate([buffer[len(state) :], state]))
+        if self._now(context) is None:
+            values.set_value(self._held, state)
+
+    def _measure(self, context: Context, output: BasicVector) -> None:
+        state, episode = self._state.Eval(context), self._now(context)
+        if episode is not None:
+            number = round(context.get_time() / PERIOD)
+            sample = Sample(
+                state,
+                context.get_discrete_state(self._buffer).value()[: len(state)],
+                context.get_discrete_state(self._held).value(),
+                number,
+                np.random.default_rng([self._seed, number]),
+            )
+            state = SENSOR_FAULTS[episode.fault](sample)
+        output.SetFromVector(state)
+
+
+class WeakActuators(LeafSystem):
+    """Actuators that have lost most of their strength for a while, which nobody knows.
+
+    .. pydrake_system::
+
+        name: WeakActuators
+        input_ports:
+        - wanted
+        output_ports:
+        - effort
+    """
+
+    def __init__(self, limits: Array, episodes: Sequence[Episode]) -> None:
+        """Constructs the system.
+
+        Args:
+            limits: (n,) what is left of the efforts, N·m.
+            episodes: What goes wrong when; only those of actuators count.
+        """
+        LeafSystem.__init__(self)
+        self._limits = limits
+        self._episodes = [each for each in episodes if each.fault == WEAK]
+        self._wanted = self.DeclareVectorInputPort("wanted", BasicVector(len(limits)))
+        self.DeclareVectorOutputPort("effort", BasicVector(len(limits)), self._calc)
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        effort, t = self._wanted.Eval(context), context.get_time() + 1e-9
+        if any(each.start <= t < each.end for each in self._episodes):
+            effort = np.clip(effort, -self._limits, self._limits)
+        output.SetFromVector(effort)
+
+
+def _put(sample: Sample, place: int, value: float) -> Array:
+    changed = sample.true.copy()
+    changed[place] = value
+    return changed

@@ -1,0 +1,280 @@
+"""Adaptive loops after a second of faults: the estimate is what it was, and tracking comes back."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from adaptive_loops import (
+    CONTROL,
+    DAMPING,
+    MANIFOLD,
+    MODEL,
+    TRUTH,
+    motion,
+    natural,
+    pendulum_plant,
+    perturbed,
+)
+
+from geodrake.control.adaptation import (
+    PartialLaw,
+    adapted_parameters,
+    euclidean_adaptation,
+    natural_adaptation,
+    parameter_manifold,
+)
+from geodrake.control.adaptation.plausible import limited
+from geodrake.control.regressor import ControlModel
+from geodrake.control.systems import (
+    AdaptiveComputedTorqueController,
+    PassivityBasedAdaptiveController,
+    PredictionError,
+    Safeguards,
+)
+from geodrake.control.systems.safeguards import Watch
+from geodrake.errors import ArgumentError
+from geodrake.inertia import change_frame, is_physical
+from geodrake.manifolds import PhysicalInertia
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "diagrams"))
+
+from adaptive.faults import FAULTS, Episode
+from adaptive.faulty_loop import moments
+from adaptive_soak import distances
+
+LIMITS = np.array([8.0, 4.0])
+START, STOP = 1.5, 2.5  # of a fault, s
+USUAL = 0.1  # rad, error of a joint under a sound sensor
+WITHIN = 5.0, 3.0  # s until tracking is as before, and how many times farther the estimate may be
+
+# An expected limit: in a second the wrong sign winds an arm without friction up by four turns, and
+# limited efforts take 4.2 to 4.9 s to bring it back even where the model is known. On its way an
+# adaptive loop goes through motions that are far from what it is to learn from.
+WOUND_UP = "reversed joint", False
+WITHIN_THEN = 15.0, 5.0
+
+
+def controller(kind, law, model, seed):
+    """A controller of one of both kinds, and the distance of its estimates from the truth."""
+    control, manifold = ControlModel.of(model), parameter_manifold(model)
+    options = {
+        "time_step": 2e-3,
+        "parameters": perturbed(0.1, seed, control.prior, control),
+        "safeguards": Safeguards(LIMITS),
+    }
+    chosen = (
+        natural_adaptation(manifold, 0.02)
+        if law == "natural"
+        else euclidean_adaptation(len(control.prior), 50.0)
+    )
+    if kind == "passivity":
+        return PassivityBasedAdaptiveController(control, chosen, **options)
+    prediction = PredictionError(1.0, alone=True)
+    return AdaptiveComputedTorqueController(
+        control, chosen, rate=15.0, prediction=prediction, **options
+    )
+
+
+def distance(system, law, estimates):
+    """Geodesic distances of estimates from the truth, or straight ones where they may be none."""
+    if law == "natural":
+        return distances(system.control, estimates)
+    return np.linalg.norm(estimates - system.control.prior, axis=1)
+
+
+ALWAYS = {
+    ("passivity", "natural", True, "noise"),
+    ("passivity", "natural", False, "huge"),
+    ("passivity", "natural", True, "dropped"),
+    ("computed torque", "natural", True, "stuck"),
+    ("computed torque", "euclidean", True, "turns"),
+    ("passivity", "euclidean", False, "weak actuators"),
+}
+LATE = ("computed torque", "natural", True, "reversed joint"), 2
+NOT_YET = pytest.mark.xfail(
+    strict=True, reason="wound up by more than a turn, it is 0.39 rad off after five seconds"
+)
+ROWS = [
+    pytest.param(
+        *row,
+        seed,
+        marks=[
+            *([] if row in ALWAYS and seed == 0 else [pytest.mark.thorough]),
+            *([NOT_YET] if (row, seed) == LATE else []),
+        ],
+    )
+    for row in [
+        (kind, law, friction, fault)
+        for kind in ("passivity", "computed torque")
+        for law in ("natural", "euclidean")
+        for friction in (True, False)
+        for fault in FAULTS
+    ]
+    for seed in range(3)
+]
+
+
+@pytest.mark.parametrize(("kind", "law", "friction", "fault", "seed"), ROWS)
+def test_a_second_of_faults_ruins_no_estimate(kind, law, friction, fault, seed):
+    model = MODEL if friction else replace(MODEL, effects=())
+    system = controller(kind, law, model, seed)
+    patience, growth = WITHIN_THEN if (fault, friction) == WOUND_UP else WITHIN
+    episode, end = Episode(fault, START, STOP), STOP + patience + 0.5
+    path = motion(duration=end + 1.0)
+    plant = pendulum_plant(damping=DAMPING if friction else 0.0)
+    found = list(moments(system, plant, path, [episode], limits=LIMITS, end=end, seed=seed))
+    time = np.array([moment.time for moment in found])
+    estimates = np.array([moment.parameters for moment in found])
+    error = np.array([np.abs(moment.error).max() for moment in found])
+    off = distance(system, law, estimates)
+    assert off[-1] <= growth * off[time <= START][-1]
+    assert error[time >= STOP + patience].max() < max(USUAL, 2.0 * error[time <= START].max())
+    phi = estimates[:, : system.control.num_inertial].reshape(len(found), -1, 10)
+    if law == "natural":
+        assert is_physical(phi).all()
+        masses = phi[:, :, 0] / system.control.phi(system.control.prior)[:, 0]
+        assert masses.max() < 20.0
+
+
+class TestWatch:
+    """What is believed of a sensor."""
+
+    PERIOD = 2e-3
+
+    def watch(self):
+        return Watch(1, self.PERIOD, 0.05, 0.02, 1.0)
+
+    def states(self, seconds):
+        t = np.arange(0.0, seconds, self.PERIOD)
+        return np.stack([np.sin(3.0 * t), 3.0 * np.cos(3.0 * t)], axis=1)
+
+    def believed(self, states):
+        watch, memory = self.watch(), self.watch().start()
+        told = []
+        for state in states:
+            seen, memory = watch.look(memory, state, np.zeros(2), np.zeros(1))
+            told.append((bool(seen.q == state[:1]), seen.trusted))
+        return np.array(told)
+
+    def test_a_smooth_motion_is_believed_and_so_is_the_noise_of_good_sensors(self):
+        for noise in (0.0, 1.0):
+            states = self.states(2.0)
+            states += noise * np.random.default_rng(0).normal(size=states.shape) * [1e-3, 0.05]
+            assert self.believed(states).all()
+
+    @pytest.mark.parametrize("wrong", [[2.0 * np.pi, 0.0], [0.0, 1e3], [1e12, 0.0]])
+    def test_an_outlier_is_not_believed(self, wrong):
+        states = self.states(2.5)
+        states[500] += wrong
+        told = self.believed(states)
+        assert not told[500, 0] and told[499, 0] and told[501:, 0].all()
+        waits = np.flatnonzero(told[:, 1] == 0)
+        assert len(waits) == (1 if max(wrong) > 1e6 else 500)  # what is absurd is only missing
+
+    def test_an_encoder_that_sticks_is_found_within_its_drift(self):
+        states = self.states(1.2)
+        states[500:, 0] = states[500, 0]
+        told = self.believed(states)
+        first = 500 + int(np.argmax(told[500:, 0] == 0))
+        assert np.abs(states[500:first, 1]).sum() * self.PERIOD < 2 * 0.02
+        assert not told[first:, 1].any()
+
+    def test_a_step_that_stays_is_taken_in_the_end(self):
+        states = self.states(2.0)
+        states[500:, 0] += 1.0
+        told = self.believed(states)
+        again = int(np.argmax(told[501:, 0] == 1))
+        assert 0.2 < again * self.PERIOD < 0.3
+        assert told[501 + again :, 0].all()
+
+
+class TestLimited:
+    """Limits about a model and a first estimate."""
+
+    START = perturbed(0.05)
+
+    def outside(self, estimate, law=None):
+        return limited(law or natural(), [TRUTH, self.START], 10.0).constraints.violation(estimate)
+
+    def test_model_and_first_estimate_are_inside_and_so_is_what_is_near(self):
+        for scale in (0.2, 1.0, 5.0):
+            assert not self.outside(scale * TRUTH).any()
+        assert not self.outside(self.START).any()
+        for scale in (0.03, 30.0):
+            assert (self.outside(scale * TRUTH) > 0).all()
+
+    def test_no_frame_matters(self):
+        turned = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+        turned *= np.sign(np.linalg.det(turned))
+        place, law = np.array([0.3, -0.2, 0.5]), natural_adaptation(PhysicalInertia())
+        sizes = []
+        for phi in (CONTROL.phi(TRUTH)[0], change_frame(CONTROL.phi(TRUTH)[0], turned, place)):
+            limits = limited(law, phi[None], 10.0).constraints
+            np.testing.assert_allclose([limits.lower, limits.upper], [[0.4], [40.0]])
+            sizes.append(limits.matrix @ phi)
+        np.testing.assert_allclose(sizes, 4.0)
+
+    def test_mass_matrices_are_within_four_times_the_factor(self):
+        law, rng = limited(natural(), TRUTH[None], 10.0), np.random.default_rng(2)
+        for _ in range(5):
+            p = law.project(perturbed(0.3, int(rng.integers(100))) * 1e3)
+            sample = CONTROL.at(*rng.normal(size=(4, 2)))
+            ratio = np.linalg.eigvals(
+                np.linalg.solve(sample.mass_matrix(TRUTH), sample.mass_matrix(p))
+            ).real
+            assert ratio.max() < 40.0
+
+    def test_only_laws_that_can_be_projected_are_limited_and_once(self):
+        law = limited(natural(), TRUTH[None], 10.0)
+        assert limited(law, TRUTH[None], 10.0) is law
+        euler = natural_adaptation(MANIFOLD, integrator="euler")
+        for other in (euler, euclidean_adaptation(len(TRUTH))):
+            assert limited(other, TRUTH[None], 10.0) is other
+
+    def test_what_is_held_of_a_partial_law_has_no_limits(self):
+        last = adapted_parameters(MODEL, [MODEL.bodies[-1]])
+        partial = limited(
+            PartialLaw(natural_adaptation(PhysicalInertia()), last), TRUTH[None], 10.0
+        )
+        limits, p = partial.law.constraints, TRUTH
+        assert limits.matrix.shape == (1, 10)
+        for _ in range(20):
+            p = partial.step(p, -1e3 * np.ones(len(TRUTH)), 1e-2)
+        assert limits.violation(p[last]).max() < 1e-9 and (p[last] != TRUTH[last]).any()
+
+    @pytest.mark.parametrize("factor", [1.0, 0.0, np.nan])
+    def test_a_factor_that_makes_no_sense_is_refused(self, factor):
+        with pytest.raises(ArgumentError, match="factor"):
+            limited(natural(), TRUTH[None], factor)
+        with pytest.raises(ArgumentError, match="factor"):
+            Safeguards(factor=factor)
+
+
+def test_leakage_takes_the_estimate_to_the_model():
+    """D(p₀‖p̂) falls by σ (D(p₀‖p̂) + D(p̂‖p₀)) h in a step of h, beside what b does."""
+    p, b, h = perturbed(0.2), 1e-9 * np.ones(len(TRUTH)), 1e-4
+    law = replace(natural(0.3), leakage=2.0, toward=TRUTH)
+    before = MANIFOLD.divergence(TRUTH, p)
+    symmetric = before + MANIFOLD.divergence(p, TRUTH)
+    for moved in (law, limited(law, [TRUTH, p], 5.0)):
+        fallen = before - MANIFOLD.divergence(TRUTH, moved.step(p, b, h))
+        np.testing.assert_allclose(fallen, 2.0 * h * symmetric, rtol=1e-2)
+        np.testing.assert_array_equal(moved.step(p, 0.0 * b, h), natural().step(p, 0.0 * b, h))
+    for toward in (None, -TRUTH, TRUTH[:3]):
+        with pytest.raises(ArgumentError):
+            replace(law, toward=toward)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"drift": 0.0},
+        {"settling_time": -1.0},
+        {"drift": np.nan},
+    ],
+)
+def test_safeguards_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(ArgumentError, match=next(iter(wrong))):
+        Safeguards(**wrong)
