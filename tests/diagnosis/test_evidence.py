@@ -286,7 +286,9 @@ def test_a_tool_beside_friction_and_rotors_is_named_with_its_mass():
         more += 0.2 * size * seen.v / np.hypot(seen.v, 2e-3) + 0.1 * size * seen.v
         return more + 0.05 * size * seen.a / seen.a.std(0)
 
-    found = explain(arm(), [effort_log("arm6", 1, hidden, rate=100.0, share=0.01).log])
+    found = explain(
+        arm(), [effort_log("arm6", 1, hidden, duration=16.0, rate=100.0, share=0.01).log]
+    )
     steps = {step.effect: step for step in found.steps}
     assert set(steps) == {
         "payload", "coulomb_friction", "viscous_friction", "rotor_inertia",
