@@ -26,8 +26,8 @@ from geodrake.identification.logs.case import Case, error_table, series
 from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.evidence import fold_agreement
 from geodrake.identification.logs.hypothesis import Hypothesis
-from geodrake.identification.logs.model_errors import ErrorTable, Series
-from geodrake.identification.logs.model_fit import ModelFit, as_it_stands
+from geodrake.identification.logs.model_errors import Series
+from geodrake.identification.logs.model_fit import ModelFit
 from geodrake.inertia import pullback_metric
 from geodrake.model.effort_signal import signal_of
 from geodrake.model.robot_model import RobotModel
@@ -313,8 +313,3 @@ def _servo_damping(case: Case, joint: str) -> Array:
     """(1, 1) how well the damping of a joint's servo is known, which friction takes the rest of."""
     signal = signal_of(case.model.effort_signals, joint)
     return np.array([[0.0 if signal is None else signal.damping_deviation]])
-
-
-def standing_errors(case: Case) -> ErrorTable:
-    """Errors of the model as it stands."""
-    return error_table(case.dataset, as_it_stands(case.dataset, case.model))

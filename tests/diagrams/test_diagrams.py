@@ -20,7 +20,6 @@ from geodrake.logs.files import read_log
 APART = "computed_torque_or_passivity"
 LONG = {  # whose parts are tested elsewhere, too
     "ambidex_sandbags",
-    "criteria_worth",
     "fleet_kills",
     "fleet_speed",
     "fleet_study",

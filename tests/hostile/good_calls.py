@@ -1553,7 +1553,7 @@ def _diagnosis(t):
         "diagnosis.with_motor_limits",
         Call(m.with_motor_limits, {"model": t.model, "logs": (t.log,), "findings": ()}),
     )
-    sought = {"extra": (), "criteria": m.Criteria()}
+    sought = {"extra": (), "beliefs": m.Beliefs()}
     yield (
         "diagnosis.diagnose",
         Call(m.diagnose, {**logs, **sought, **options}, slow=True, infinite=True),
@@ -1576,10 +1576,7 @@ def _diagnosis(t):
             infinite=True,
         ),
     )
-    yield (
-        "diagnosis.Criteria",
-        Call(m.Criteria, {"alarm": 0.01, "reduction": 0.05, "agreement": 0.7, "tie": 0.05}),
-    )
+    yield "diagnosis.Beliefs", Call(m.Beliefs, dict(vars(m.Beliefs())))
     yield (
         "drafting.draft_effects",
         Call(

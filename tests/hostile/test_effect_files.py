@@ -197,12 +197,8 @@ CLASSES = [
 NO_RELATIONS = {
     "companion": ('"viscous_friction"', "3", "(JointEffect,)"),
     "contains": ('("coulomb_friction",)', "JointEffect"),
-    "tried_beside": ("(3,)", "(None,)", "(int,)"),
-    "at_each_joint": ('("rotor_inertia",)',),
-    "other_bandwidths": ('("a",)', "(-1.0,)", "(0,)", "(np.nan,)", "(True,)", "2.0"),
     "proposer": ('"waves"', "True", "Proposer.BENDING", "Proposer.SHARED_ACTUATOR"),
     "complexity": ("True", "2.0"),
-    "hidden_share": ("True", '"much"'),
     "jumps": ("1",),
 }
 """Class attributes that are not what `Effect` says: each ended in an error of Python's."""

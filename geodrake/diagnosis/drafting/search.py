@@ -10,13 +10,12 @@ import numpy as np
 
 from geodrake.diagnosis.drafting.clock import clock_correlates
 from geodrake.diagnosis.drafting.formula import Formula, Term
+from geodrake.diagnosis.drafting.judgement import LEAST_REDUCTION, judge
 from geodrake.diagnosis.drafting.results import Correlate
 from geodrake.diagnosis.drafting.screening import Screen, best_sums
 from geodrake.diagnosis.drafting.term_columns import TermColumns
 from geodrake.diagnosis.drafting.vocabulary import TURNS, vocabulary
-from geodrake.diagnosis.judgement import judge
 from geodrake.identification.logs.case import Case
-from geodrake.identification.logs.criteria import Criteria
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.hypothesis import Hypothesis, settle
 from geodrake.identification.logs.reduce import reduce_logs
@@ -106,13 +105,12 @@ class JointSearch:
         finalists = [terms for same in kinds.values() for terms in list(same.values())[:FINALISTS]]
         return [self._sharpened(terms) for terms in finalists]
 
-    def judged(self, formulas: Sequence[Formula], tried: int, criteria: Criteria) -> Found | None:
+    def judged(self, formulas: Sequence[Formula], tried: int) -> Found | None:
         """The simplest of those that are as good as the best; None if it does not convince.
 
         Args:
             formulas: The formulas.
             tried: Terms that each of them could have had.
-            criteria: When a formula counts as found.
         """
         if not formulas:
             return None
@@ -128,14 +126,14 @@ class JointSearch:
 
         def ties(other: Hypothesis) -> bool:
             judged = judge(other, best[1], joints=here)
-            return judged.is_tie(criteria) or judged.reduction < criteria.reduction
+            return judged.is_tie or judged.reduction < LEAST_REDUCTION
 
         tied = [t for t in trials if ties(t[1])]
         chosen, after = min(tied, key=lambda t: (t[0].formula.complexity, -score(t)))
         formula = chosen.formula
         among = tried ** len(formula.terms)
         found = judge(before, after, joints=here, parameters=formula.free, tried=among)
-        if not found.convinces(criteria):
+        if not found.convinces:
             return None
         rivals = [
             columns.formula
