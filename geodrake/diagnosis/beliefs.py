@@ -44,7 +44,7 @@ class Beliefs:
     widths: tuple[float, ...] = (0.003, 0.03, 0.1, 0.3, 1.0)
     wrong: float = 0.3
     free: float = 3.0
-    payload: float = 1.0
+    payload: float = 0.5
     inner: float = 30.0
     unknown: float = 0.3
     reversal: float = 1.0

@@ -44,6 +44,8 @@ _LEAST_JOINTS = 2
 _MOST_TIME = 0.3  # share of a log: what is there longer is no episode
 _MOST = 8
 _LEAST_SHARE = 0.6  # of the squared error in the window that the wrench must predict
+_HOPELESS = 0.2  # share that the best guess predicts before its times and point are looked for
+_REFINED = 4  # guesses whose times and point are looked for
 _AS_GOOD = 0.9  # share of the best body's reduction with which one nearer to the base is preferred
 _MODEL = 0.05  # share of its effort that even a right contact leaves unexplained
 _REST = 1.0  # s, of standing still that do not end an episode
@@ -214,7 +216,13 @@ def _contact(
         for body in bodies
         for guess in kind.in_window(body, window.start, window.end, **window_of)
     ]
-    shapes = [refined(window, with_point(window, guess), tries=FEW) for guess in guesses]
+    rough = [with_point(window, guess) for guess in guesses]
+    shares = [evidence(window, guess).share for guess in rough]
+    best = max(shares)
+    if best < _HOPELESS:
+        return None, best
+    order = sorted(range(len(rough)), key=lambda k: -shares[k])[:_REFINED]
+    shapes = [refined(window, rough[k], tries=FEW) for k in sorted(order)]
     tried_shapes = [(shape, evidence(window, shape)) for shape in shapes]
     best = max(found.share for _, found in tried_shapes)
     if best < 0.5 * _LEAST_SHARE:
