@@ -9,7 +9,6 @@ from pendulum_logs import JOINTS, PENDULUM, friction, pendulum_log
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import SpatialInertia, UnitInertia
-from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear
 
 from geodrake import load_model
@@ -27,7 +26,7 @@ from geodrake.effects import (
 )
 from geodrake.identification import normal_equations
 from geodrake.identification.conic_fit import solve_surely
-from geodrake.identification.logs.cross_validation import CrossValidation, ExtraColumns, hold_out
+from geodrake.identification.logs.cross_validation import CrossValidation, hold_out
 from geodrake.identification.logs.model_fit import (
     as_it_stands,
     fit_model,
@@ -186,16 +185,6 @@ def test_bound_is_kept(dataset, model):
     spans = [unknowns.span(effect).start for effect in EFFECTS[:4]]
     np.testing.assert_array_equal(cv.held_out.x[:, spans], 0.0)
     np.testing.assert_allclose(cv.held_out.sse, ridge_errors(negated, unknowns), rtol=1e-5)
-
-
-def candidate(dataset, effects, sign):
-    """Effects as they are, or with bounds that keep them negative."""
-    columns = np.concatenate([dataset.effect_columns(effect) for effect in effects])
-    information = block_diag(*[effect_prior(dataset, effect)[1] for effect in effects])
-    free = np.full(len(columns), np.inf)
-    bounds = (-free, free) if effects[0].name == "payload" else (np.zeros(len(columns)), free)
-    lower, upper = bounds if sign > 0 else (-bounds[1], -bounds[0])
-    return ExtraColumns(columns, information, lower, upper)
 
 
 def test_errors_of_given_parameters_are_those_of_the_rows(dataset):
