@@ -31,6 +31,7 @@ from geodrake.effects.robot_motion import log_number
 from geodrake.effects.role import Proposer, Role
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import Case, KeptMotion, reduced
+from geodrake.identification.logs.model_fit import effects_of
 from geodrake.logs.folds import dealt_out
 
 Array = NDArray[np.float64]
@@ -151,7 +152,8 @@ class _Search:
                     advice="Friction may cover it up: explain the logs, or add what else is "
                     "missing first.",
                 )
-        self._effects = [e for e in (*self._effects, *further) if isinstance(e, kind)]
+        own, tried = effects_of(self.case.model), (*self._effects, *further)
+        self._effects = [e for e in tried if isinstance(e, kind) or e in own]
         self._grid = tuple(self._effects)
         self._anew()
         self.fit = self._with_best(kind, places)
@@ -266,7 +268,8 @@ class _Search:
         """The Gaussian model of the case with columns for all that is tried."""
         model, logs = self.case.model, self.case.trajectories
         unsure = reversals(model, logs)
-        self._effects = [e for e in self._effects if is_resolved(e, unsure)]
+        own = effects_of(model)
+        self._effects = [e for e in self._effects if e in own or is_resolved(e, unsure)]
         columns = [*self._effects, *unsure]
         dataset = reduced(self.case, columns, delays=self._delays)
         self.case = replace(self.case, dataset=dataset)
@@ -283,12 +286,9 @@ class _Search:
         self.model = self._made()
         by_effect = {term.effect: term for term in self.model.terms if term.effect is not None}
         bodies = {term.where: term for term in self.model.terms if term.effect is None}
-        terms = [
-            bodies[term.where]
-            if term.effect is None
-            else by_effect[moved.get(term.effect, term.effect)]
-            for term in was.terms
-        ]
+        effects = [moved.get(term.effect, term.effect) for term in was.terms if term.effect]
+        terms = [bodies[term.where] for term in was.terms if term.effect is None]
+        terms += [by_effect[effect] for effect in effects if effect in by_effect]
         delay = (0,) * len(self._on_time) if retimed else was.choice.delay
         choice = self.model.choice(tuple(terms), was.choice.width, delay)
         shares = np.full(len(self.model.rows), 0.3)

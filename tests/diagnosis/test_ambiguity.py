@@ -17,6 +17,7 @@ from geodrake.diagnosis import (
     JointError,
     Step,
 )
+from geodrake.diagnosis.results import FittedRival
 from geodrake.effects import catalogue
 from geodrake.excitation import motion_limits
 from geodrake.model.saved_model import load_model
@@ -37,11 +38,14 @@ def diagnosis(*found):
 
 
 def explanation(*steps, model=MODEL):
-    """Steps as (effect, where, rivals)."""
+    """Steps as (effect, where, rivals), each rival as (effect, where)."""
     rows = tuple(
-        Step(effect, where, 1.0, 0.1, {}, {}, rivals, 1e-6, 1.0, {}, {})
+        Step(
+            effect, where, 1.0, 0.1, {}, {}, tuple(name for name, _ in rivals), 1e-6, 1.0, {}, {},
+            tuple(FittedRival(*rival, (effect,), 0.1, 0.1, 0.2, 0.5) for rival in rivals),
+        )
         for effect, where, rivals in steps
-    )
+    )  # fmt: skip
     return Explanation("explained", rows, START, START, START, model, SHOWN, SHOWN, ())
 
 
@@ -103,7 +107,11 @@ def test_only_ties_count_and_each_once():
 
 def test_steps_of_an_explanation():
     found = explanation(
-        ("viscous_friction", ("elbow",), ("nonlinear_viscous_friction", "wrong_inertia")),
+        (
+            "viscous_friction",
+            ("elbow",),
+            (("nonlinear_viscous_friction", ("elbow",)), ("wrong_inertia", ("lower_link",))),
+        ),
         ("gravity_tilt", (), ()),
     )
     assert commands(found) == ["viscous_friction,nonlinear_viscous_friction@elbow"]
@@ -126,8 +134,10 @@ STEPS = [(cls.name, where) for cls in catalogue() for where in PLACES.get(cls.pl
 @pytest.mark.parametrize(("effect", "where"), STEPS)
 def test_every_command_is_understood(arm, effect, where):
     limits, told = motion_limits(arm), set()
+    kinds = {cls.name: cls.places for cls in catalogue()}
     for cls in catalogue():
-        found = explanation((effect, where, (cls.name,)), model=arm)
+        place = where if cls.places == kinds[effect] else PLACES.get(cls.places, [()])[0]
+        found = explanation((effect, where, ((cls.name, place),)), model=arm)
         for command in commands(found):
             rivals = placed_rivals(command, arm, limits)
             assert [rival.name for rival in rivals] == [effect, cls.name]
@@ -141,33 +151,6 @@ def test_every_command_is_understood(arm, effect, where):
     assert told == (settled if effect != "contact" else set())
 
 
-@pytest.mark.parametrize(
-    ("step", "rival", "words"),
-    [
-        (("payload", ("flange",)), "gravity_compensator", "payload@flange,{}@wrist_spin"),
-        (("gravity_compensator", ("elbow_pitch",)), "payload", "{1}@elbow_pitch,{0}@forearm"),
-        (("coulomb_friction", ("wrist_roll", "elbow_pitch")), "payload", "{1},{0}@wrist_barrel"),
-        (("coulomb_friction", ("wrist_spin",)), "coupled_friction",
-         "{1}@wrist_spin,{0}@wrist_pitch+wrist_spin"),
-        (("coupled_friction", ("base_yaw", "shoulder_pitch")), "payload",
-         "{1}@base_yaw+shoulder_pitch,{0}@upper_arm"),
-        (("payload", ("upper_arm",)), "aerodynamic_drag", "{1},{0}@upper_arm"),
-        (("gravity_tilt", ()), "payload", "{1},{0}@flange"),
-        (("gravity_tilt", ()), "joint_spring", "{1},{0}"),
-        (("joint_spring", ("elbow_pitch",)), "gravity_tilt", "{1}@elbow_pitch,{0}"),
-    ],
-)  # fmt: skip
-def test_a_rival_has_the_place_that_goes_with_the_steps(arm, step, rival, words):
-    found = explanation((*step, (rival,)), model=arm)
-    assert commands(found) == [words.format(rival, step[0])]
-
-
-def test_a_body_that_no_joint_of_one_degree_carries_has_no_rival_at_a_joint():
-    model = load_model(MODELS / "double_pendulum.urdf", floating=True)
-    found = explanation(("payload", ("base_link",), ("joint_spring",)), model=model)
-    assert commands(found) == []
-
-
 def test_effects_found_together_are_each_at_their_own_kind_of_place():
     found = diagnosis(
         ("payload + coulomb_friction", ("elbow", "lower_link"), True), ("gravity_tilt", (), True)
@@ -177,7 +160,7 @@ def test_effects_found_together_are_each_at_their_own_kind_of_place():
 
 def test_not_too_many():
     rivals = ("effort_offset", "joint_spring", "rotor_inertia", "torque_ripple", "effort_scale")
-    found = explanation(("coulomb_friction", ("elbow",), rivals))
+    found = explanation(("coulomb_friction", ("elbow",), [(r, ("elbow",)) for r in rivals]))
     assert len(commands(found)) == 4
 
 
@@ -187,7 +170,8 @@ def test_the_terminal_tells_the_command():
         ("coulomb_friction", ("elbow",), True), ("load_dependent_friction", ("elbow",), True)
     )
     show_diagnosis(console, found, Units.of(MODEL))
-    step = ("viscous_friction", ("elbow",), ("nonlinear_viscous_friction",))
+    rival = ("nonlinear_viscous_friction", ("elbow",))
+    step = ("viscous_friction", ("elbow",), (rival,))
     show_explanation(console, explanation(step), Units.of(MODEL))
     lines = console.file.getvalue().splitlines()
     assert f"- {PREFIX}coulomb_friction,load_dependent_friction@elbow" in lines

@@ -7,19 +7,12 @@ import numpy as np
 import pytest
 from effort_logs import effort_log
 from excitation_robots import MODELS
-from pendulum_logs import friction, pendulum_log
+from pendulum_logs import pendulum_log
 from rich.console import Console
 
 from geodrake.cli.tables import show_explanation
-from geodrake.diagnosis import Criteria, add, diagnose, explain
-from geodrake.diagnosis.final_fit import final_fit
+from geodrake.diagnosis import add, diagnose, explain
 from geodrake.diagnosis.results import FittedRival
-from geodrake.diagnosis.steps import steps_of, with_likelier_rival
-from geodrake.diagnosis.stepwise_search import Trail
-from geodrake.effects import CoulombFriction
-from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.hypothesis import first_hypothesis
-from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.model.saved_model import load_model
 from geodrake.report import Units
 from geodrake.report.json_output import explanation_dict
@@ -57,7 +50,7 @@ def test_the_error_of_a_rival_is_that_of_adding_it(case):
     instead = add(rival.effect, MODEL, [log], where=rival.where).steps[0]
     assert rival.error == pytest.approx(instead.error_after, rel=0.02)
     assert rival.error_of_choice == pytest.approx(step.error_after, rel=0.02)
-    assert Criteria().tie < rival.tie_probability < 0.5
+    assert 0.01 < rival.tie_probability < 0.5
     (probability,) = step.probabilities_of_rivals
     assert 0.0 < probability < 0.5 < step.probability < 1.0
     assert probability + step.probability == pytest.approx(1.0 - step.false_alarm_probability)
@@ -164,26 +157,3 @@ def test_a_rival_at_more_joints_is_told_apart_where_the_step_is(told):
     step = replace(step, rivals=(wider,), indistinguishable_from=("effort_offset",))
     (sentence,) = distinguishing_motions(replace(told, steps=(step,)))
     assert sentence.endswith(f": {COMMAND} rotor_inertia,effort_offset@elbow.")
-
-
-def test_a_likelier_rival_takes_the_place_of_an_improbable_finding():
-    """Dry friction, found before it was known better, where the log hides viscous friction."""
-    log = pendulum_log(1, friction((0.0, 0.0), (0.3, 0.0)))
-    case = open_case(MODEL, [log], candidates=True, bandwidth=6.0)
-    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, MODEL))
-    end = start.with_effects([CoulombFriction("shoulder")])
-    rival = FittedRival(
-        "viscous_friction", ("shoulder",), ("coulomb_friction",), end.nrms, end.nrms, 0.5
-    )
-    tied = {"coulomb_friction": ("viscous_friction",)}
-    trail = Trail(start, end, tied, fits=(rival,))
-    _, fit, _ = final_fit(case, end)
-    steps = steps_of(case, trail, fit)
-    assert steps[0].probability < 0.05
-    other = with_likelier_rival(trail, steps, Criteria())
-    assert [effect.name for effect in other.end.unknowns.effects] == ["viscous_friction"]
-    assert other.end.nrms < 0.5 * end.nrms
-    assert other.rivals["viscous_friction"] == ("coulomb_friction",)
-    kept = steps_of(case, other, final_fit(case, other.end)[1])
-    assert kept[0].probability > 0.95
-    assert with_likelier_rival(other, kept, Criteria()) is None

@@ -13,12 +13,7 @@ from scipy.special import erf
 from geodrake import load_model, save_model
 from geodrake.control.regressor import ControlModel
 from geodrake.diagnosis import add, compare, explain
-from geodrake.diagnosis.stepwise_search import Trail
-from geodrake.diagnosis.transition_speed import transition_speed_notes, with_transition_speed
 from geodrake.effects import CoulombFriction, FittedEffect
-from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.hypothesis import first_hypothesis
-from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.logs.motion import Motion
 
 HEIGHT = np.array([0.1, 0.04])  # N·m
@@ -88,18 +83,19 @@ def test_one_effect_alone_is_not_said_to_fade(model):
 
 
 def test_speed_of_a_joint_that_this_log_does_not_show_is_kept(model):
-    log = rubbing(1, 0.02).log
     known = replace(model, fading_speed=np.array([0.0, 2e-4]))
-    case = open_case(known, [log], candidates=True)
-    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, known))
-    trail = Trail(start, start.with_effects([CoulombFriction("shoulder")]))
-    after = with_transition_speed(case, trail)[0].model
-    assert 0.01 < after.fading_speed[0] < 0.025
-    assert after.fading_speed[1] == 2e-4
-    fitted = replace(
-        after, effects=(FittedEffect(CoulombFriction("elbow"), np.ones(1), np.ones(1)),)
-    )
-    assert transition_speed_notes(known, fitted) == []
+    log = effort_log(
+        "double_pendulum",
+        1,
+        lambda seen: {0: HEIGHT[0] * erf(seen.v[:, 0] / 0.02)},
+        share=0.01,
+        pace=0.1,
+    ).log
+    found = explain(known, [log])
+    assert {step.effect: step.where for step in found.steps} == {"coulomb_friction": ("shoulder",)}
+    assert 0.01 < found.model.fading_speed[0] < 0.025
+    assert found.model.fading_speed[1] == 2e-4
+    assert [note for note in found.notes if "elbow" in note and "fades below" in note] == []
 
 
 def test_controllers_know_it(model):

@@ -1,0 +1,291 @@
+"""What the evidence of an explanation is: axioms, and dense computations of the same numbers."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from pendulum_logs import JOINTS, friction, pendulum_log
+from scipy.linalg import block_diag
+from scipy.stats import multivariate_normal
+
+pytest.importorskip("pinocchio")
+
+import pinocchio as pin
+from effort_logs import MODELS, effort_log
+
+from geodrake import load_model
+from geodrake.diagnosis import Beliefs, explain
+from geodrake.diagnosis.climbing import gain_of
+from geodrake.diagnosis.log_model import Choice, LogModel
+from geodrake.diagnosis.search import searched
+from geodrake.effects import CoulombFriction, EffortOffset, GravityCompensator, Payload
+from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.dataset import Dataset, JointData
+from geodrake.identification.logs.unknowns import pullback_information
+from geodrake.logs.motion import JointLog
+
+PENDULUM = load_model(MODELS / "double_pendulum.urdf")
+BELIEFS = Beliefs()
+WIDTH = 0.1
+ROWS = 40
+GAINS = np.array([0.03, 0.05])  # deviations of the efforts' gains
+OFFSETS = tuple(EffortOffset(joint) for joint in JOINTS)
+COMPENSATORS = tuple(GravityCompensator(joint) for joint in JOINTS)
+PAYLOAD, RUBBING = Payload("lower_link"), CoulombFriction("elbow")
+EFFECTS = (*OFFSETS, *COMPENSATORS, PAYLOAD, RUBBING)
+BODIES = 10 * len(PENDULUM.bodies)
+SHARES = np.ones(2)
+
+
+def random_problem(effects=EFFECTS, empty=(), dry=0.4):
+    """Random rows of two joints, as a dataset, and as columns by effect and efforts.
+
+    Args:
+        effects: Effects that get columns, in this order.
+        empty: Effects whose columns are zero.
+        dry: Friction of the elbow.
+    """
+    rng = np.random.default_rng(5)
+    bodies = rng.normal(size=(2, ROWS, BODIES))
+    own = {effect: rng.normal(size=(2, ROWS, len(effect.parameters))) for effect in EFFECTS}
+    own[PAYLOAD] = bodies[:, :, 10:20]
+    for effect in EFFECTS:
+        if effect.places == "joint":
+            own[effect][1 - JOINTS.index(effect.where[0])] = 0.0
+        if effect in empty:
+            own[effect] = np.zeros_like(own[effect])
+    effort = bodies @ PENDULUM.phi.ravel() + rng.normal(size=(2, ROWS))
+    effort += 0.5 * own[OFFSETS[0]][:, :, 0] + dry * own[RUBBING][:, :, 0]
+    joints = []
+    for j in range(2):
+        columns = [bodies[j], *(own[e][j] for e in effects if e is not PAYLOAD)]
+        rows = np.column_stack([*columns, effort[j]])
+        n, width = np.array([ROWS]), rows.shape[1] - 1
+        peaks, none = np.abs(rows[:, :-1]).max(0), np.zeros((1, width))
+        sums = np.array([[effort[j].sum(), effort[j] @ effort[j]]])
+        joints.append(
+            JointData(np.arange(width), rows[None], n, ((),), none, n, sums, peaks),
+        )
+    dataset = Dataset(
+        JOINTS, PENDULUM.bodies, tuple(effects), np.zeros((1, 2)), ("fold",), ("log",),
+        tuple(joints), effort.std(1), np.full(2, 0.1), 5.0, np.zeros(2),
+        PENDULUM.phi[1], GAINS,
+    )  # fmt: skip
+    model = LogModel(PENDULUM, dataset, effects, BELIEFS, (0, 0))
+    return model, bodies, own, effort
+
+
+def settled(model, *effects):
+    """The fit with some effects whose noise is that of its residuals, to the last digit."""
+    terms = tuple(term for term in model.terms if term.effect in effects)
+    assert len(terms) == len(effects)
+    fit = None
+    for _ in range(10):
+        choice = model.choice(terms, WIDTH, (0, 0))
+        fit = model.fit(choice, SHARES, None if fit is None else fit.variance, bounded=False)
+    return fit
+
+
+def dense_evidence(problem, fit, terms):
+    """Twice the logarithm of the density of the efforts with some terms, at the noise of a fit."""
+    _, bodies, own, effort = problem
+    mean = PENDULUM.phi.ravel()
+    gains = block_diag(*(bodies[j][:, :, None].swapaxes(1, 2) @ mean for j in range(2)))
+    columns = [np.concatenate(bodies), gains.reshape(2 * ROWS, 2)]
+    columns += [np.concatenate(own[term.effect]) for term in terms]
+    known = [pullback_information(PENDULUM.phi, WIDTH), np.diag(GAINS**-2.0)]
+    known += [term.information for term in terms]
+    A = np.concatenate(columns, axis=1)
+    covariance = A @ np.linalg.inv(block_diag(*known)) @ A.T
+    covariance += np.diag(np.repeat(1.0 / fit.weights, ROWS))
+    expected = np.concatenate(bodies) @ mean
+    return 2.0 * multivariate_normal(expected, covariance).logpdf(effort.ravel())
+
+
+def prior_odds(model, fit):
+    """What a score has beside the evidence: prior odds, and shares of priors that are possible."""
+    shares = sum(t.log_information - np.linalg.slogdet(t.information)[1] for t in fit.terms)
+    return shares - model.odds_against(fit.choice)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return random_problem()
+
+
+SETS = [(), OFFSETS[:1], (*OFFSETS, COMPENSATORS[1]), (PAYLOAD,), (PAYLOAD, RUBBING, OFFSETS[0])]
+
+
+def test_a_score_is_the_evidence(problem):
+    """But for a constant that no explanation changes."""
+    constants = []
+    for effects in SETS:
+        fit = settled(problem[0], *effects)
+        evidence = dense_evidence(problem, fit, fit.terms)
+        constants.append(fit.score - prior_odds(problem[0], fit) - evidence)
+    assert np.ptp(constants) < 1e-3
+    assert len({round(settled(problem[0], *effects).score, 1) for effects in SETS}) == len(SETS)
+
+
+def test_gains_and_losses_are_differences_of_evidence(problem):
+    """At the noise of the fit that terms come to, go from, or change places in."""
+    model = problem[0]
+    fit = settled(model, *OFFSETS, RUBBING)
+    around, by_effect = model.around(fit), {term.effect: term for term in model.terms}
+    now = dense_evidence(problem, fit, fit.terms)
+    come = [(by_effect[COMPENSATORS[0]],), tuple(by_effect[e] for e in COMPENSATORS)]
+    for package, gain in zip(come, around.gains(come), strict=True):
+        after = dense_evidence(problem, fit, (*fit.terms, *package))
+        assert gain == pytest.approx(after - now, abs=1e-3)
+    for gone in (OFFSETS[:1], OFFSETS):
+        left = [term for term in fit.terms if term.effect not in gone]
+        without = around.dropped([by_effect[effect] for effect in gone])
+        after = dense_evidence(problem, fit, left)
+        assert without.loss == pytest.approx(after - now, abs=1e-3)
+        instead = around.gains(come, without) + without.loss
+        for package, gain in zip(come, instead, strict=True):
+            after = dense_evidence(problem, fit, (*left, *package))
+            assert gain == pytest.approx(after - now, abs=1e-3)
+
+
+@pytest.mark.parametrize(("dry", "is_possible"), [(0.4, True), (-0.4, False)])
+def test_what_cannot_be_negative_is_refused_below_zero(dry, is_possible):
+    model = random_problem(dry=dry)[0]
+    (term,) = [term for term in model.terms if term.effect == RUBBING]
+    fit = settled(model)
+    choice = model.choice((term,), WIDTH, (0, 0))
+    assert (model.fit(choice, SHARES) is not None) == is_possible
+    assert np.isfinite(model.around(fit).gains([(term,)])).all() == is_possible
+
+
+def test_a_column_of_zeros_changes_the_prior_odds_alone():
+    model = random_problem(empty=OFFSETS[1:])[0]
+    one, two = settled(model, OFFSETS[0]), settled(model, *OFFSETS)
+    odds = prior_odds(model, two) - prior_odds(model, one)
+    assert two.score - one.score == pytest.approx(odds, abs=1e-6)
+    np.testing.assert_allclose(two.variance, one.variance, rtol=1e-9)
+    assert two.x[-1] == 0.0
+
+
+def test_the_order_of_effects_is_none(problem):
+    other = random_problem(EFFECTS[::-1])[0]
+    for effects in SETS:
+        assert settled(other, *effects).score == pytest.approx(settled(problem[0], *effects).score)
+
+
+# What a search ends with.
+
+BOTH = friction((0.2, 0.1), (0.15, 0.0))
+
+
+def told(found):
+    """Probability and error of what was found, by effect and places."""
+    return {(s.effect, frozenset(s.where)): (s.probability, s.error_after) for s in found.steps}
+
+
+@pytest.fixture(scope="module")
+def explained():
+    log = pendulum_log(1, BOTH, seconds=16.0)
+    return log, explain(PENDULUM, [log], bandwidth=6.0)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 50.0])
+def test_units_of_efforts_are_none(explained, unit):
+    """Efforts and masses in others, the answer is the same in others."""
+    log, found = explained
+    model = replace(PENDULUM, phi=unit * PENDULUM.phi)
+    other = explain(model, [replace(log, effort=unit * log.effort)], bandwidth=6.0)
+    assert told(other).keys() == told(found).keys()
+    for key, (probability, error) in told(found).items():
+        assert told(other)[key][0] == pytest.approx(probability, abs=0.01)
+        assert told(other)[key][1] == pytest.approx(error, rel=0.01)
+    np.testing.assert_allclose(other.model.phi[:, 0], unit * found.model.phi[:, 0], rtol=0.01)
+
+
+def test_the_order_of_joints_in_a_log_is_none(explained):
+    log, found = explained
+    turned = JointLog(
+        log.name, log.joints[::-1], log.time, log.position[:, ::-1], log.effort[:, ::-1]
+    )
+    other = explain(PENDULUM, [turned], bandwidth=6.0)
+    assert told(other).keys() == told(found).keys()
+    assert other.end.nrms == pytest.approx(found.end.nrms, rel=1e-6)
+
+
+def spring(q, v, vd, load):
+    """A weak spring, which a compensator may stand for."""
+    return np.array([0.0, 0.1]) * q
+
+
+@pytest.mark.parametrize("hidden", [BOTH, spring])
+def test_probabilities_add_up_and_the_most_probable_is_adopted(hidden):
+    log = pendulum_log(3, hidden, seconds=12.0)
+    for step in explain(PENDULUM, [log], bandwidth=6.0).steps:
+        total = step.probability + sum(step.probabilities_of_rivals) + step.false_alarm_probability
+        assert total == pytest.approx(1.0, abs=1e-6)
+        assert step.probability >= max((*step.probabilities_of_rivals, 0.0)) - 1e-6
+    found = searched(open_case(PENDULUM, [log], candidates=True, bandwidth=6.0))
+    model, end = found.model, found.fit
+    sets = [tuple(t for t in end.terms if t is not gone) for gone in end.terms]
+    sets += [(*end.terms, term) for term in model.terms if term not in end.terms]
+    width, delay = end.choice.width, end.choice.delay
+    choices = [model.choice(terms, width, delay) for terms in sets if model.are_compatible(terms)]
+    choices += [Choice(end.terms, other, delay) for other in model.widths if other != width]
+    fits = [model.fit(choice, model.shares(end), end.variance) for choice in choices]
+    gains = [gain_of(model, end, fit) for fit in fits if fit is not None]
+    assert len(gains) > 20
+    assert max(gain for gain, _ in filter(None, gains)) < 1e-6
+
+
+# What logs do not resolve, and what they do.
+
+
+@cache
+def arm():
+    return load_model(MODELS / "arm6.urdf")
+
+
+def noisy_at_low_speeds(seed):
+    """Plain friction that has its full height above 0.01 rad/s, by velocities that err by more."""
+    coulomb, viscous = np.array([0.2, 0.1]), np.array([0.08, 0.05])
+
+    def rubbing(seen):
+        return coulomb * np.tanh(seen.v / 0.01) + viscous * seen.v
+
+    log = effort_log("double_pendulum", seed, rubbing, rate=100.0, share=0.01, pace=0.15).log
+    rng = np.random.default_rng(seed)
+    return replace(log, velocity=log.velocity + 0.03 * rng.normal(size=log.velocity.shape))
+
+
+def test_speeds_below_the_noise_of_velocities_say_nothing_of_friction_there():
+    found = explain(PENDULUM, [noisy_at_low_speeds(1)])
+    places = {step.effect: set(step.where) for step in found.steps}
+    assert places == {"coulomb_friction": set(JOINTS), "viscous_friction": set(JOINTS)}
+
+
+def test_a_tool_beside_friction_and_rotors_is_named_with_its_mass():
+    """Which bodies that grow could take in, and rotors that turn with them."""
+    mass = 1.7
+    tool = pin.Inertia(mass, np.array([0.02, 0.0, 0.06]), 2e-3 * np.eye(3))
+
+    def hidden(seen):
+        model = pin.Model(seen.model)
+        model.inertias[model.njoints - 1] += tool
+        data = model.createData()
+        samples = zip(seen.q, seen.v, seen.a, strict=True)
+        size = seen.load.std(0)
+        more = np.array([pin.rnea(model, data, *sample) for sample in samples]) - seen.load
+        more += 0.2 * size * seen.v / np.hypot(seen.v, 2e-3) + 0.1 * size * seen.v
+        return more + 0.05 * size * seen.a / seen.a.std(0)
+
+    found = explain(arm(), [effort_log("arm6", 1, hidden, rate=100.0, share=0.01).log])
+    steps = {step.effect: step for step in found.steps}
+    assert set(steps) == {
+        "payload", "coulomb_friction", "viscous_friction", "rotor_inertia",
+    }  # fmt: skip
+    step = steps["payload"]
+    assert step.where == ("flange",)
+    (values,), (deviations,) = step.parameters.values(), step.deviations.values()
+    assert values["mass"] == pytest.approx(mass, abs=2.0 * deviations["mass"])
+    assert deviations["mass"] < 0.15 * mass
