@@ -60,7 +60,8 @@ def add(
     _refuse_what_cannot_be(kind, model, where)
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
     found = with_forced(case, kind, _places(kind, case, where), _further(kind, case, where))
-    result = explained(case, found, findings_of(found), forced=True).explanation
+    asked = [finding for finding in findings_of(found) if finding.name == kind.name]
+    result = explained(case, found, asked, forced=True).explanation
     added = {term.effect for term in found.fit.terms}
     _refuse_unidentifiable(result.model, {each for each in added if each is not None})
     return result

@@ -175,9 +175,9 @@ def candidates_section(diagnosis: Diagnosis, units: Units) -> Section:
         return Section("Candidates", (NOTHING_FOUND,))
     text = (
         "Each was added alone to the model, and everything that may move refitted; before and "
-        "after are nrms on held-out data. Evidence is twice the log-likelihood ratio there, less "
-        "the price of the parameters; chance is that of a false alarm. The first is the simplest "
-        "of those that are as good as the best, as far as the logs show; = marks the others."
+        "after are nrms. Evidence is twice the logarithm of how much likelier it makes the model, "
+        "prior odds counted. The first is the first step of the most probable explanation; = marks "
+        "what may stand in its place. Chance is how probable it is that it is not needed there."
     )
     table = candidates_table(diagnosis, units)
     return Section("Candidates", (text, *distinguishing_motions(diagnosis)), (table,))

@@ -146,7 +146,12 @@ def found_words(step: FoundStep) -> str:
     """A step of a search as it is taken: `payload on flange: nrms 0.703 -> 0.266`."""
     names, more = step.where[:_MOST_PLACES], len(step.where) - _MOST_PLACES
     where = listed([*names, f"{more} more"]) if more > 0 else places_label(names, ())
-    return f"{step.effect} on {where}: nrms {number(step.before)} -> {number(step.after)}"
+    what = f"{step.effect or 'without ' + listed(step.instead_of)}"
+    if step.where:
+        what += f" on {where}"
+    if step.effect and step.instead_of:
+        what += f", instead of {listed(step.instead_of)}"
+    return f"{what}: nrms {number(step.before)} -> {number(step.after)}"
 
 
 def lowers_error(step: Step) -> bool:

@@ -98,7 +98,7 @@ class TestStopped:
         def stopped(*_):
             raise StopSearch
 
-        monkeypatch.setattr("geodrake.diagnosis.stepwise_search.next_step", stopped)
+        monkeypatch.setattr("geodrake.diagnosis.search.climb", stopped)
         model, log = pendulum
         with pytest.raises(StopSearch):
             explain(load_model(model), [log])

@@ -98,10 +98,10 @@ def told(case):
 def test_terminal_report_and_numbers_tell_them(told):
     console = Console(file=io.StringIO(), markup=False, highlight=False, width=200)
     show_explanation(console, told, Units.of(told.model))
-    words = "or: joint_spring + effort_offset 20 %, payload 40 %"
+    words = "instead: joint_spring + effort_offset 20 %"
     assert words in " ".join(console.file.getvalue().split())
     section = steps_section(told, Units())
-    cell = "joint spring + effort offset 20 % (0.5000 against 0.4000), payload 40 %"
+    cell = "joint spring + effort offset 20 % (0.500)"
     assert cell in [c.text for c in section.tables[0].rows[0]]
     (step,) = explanation_dict(told)["steps"]
     assert step["indistinguishable_from"] == ("effort_offset", "joint_spring", "payload")
