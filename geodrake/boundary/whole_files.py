@@ -55,49 +55,63 @@ def write_together(contents: Mapping[Path, Content]) -> None:
         OutputError: One cannot be written; what was there is as it was.
     """
     with deferred_interrupts() as interrupted, ExitStack() as stack:
-        parts = []
-        for path, content in contents.items():
-            with _refusing(path):
-                parts.append(stack.enter_context(_Part(path)))
-                parts[-1].write(content)
+        parts = _parts(contents, stack)
         if goes_on := not interrupted():
             _rename(parts)
     if not goes_on:  # the handler of the interrupt did not end the program
         write_together(contents)
 
 
-def write_new(path: Path, content: Content) -> bool:
-    """Write a file unless it is there already: of several processes that do, one succeeds.
+def write_new(path: Path, content: Content, beside: Mapping[Path, Content]) -> bool:
+    """Write a file unless it is there already, and others with it: of several processes one does.
 
     Args:
         path: Target.
         content: What goes into it.
+        beside: Other targets, which are written if this one is -> what goes into them.
 
     Returns:
-        Whether this one did.
+        Whether this process did.
 
     Raises:
-        OutputError: It cannot be written.
+        OutputError: One cannot be written.
     """
-    with deferred_interrupts(), _refusing(path), _Part(path) as part:
-        part.write(content)
-        return part.rename_if_new()
+    with deferred_interrupts(), ExitStack() as stack:
+        parts = _parts({path: content, **beside}, stack)
+        with _refusing(path):
+            if not parts[0].rename_if_new():
+                return False
+        _rename(parts[1:])
+        return True
 
 
-def make_folder(path: Path) -> None:
-    """Make a folder, and those above it, unless they are there.
+@contextmanager
+def made_folder(path: Path) -> Iterator[None]:
+    """Make a folder, and those above it, unless they are there; none stays empty after an error.
+
+    Args:
+        path: The folder.
 
     Raises:
         OutputError: It cannot be made.
     """
+    made = list[Path]()
     try:
-        path.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        raise OutputError(
-            f"The folder {path} cannot be made: {getattr(error, 'strerror', None) or error}.",
-            advice="Choose another place.",
-            path=path,
-        ) from error
+        try:
+            made += [each for each in (path, *path.parents) if not each.exists()]
+            path.mkdir(parents=True, exist_ok=True)
+        except (OSError, ValueError) as error:
+            raise OutputError(
+                f"The folder {path} cannot be made: {getattr(error, 'strerror', None) or error}.",
+                advice="Choose another place.",
+                path=path,
+            ) from error
+        yield
+    except BaseException:
+        for each in made:
+            with suppress(OSError):  # another run has written into it, or it is not there
+                each.rmdir()
+        raise
 
 
 def check_writable(path: str | Path) -> None:
@@ -122,14 +136,14 @@ class _Part:
         self.path = path
         self.target = Path(os.path.realpath(path))
         self._before: Path | None = None
+        self._replaced: os.stat_result | None = None
 
     def __enter__(self) -> _Part:
         replaced = _status(self.target)
         _clear_left_overs(self.target)
         self._file, self._temporary = _new_file(self.target)
+        self._replaced = replaced
         if replaced is not None:
-            with suppress(OSError):  # only root may give files away
-                os.fchown(self._file.fileno(), replaced.st_uid, replaced.st_gid)
             with suppress(OSError):  # file systems without permissions
                 os.fchmod(self._file.fileno(), stat.S_IMODE(replaced.st_mode))
         return self
@@ -150,6 +164,8 @@ class _Part:
             return
         self._before = _free_name(self.target)
         try:
+            if _is_of_another_user(self.target):
+                raise PermissionError  # a link of it could not be removed again
             self._before.hardlink_to(self.target)
         except OSError:  # a file system without links
             shutil.copy2(self.target, self._before)
@@ -157,6 +173,9 @@ class _Part:
     def rename(self) -> None:
         """Put the file in its place."""
         self._temporary.replace(self.target)
+        if self._replaced is not None:  # before, it could not be removed where others may not
+            with suppress(OSError):  # only root may give files away
+                os.fchown(self._file.fileno(), self._replaced.st_uid, self._replaced.st_gid)
 
     def rename_if_new(self) -> bool:
         """Put the file in its place unless there is one; whether it was put there."""
@@ -189,6 +208,20 @@ class _Part:
                     left.unlink(missing_ok=True)
         with suppress(OSError):  # a full disk was told by write() already
             self._file.close()
+
+
+def _parts(contents: Mapping[Path, Content], stack: ExitStack) -> list[_Part]:
+    """Files beside their targets, written but not in their places.
+
+    Raises:
+        OutputError: One cannot be written.
+    """
+    parts = []
+    for path, content in contents.items():
+        with _refusing(path):
+            parts.append(stack.enter_context(_Part(path)))
+            parts[-1].write(content)
+    return parts
 
 
 def _rename(parts: list[_Part]) -> None:
@@ -241,7 +274,16 @@ def _status(target: Path) -> os.stat_result | None:
         raise IsADirectoryError(errno.EISDIR, "it is there and is a folder, no file")
     if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "it is there and is no file")
+    if os.geteuid() and _is_of_another_user(target):
+        raise PermissionError(errno.EPERM, "it is another user's, who alone may replace it there")
     return status
+
+
+def _is_of_another_user(target: Path) -> bool:
+    """Whether a file is in a sticky folder, such as /tmp, and neither of them is the user's."""
+    folder = target.parent.stat()
+    owners = (target.stat().st_uid, folder.st_uid)
+    return bool(folder.st_mode & stat.S_ISVTX) and os.geteuid() not in owners
 
 
 def _stem(target: Path) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import yaml  # type: ignore[import-untyped]
 
 from geodrake.boundary.escaping import one_line
-from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.input_files import read_regular
 from geodrake.errors import ArgumentError, GeodrakeError, ModelError
 
 LARGEST_FILE = 100_000_000  # bytes
@@ -28,9 +28,9 @@ def yaml_text(path: Path, what: str = "model file", error: type[GeodrakeError] =
         GeodrakeError: Of the kind `error`: it cannot be read, is not in UTF-8, or its aliases
             unfold without end.
     """
-    regular_file(path, what, error, largest=LARGEST_FILE)
+    data = read_regular(path, what, error, largest=LARGEST_FILE)
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        text = data.decode("utf-8-sig")
         if "\0" in text:
             raise yaml.YAMLError("it has null characters")
         nodes = _unfolded(yaml.compose(text, yaml.SafeLoader), {}) if "*" in text else 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import typer
@@ -14,7 +15,7 @@ from geodrake.cli.model_options import read_model
 from geodrake.cli.progress import progress
 from geodrake.cli.session import own_effects
 from geodrake.cli.surroundings import print_whole, printing
-from geodrake.cli.tables import head, make_console, say, show_saved, show_table
+from geodrake.cli.tables import head, make_console, say, show_list, show_saved, show_table
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.model.dynamics_check import TOLERANCE, DynamicsCheck, check_dynamics
 from geodrake.report.json_output import number_or, to_json
@@ -22,7 +23,7 @@ from geodrake.report.tables import Table, cells
 
 
 def run_check(options: CheckOptions) -> None:
-    """Run the command; its exit code is 1 where the two differ by more than rounding.
+    """Run the command; its exit code is 1 unless the two agree on the file as it stands.
 
     Raises:
         GeodrakeError: Something about the input, or about the target, does not do.
@@ -31,31 +32,34 @@ def run_check(options: CheckOptions) -> None:
     targets.check([options.model, *files])
     with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
         extra = own_effects(files)
-        model = read_model(options.model, options, extra)
+        model = read_model(options.model, options, update, extra)
         targets.check([options.model, *files, model.path])
         update("Comparing with MultibodyPlant")
         found = check_dynamics(model, samples=options.samples, seed=options.seed)
-        numbers = to_json({"version": version(), "command": "check", **check_dict(found)})
+        notes = tuple(dict.fromkeys((*found.repairs, *model.notes)))
+        numbers = to_json({"version": version(), "command": "check", **check_dict(found, notes)})
         written = targets.write(model, {"json": lambda: numbers})
     with printing():
         if options.json == STDOUT:
             print_whole(numbers)
         console = make_console(stderr=options.json == STDOUT)
-        show_check(console, found, name=options.model.name)
+        show_check(console, found, notes, name=options.model.name)
         show_saved(console, written)
     if not found.holds:
         raise typer.Exit(INTERNAL_ERROR)
 
 
-def check_dict(found: DynamicsCheck) -> dict[str, Any]:
+def check_dict(found: DynamicsCheck, notes: Sequence[str]) -> dict[str, Any]:
     """A check as plain numbers, for JSON.
 
     Args:
         found: The check.
+        notes: What is to be known of the model, repairs first.
     """
     why = "a computed value is no number"
     return {
         "agrees": found.holds,
+        "repaired": bool(found.repairs),
         "tolerance": TOLERANCE,
         "samples": found.samples,
         "seed": found.seed,
@@ -71,15 +75,17 @@ def check_dict(found: DynamicsCheck) -> dict[str, Any]:
             for each in found.agreements
         },
         "worst": found.worst.quantity,
+        "notes": list(notes),
     }
 
 
-def show_check(console: Console, found: DynamicsCheck, *, name: str) -> None:
+def show_check(console: Console, found: DynamicsCheck, notes: Sequence[str], *, name: str) -> None:
     """The largest difference of every quantity, and whether they are rounding.
 
     Args:
         console: Where to print.
         found: The check.
+        notes: As for `check_dict`.
         name: Name of the model's file.
     """
     states = "1 random state" if found.samples == 1 else f"{found.samples} random states"
@@ -100,6 +106,7 @@ def show_check(console: Console, found: DynamicsCheck, *, name: str) -> None:
     )
     titles = ("quantity", "largest at", "difference", "of", "relative")
     show_table(console, Table(titles, rows, words=2))
+    show_list(console, "Notes", notes)
     say(console, "Verdict", check_verdict(found))
 
 
@@ -111,6 +118,12 @@ def check_verdict(found: DynamicsCheck) -> str:
     """
     worst = found.worst
     most = f"{worst.relative:.0e} at {' & '.join(worst.where)} ({worst.quantity})"
+    if found.repairs and found.is_rounding:
+        return (
+            "the file has inertias that cannot be used, so what was checked is not the file as it "
+            f"stands (see Notes). Of what is used instead, the largest relative difference is "
+            f"{most}. Correct the inertias in the file."
+        )
     if found.holds:
         return f"geodrake and MultibodyPlant agree; the largest relative difference is {most}."
     return (

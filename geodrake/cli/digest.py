@@ -44,7 +44,7 @@ def run_digest(options: DigestOptions) -> None:
     targets.check(inputs)
     with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
         extra = own_effects(files)
-        model = read_model(options.model, options, extra)
+        model = read_model(options.model, options, update, extra)
         targets.check([*inputs, model.path])
         run = digest_logs(
             model,

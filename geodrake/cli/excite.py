@@ -79,7 +79,7 @@ def run_excite(options: ExciteOptions) -> None:
     pages = importlib.import_module("geodrake.report") if options.report else None
     with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
         extra = own_effects(files)
-        model = read_model(options.model, options, extra)
+        model = read_model(options.model, options, update, extra)
         targets.check([options.model, *files, model.path])  # a saved model reads another one
         result = _designed(options, model, _Effects(names, extra), family, update)
         update("Writing")

@@ -40,7 +40,7 @@ def run_export(options: ExportOptions) -> None:
     pages = importlib.import_module("geodrake.report.export_page") if options.report else None
     with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
         extra = own_effects(options.effects or ())
-        model = read_model(options.model, options, extra)
+        model = read_model(options.model, options, update, extra)
         known, reading = model.known_joints, options.reading
         read_logs = [read_log(log, joints=known, partial=True, reading=reading) for log in logs]
         model = model_of_logs(model, read_logs) if logs else model

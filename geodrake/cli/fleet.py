@@ -12,9 +12,9 @@ from geodrake.boundary.arguments import number
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content, write_together
 from geodrake.cli.fleet_options import FleetOptions
-from geodrake.cli.guard import warn
+from geodrake.cli.model_options import repairs_in_short
 from geodrake.cli.progress import progress
-from geodrake.cli.surroundings import print_whole, printing
+from geodrake.cli.surroundings import print_whole, printing, results, warn
 from geodrake.cli.tables import head, make_console, say, show_list, show_saved, show_table
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.errors import ArgumentError, FleetError
@@ -78,7 +78,15 @@ def _looked(
     fleet: Fleet, work: FleetWork, options: FleetOptions
 ) -> tuple[FleetResult, FleetDigests]:
     with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
-        return run_fleet(fleet, work, told=update, said=update.history)
+        found = run_fleet(fleet, work, told=update, said=update.history)
+    _warn(found[1])
+    return found
+
+
+def _warn(digests: FleetDigests) -> None:
+    """Say what of the model files is not believed."""
+    for repair in repairs_in_short(digests.repairs):
+        warn(f"Warning: a model file is not used as it stands. {repair}")
 
 
 def _written(
@@ -125,6 +133,7 @@ def _show(
         show_table(console, robots_table(steady[:MOST_ROBOTS]))
         if len(steady) > MOST_ROBOTS:
             console.print(f"and {len(steady) - MOST_ROBOTS} more, in {fleet.folder / _RESULT}")
+    show_list(console, "Notes", result.repairs)
     unused = unused_list(result)
     more = len(unused) - _MOST_UNUSED
     rest = [f"and {more} more, in {fleet.folder / _RESULT}"] if more > 0 else []
@@ -168,6 +177,8 @@ def _look(
         if seen is not None and not digests.made and known == (seen.records, seen.failed):
             return digests
         result = fleet_result(fleet, digests, work, update)
+    if seen is None:
+        _warn(digests)
     _written(fleet, result, options, targets)
     _tell_new(fleet, result)
     return digests
@@ -178,7 +189,7 @@ def _tell_new(fleet: Fleet, result: FleetResult) -> list[FleetFinding]:
     new = new_findings(fleet.folder, result.findings)
     with printing():
         for finding in new:
-            print(finding_line(finding), flush=True)
+            print(finding_line(finding), file=results(), flush=True)
     if new:
         keep_told(fleet.folder, new)
     return new

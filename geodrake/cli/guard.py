@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import importlib
 import os
-import sys
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import typer
 
-from geodrake.boundary.escaping import kind_and_line, printable
+from geodrake.boundary.escaping import kind_and_line, one_line
 from geodrake.boundary.interrupts import deferred_interrupts
 from geodrake.cli.interruption import was_interrupted
-from geodrake.cli.surroundings import PIPE_CLOSED, check_surroundings
+from geodrake.cli.surroundings import PIPE_CLOSED, check_surroundings, results_apart, warn
 from geodrake.errors import GeodrakeError
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 1
+_SMALLER = "Check that the files are what they should be, and give less at once."
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
@@ -33,8 +33,9 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
     """
     try:
         check_surroundings()
-        _load_drake()
-        yield
+        with results_apart():
+            _load_drake()
+            yield
     except typer.Exit:
         raise
     except BrokenPipeError:
@@ -46,9 +47,12 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
             raise
         if debug or os.environ.get("GEODRAKE_DEBUG", "0") not in ("", "0"):
             lines = "".join(traceback.format_exception(error)).splitlines()
-            _say("\n".join(map(printable, lines)))
+            for shown in lines:
+                warn(shown)
         if isinstance(error, GeodrakeError):
             _stop(f"Error: {error}", BAD_INPUT)
+        if isinstance(error, MemoryError):
+            _stop(f"Error: There is not enough memory: {one_line(error)}. {_SMALLER}", BAD_INPUT)
         line = _line_of_user(error, effect_files)
         if line:
             _stop(f"Error: {line} raises {kind_and_line(error)}.", BAD_INPUT)
@@ -68,16 +72,6 @@ def _load_drake() -> None:
 def _stop(message: str, code: int) -> None:
     warn(message)
     raise typer.Exit(code) from None
-
-
-def warn(message: str) -> None:
-    """Say on stderr what is wrong, though the command goes on."""
-    _say(printable(message))
-
-
-def _say(text: str) -> None:
-    with suppress(OSError):  # standard error may be full, and there is nowhere else to say it
-        print(text, file=sys.stderr, flush=True)
 
 
 def _line_of_user(error: Exception, effect_files: Sequence[Path]) -> str | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -61,17 +62,17 @@ def _run(options: LogCommandOptions) -> None:
     more_files = [*options.transmission_files, *filter(None, [options.mapping, options.model])]
     inputs = [*files, *more_files]
     targets.check(inputs)
-    with progress(f"Reading {options.logs[0].name}", quiet=options.quiet):
-        model = None if options.model is None else read_model(options.model, options)
+    with progress(f"Reading {options.logs[0].name}", quiet=options.quiet) as update:
+        model = None if options.model is None else read_model(options.model, options, update)
         joints = None if model is None else model.known_joints
         found = [
             inspect_log(log, joints=joints, partial=True, reading=options.reading)
             for log in options.logs
         ]
-        numbers = {"logs": [inspection_dict(each) for each in found]}
+        numbers: dict[str, Any] = {"logs": [inspection_dict(each) for each in found]}
         columns = () if model is None else _columns(model, [each.log for each in found])
         if model is not None:
-            numbers["columns"] = columns_list(columns)
+            numbers |= {"columns": columns_list(columns), "notes": list(model.repairs)}
         text = to_json({"version": version(), "command": "log", **numbers})
         written = _written(targets, found[0], text)
     with printing():

@@ -12,8 +12,11 @@ import typer
 from geodrake.errors import ArgumentError
 
 if TYPE_CHECKING:
+    from geodrake.cli.progress import Activity
     from geodrake.effects import Effect
     from geodrake.model import Given, RobotModel
+
+_MOST_REPAIRS = 5  # that are said one by one; notes have all
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +50,15 @@ class ModelOptions:
         list[str] | None,
         typer.Option(metavar="NAME:=VALUE", help="Argument of a xacro file. Repeatable."),
     ] = None
+    trust_xacro: Annotated[
+        bool,
+        typer.Option(
+            "--trust-xacro",
+            help="Evaluate any expression of a xacro file and let it read any file, where you "
+            "trust who wrote it. If absent, expressions of values and xacro's own functions, and "
+            "files in its folder and packages.",
+        ),
+    ] = False
     transmission: Annotated[
         str | None,
         typer.Option(
@@ -70,7 +82,9 @@ class ModelOptions:
         """
         from geodrake.model import Given
 
-        return Given.of_words(self.robot, self.package or (), self.xacro_arg or ())
+        return Given.of_words(
+            self.robot, self.package or (), self.xacro_arg or (), trust_xacro=self.trust_xacro
+        )
 
     @property
     def transmission_files(self) -> list[Path]:
@@ -103,12 +117,15 @@ class ModelOptions:
         return found
 
 
-def read_model(path: Path, options: ModelOptions, extra: Sequence[type[Effect]] = ()) -> RobotModel:
-    """The model of a command.
+def read_model(
+    path: Path, options: ModelOptions, told: Activity, extra: Sequence[type[Effect]] = ()
+) -> RobotModel:
+    """The model of a command; what of its file is not believed is said at once.
 
     Args:
         path: MODEL.
         options: How it is to be read.
+        told: Shows what is going on.
         extra: Effects of the user's own.
 
     Raises:
@@ -116,7 +133,7 @@ def read_model(path: Path, options: ModelOptions, extra: Sequence[type[Effect]] 
     """
     from geodrake.model import load_model
 
-    return load_model(
+    model = load_model(
         path,
         floating=options.floating,
         extra=extra,
@@ -124,3 +141,27 @@ def read_model(path: Path, options: ModelOptions, extra: Sequence[type[Effect]] 
         given=options.given,
         transmission=options.transmission,
     )
+    tell_repairs(model, told)
+    return model
+
+
+def tell_repairs(model: RobotModel, told: Activity) -> None:
+    """Say what of a model's file is not believed.
+
+    Args:
+        model: The model, as it was read.
+        told: Shows what is going on.
+    """
+    for repair in repairs_in_short(model.repairs):
+        told.warning(f"Warning: {model.path.name} is not used as it stands. {repair}")
+
+
+def repairs_in_short(repairs: Sequence[str]) -> tuple[str, ...]:
+    """The first of many repairs, and how many there are.
+
+    Args:
+        repairs: What they say.
+    """
+    more = len(repairs) - _MOST_REPAIRS
+    rest = [f"{more} more of its inertias were replaced or left out."] if more > 0 else []
+    return (*repairs[:_MOST_REPAIRS], *rest)

@@ -6,10 +6,10 @@ if nothing is found for long; there are no control characters.
 
 from __future__ import annotations
 
-import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from geodrake.boundary.escaping import printable
+from geodrake.cli.surroundings import warn
 from geodrake.compiling import while_compiling
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ _COMPILING = "Compiling, once, which takes some ten seconds"
 STOPPING = "Interrupted: keeping what was found; Ctrl-C again ends at once"
 """What is said when a search is stopped that has found something."""
 
-_SILENT = 5.0  # s without a line in a pipe
+_SILENT, _PAUSE = 5.0, 1.0  # s without a line in a pipe, and between looks whether it is time
 _LEAST_SHARE = 0.05  # from which on the time left can be told
 _WIDTH = 44
 
@@ -39,6 +40,9 @@ class Activity(Protocol):
 
     def history(self, line: str) -> None:
         """A line that stays."""
+
+    def warning(self, line: str) -> None:
+        """A line that stays and is shown even to those who want to see no progress."""
 
 
 @dataclass
@@ -69,22 +73,46 @@ class _Quiet:
     def history(self, line: str) -> None:
         pass
 
+    def warning(self, line: str) -> None:
+        warn(line)
+
 
 @dataclass
 class _Lines:
-    """Plain lines on stderr."""
+    """Plain lines on stderr; the last words again and again while nothing else is said."""
 
+    last: tuple[str, float | None]
     clock: _Clock = field(default_factory=_Clock)
     told: float = 0.0
 
     def __call__(self, words: str, share: float | None = None) -> None:
+        self.last = (words, share)
         if self.clock.passed - self.told >= _SILENT:
             self.history(f"{words} ({self.clock.words(share)})")
 
     def history(self, line: str) -> None:
         self.told = self.clock.passed
-        with suppress(OSError):  # a full stderr is no reason to stop
-            print(printable(line), file=sys.stderr, flush=True)
+        warn(line)
+
+    def warning(self, line: str) -> None:
+        self.history(line)
+
+    @contextmanager
+    def repeating(self) -> Iterator[None]:
+        """Say that work goes on that says nothing itself."""
+        over = threading.Event()
+
+        def repeat() -> None:
+            while not over.wait(_PAUSE):
+                self(*self.last)
+
+        thread = threading.Thread(target=repeat, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
 
 
 @dataclass
@@ -112,6 +140,9 @@ class _Bar:
     def history(self, line: str) -> None:
         self.bar.console.print(printable(line), soft_wrap=True)
 
+    def warning(self, line: str) -> None:
+        self.history(line)
+
 
 @contextmanager
 def progress(words: str, *, quiet: bool = False) -> Iterator[Activity]:
@@ -125,8 +156,13 @@ def progress(words: str, *, quiet: bool = False) -> Iterator[Activity]:
         What shows other words.
     """
     console = Console(stderr=True, markup=False, emoji=False, highlight=False)
-    if quiet or not console.is_terminal:
-        yield _Quiet() if quiet else _Lines()
+    if quiet:
+        yield _Quiet()
+        return
+    if not console.is_terminal:
+        lines = _Lines((words, None))
+        with lines.repeating():
+            yield lines
         return
     bar = Progress(
         SpinnerColumn(),

@@ -8,13 +8,12 @@ from typing import Any
 
 from rich.console import Console
 
-from geodrake.boundary.input_files import regular_file
+from geodrake.cli.model_options import tell_repairs
 from geodrake.cli.options import RolloutOptions
 from geodrake.cli.rollout_fit import check_fit, run_rollout_fit
 from geodrake.cli.session import Command, Input, run
 from geodrake.cli.tables import head, say, show_list, show_table
 from geodrake.control.rollout import Rollout, command_rollout, roll_out
-from geodrake.errors import ModelError
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import is_saved_model, load_model
@@ -88,13 +87,13 @@ def other_model(path: Path, given: Input) -> RobotModel:
         given: What the command was given.
     """
     model, how, drives = given.model, None, None
-    regular_file(path, "model file", ModelError)
     if not is_saved_model(path):
-        how = model.given if is_xacro(path.read_bytes()) else replace(model.given, xacro={})
+        how = model.given if is_xacro(path) else replace(model.given, xacro={})
         drives = model.transmission  # whose logs these are
     other = load_model(
         path, floating=model.floating, extra=given.extra, given=how, transmission=drives
     )
+    tell_repairs(other, given.progress)
     return holding(other, {j: place for j, place in model.held.items() if j in other.joints})
 
 

@@ -176,7 +176,7 @@ def _read(
 ) -> Input:
     """The model, the logs and what is known of them."""
     extra = own_effects(options.effects or ())
-    model = read_model(options.model, options, extra)
+    model = read_model(options.model, options, update, extra)
     targets.check([*inputs, model.path])  # a saved model reads another one
     update("Reading the logs")
     known, reading = model.known_joints, options.reading

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import ctypes
 import errno
 import io
 import locale
@@ -10,9 +11,15 @@ import logging
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stdout, suppress
+from contextvars import ContextVar
+from typing import TextIO
 
+from geodrake.boundary.escaping import printable
+from geodrake.boundary.memory import limit_memory
 from geodrake.errors import GeodrakeError
+
+_RESULTS: ContextVar[TextIO] = ContextVar("results")
 
 BAD_OUTPUT = 2
 PIPE_CLOSED = 141  # 128 + SIGPIPE, as shells have it
@@ -22,11 +29,13 @@ PIPE_CLOSED = 141  # 128 + SIGPIPE, as shells have it
 def settled_surroundings() -> Iterator[None]:
     """Surroundings in which nothing but the input decides what a command does.
 
-    Standard streams that are closed are opened to nothing, and take every letter. Figures look
+    Standard streams that are closed are opened to nothing, and take every letter. Memory has a
+    limit. Figures look
     alike whatever matplotlib is told elsewhere. What standard output still holds is written at the
     end; it may be full, or a pipe that nobody reads any more.
     """
     _open_streams()
+    limit_memory()
     os.environ.update(MPLBACKEND="Agg", MATPLOTLIBRC=os.devnull)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its cache is no news
     try:
@@ -64,11 +73,49 @@ def check_surroundings() -> None:
         )
 
 
+def warn(message: str) -> None:
+    """Say on stderr what is wrong, though the command goes on."""
+    with suppress(OSError):  # standard error may be full, and there is nowhere else to say it
+        print(printable(message), file=sys.stderr, flush=True)
+
+
+@contextmanager
+def results_apart() -> Iterator[None]:
+    """Keep standard output for results: what code of users prints meanwhile goes to standard error.
+
+    So does what compiled libraries print, and processes that are started.
+    """
+    stdout, kept = sys.stdout, -1
+    stdout.flush()
+    to = stdout
+    if _descriptor(stdout) == 1:
+        kept = os.dup(1)
+        to = open(kept, "w", encoding=stdout.encoding, errors=stdout.errors)  # noqa: SIM115, PTH123
+        os.dup2(2, 1)
+    token = _RESULTS.set(to)
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        _RESULTS.reset(token)
+        if kept >= 0:
+            ctypes.CDLL(None).fflush(None)  # what C has not written yet
+            os.dup2(kept, 1)
+            with suppress(OSError):  # what cannot be written was told by `printing`
+                to.close()
+
+
+def results() -> TextIO:
+    """The stream that results go to."""
+    return _RESULTS.get(None) or sys.stdout
+
+
 def print_whole(text: str) -> None:
     """Print text that programs read: in UTF-8, whatever the terminal's letters are."""
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(encoding="utf-8", errors="backslashreplace")
-    print(text, end="")
+    stream = results()
+    if isinstance(stream, io.TextIOWrapper):
+        stream.reconfigure(encoding="utf-8", errors="backslashreplace")
+    print(text, end="", file=stream)
 
 
 @contextmanager
@@ -81,7 +128,7 @@ def printing() -> Iterator[None]:
     """
     try:
         yield
-        sys.stdout.flush()
+        results().flush()
     except BrokenPipeError:
         raise
     except OSError as error:
@@ -102,6 +149,14 @@ def _open_streams() -> None:
             stream.reconfigure(errors="replace")  # a terminal without ± is no reason to fail
 
 
+def _descriptor(stream: TextIO) -> int:
+    """Which of the process's files a stream writes to; -1 if it is none, as in tests."""
+    try:
+        return stream.fileno()
+    except (OSError, ValueError):
+        return -1
+
+
 def _full(error: OSError) -> str:
     return f"Standard output cannot be written: {error.strerror}."
 
@@ -110,4 +165,4 @@ def _close_output() -> None:
     """Send what is still to be written nowhere; Python would complain of it at its end."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     with suppress(OSError, ValueError):
-        os.dup2(nowhere, sys.stdout.fileno())
+        os.dup2(nowhere, results().fileno())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from rich.table import Table as Grid
 from rich.text import Text
 
 from geodrake.boundary.escaping import printable
+from geodrake.cli.surroundings import results
 from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import Diagnosis, Explanation
 from geodrake.identification.logs.model_errors import Comparison
@@ -69,7 +71,8 @@ class _Console(Console):
 
 def make_console(*, stderr: bool = False) -> Console:
     """A console that prints names and numbers as they are, without reading markup into them."""
-    console = _Console(stderr=stderr, markup=False, emoji=False, highlight=False)
+    file = sys.stderr if stderr else results()
+    console = _Console(file=file, markup=False, emoji=False, highlight=False)
     if not console.is_terminal:
         console.width = _PIPE_WIDTH
     return console

@@ -55,13 +55,13 @@ def add(
         LogError: A log cannot be used.
     """
     instance(model, "model", RobotModel)
-    where = tuple(dict.fromkeys(instances(where or (), "where", str))) or None
+    where = tuple(dict.fromkeys(instances(() if where is None else where, "where", str))) or None
     kind = effect_class(effect, extra)
     _refuse_what_cannot_be(kind, model, where)
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
     found = with_forced(case, kind, _places(kind, case, where), _further(kind, case, where))
-    asked = [finding for finding in findings_of(found) if finding.name == kind.name]
-    result = explained(case, found, asked, forced=True).explanation
+    findings = [finding for finding in findings_of(found) if finding.name == kind.name]
+    result = explained(case, found, findings, forced=True).explanation
     added = {term.effect for term in found.fit.terms}
     _refuse_unidentifiable(result.model, {each for each in added if each is not None})
     return result

@@ -32,7 +32,6 @@ class Beliefs:
         reversal: As `size`, for what friction does at speeds that a log does not resolve.
         discrepancy: What is more than sensor noise in a residual is worth so many samples, however
             long logs are: it goes with the motion in a way that no effect describes.
-        adopted: An explanation is adopted where it is so many times as probable as a simpler one.
     """
 
     size: float = 1.0
@@ -47,9 +46,8 @@ class Beliefs:
     payload: float = 0.5
     inner: float = 30.0
     unknown: float = 0.3
-    reversal: float = 1.0
+    reversal: float = 0.3
     discrepancy: float = 100.0
-    adopted: float = 1.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():

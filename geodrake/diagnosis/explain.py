@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from geodrake.boundary.arguments import function, instance
 from geodrake.boundary.showing import Short
 from geodrake.diagnosis.beliefs import Beliefs
@@ -20,12 +22,16 @@ from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
+from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.identification.logs.model_fit import ModelFit
 from geodrake.identification.models.bodies import changed_bodies, common_factor_notes
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
+
+MOST_OF_REVERSALS = 2.0
+"""Reversals that logs do not resolve add at most this, over the noise, to what is explained."""
 
 _STOPPED = "interrupted before the search had ended: there may be more to find, or other rivals"
 
@@ -128,7 +134,7 @@ def explained(
         said += fading_notes(model, fit.model)
         said += [*stated_mass_notes(case, fit.model), *common_factor_notes(bodies)]
     explanation = Explanation(
-        verdict_of(after.errors, bool(steps)),
+        verdict_of(after.errors, bool(steps), left=_left(found)),
         steps,
         before.errors,
         error_table(case.dataset, start.held_out),
@@ -181,13 +187,23 @@ def _holding(
         found = replace(found, fit=stages[-2].fit if len(stages) > 1 else found.start)
 
 
-def verdict_of(errors: ErrorTable, found: bool) -> Verdict:
+def _left(found: Found) -> float:
+    """What a fit leaves over the noise where it is most, reversals that nobody resolves aside."""
+    noise = found.model.dataset.noise_floor
+    left = np.sqrt(found.fit.variance)
+    return float(np.max(left / np.where(noise > 0.0, noise, 1e-300)))
+
+
+def verdict_of(errors: ErrorTable, found: bool, *, left: float = np.inf) -> Verdict:
     """What an end result amounts to.
 
     Args:
         errors: Held-out errors at the end.
         found: Whether a step was taken.
+        left: What a fit leaves over the noise where it is most, reversals of joints that the logs
+            do not resolve left aside; what those add is no effect that is missing.
     """
-    if not errors.is_noise:
+    near = errors.shows_noise and errors.nrms <= MOST_OF_REVERSALS * errors.floor_nrms
+    if not (errors.is_noise or (near and left <= JOINT_NOISE_MARGIN)):
         return "unexplained"
     return "explained" if found else "adequate"

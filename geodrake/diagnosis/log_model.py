@@ -48,10 +48,10 @@ _LEAST_SHARE = 1e-4
 _RIDGE = 1e-11
 _ALIKE = 0.02  # noise is settled if no logarithm of a variance changes by more
 _MOST_FITS = 8
-_UNSURE = 3.0  # deviations, by which a payload may be beyond what is physical
 _SIMPLER = 0.5
 _USUAL_SHARE = 0.3
 _PSEUDO = pseudo_inertia_basis()
+_DRAWS = np.random.default_rng(0).normal(size=(200, PARAMETERS_PER_BODY))
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,8 +300,6 @@ class LogModel:
                 break
         if bounded and any(np.any(x[at] <= 0.0) for at in self._positive(choice)):
             return None
-        if bounded and not self._is_physical(choice, x, hessian):
-            return None
         way = x - mean
         determinant = 2.0 * (np.log(np.diag(factor)).sum() - np.log(scale).sum())
         score = (
@@ -309,6 +307,7 @@ class LogModel:
             - float(way @ prior @ way)
             - determinant
             + logarithm
+            + self._physical(choice, x, hessian)
             - self.odds_against(choice)
         )
         return Fit(choice, columns, x, variance, weights, hessian, score)
@@ -332,21 +331,24 @@ class LogModel:
             at += len(term.columns)
         return found
 
-    def _is_physical(self, choice: Choice, x: Array, hessian: Array) -> bool:
-        """Whether payloads may be physical, as far as they are known."""
-        at = self._first_term
+    def _physical(self, choice: Choice, x: Array, hessian: Array) -> float:
+        """Twice the logarithm of the probability that payloads are physical, as they are known."""
+        at, total = self._first_term, 0.0
         for term in choice.terms:
             size = len(term.columns)
             if term.is_whole:
-                values, axes = np.linalg.eigh(np.tensordot(x[at : at + size], _PSEUDO, 1))
-                slope = np.einsum("kij,i,j->k", _PSEUDO, axes[:, 0], axes[:, 0])
-                right = np.zeros(len(x))
-                right[at : at + size] = slope
-                spread = float(np.sqrt(right @ np.linalg.solve(hessian, right)))
-                if values[0] < -_UNSURE * spread:
-                    return False
+                right = np.eye(len(x))[:, at : at + size]
+                covariance = np.linalg.solve(hessian, right)[at : at + size]
+                scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+                factor = np.linalg.cholesky(
+                    covariance / scale[:, None] / scale + 1e-9 * np.eye(size)
+                )
+                drawn = x[at : at + size] + scale * (_DRAWS @ factor.T)
+                matrices = np.tensordot(drawn, _PSEUDO, 1)
+                share = np.mean(np.linalg.eigvalsh(matrices)[:, 0] > 0.0)
+                total += 2.0 * np.log(max(float(share), 0.5 / len(_DRAWS)))
             at += size
-        return True
+        return total
 
     def _normal(self, columns: Indices, delay: Delay) -> tuple[Array, Array, Array]:
         """AᵀA (nv, n, n), Aᵀb (nv, n) and bᵀb (nv,) of each joint."""

@@ -15,8 +15,8 @@ _MOST = 14
 """So many neighbours, those that promise most, are fitted."""
 _POOL = 14
 """So many effects of a joint, and all simple ones, are tried in pairs there."""
-_HOPE = -4.0
-"""A neighbour that promises less is not fitted: its noise may be smaller than the fit's."""
+_HOPE = -10.0
+"""A neighbour that promises less is not fitted: it has less than a hundredth of the probability."""
 _LOSS = -25.0
 
 
@@ -101,6 +101,7 @@ class _Finder:
         for term in self.fit.terms:
             yield from self._replaced(term)
         yield from self._without_kinds()
+        yield from self._kinds_replaced()
 
     def _move(self, terms: Iterable[Term], gain: float) -> Move:
         """A move by its gain without prior odds."""
@@ -228,6 +229,34 @@ class _Finder:
                 move = self._move(rest, self.around.dropped(gone).loss)
                 if move.gain > _LOSS:
                     yield move
+
+    def _kinds_replaced(self) -> Iterator[Move]:
+        """One kind of effect in the place of another one at all of its joints."""
+        present = self.fit.terms
+        for name in {term.name for term in present if term.joint is not None}:
+            gone = [term for term in present if term.name == name]
+            rest = tuple(term for term in present if term.name != name)
+            if len(gone) < 2 or not self.model.are_compatible(rest):
+                continue
+            dropped, best = self.around.dropped(gone), dict[str, dict[str, tuple[float, Term]]]()
+            joints = {term.joint for term in gone}
+            offered = [
+                term
+                for term in self.model.terms
+                if term.joint in joints
+                and term.name != name
+                and self.model.are_compatible((*rest, term))
+            ]
+            gains = self.around.gains([(term,) for term in offered], dropped)
+            for term, gain in zip(offered, gains.tolist(), strict=True):
+                at = best.setdefault(term.name, {})
+                if np.isfinite(gain) and gain > at.get(term.where[0], (-np.inf, term))[0]:
+                    at[term.where[0]] = gain, term
+            for at in best.values():
+                if len(at) == len(joints):
+                    terms = (*rest, *(term for _, term in at.values()))
+                    if self.model.are_compatible(terms):
+                        yield self._move(terms, dropped.loss + sum(g for g, _ in at.values()))
 
 
 def _complexity(term: Term) -> int:

@@ -127,6 +127,11 @@ class _Search:
     def found(self) -> Found:
         """Search to the end."""
         try:
+            more = proposed(self.case, self.model, self.fit)
+            if more:  # before anything else makes up for them
+                self._effects += more
+                self._grid = (*self._grid, *more)
+                self._anew()
             self._climb(hopeful=True)
             self._climb(hopeful=False)
             for _ in range(_MOST_ROUNDS):
@@ -172,8 +177,10 @@ class _Search:
         if kind.role is Role.DELAY:
             return self._latest(was, places)
         if kind.role is Role.INERTIA:
-            choices = [model.nothing(w) for w in model.widths if w > model.beliefs.wrong]
+            wrong = model.beliefs.wrong
+            choices = [model.nothing(w) for w in model.widths if w > wrong]
             return self._best(choices or [model.nothing(model.widths[-1])], was)
+        known = [w for w in model.widths if w <= model.beliefs.wrong] or [model.widths[0]]
         options = dict[tuple[str, ...], list[Term]]()
         for term in model.terms:
             if term.effect is not None and isinstance(term.effect, kind):
@@ -183,15 +190,13 @@ class _Search:
         best = dict[tuple[str, ...], Fit]()
         for place, terms in chosen.items():
             choices = [
-                model.choice((term,), width, was.choice.delay)
-                for term in terms
-                for width in model.widths
+                model.choice((term,), width, was.choice.delay) for term in terms for width in known
             ]
             best[place] = self._best(choices, was)
         if single:
             return max(best.values(), key=lambda fit: fit.score)
         together = tuple(fit.terms[0] for fit in best.values())
-        return self._best([model.choice(together, w, was.choice.delay) for w in model.widths], was)
+        return self._best([model.choice(together, w, was.choice.delay) for w in known], was)
 
     def _latest(self, was: Fit, places: tuple[tuple[str, ...], ...] | None) -> Fit:
         """The best delay of all efforts, or of those of each of some joints."""

@@ -49,6 +49,7 @@ class AerodynamicDrag(BodyEffect):
     signature = "grows with the square of a body's speed, at all joints up to it"
     depends_on = frozenset({"q", "v", "bodies"})
     expandable = True
+    complexity = 3
 
     @classmethod
     def candidates(cls, body: str) -> tuple[AerodynamicDrag, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline
 
+from geodrake.boundary.arguments import positive, real_array
 from geodrake.effects.base import Array, Effect, RobotMotion, Role, Shape
 from geodrake.errors import ArgumentError
 from geodrake.logs.filtering import spline_through
@@ -76,12 +77,9 @@ class EffortDelay(Effect):
         Raises:
             ArgumentError: The period is not positive, or there are no samples.
         """
-        signal = np.asarray(signal, float)
-        if not period > 0 or signal.ndim == 0 or len(signal) == 0:
-            raise ArgumentError(
-                f"A delay needs samples and a positive period; it got a signal of shape "
-                f"{signal.shape} and a period of {period} s."
-            )
+        signal, period = real_array(signal, "signal"), positive(period, "period")
+        if signal.size == 0 or signal.ndim == 0:
+            raise ArgumentError(f"A delay needs samples; its signal has the shape {signal.shape}.")
         if self.delay == 0 or len(signal) == 1:
             return signal.copy()
         samples = np.arange(len(signal), dtype=float)

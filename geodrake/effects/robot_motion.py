@@ -161,4 +161,4 @@ def smoothed_sign(width: Array) -> Callable[[Array], Array]:
 
 def log_number(name: str) -> int:
     """A number that tells a log from others, by its name."""
-    return zlib.crc32(name.encode(errors="surrogateescape")) or 1
+    return zlib.crc32(name.encode(errors="surrogatepass")) or 1

@@ -21,6 +21,7 @@ from geodrake.excitation.collision_meshes import in_memory, replace_stl
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files import read_description
 from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.files.meshes import check_geometry
 from geodrake.robot.files.values import drop
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
@@ -130,6 +131,8 @@ def _parse(parser: Parser, model: RobotModel, folder: Path) -> None:
     if model.path.suffix.lower() not in (".yaml", ".yml"):
         root = parse_xml_bytes(read_expanded(model.path, model.given), model.path)
     if root is None or root.tag not in ("robot", "sdf"):
+        files = (text.path for text in read_description(model.path, model.given).texts)
+        check_geometry(files, parser.package_map(), model.given)
         parser.AddModels(str(model.path))
         return
     drop(root, "visual", "inertial", "mimic", "transmission", "sensor", "plugin", "gazebo")

@@ -14,7 +14,7 @@ from pydrake.geometry import Convex, Mesh, Shape
 from pydrake.multibody.parsing import PackageMap
 
 from geodrake.errors import ModelError
-from geodrake.robot.mesh_files import stl_vertices
+from geodrake.robot.mesh_files import check_mesh, stl_vertices
 
 Array = NDArray[np.float64]
 
@@ -69,17 +69,19 @@ def _readable(place: str, packages: PackageMap, model: Path, replacement: Path) 
     if "://" not in place:
         # Drake does not know where a text is from, and takes no bare paths in it.
         place = f"file://{model.resolve().parent / place}"
-    if not place.lower().endswith(".stl"):
-        return place
     try:
         path = packages.ResolveUrl(place)
     except RuntimeError as error:
         reason = str(error).strip().partition("\n")[0]
         raise _unusable(place, reason.rpartition("error: ")[2].rstrip(".")) from error
     try:
+        if not path.lower().endswith(".stl"):
+            check_mesh(Path(path))
+            return place
         vertices = stl_vertices(Path(path))
     except ModelError as error:
-        raise _unusable(path, error.problem.partition(": ")[2].rstrip(".")) from error
+        words = error.problem.replace(f"The mesh {path} ", "it ").rstrip(".")
+        raise _unusable(path, words) from error
     corners = 1 + np.arange(len(vertices)).reshape(-1, 3)
     with replacement.open("w", encoding="utf-8") as file:
         np.savetxt(file, vertices, "v %.9g %.9g %.9g")

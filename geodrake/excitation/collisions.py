@@ -13,7 +13,7 @@ from pydrake.multibody.inverse_kinematics import MinimumDistanceLowerBoundConstr
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
-from geodrake.boundary.arguments import instance, instances, integer, number
+from geodrake.boundary.arguments import instance, instances, integer, number, typed
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collision_geometry import Solid, add_collision_plant
 from geodrake.model.robot_model import RobotModel
@@ -45,6 +45,7 @@ class CollisionWorld:
             negative.
     """
 
+    @typed
     def __init__(
         self,
         model: RobotModel,

@@ -94,7 +94,7 @@ class Criterion:
         Raises:
             ArgumentError: There are fewer eigenvalues than are to be kept.
         """
-        logs = np.asarray(log_eigenvalues, float)
+        logs = real_array(log_eigenvalues, "log_eigenvalues", ("n",))
         order = np.argsort(logs, kind="stable")[len(logs) - len(self._largest(logs)) :]
         kept, gradient = logs[order], np.zeros_like(logs)
         match self.name:

@@ -154,6 +154,7 @@ def design_objective(
         limits=problem.limits,
         outcomes=tuple(outcome for _, outcome in ends),
         notes=(
+            *model.repairs,
             *(() if options.collisions is None else options.collisions.notes),
             *_time_notes(problem, run, run.starts - len(ends), use.stride),
         ),

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 
-from geodrake.boundary.arguments import integer, positive, real_array
+from geodrake.boundary.arguments import integer, number, positive, real_array
 from geodrake.errors import ArgumentError
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ class MotionFamily(abc.ABC):
 
     def times(self, samples: int) -> Array:
         """(samples,) uniform instants from start to end, s."""
-        return np.linspace(0.0, self.length, samples)
+        return np.linspace(0.0, self.length, integer(samples, "samples", lower=1))
 
     def limit_times(self, share: float = 0.05) -> Array:
         """Instants at which limits are to hold: so close that nothing happens between them.
@@ -69,14 +69,14 @@ class MotionFamily(abc.ABC):
         Raises:
             ArgumentError: They are too many.
         """
-        needed = self.length / (share * self.fastest)
+        needed = self.length / (number(share, "share", lower=0.0, strict=True) * self.fastest)
         if 3 * needed * self.count > _LARGEST_BASIS:
             raise ArgumentError(
                 f"A {self.name} motion of {self.length:g} s in which something happens every "
                 f"{self.fastest:g} s is too long: limits would be looked at {needed:.2g} times.",
                 advice="Make it shorter or slower.",
             )
-        return self.times(max(2, int(np.ceil(self.length / (share * self.fastest))) + 1))
+        return self.times(max(2, int(np.ceil(needed)) + 1))
 
     def conditions(self, *, rest: bool, start: bool) -> Array:
         """Independent rows E (k, count) of what is fixed at the ends: E c is given.
@@ -288,7 +288,7 @@ class FreeSamples(MotionFamily):
 
     def basis(self, times: ArrayLike) -> Array:
         """(3, samples, count): each picks its third of the coefficients, whatever the time."""
-        del times
+        real_array(times, "times")
         return np.eye(self.count).reshape(3, self.samples, self.count)
 
     def conditions(self, *, rest: bool, start: bool) -> Array:

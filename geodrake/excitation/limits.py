@@ -19,6 +19,8 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 ByJoint = float | Mapping[str, float] | ArrayLike | None
 
+_FARTHEST = 1e9  # rad or m: a limit beyond is none
+
 
 @dataclass(frozen=True, eq=False)
 class MotionLimits(Short):
@@ -81,7 +83,7 @@ class MotionLimits(Short):
                     advice="Correct the limits, or weld the joint.",
                     joint=joint,
                 )
-            if not -np.inf < low < high < np.inf:
+            if not -_FARTHEST < low < high < _FARTHEST:
                 raise ArgumentError(
                     f"The position of joint {joint!r} is not limited: {low:g} … {high:g}.",
                     advice=f"Say how far it may go, such as position={{{joint!r}: (-0.5, 0.5)}}.",

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from geodrake.boundary.arguments import Sizes, instances, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.information import Objective
@@ -78,6 +79,16 @@ class Separation(Objective):
     prior: Array = field(default_factory=lambda: np.zeros((0, 0)))
     lower: Array = field(default_factory=lambda: np.zeros(0))
     upper: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        instances(self.pairs, "pairs", Pair)
+        sizes: Sizes = {}
+        real_array(self.prior, "prior", ("q", "p"), sizes)
+        lower = real_array(self.lower, "lower", ("p",), sizes, finite=False)
+        upper = real_array(self.upper, "upper", ("p",), sizes, finite=False)
+        if not (lower <= upper).all():
+            raise ArgumentError("lower must be at most upper, and neither NaN, at every column.")
 
     def separations(self, motion: Motion) -> Array:
         """(K,) Δ of every pair, in squared standard deviations of all samples together."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.boundary.arguments import instance, instances, integer, integers, real_array
+from geodrake.boundary.arguments import instance, instances, integer, integers, mask, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, pullback_metric
@@ -67,17 +67,14 @@ class TypeColumns(Short):
         """Checks that all fit each other."""
         size = real_array(self.prior, "prior", ("p",)).shape
         spreads = instances(self.spreads, "spreads", Spread)
-        masks = [np.asarray(mask) for mask in (self.free, self.relative, self.course)]
-        wrong = any(mask.shape != size or mask.dtype != bool for mask in masks)
-        if wrong or any(len(each.factor) != size[0] for each in spreads):
-            raise ArgumentError(
-                f"free, relative, course and the factors of spreads must have {size[0]} rows, as "
-                "the prior has, and the first three must be booleans."
-            )
+        names = ("free", "relative", "course")
+        _, relative, course = (mask(getattr(self, name), name, size[0]) for name in names)
+        if any(len(each.factor) != size[0] for each in spreads):
+            raise ArgumentError(f"The factors of spreads must have {size[0]} rows, as the prior.")
         integer(self.gains, "gains", lower=0, upper=size[0])
         if len(instances(self.units, "units", str)) not in (0, size[0]):
             raise ArgumentError(f"{size[0]} columns cannot have {len(self.units)} units.")
-        if not spreads or (masks[2] & ~masks[1]).any():
+        if not spreads or (course & ~relative).any():
             raise ArgumentError(
                 "There must be a spread, and columns with a common course must be relative."
             )

@@ -1,7 +1,12 @@
-"""Files of digests: NPZ archives of arrays, with a header and the settings in JSON."""
+"""Files of digests: NPZ archives of arrays, with a header and the settings in JSON.
+
+A file ends in the SHA-256 of all bytes before it, as the comment of the archive. In a folder, its
+name is the key that it holds, which is the hash of its log, of known payloads and of the settings.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import zipfile
@@ -16,15 +21,16 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import file_path, instance
 from geodrake.boundary.escaping import one_line
-from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.errors import DigestError
-from geodrake.fleet.digest import Digest, DigestedLog, JointDigest
+from geodrake.fleet.digest import Digest, DigestedLog, JointDigest, check_same
 from geodrake.fleet.settings import FORMAT, DigestSettings, settings_of
 from geodrake.logs.known_payload import KnownPayload
 
 Array = NDArray[np.float64]
 
 _LARGEST_FILE = 500_000_000  # bytes, also of what an archive says it unpacks to
+_SEAL = hashlib.sha256().digest_size
 _NUMBERS = ("noise_floor", "gain_deviations", "position", "speed", "temperature")
 _INTEGERS = ("columns", "samples", "seen")
 
@@ -59,9 +65,43 @@ def digest_content(digest: Digest) -> bytes:
             arrays[f"{k}.{name}"] = getattr(joint, name)
         upper = np.triu_indices(joint.factors.shape[1])
         arrays[f"{k}.factors"] = joint.factors[:, upper[0], upper[1]]
+    return sealed(arrays)
+
+
+def sealed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """An NPZ archive that ends in the SHA-256 of all that is before it.
+
+    Args:
+        arrays: What it holds, by name.
+    """
     file = io.BytesIO()
     np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-    return file.getvalue()
+    with zipfile.ZipFile(file, "a") as archive:
+        archive.comment = bytes(_SEAL)
+    content = file.getvalue()[:-_SEAL]
+    return content + hashlib.sha256(content).digest()
+
+
+def read_digest_of(path: Path, settings: DigestSettings) -> Digest:
+    """Read a digest of one log in a folder, which must be the one that its name says.
+
+    Args:
+        path: The file.
+        settings: Settings that it must have.
+
+    Raises:
+        DigestError: It is no digest, damaged, by other settings, or that of another log.
+    """
+    digest = read_digest(path)
+    check_same(digest.settings, settings, str(path))
+    if [log.key for log in digest.logs] != [path.stem]:
+        names = ", ".join(log.name for log in digest.logs)
+        raise DigestError(
+            f"{path} holds the digest of another log, {names}: it was copied or renamed.",
+            advice="Delete it, and digest its log again.",
+            path=path,
+        )
+    return digest
 
 
 def read_digest(path: str | Path) -> Digest:
@@ -75,7 +115,9 @@ def read_digest(path: str | Path) -> Digest:
     """
     path = regular_file(file_path(path), "digest", DigestError, largest=_LARGEST_FILE)
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_regular(path, "digest", DigestError) as file:
+            data = file.read()
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
             if sum(entry.file_size for entry in archive.infolist()) > _LARGEST_FILE:
                 raise ValueError("it unpacks to more than any digest has")
             arrays = {
@@ -92,6 +134,8 @@ def read_digest(path: str | Path) -> Digest:
                 advice="Digest its log again.",
                 path=path,
             )
+        if hashlib.sha256(data[:-_SEAL]).digest() != data[-_SEAL:]:
+            raise ValueError("its checksum is another one")
         settings = settings_of(_text(arrays, "settings"), path)
         if settings.hash != header["settings"]:
             raise ValueError("its settings are not those of its header")

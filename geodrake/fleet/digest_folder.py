@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import file_path, instance, instances, number
+from geodrake.boundary.arguments import file_path, instance, instances, number, typed
 from geodrake.boundary.showing import Short
 from geodrake.boundary.version import version
-from geodrake.boundary.whole_files import check_writable, make_folder, write_new, write_whole
+from geodrake.boundary.whole_files import check_writable, made_folder, write_new, write_whole
 from geodrake.errors import ArgumentError, DigestError, GeodrakeError, OutputError
-from geodrake.fleet.digest import Digest, DigestedLog, check_same
+from geodrake.fleet.digest import Digest, DigestedLog
 from geodrake.fleet.digest_dataset import model_of_digests
-from geodrake.fleet.digest_file import digest_content, read_digest
+from geodrake.fleet.digest_file import digest_content, read_digest_of
 from geodrake.fleet.log_dates import date_text
 from geodrake.fleet.making import LogFacts, Wanted, make_digest, make_settings, said_of_reading
 from geodrake.fleet.model_hash import file_hash, text_hash
@@ -90,12 +90,14 @@ class DigestRun(Short):
         settings: Their settings; None if no log could be used, so that none are chosen.
         rows: The logs, in the order in which they were named.
         chosen: Whether the settings are new.
+        repairs: What of the model's file is not believed.
     """
 
     folder: Path
     settings: DigestSettings | None
     rows: tuple[DigestRow, ...]
     chosen: bool = False
+    repairs: tuple[str, ...] = ()
 
     def count(self, status: str) -> int:
         """How many logs have a status."""
@@ -121,21 +123,22 @@ class _Folder:
         reason = ""
         if self.settings is not None and (file := self._file(self.settings, facts)).exists():
             try:
-                return DigestRow.of(log, THERE, file, self._there(file))
+                return DigestRow.of(log, THERE, file, read_digest_of(file, self.settings))
             except DigestError as error:
                 reason = f"made again: {error.problem}"
         known, reading = self.model.known_joints, self.wanted.reading
         read = read_log(log, joints=known, partial=True, reading=reading)
         settings = self.settings or self._chosen_from(read)
         digest = make_digest(self.model, read, settings, facts, extra=self.wanted.extra)
-        make_folder(self.path)
-        if self.settings is None:
-            if not write_new(self.path / SETTINGS_FILE, settings.text()):
+        file, content = self._file(settings, facts), digest_content(digest)
+        with made_folder(self.path):
+            if self.settings is not None:
+                write_whole(file, content)
+            elif write_new(self.path / SETTINGS_FILE, settings.text(), {file: content}):
+                self.settings, self.chosen = settings, True
+            else:
                 self.take_settings()  # another run was quicker to choose them
                 return self.add(log, facts)
-            self.settings, self.chosen = settings, True
-        file = self._file(settings, facts)
-        write_whole(file, digest_content(digest))
         return DigestRow.of(log, MADE, file, digest, reason)
 
     def _chosen_from(self, log: JointLog) -> DigestSettings:
@@ -165,13 +168,8 @@ class _Folder:
     def _file(self, settings: DigestSettings, facts: LogFacts) -> Path:
         return self.path / f"{facts.key(settings)}{_SUFFIX}"
 
-    def _there(self, file: Path) -> Digest:
-        digest = read_digest(file)
-        if self.settings is not None:
-            check_same(digest.settings, self.settings, str(file))
-        return digest
 
-
+@typed
 def digest_logs(
     model: RobotModel,
     logs: Sequence[str | Path],
@@ -202,11 +200,10 @@ def digest_logs(
         ArgumentError: A setting is no usable number, or there is no log.
         OutputError: The folder cannot be written to.
     """
-    instance(model, "model", RobotModel)
     files = [file_path(log) for log in instances(logs, "logs", (str, Path))]
     if not files:
         raise ArgumentError("There is no log to digest.", advice="Give at least one.")
-    wanted = instance(wanted or Wanted(), "wanted", Wanted)
+    wanted = wanted or Wanted()
     carried = _checked_payloads(payloads or {}, files)
     if date is not None:
         number(date, "date", lower=0.0, strict=True)
@@ -218,7 +215,7 @@ def digest_logs(
     for at, log in enumerate(files):
         told(f"Digesting {log.name}", at / len(files))
         rows.append(_row(folder, log, date, carried.get(log, ())))
-    return DigestRun(path, folder.settings, tuple(rows), folder.chosen)
+    return DigestRun(path, folder.settings, tuple(rows), folder.chosen, model.repairs)
 
 
 def _checked_payloads(

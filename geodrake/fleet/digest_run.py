@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from geodrake.boundary.showing import Short
-from geodrake.boundary.whole_files import make_folder
+from geodrake.boundary.whole_files import made_folder
 from geodrake.errors import ArgumentError, DigestError, FleetError, GeodrakeError, OutputError
 from geodrake.fleet.digest_folder import FAILED, Told, check_settings, digest_logs
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
@@ -64,20 +65,25 @@ class FleetDigests(Short):
         failed: Logs that have none, each with its reason.
         settings: Type -> settings of its digests; None if none of its logs can be used.
         made: How many logs were digested.
+        repairs: What of the model files is not believed.
     """
 
     records: dict[str, tuple[LogRecord, ...]]
     failed: tuple[LogRecord, ...]
     settings: dict[str, DigestSettings | None]
     made: int
+    repairs: tuple[str, ...] = ()
 
 
-def check_places(fleet: Fleet, *, local: bool) -> None:
+def check_places(fleet: Fleet, *, local: bool) -> tuple[str, ...]:
     """Refuse what no worker could do, before any work.
 
     Args:
         fleet: The fleet.
         local: Whether all is done in this process.
+
+    Returns:
+        What of the model files is not believed.
 
     Raises:
         FleetError: Logs are in the memory of this process, and others are to read them.
@@ -92,16 +98,21 @@ def check_places(fleet: Fleet, *, local: bool) -> None:
                     "other one sees.",
                     advice="Read them in this process: --workers 0.",
                 )
+    models = list[RobotModel]()
     for kind in fleet.types.values():
         source = type_source(kind)
         model = source.model
+        models.append(model)
         settings = read_settings(fleet.folder / kind.name / DIGESTS)
         if settings is not None:
             check_settings(settings, model, source.wanted)
         for robot in fleet.of_type(kind.name):
             _check_payloads(robot, model)
             if robot.model is not None:
-                _check_same_robot(robot, own_model(kind, robot.model), model)
+                models.append(own_model(kind, robot.model))
+                _check_same_robot(robot, models[-1], model)
+    found = [f"{model.path.name}: {each}" for model in models for each in model.repairs]
+    return tuple(dict.fromkeys(found))
 
 
 def _check_payloads(robot: FleetRobot, model: RobotModel) -> None:
@@ -211,11 +222,14 @@ def digest_fleet(
         known[record.robot][record.address] = record
         done += 1
 
-    rest = _choose_settings(fleet, tasks, take, told)
-    for piece in team.each(digest_task, rest):
-        task = rest[piece.at]
-        take(task, piece.result or _failure(task, _KILLED))
-        told(f"Digested {task.place.name} of {task.robot.name}", done / len(tasks))
+    with ExitStack() as folders:
+        for name in fleet.types:
+            folders.enter_context(made_folder(fleet.folder / name / DIGESTS))
+        rest = _choose_settings(fleet, tasks, take, told)
+        for piece in team.each(digest_task, rest):
+            task = rest[piece.at]
+            take(task, piece.result or _failure(task, _KILLED))
+            told(f"Digested {task.place.name} of {task.robot.name}", done / len(tasks))
     by_date = {name: sorted(own.values(), key=_by_date) for name, own in known.items()}
     return FleetDigests(
         {name: tuple(each for each in own if each.digest) for name, own in by_date.items()},
@@ -235,7 +249,6 @@ def _choose_settings(
     rest: list[LogTask] = []
     for kind in fleet.types.values():
         folder = fleet.folder / kind.name
-        make_folder(folder / DIGESTS)
         own = [task for task in tasks if task.kind is kind]
         while own and read_settings(folder / DIGESTS) is None:
             told(f"Choosing settings of {kind.name}", None)

@@ -168,12 +168,14 @@ class FleetResult(Short):
         unused: Logs that findings are not of.
         false_alarms: At most how many robots in which nothing changed are named, a robot-month.
         settings: Type -> hash of the settings of its digests.
+        repairs: What of the model files is not believed.
     """
 
     robots: tuple[RobotResult, ...]
     unused: tuple[UnusedLog, ...]
     false_alarms: float
     settings: dict[str, str]
+    repairs: tuple[str, ...] = ()
 
     @property
     def findings(self) -> tuple[FleetFinding, ...]:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import instance, integer, number
+from geodrake.boundary.arguments import instance, integer, number, typed
 from geodrake.boundary.showing import Short
-from geodrake.boundary.whole_files import make_folder
 from geodrake.fleet.digest_folder import Told
 from geodrake.fleet.digest_run import (
     FleetDigests,
@@ -58,6 +57,7 @@ class FleetWork(Short):
         number(self.false_alarms, "false_alarms", lower=0.0, upper=1.0, strict=True)
 
 
+@typed
 def run_fleet(
     fleet: Fleet,
     work: FleetWork | None = None,
@@ -82,8 +82,7 @@ def run_fleet(
         DigestError: There are digests of another model, version, or other settings.
         OutputError: The folder cannot be written to.
     """
-    instance(fleet, "fleet", Fleet)
-    work = instance(work or FleetWork(), "work", FleetWork)
+    work = work or FleetWork()
     with _taken_in(fleet, work, (), told, said, pieces=len(fleet.robots)) as (digests, team):
         return _result(fleet, digests, work.false_alarms, told, team), digests
 
@@ -124,13 +123,13 @@ def _taken_in(
 ) -> Iterator[tuple[FleetDigests, Workers]]:
     """What `take_in_logs` does, and who works: enough for so many pieces of work that follow."""
     instance(fleet, "fleet", Fleet)
-    check_places(fleet, local=work.workers == 0 and work.scheduler is None)
+    repairs = check_places(fleet, local=work.workers == 0 and work.scheduler is None)
     told("Looking for logs", None)
     tasks, known = find_tasks(fleet, failed)
-    make_folder(fleet.folder)
     most = max(len(tasks), pieces)
     with workers(most, count=work.workers, scheduler=work.scheduler, told=said) as team:
-        yield digest_fleet(fleet, tasks, known, team, told), team
+        digests = digest_fleet(fleet, tasks, known, team, told)
+        yield replace(digests, repairs=repairs), team
 
 
 def fleet_result(
@@ -174,7 +173,8 @@ def _result(
         robots += found
         robots += [RobotResult(name, kind.name, 0, np.zeros(0)) for name in lacking]
     hashes = {name: each.hash for name, each in digests.settings.items() if each is not None}
-    return FleetResult(tuple(sorted(robots, key=_badness)), tuple(unused), false_alarms, hashes)
+    worst_first = tuple(sorted(robots, key=_badness))
+    return FleetResult(worst_first, tuple(unused), false_alarms, hashes, digests.repairs)
 
 
 def _once(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[UnusedLog]]:

@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.input_files import open_regular
 from geodrake.boundary.showing import Short
-from geodrake.boundary.whole_files import make_folder, write_whole
+from geodrake.boundary.whole_files import made_folder, write_whole
+from geodrake.errors import FleetError
 from geodrake.fleet.digest_file import DAMAGED
 from geodrake.fleet.history import RobotHistory, joint_history
 
@@ -173,8 +175,8 @@ def write_sums(path: Path, key: str, sums: HistorySums) -> None:
     }
     for j, joint in enumerate(sums.joints):
         arrays |= {f"{j}.columns": joint.columns, f"{j}.grams": joint.grams}
-    make_folder(path.parent)
-    write_whole(path, partial(_save, arrays))
+    with made_folder(path.parent):
+        write_whole(path, partial(_save, arrays))
 
 
 def _save(arrays: dict[str, NDArray[Any]], file: Any) -> None:
@@ -189,7 +191,10 @@ def read_sums(path: Path, key: str) -> HistorySums | None:
         key: What they must be of.
     """
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        with (
+            open_regular(path, "file of sums", FleetError) as file,
+            np.load(file, allow_pickle=False) as arrays,
+        ):
             header = json.loads(bytes(arrays["header"]).decode())
             if (header["format"], header["key"]) != (_FORMAT, key):
                 return None
@@ -200,5 +205,5 @@ def read_sums(path: Path, key: str) -> HistorySums | None:
                 arrays["times"],
                 arrays["efforts"],
             )
-    except DAMAGED:
+    except (FleetError, *DAMAGED):
         return None

@@ -12,7 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
-from geodrake.boundary.whole_files import make_folder, write_whole
+from geodrake.boundary.input_files import read_regular
+from geodrake.boundary.whole_files import made_folder, write_whole
+from geodrake.errors import FleetError
 from geodrake.fleet.fleet_file import FleetRobot
 from geodrake.fleet.log_places import LogPlace, fits
 from geodrake.fleet.model_hash import text_hash
@@ -86,8 +88,8 @@ def write_record(folder: Path, record: LogRecord) -> None:
         OutputError: It cannot be written.
     """
     path = record_file(folder, record.robot, record.address)
-    make_folder(path.parent)
-    write_whole(path, json.dumps(asdict(record), indent=1) + "\n")
+    with made_folder(path.parent):
+        write_whole(path, json.dumps(asdict(record), indent=1) + "\n")
 
 
 def look_again(folder: Path, record: LogRecord) -> None:
@@ -130,10 +132,10 @@ def read_records(folder: Path, robot: FleetRobot) -> dict[str, LogRecord]:
 
 def _read(path: Path) -> LogRecord | None:
     try:
-        said = json.loads(path.read_text(encoding="utf-8"))
+        said = json.loads(read_regular(path, "record", FleetError))
         types = {f.name: float if f.name == "date" else str for f in fields(LogRecord)}
         values = {name: said[name] for name in types}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (FleetError, ValueError, KeyError, TypeError):
         return None
     if not all(isinstance(value, types[name]) for name, value in values.items()):
         return None

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import instance, instances, integer, number
+from geodrake.boundary.arguments import instance, instances, integer, number, typed
 from geodrake.boundary.version import version
 from geodrake.effects import Effect
 from geodrake.errors import ArgumentError, LogError
@@ -127,6 +127,7 @@ def said_of_reading(reading: Reading) -> dict[str, Any]:
     return said
 
 
+@typed
 def make_settings(
     model: RobotModel, log: JointLog, *, wanted: Wanted | None = None
 ) -> DigestSettings:
@@ -145,9 +146,7 @@ def make_settings(
         LogError: The log cannot be used.
         ArgumentError: What is asked for cannot be.
     """
-    instance(model, "model", RobotModel)
-    instance(log, "log", JointLog)
-    wanted = instance(wanted or Wanted(), "wanted", Wanted)
+    wanted = wanted or Wanted()
     own = model_of_logs(model, [log])
     uniform = make_uniform(_in_efforts(log_of_model(log, own), own))
     fits = set(model.bandwidths.values())

@@ -17,7 +17,7 @@ from geodrake.boundary.arguments import instance
 from geodrake.boundary.input_files import sha256_of
 from geodrake.effects import Effect
 from geodrake.effects.column_checks import of_geodrake
-from geodrake.errors import LogError
+from geodrake.errors import GeodrakeError, LogError
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.transmission import Transmission
 
@@ -73,12 +73,8 @@ def file_hash(paths: Iterable[Path]) -> str:
             name = str(each.relative_to(path)) if path.is_dir() else ""
             try:
                 own = sha256_of(each)
-            except OSError as error:
-                raise LogError(
-                    f"{each} cannot be read: {error.strerror or error}.",
-                    advice="Check the path and its permissions.",
-                    path=each,
-                ) from error
+            except GeodrakeError as error:
+                raise LogError(error.problem, advice=error.advice, path=each) from error
             found.update(f"{name!a} {own}\n".encode())
     return found.hexdigest()
 

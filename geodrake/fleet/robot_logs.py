@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
 from geodrake.errors import DigestError, FleetError
-from geodrake.fleet.digest import Digest, JointDigest, check_same
-from geodrake.fleet.digest_file import read_digest
+from geodrake.fleet.digest import Digest, JointDigest
+from geodrake.fleet.digest_file import read_digest_of
 from geodrake.fleet.history import RobotHistory
 from geodrake.fleet.history_sums import (
     HistorySums,
@@ -205,8 +205,7 @@ def _summed(task: HistoryTask) -> tuple[HistorySums, tuple[tuple[LogRecord, str]
     for at in range(known, len(wanted)):
         record, path = task.records[at], digests[at]
         try:
-            digest = read_digest(path)
-            check_same(digest.settings, task.settings, str(path))
+            digest = read_digest_of(path, task.settings)
         except DigestError as error:
             refused.append((record, error.problem))
             continue

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import file_path
 from geodrake.boundary.escaping import one_line
-from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.input_files import read_regular
 from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, make_effect
 from geodrake.errors import ArgumentError, DigestError
@@ -38,7 +38,7 @@ SETTINGS_FILE = "digest_settings.json"
 DIGEST_NAME = r"[0-9a-f]{32}\.npz"
 """What names of digests' files are like."""
 
-FORMAT = "geodrake digest 1"
+FORMAT = "geodrake digest 2"
 """Name and version of the format of settings and digests."""
 
 LAGS = 200
@@ -271,10 +271,10 @@ def read_settings(folder: str | Path) -> DigestSettings | None:
                 advice="Put back a copy of it, or digest the logs again into a new folder.",
             )
         return None
-    regular_file(path, "settings file", DigestError, largest=_LARGEST_FILE)
+    data = read_regular(path, "settings file", DigestError, largest=_LARGEST_FILE)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = data.decode()
+    except UnicodeDecodeError as error:
         raise DigestError(
             f"The settings file {path} cannot be read: {one_line(error)}.",
             advice="Put back a copy of it.",

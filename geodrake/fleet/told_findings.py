@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from geodrake.boundary.escaping import one_line
+from geodrake.boundary.input_files import read_regular
 from geodrake.boundary.whole_files import write_whole
 from geodrake.errors import FleetError
 from geodrake.fleet.fleet_result import FleetFinding
@@ -80,7 +82,7 @@ def _read(path: Path) -> list[ToldFinding]:
     if not path.exists():
         return []
     try:
-        said = json.loads(path.read_text(encoding="utf-8"))
+        said = json.loads(read_regular(path, "file", FleetError))
         return [
             ToldFinding(
                 str(each["robot"]),
@@ -91,8 +93,8 @@ def _read(path: Path) -> list[ToldFinding]:
             )
             for each in said
         ]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (FleetError, ValueError, KeyError, TypeError) as error:
         raise FleetError(
-            f"{path}, which says what was told before, cannot be read: {error}.",
+            f"{path}, which says what was told before, cannot be read: {one_line(error)}.",
             advice="Delete it; then all findings are new.",
         ) from error

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from geodrake.boundary.arguments import instance, instances, integer
+from geodrake.boundary.arguments import instances, integer, typed
 from geodrake.errors import ArgumentError
 from geodrake.fleet.columns import TypeColumns
 from geodrake.fleet.course import Course
@@ -31,6 +31,7 @@ _SEEN = 1e-3  # deviations of a robot that tell of a scale
 _LEAST = 1e-8  # scale that is none
 
 
+@typed
 def learn_type(
     logs: Sequence[LogEquations],
     columns: TypeColumns,
@@ -52,14 +53,13 @@ def learn_type(
         ArgumentError: There is no robot, or one has other columns.
     """
     logs = instances(logs, "logs", LogEquations)
-    instance(columns, "columns", TypeColumns)
     integer(rounds, "rounds", lower=1)
     if not logs or any(each.right.shape[1:] != columns.prior.shape for each in logs):
         raise ArgumentError(
             f"Each robot of a type must have its {len(columns.prior)} columns, and there must be a "
             "robot."
         )
-    if changes is not None and len(changes) != len(logs):
+    if changes is not None and len(instances(changes, "changes", object)) != len(logs):
         raise ArgumentError(f"{len(logs)} robots have {len(changes)} arrays of changes.")
     team = InThisProcess()
     start = begun(team, logs, columns) if start is None else start

@@ -8,7 +8,7 @@ from typing import TypedDict, Unpack
 
 from numpy.typing import ArrayLike
 
-from geodrake.boundary.arguments import instances, positive
+from geodrake.boundary.arguments import instances, positive, typed
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.constraints import BodyConstraints
@@ -54,6 +54,7 @@ class RegularizerComparison(Short):
     residual: float
 
 
+@typed
 def compare_regularizers(
     A: ArrayLike,
     b: ArrayLike,

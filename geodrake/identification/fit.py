@@ -12,7 +12,7 @@ from pydrake.solvers import MathematicalProgramResult
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from geodrake.boundary.arguments import instance
+from geodrake.boundary.arguments import typed
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.certificate import Certificate
@@ -90,6 +90,7 @@ class FitResult(Short):
         return np.where(unknown, np.inf, np.sqrt(variances) / size)
 
 
+@typed
 def solve_fit(
     problem: FitProblem, *, solver: str = "clarabel", shortcuts: bool = True
 ) -> FitResult:
@@ -112,7 +113,6 @@ def solve_fit(
         IdentificationError: The solver found no solution.
     """
     begin = time.perf_counter()
-    instance(problem, "problem", FitProblem)
     check_solver(solver)
     quick = _in_closed_form(problem) if shortcuts else None
     if quick is not None:

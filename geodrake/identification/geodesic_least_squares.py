@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
 from geodrake.boundary.arguments import integer, one_of, positive
+from geodrake.descent import is_within_rounding, rounding_of_squares, step_length
 from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
 from geodrake.identification.hyperplanes import Projections, covectors, flat, pairwise, project
@@ -20,14 +21,11 @@ from geodrake.inertia.positive_definite import karcher_mean, whitening
 
 METHODS = ("newton", "cyclic")
 
-_ROUNDING = 1e-12  # of the cost, relative
-_DECREASE = 1e-4  # least share of the decrease that the slope promises
 _SHARE = 0.9  # of the way to where a body is none, at most in one step
-_MOST_HALVINGS = 30
-_MOST_TRIES = 8  # halvings before rows may be left out
+_SHORT = 2.0**-8  # of that, the share from which on rows may be left out
 _LEAST_CURVATURE = 1e-3  # of that of the prior
 _SMALL = 1e-4
-_SETTLED = 1e-6  # distance below which rounding of the cost ends the search
+_SETTLED = 1e-6  # distance below which rounding may end the search
 _MOST_ROUNDS = 5
 
 
@@ -91,7 +89,7 @@ def geodesic_least_squares(
         sigma: (m,) or scalar standard deviations of b, in its units; None for 1.
         method: "newton" or "cyclic".
         tolerance: Geodesic distance from the minimum at which to stop, by the next Newton step; or
-            where the cost cannot be told from that of the minimum, by rounding.
+            where rounding hides what is left of it.
         max_iterations: Iterations after which to give up.
 
     Returns:
@@ -115,8 +113,9 @@ def geodesic_least_squares(
         )
     problem = _GeodesicProblem.of(rows, prior, gamma)
     point, readmitted = problem.start(prior, rows), np.zeros(len(rows), bool)
+    before = np.inf
     for count in range(max_iterations + 1):
-        if point.distance <= tolerance or point.settled:
+        if point.distance <= tolerance or point.is_settled(before):
             returning = point.reachable & ~(point.used | readmitted)
             if not returning.any():
                 return _result(point, rows, count)
@@ -124,6 +123,7 @@ def geodesic_least_squares(
             readmitted |= returning
             point = problem.at(point.root, point.used | returning)
         if count < max_iterations:
+            before = point.promise
             point = point.mean() if method == "cyclic" else point.newton_step()
     raise ConvergenceError(
         f"Geodesic least squares is still {point.distance:.2g} from its minimum after "
@@ -292,9 +292,24 @@ class _GeodesicPoint:
         return float(np.linalg.norm(self.step))
 
     @property
-    def settled(self) -> bool:
-        """Whether all that Newton's step promises is less than rounding of the cost."""
-        return bool(self.distance < _SETTLED and self.step @ self.downhill < _ROUNDING * self.cost)
+    def promise(self) -> float:
+        """What the slope promises of Newton's step."""
+        return float(self.step @ self.downhill)
+
+    @property
+    def rounding(self) -> float:
+        """What the cost is not known better than."""
+        total = self.weights.sum() + self.problem.gamma
+        return float(rounding_of_squares(self.cost, total))
+
+    def is_settled(self, before: float) -> bool:
+        """Whether rounding hides the rest of the way.
+
+        Args:
+            before: What the last step promised.
+        """
+        near = self.distance < _SETTLED
+        return bool(near and is_within_rounding(self.promise, before, self.rounding))
 
     def moved(self, change: Array) -> _GeodesicPoint:
         """Bodies P = L (𝟙 + V) Lᵀ, without the rows that have no projection there.
@@ -319,20 +334,22 @@ class _GeodesicPoint:
             ConvergenceError: There are none.
         """
         change = np.einsum("bk,kij->bij", self.step.reshape(len(self.root), -1), SYMMETRIC_BASIS)
-        slope = float(self.step @ self.downhill)
-        length = _SHARE / max(_SHARE, -float(np.linalg.eigvalsh(change).min()))
-        for halvings in range(_MOST_HALVINGS):
-            trial = self.moved(length * change)
+        longest = _SHARE / max(_SHARE, -float(np.linalg.eigvalsh(change).min()))
+        trial = self
+
+        def decrease(share: Array) -> float:
+            nonlocal trial
+            trial = self.moved(share * change)
             kept = trial.used[self.used]
             if kept.all():
-                least = _DECREASE * length * slope
-                if trial.cost <= self.cost * (1.0 + _ROUNDING) - least:
-                    return trial
-            elif halvings >= _MOST_TRIES and kept.any():
-                rest = replace(self, used=trial.used, projections=self.projections.of(kept))
-                if trial.cost < rest.cost:
-                    return trial
-            length *= 0.5
+                return self.cost - trial.cost
+            if share > _SHORT * longest or not kept.any():
+                return -np.inf
+            rest = replace(self, used=trial.used, projections=self.projections.of(kept))
+            return rest.cost - trial.cost
+
+        if step_length(decrease, self.promise, self.rounding, longest=longest):
+            return trial
         raise ConvergenceError(
             "No step along Newton's lowers the cost of geodesic least squares, "
             f"{self.distance:.2g} from its minimum.",

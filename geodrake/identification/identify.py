@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.boundary.arguments import instance, number, one_of, real_array
+from geodrake.boundary.arguments import instance, number, one_of, real_array, typed
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.certificate import Certificate
@@ -83,6 +83,7 @@ class IdentificationResult(Short):
         return self.fit.solve_time
 
 
+@typed
 def identify(  # noqa: PLR0913 - the stable interface
     A: ArrayLike,
     b: ArrayLike,
@@ -320,7 +321,7 @@ def _extra_priors(extra_prior: ArrayLike | None, bounds: Array) -> dict[int, tup
         raise ArgumentError(
             f"extra_prior must have shape ({count},) or ({count}, 2); got {given.shape}."
         )
-    values, weights = given.reshape(count, -1)[:, 0], np.ones(count)
+    values, weights = given if given.ndim == 1 else given[:, 0], np.ones(count)
     if given.ndim == 2:
         weights = np.where(np.isnan(values), 1.0, given[:, 1])
     known = ~np.isnan(values)

@@ -10,12 +10,14 @@ Drake, which passes it no Hessians, in more than 100 times.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, null_space
 
+from geodrake.descent import PRECISION, is_within_rounding, step_length
 from geodrake.errors import IdentificationError
 from geodrake.inertia import Array
 
@@ -26,9 +28,8 @@ _ACCURACY = 1e-14
 """Decrease that a step must promise to be worth taking, as a share of the size."""
 
 _TO_BOUNDARY = 0.995
-_SUFFICIENT = 1e-4
 _FIRST_SHIFT, _MOST_SHIFTS = 1e-3, 40
-_MOST_STEPS, _MOST_HALVINGS = 300, 50
+_MOST_STEPS = 300
 _CLIP = 1e8
 
 
@@ -111,14 +112,14 @@ def minimize(
         barrier: First duality gap, as a share of the size of the function; less for a good start.
 
     Raises:
-        IdentificationError: No minimum was reached in 300 Newton steps, or rounding put the point
-            onto a constraint.
+        IdentificationError: No minimum was reached in 300 Newton steps, none of them lowered f, or
+            rounding put the point onto a constraint.
     """
     m, size = len(region.lower), objective.size
     least = _GAP * size / max(m, 1)
     t = max(barrier * size / m, least) if m else least
     z, s = start, region.slacks(start)
-    y = t / s
+    y, before = t / s, np.inf
     for count in range(1, _MOST_STEPS + 1):
         if not s.min(initial=np.inf) > np.finfo(float).tiny * max(t, 1.0):
             break  # rounding has put the point onto a constraint
@@ -128,18 +129,24 @@ def minimize(
             objective, region, z, g, H + (region.matrix.T * (y / s)) @ region.matrix
         )
         promise = -float(g @ step)
-        settled = promise <= max(_ACCURACY * size, 0.1 * t * m)
-        if settled and t > least:
-            t = max(least, 0.1 * t * min(1.0, (t * m / size) ** 0.25))
+        value = objective.value(z)
+        rounding = PRECISION * max(abs(value), size)
+        ends = promise <= _ACCURACY * size or is_within_rounding(promise, before, rounding)
+        if t > least and (ends or promise <= 0.1 * t * m):
+            t, before = max(least, 0.1 * t * min(1.0, (t * m / size) ** 0.25)), np.inf
             continue
-        length = _line_search(objective, region, (z, s, t), step, promise)
-        z = z + length * step
-        y = _moved_multipliers(y, s, t, region.matrix @ step)
+        change = region.matrix @ step
+        decrease = _decrease(objective, value, (z, s, t), (step, change))
+        length = float(step_length(decrease, promise, rounding, longest=_longest(s, change)))
+        if length == 0.0 and t == least:
+            break  # far from where rounding would explain it
+        before, z = promise, z + length * step
+        y = _moved_multipliers(y, s, t, change)
         s = region.slacks(z)
         y = np.clip(y, t / s / _CLIP, t / s * _CLIP)
-        if length == 0.0 and t > least:
-            t = max(least, 0.1 * t)
-        elif promise <= _ACCURACY * size or length == 0.0:
+        if length == 0.0:
+            t, before = max(least, 0.1 * t), np.inf
+        elif ends:
             return LocalMinimum(
                 z, objective.value(z), objective.derivatives(z)[1], shift == 0.0, count
             )
@@ -179,33 +186,27 @@ def _newton_step(
     )
 
 
-def _line_search(
-    objective: SmoothCost,
-    region: Region,
-    point: tuple[Array, Array, float],
-    step: Array,
-    promise: float,
-) -> float:
-    """Share of the step that lowers f − t Σ log s enough; 0 when none does."""
-    z, s, t = point
-    change = region.matrix @ step
-    towards = change < 0
-    length = min(1.0, _TO_BOUNDARY * float(np.min(s[towards] / -change[towards], initial=np.inf)))
-    begin = objective.value(z)
-    rounding = 1e-13 * max(abs(begin), objective.size)
-    for _ in range(_MOST_HALVINGS):
-        barrier = t * float(np.log1p(length * change / s).sum())
-        decrease = begin - objective.value(z + length * step) + barrier
-        if decrease >= _SUFFICIENT * length * promise - rounding:
-            return length
-        length *= 0.5
-    return 0.0
+def _decrease(
+    objective: SmoothCost, begin: float, point: tuple[Array, Array, float], way: tuple[Array, Array]
+) -> Callable[[Array], Array]:
+    """How much lower f − t Σ log s is after a share of a step, where f begins with a value."""
+    (z, s, t), (step, change) = point, way
+
+    def decrease(share: Array) -> Array:
+        barrier = t * np.log1p(share * change / s).sum()
+        return np.asarray(begin - objective.value(z + share * step) + barrier)
+
+    return decrease
 
 
 def _moved_multipliers(y: Array, s: Array, t: float, change: Array) -> Array:
     """Multipliers y after Newton's step on s y = t, kept positive."""
     step = t / s - y - y / s * change
-    towards = step < 0
-    return y + step * min(
-        1.0, _TO_BOUNDARY * float(np.min(y[towards] / -step[towards], initial=np.inf))
-    )
+    return y + step * _longest(y, step)
+
+
+def _longest(values: Array, change: Array) -> float:
+    """Share of a change, one at most, that keeps values positive."""
+    falls = change < 0
+    edge = float(np.min(values[falls] / -change[falls], initial=np.inf))
+    return min(1.0, _TO_BOUNDARY * edge)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import qr, solve_triangular
 
-from geodrake.boundary.arguments import integer
+from geodrake.boundary.arguments import integer, typed
 from geodrake.errors import IdentificationError
 from geodrake.identification.constraints import BodyConstraints
 from geodrake.identification.fit import FitResult, solve_fit
@@ -80,6 +80,7 @@ def least_squares(
     )
 
 
+@typed
 def physical_least_squares(
     A: ArrayLike,
     b: ArrayLike,

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
+from geodrake.errors import IdentificationError
+
 Array = NDArray[np.float64]
 
 RIDGE = 1e-9
@@ -36,7 +38,7 @@ def choleskies(matrices: Array, ridge: float = RIDGE) -> list[Array]:
         (n, n) arrays whose lower triangles are the factors; above it there may be anything.
 
     Raises:
-        LinAlgError: A matrix is not positive definite, or not finite.
+        IdentificationError: A matrix is not positive definite, or not finite.
     """
     ridged = np.array(matrices, order="C")
     diagonals = np.einsum("fii->fi", ridged)
@@ -48,7 +50,11 @@ def choleskies(matrices: Array, ridge: float = RIDGE) -> list[Array]:
         failed |= info != 0
     # Factors stand where their matrices were, so that these are the diagonals of the factors.
     if failed or not np.isfinite(diagonals).all():
-        raise np.linalg.LinAlgError("The normal matrix of a fit is not positive definite.")
+        raise IdentificationError(
+            "Some parameters have neither data nor a prior that hold them: the normal matrix of a "
+            "fit is not positive definite.",
+            advice="Give logs with more motion, or the model file instead of a saved model.",
+        )
     return factors
 
 

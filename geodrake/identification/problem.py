@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.boundary.arguments import instance, instances, integers, number, real_array
+from geodrake.boundary.arguments import instance, instances, integer, integers, number, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
@@ -240,6 +240,7 @@ def _scalars(problem: FitProblem, name: str) -> dict[int, tuple[float, float]]:
     inertial = {k for start in problem.inertia_blocks for k in range(start, start + 10)}
     priors = {}
     for column, pair in given.items():
+        integer(column, f"a column of {name}")
         if column in inertial or not 0 <= column < problem.size:
             raise ArgumentError(f"{name} has column {column}, where there is no scalar parameter.")
         if len(instances(pair, f"{name}[{column}]", object)) != 2:

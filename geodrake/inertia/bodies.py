@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import Context, System
 
 from geodrake.boundary.arguments import instance
+from geodrake.boundary.arguments.words import shown
 from geodrake.errors import ArgumentError, ModelError
 
 
@@ -64,23 +65,24 @@ def check_plant(plant: MultibodyPlant, name: str = "plant") -> None:
         raise ModelError(f"The {name} is not finalized.", advice="Call plant.Finalize() first.")
 
 
-def check_context(plant: MultibodyPlant, context: Context) -> None:
-    """Refuses what is no Context of the plant.
+def check_context(system: System, context: Context) -> None:
+    """Refuse what is no Context of a system, such as a plant.
 
     Args:
-        plant: A finalized plant.
+        system: The system.
         context: What the caller passed.
 
     Raises:
         ArgumentError: It is something else.
     """
-    instance(context, "context", Context)
     try:
-        plant.ValidateContext(context)
+        system.ValidateContext(context)
+    except TypeError as error:
+        raise ArgumentError(f"context must be a Context; it is {shown(context)}.") from error
     except RuntimeError as error:
         raise ArgumentError(
-            "The context belongs to another system than the plant.",
-            advice="Use plant.CreateDefaultContext(), or plant.GetMyContextFromRoot(root_context).",
+            f"The context belongs to another system than this {type(system).__name__}.",
+            advice="Use system.CreateDefaultContext(), or system.GetMyContextFromRoot(root).",
         ) from error
 
 

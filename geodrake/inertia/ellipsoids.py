@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import Sizes, instance, integers, number, positive, real_array
 from geodrake.boundary.showing import Short
+from geodrake.descent import PRECISION
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.inertia.kernels import Array
 from geodrake.inertia.parameters import (
@@ -241,7 +242,7 @@ def bounding_ellipsoid(points: ArrayLike, *, tolerance: float = 1e-6) -> Ellipso
     Args:
         points: (k, 3) points in B, m.
         tolerance: How much farther out than the smallest ellipsoid's surface a point may be before
-            all is scaled to contain it, in squared relative distance.
+            all is scaled to contain it, in squared relative distance, beyond rounding.
 
     Returns:
         An ellipsoid that contains every point.
@@ -284,7 +285,7 @@ def _optimal_weights(lifted: Array, tolerance: float) -> Array:
         reach = (lifted * np.linalg.solve(moment, lifted.T).T).sum(1)
         far, used = int(np.argmax(reach)), np.flatnonzero(weights)
         near = used[int(np.argmin(reach[used]))]
-        if reach[far] <= n * (1 + tolerance):
+        if reach[far] <= n * (1 + max(tolerance, PRECISION)):
             return weights
         # Toward the farthest point, or away from the nearest one that has weight.
         at = far if reach[far] - n >= n - reach[near] else near

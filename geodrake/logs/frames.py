@@ -13,6 +13,7 @@ from geodrake.boundary.arguments import instance, instances
 from geodrake.errors import ArgumentError
 from geodrake.logs.files import Reading, log_of
 from geodrake.logs.files.column_names import check_once
+from geodrake.logs.files.damage import readable
 from geodrake.logs.files.numeric_columns import numbers, numeric_table
 from geodrake.logs.motion import JointLog
 
@@ -45,7 +46,8 @@ def log_of_frame(
     """
     instance(name, "name", str)
     joints = None if joints is None else instances(joints, "joints", str)
-    arrays = _arrays(frame, name)
+    with readable(Path(name), "frame of numbers", "Give columns of numbers, such as float64."):
+        arrays = _arrays(frame, name)
     rows = max((len(values) for values in arrays.values() if np.ndim(values)), default=0)
     table = numeric_table(Path(name), arrays, rows)
     index, origin = _time_index(frame)
@@ -56,7 +58,9 @@ def log_of_frame(
 
 
 def _arrays(frame: Any, called: str) -> dict[str, Any]:
-    """Columns by their names, whatever holds them."""
+    """Columns by their names, whatever holds them; a lazy frame of polars is collected."""
+    if hasattr(frame, "collect_schema") and hasattr(frame, "collect"):
+        frame = frame.collect()
     if isinstance(frame, np.ndarray) and frame.dtype.names is not None:
         return {name: frame[name] for name in frame.dtype.names}
     names = frame if isinstance(frame, Mapping) else getattr(frame, "column_names", None)
@@ -75,7 +79,7 @@ def _array(column: Any) -> Any:
     """The array of a column; lists of polars as nested lists."""
     if hasattr(column, "to_numpy"):
         return column.to_numpy()
-    return np.asarray(column)
+    return np.asanyarray(column)  # a mask says where nothing was measured
 
 
 def _time_index(frame: Any) -> tuple[Any, int | None]:

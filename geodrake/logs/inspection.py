@@ -154,9 +154,9 @@ def _columns(raw: JointLog, log: JointLog, columns: Columns) -> Iterator[Underst
 
 def _rests(log: JointLog, period: float) -> Iterator[tuple[float, float]]:
     """Stretches in which the positions of all joints stay."""
-    rows = max(2, round(_WINDOW / period)) if period > 0 else 2
+    rows = int(np.clip(_WINDOW / period, 2, len(log))) if period > 0 else 2
     count = len(log) // rows
-    blocks = log.position[: count * rows].reshape(count, rows, -1)
+    blocks = log.position[: count * rows].reshape(count, rows, len(log.joints))
     with np.errstate(invalid="ignore"):
         still = np.all(blocks.max(axis=1) - blocks.min(axis=1) <= _STILL, axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import instance, real_array
 from geodrake.errors import ArgumentError
 from geodrake.inertia import from_mass_com_inertia
 
@@ -42,12 +43,15 @@ class KnownPayload:
     inertia: tuple[Vector, Vector, Vector] = _POINT
 
     def __post_init__(self) -> None:
+        instance(self.body, "body", str)
+        real_array(self.mass, "mass", (), finite=False)
         if not 0.0 < self.mass <= _HEAVIEST:
             raise ArgumentError(
                 f"A known payload of {self.body} has a mass of {self.mass:g} kg.",
                 advice=f"Give what a scale says of it: above 0 kg and up to {_HEAVIEST:g} kg.",
             )
-        center, inertia = np.asarray(self.mass_center, float), np.asarray(self.inertia, float)
+        center = real_array(self.mass_center, "mass_center", finite=False)
+        inertia = real_array(self.inertia, "inertia", finite=False)
         shapes = center.shape, inertia.shape
         largest = _HEAVIEST * _FARTHEST**2
         bounds = (center, _FARTHEST), (inertia, largest)

@@ -32,7 +32,7 @@ def check_commands(log: JointLog) -> None:
             continue
         command, position = log.command[:, at], log.position[:, at]
         known = np.isfinite(position)
-        if not known.any() or np.ptp(position[known]) <= _STILL:
+        if not known.any() or position[known].max() - _STILL <= position[known].min():
             continue
         if any(_is_copy(command, position, late) for late in range(_LATEST + 1)):
             raise LogError(
@@ -53,7 +53,7 @@ def _is_copy(command: Array, position: Array, late: int) -> bool:
         return False
     command, position = command[known], position[known]
     digits = 4.0 * float(np.finfo(np.float32).eps) * float(np.abs(position).max())
-    return bool(np.abs(command - position).max() <= max(_SAME * np.ptp(position), digits))
+    return bool(np.abs(command - position).max() <= max(np.ptp(_SAME * position), digits))
 
 
 def check_saturation(log: JointLog) -> None:
@@ -70,7 +70,7 @@ def check_saturation(log: JointLog) -> None:
             continue  # voltages may be switched
         effort = log.effort[_moving(log, at), at]
         effort = effort[np.isfinite(effort)]
-        if not len(effort) or np.ptp(effort) == 0.0:
+        if not len(effort) or effort.max() == effort.min():
             continue
         largest = float(np.abs(effort).max())
         share = float(np.mean(np.abs(effort) >= _FULL * largest))

@@ -118,6 +118,7 @@ class JointLog(Short):
                 )
         if len(set(self.joints)) != len(self.joints):
             raise ArgumentError(f"Log {self.name!r} names a joint twice: {self.joints}.")
+        instances(self.payloads, "payloads", KnownPayload)
         self._check_efforts()
         check_time(self.name, np.asarray(self.time, float))
 
@@ -128,7 +129,7 @@ class JointLog(Short):
                 f"Log {self.name!r} of {len(self.joints)} joints has an effort_uncertainty of "
                 f"shape {np.shape(self.effort_uncertainty)}."
             )
-        for joint, kind in self.effort_kinds.items():
+        for joint, kind in instance(self.effort_kinds, "effort_kinds", Mapping).items():
             if joint not in self.joints or kind not in EFFORT_KINDS:
                 raise ArgumentError(
                     f"Log {self.name!r} has {kind!r} as the kind of efforts of {joint!r}.",

@@ -9,6 +9,8 @@ from geodrake.errors import LogError
 
 Array = NDArray[np.float64]
 
+_LATEST = 1e20  # s; nanoseconds since 1970 are 2e18
+
 
 def check_time(name: str, time: Array) -> None:
     """Raise a LogError unless time stamps increase, those left out that are not finite.
@@ -17,6 +19,12 @@ def check_time(name: str, time: Array) -> None:
         name: Name of the log.
         time: (N,) time stamps, s.
     """
+    latest = float(np.max(np.abs(time), initial=0.0, where=np.isfinite(time)))
+    if latest > _LATEST:
+        raise LogError(
+            f"Time in log {name!r} reaches {latest:.4g} s, which no log does.",
+            advice="Is this column the time, or is a row damaged?",
+        )
     steps = np.diff(time)
     if np.all(steps > 0):
         return

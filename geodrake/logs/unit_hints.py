@@ -9,6 +9,8 @@ from geodrake.logs.motion import JointLog
 
 Array = NDArray[np.float64]
 
+_LARGEST = 1e100  # of efforts that are compared with limits
+_LEAST_LIMIT = 1e-9  # N·m or N: no motor is that weak
 _ROWS = 100_000  # of a log that are looked at together
 
 
@@ -21,10 +23,10 @@ def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
             nothing.
     """
     limits = np.broadcast_to(np.asarray(effort_limits, float), (len(log.joints),))
-    known = np.isfinite(limits) & (limits > 0)
+    known = np.isfinite(limits) & (limits > _LEAST_LIMIT)
     if not known.any():
         return None
-    peaks = _peaks(log.effort)
+    peaks = np.minimum(_peaks(log.effort), _LARGEST)
     ratio = np.where(known, peaks / np.where(known, limits, 1.0), np.nan)
     worst = int(np.nanargmax(ratio))
     if ratio[worst] > 3.0:

@@ -94,8 +94,10 @@ class Product(Manifold):
         manifolds = instances(self.manifolds, "manifolds", Manifold)
         if not manifolds:
             raise ArgumentError("A product needs a manifold; there is none in `manifolds`.")
-        given = (1.0,) * len(manifolds) if np.size(self.weights) == 0 else self.weights
-        weights = real_array(given, "weights", (len(manifolds),))
+        weights = real_array(self.weights, "weights")
+        weights = real_array(
+            weights if weights.size else np.ones(len(manifolds)), "weights", (len(manifolds),)
+        )
         if not (weights > 0).all():
             raise ArgumentError(
                 f"Each of the {len(manifolds)} manifolds needs a positive weight; got "

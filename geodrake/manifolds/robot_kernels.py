@@ -199,6 +199,9 @@ def calc_natural_steps(x: Array, b: Array, factors: Factors, time: float, out: A
         size = frobenius_norm(Z)
         if not size < _LONGEST:
             return False
+        if size == 0.0:  # it stays, to the last digit
+            out[first:last] = x[first:last]
+            continue
         put_exponential(Z, size, F, E)
         put_congruence(E, P, F, P)
         if not put_root(P, F) > _WELL_INSIDE * P[0, 0] * P[1, 1] * P[2, 2] * P[3, 3]:

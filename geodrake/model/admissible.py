@@ -22,7 +22,8 @@ def check_model(model: RobotModel) -> None:
 
     Inertial parameters φ of every body need P(φ) ⪰ 0 and a mass, parameters of effects must lie on
     the effect's manifold or its edge, deviations and noise must not be negative, bandwidths
-    positive, and the information matrix must be symmetric and positive semidefinite.
+    positive, and the information matrix must be symmetric and positive semidefinite, with
+    something known of each parameter.
 
     Raises:
         ModelError: The message has the field and the value.
@@ -58,9 +59,12 @@ def _check_information(information: Array) -> None:
     if not np.isfinite(size):
         raise ModelError(f"information has an entry of {size:g}.")
     diagonal = np.diagonal(information)
-    if diagonal.min(initial=0.0) < 0.0:
+    if (diagonal <= 0.0).any():
         at = int(diagonal.argmin())
-        raise ModelError(f"information has {diagonal[at]:g} at {at}, {at} on its diagonal.")
+        raise ModelError(
+            f"information has {diagonal[at]:g} at {at}, {at} on its diagonal, where it says how "
+            "well a parameter is known, above 0."
+        )
     # On a unit diagonal, so that units do not matter.
     scale = np.sqrt(np.maximum(diagonal, 1.0 / LARGEST))
     scaled = information / np.outer(scale, scale)

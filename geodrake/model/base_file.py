@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from geodrake.boundary.input_files import regular_file, sha256_of
-from geodrake.errors import ModelError, OutputError
+from geodrake.errors import GeodrakeError, ModelError, OutputError
 
 
 def existing_base(path: Path) -> Path:
@@ -75,5 +75,5 @@ def digest(path: Path) -> str:
     """SHA-256 of a file; nothing if it cannot be read."""
     try:
         return sha256_of(path)
-    except OSError:
+    except GeodrakeError:
         return ""

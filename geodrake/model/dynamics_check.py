@@ -73,6 +73,7 @@ class DynamicsCheck(Short):
         bodies: Number of bodies.
         samples: Number of random states.
         seed: Of the random numbers.
+        repairs: What of the model's file was not compared, as no body can have it.
     """
 
     agreements: tuple[Agreement, ...]
@@ -80,6 +81,7 @@ class DynamicsCheck(Short):
     bodies: int
     samples: int
     seed: int
+    repairs: tuple[str, ...] = ()
 
     @property
     def worst(self) -> Agreement:
@@ -87,9 +89,14 @@ class DynamicsCheck(Short):
         return max(self.agreements, key=lambda a: (not a.holds, a.relative))
 
     @property
-    def holds(self) -> bool:
+    def is_rounding(self) -> bool:
         """Whether all differences are rounding."""
         return all(agreement.holds for agreement in self.agreements)
+
+    @property
+    def holds(self) -> bool:
+        """Whether all differences are rounding, and the model is that of its file."""
+        return self.is_rounding and not self.repairs
 
 
 def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> DynamicsCheck:
@@ -121,7 +128,8 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
         _agreement(name, ours[name] - drakes[name], sizes.get(name, largest), model.joints)
         for name in ours
     )
-    return DynamicsCheck(agreements, model.joints, len(model.bodies), samples, seed)
+    bodies = len(model.bodies)
+    return DynamicsCheck(agreements, model.joints, bodies, samples, seed, model.repairs)
 
 
 def _random_states(model: RobotModel, count: int, rng: np.random.Generator) -> States:

@@ -28,6 +28,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_messages, read_description
 from geodrake.robot.files.inertia_text import link_names, with_inertias
 from geodrake.robot.files.reading import model_text_of
+from geodrake.robot.files.source_text import with_comments
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded
 from geodrake.robot.repairs import TOLERANCE
 
@@ -140,9 +141,19 @@ def export_bodies(model: RobotModel) -> Export:
         if how and changed:
             shared.append(how)
     content = with_inertias(data, model.path, written)
+    content = with_comments(content, model.path, repair_comments(model))
     _check(content, model.path, written)
     links = tuple(name.rpartition("::")[2] for name in written)
     return Export(content, links, (*_body_notes(model, absent), *shared, *_file_notes(data, model)))
+
+
+def repair_comments(model: RobotModel) -> list[str]:
+    """What a file that is made of a model says of inertias that its own file states in vain.
+
+    Args:
+        model: The model.
+    """
+    return [f"geodrake did not take {model.path.name} as it stands: {r}" for r in model.repairs]
 
 
 def distributed(body: LumpedBody, stated: Array, phi: Array) -> tuple[Array, str]:
@@ -275,7 +286,7 @@ def _relative_note(data: bytes, path: Path) -> list[str]:
 
 
 def _file_notes(data: bytes, model: RobotModel) -> list[str]:
-    if is_xacro(model.path.read_bytes()):
+    if is_xacro(model.path):
         return [f"the exported file is what {model.path.name} expands to, without its macros"]
     if not re.search(rb"""inertiafromgeom\s*=\s*["']true""", data):
         return []

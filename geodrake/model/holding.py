@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import instance, number
+from geodrake.boundary.arguments import number, typed
 from geodrake.effects import FittedEffect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.errors import ModelError
@@ -28,6 +28,7 @@ from geodrake.robot.transmission.drive import Drive
 Array = NDArray[np.float64]
 
 
+@typed
 def holding(
     model: RobotModel, held: Mapping[str, float], *, why: str = "so that they do not move"
 ) -> RobotModel:
@@ -46,8 +47,6 @@ def holding(
         ModelError: There is no such joint, its limits do not let it stand there, or no joint is
             left that moves.
     """
-    instance(model, "model", RobotModel)
-    instance(held, "held", Mapping)
     held = {joint: number(value, f"held[{joint!r}]") for joint, value in held.items()}
     _check_names(model, held)
     if not held:

@@ -104,7 +104,8 @@ def _says(log: JointLog, joint: str) -> bool:
     efforts, positions = (x[np.isfinite(x)] for x in (efforts, positions))
     if not len(efforts) or not len(positions):
         return True  # what is wrong there is told of later
-    return bool(np.ptp(efforts) > 0.0 or np.ptp(positions) > _STILL)
+    moves = positions.max() - _STILL > positions.min()
+    return bool(efforts.max() > efforts.min() or moves)
 
 
 def _place(model: RobotModel, logs: Sequence[JointLog], joint: str) -> float:

@@ -95,7 +95,7 @@ class RobotModel(Short):
             the last fit to it.
         fading_speed: (nv,) speed below which dry friction fades, rad/s or m/s; 0, or None for all,
             where it was not seen to.
-        notes: What was noticed while loading: repairs, things left out.
+        notes: What was noticed while loading, repairs first.
         held: Joint of the file that is held, and none of the model -> where, rad or m.
         given: How the file was to be read.
         followers: Joints of the plant that follow others, and are none of the model.
@@ -105,6 +105,7 @@ class RobotModel(Short):
             efforts, or efforts that motors are asked for, what makes efforts of them.
         known_joints: Names of the joints that logs may have: the model's, those that are held, and
             those that follow others.
+        repairs: Sentences on inertias that are not those of the file, as no body can have those.
     """
 
     plant: MultibodyPlant
@@ -124,6 +125,7 @@ class RobotModel(Short):
     known_joints: tuple[str, ...] = ()
     transmission: tuple[Drive, ...] = ()
     effort_signals: tuple[EffortSignal, ...] = ()
+    repairs: tuple[str, ...] = ()
 
     @cached_property
     def tree(self) -> RobotTree:
@@ -727,7 +729,8 @@ def from_loaded_plant(
     return replace(
         bare,
         effects=tuple(effects),
-        notes=(*map(str, loaded.repairs), *loaded.notes, *notes),
+        notes=(*loaded.changes, *loaded.notes, *notes),
+        repairs=loaded.changes,
         known_joints=tuple(dict.fromkeys((*loaded.joints, *bare.joints))),
     )
 

@@ -17,9 +17,9 @@ import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
 
-from geodrake.boundary.arguments import file_path, instance, instances
+from geodrake.boundary.arguments import file_path, instance, instances, typed
 from geodrake.boundary.escaping import one_line
-from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.boundary.whole_files import write_whole
 from geodrake.boundary.yaml_text import yaml_text
 from geodrake.effects import Effect, FittedEffect, effect_class, make_effect
@@ -131,6 +131,7 @@ class SavedModel:
     information: list[list[float]] = dc.field(default_factory=list)
 
 
+@typed
 def load_model(
     path: str | Path,
     *,
@@ -161,7 +162,7 @@ def load_model(
             transmission does not fit.
     """
     instances(extra, "extra", type)
-    given = instance(given or Given(), "given", Given)
+    given = given or Given()
     path = regular_file(file_path(path), "model file", ModelError)
     if is_saved_model(path):
         if transmission is not None:
@@ -209,9 +210,9 @@ def _transmission(
 def is_saved_model(path: Path) -> bool:
     """Whether a file is one that `save_model` wrote, of whatever version."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path, "model file", ModelError) as file:
             return path.suffix in {".yaml", ".yml"} and _HEAD.search(file.read(1000)) is not None
-    except OSError:
+    except ModelError:
         return False
 
 
@@ -366,7 +367,7 @@ def _given_with(path: Path, saved: SavedModel, given: Given) -> Given:
         )
     remembered = {name: folder / where for name, where in saved.packages.items()}
     there = {name: where for name, where in remembered.items() if where.is_dir()}
-    return Given(robot, {**there, **given.packages}, saved.xacro)
+    return Given(robot, {**there, **given.packages}, saved.xacro, given.trust_xacro)
 
 
 def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]]) -> None:

@@ -18,6 +18,7 @@ from pydrake.systems.framework import (
     OutputPort,
 )
 
+from geodrake.boundary.arguments import typed
 from geodrake.boundary.escaping import path_part
 from geodrake.boundary.whole_files import write_whole
 from geodrake.control.loops import AdaptiveLoop
@@ -61,6 +62,7 @@ class AdaptationView(LeafSystem):
         ArgumentError: The parameters are fewer than ten a body.
     """
 
+    @typed
     def __init__(
         self,
         plant: MultibodyPlant,
@@ -190,6 +192,7 @@ _POINT = np.array([1.0, 0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0, 0.0])
 """Stands in for bodies that cannot be drawn."""
 
 
+@typed
 def save_recording(meshcat: Meshcat, path: str | Path) -> None:
     """Publishes what MeshCat recorded, and writes the scene as one HTML file that plays it.
 

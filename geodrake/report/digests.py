@@ -61,7 +61,10 @@ def digest_notes(run: DigestRun) -> list[str]:
     Args:
         run: What became of the logs.
     """
-    notes = [f"{row.file}: {row.reason}" for row in run.rows if row.status != FAILED and row.reason]
+    notes = list(run.repairs)
+    notes += [
+        f"{row.file}: {row.reason}" for row in run.rows if row.status != FAILED and row.reason
+    ]
     if run.settings is not None and run.chosen:
         notes.append(
             f"settings of all digests of {run.folder} are chosen from {run.settings.chosen_from}: "
@@ -101,6 +104,7 @@ def digests_dict(run: DigestRun) -> dict[str, Any]:
         else _settings(run.settings),
         "counts": {status: run.count(status) for status in (MADE, THERE, FAILED)},
         "logs": [_row(row, run.settings) for row in run.rows],
+        "notes": digest_notes(run),
     }
 
 

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from geodrake.boundary.arguments import typed
 from geodrake.diagnosis.drafting import Draft
 from geodrake.diagnosis.drafting.results import DraftedEffect
 from geodrake.diagnosis.results import Explanation
@@ -28,6 +29,7 @@ _CAPTION = (
 _GAP = 1.5  # samples farther apart than so many times the usual are not joined by a line
 
 
+@typed
 def render_drafted(
     found: tuple[Explanation, Draft],
     *,
@@ -79,6 +81,7 @@ def draft_section(draft: Draft, units: Units) -> Section:
 
 
 @style.own_look()
+@typed
 def draft_figure(draft: Draft, *, units: Units | None = None) -> Figure:
     """What formulas explain: over time, and against what everything else leaves.
 

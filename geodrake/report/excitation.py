@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from geodrake.boundary.arguments import typed
 from geodrake.excitation import ExcitationResult, Separation
 from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.verdict import THRESHOLD, identifiable_directions, improvement
@@ -46,6 +47,7 @@ _EIGENVALUE_CAPTION = (
 )
 
 
+@typed
 def render_excitation(
     result: ExcitationResult,
     *,
@@ -185,6 +187,7 @@ def _reach(values: Array) -> float:
 
 
 @style.own_look()
+@typed
 def eigenvalue_figure(result: ExcitationResult) -> Figure:
     """Deviations along the principal directions, from the most certain on."""
     figure = style.new_figure(2.8)

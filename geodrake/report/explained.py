@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from geodrake.boundary.arguments import typed
 from geodrake.control.rollout import Rollout
 from geodrake.diagnosis.drafting import Correlate
 from geodrake.diagnosis.results import Explanation
@@ -14,6 +15,7 @@ from geodrake.report.tables import departures_table
 from geodrake.report.words import MOTIONS, correlate_words, draft_advice
 
 
+@typed
 def render_explained(
     found: tuple[Explanation, Sequence[Correlate], Sequence[Rollout] | None],
     *,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from geodrake.boundary.arguments import typed
 from geodrake.control.export_proof.export import ProvenExport
 from geodrake.report.export_tables import (
     export_verdict,
@@ -28,6 +29,7 @@ _PROOF = (
 )
 
 
+@typed
 def render_export(
     found: ProvenExport,
     *,

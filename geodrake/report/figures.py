@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from geodrake.boundary.arguments import typed
 from geodrake.diagnosis.results import Candidate, Diagnosis, Explanation
 from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.report import style
@@ -23,6 +24,7 @@ _MOST_UPRIGHT = 110  # letters under an axis
 
 
 @style.own_look()
+@typed
 def joint_error_figure(
     start: ErrorTable,
     stages: Sequence[tuple[str, Sequence[float]]] = (),
@@ -75,6 +77,7 @@ def joint_error_figure(
     return figure
 
 
+@typed
 def step_stages(explanation: Explanation) -> list[tuple[str, list[float]]]:
     """Words and RMS of every joint after each step, as `joint_error_figure` takes them."""
     joints = [joint.joint for joint in explanation.start.joints]
@@ -88,6 +91,7 @@ def step_stages(explanation: Explanation) -> list[tuple[str, list[float]]]:
 
 
 @style.own_look()
+@typed
 def step_figure(explanation: Explanation) -> Figure:
     """How the held-out nrms falls with each step, with the noise floor.
 
@@ -132,6 +136,7 @@ def step_figure(explanation: Explanation) -> Figure:
 
 
 @style.own_look()
+@typed
 def candidate_figure(diagnosis: Diagnosis, *, most: int = _MOST_CANDIDATES) -> Figure:
     """Held-out nrms that each candidate would leave, the chosen one first.
 

@@ -65,6 +65,7 @@ def fleet_dict(result: FleetResult) -> dict[str, Any]:
         "robots": [_robot(robot) for robot in result.robots],
         "unused": [vars(log) for log in result.unused],
         "settings": dict(result.settings),
+        "notes": list(result.repairs),
     }
 
 

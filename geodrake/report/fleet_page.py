@@ -88,6 +88,7 @@ def render_fleet(result: FleetResult, *, title: str) -> str:
             (robots_table(result.robots),),
         ),
         Section("Logs that are not used", items=tuple(unused_list(result))),
+        Section("Notes", items=result.repairs),
     )
     page = Page(
         title,

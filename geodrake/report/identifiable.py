@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from geodrake.boundary.arguments import typed
 from geodrake.excitation.identifiability import LogIdentifiability
 from geodrake.report import style
 from geodrake.report.excitation_tables import (
@@ -36,6 +37,7 @@ _MOST = 40  # combinations that are listed
 _CERTAIN = 1e-6  # least deviation that is drawn
 
 
+@typed
 def render_identifiable(
     found: LogIdentifiability,
     *,
@@ -110,6 +112,7 @@ def _rest(found: LogIdentifiability) -> Section:
 
 
 @style.own_look()
+@typed
 def identifiable_figure(found: LogIdentifiability) -> Figure:
     """Deviations along the principal directions, and what is identifiable of every body."""
     figure = style.new_figure(max(3.2, 1.2 + 0.3 * len(found.bodies)))

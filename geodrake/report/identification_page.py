@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from geodrake.boundary.arguments import typed
 from geodrake.identification.models import ModelIdentification
 from geodrake.report import sections
 from geodrake.report.bars import Bars, joint_bars
@@ -23,6 +24,7 @@ from geodrake.report.report import footer, subject, with_bars
 IDENTIFIED = Stage("after", "identified", "after")
 
 
+@typed
 def render_identification(
     found: ModelIdentification,
     *,

@@ -130,7 +130,8 @@ def _panel(
     speed: float,
 ) -> str:
     environment = templates()
-    notes = dict.fromkeys(note for copy in copies for note in copy.scene.notes)
+    said = ((*copy.played.model.repairs, *copy.scene.notes) for copy in copies)
+    notes = dict.fromkeys(note for own in said for note in own)
     if playback.seconds_left_out > 0.5:
         left_out = f"{playback.seconds_left_out:.0f} s of the logs"
         notes[f"the worst passages are played; {left_out} are not (--seconds)"] = None

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from pydrake.geometry import Rgba
 
+from geodrake.boundary.arguments import typed
 from geodrake.boundary.escaping import path_part
 from geodrake.control.rollout import Rollout
 from geodrake.inertia import Array
@@ -33,6 +34,7 @@ _MEASURED = ("measured", "#8a94a0", 0.35)
 _BEFORE, _AFTER = ("simulated before", style.BEFORE, 0.6), ("simulated", style.AFTER, 0.85)
 
 
+@typed
 def replay_page(model: RobotModel, times: Array, q: Array) -> str:
     """One HTML page that loads nothing from elsewhere and replays a motion.
 
@@ -47,6 +49,7 @@ def replay_page(model: RobotModel, times: Array, q: Array) -> str:
     return _replayed(model, times, {"robot": q}, {})
 
 
+@typed
 def rollout_replay_page(model: RobotModel, after: Rollout, before: Rollout | None = None) -> str:
     """One HTML page with the windows of a rollout: the measured robot, and the simulated one.
 

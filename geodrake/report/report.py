@@ -7,6 +7,7 @@ import importlib.metadata
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from geodrake.boundary.arguments import typed
 from geodrake.diagnosis.results import Diagnosis, Explanation
 from geodrake.identification.logs.model_errors import Comparison
 from geodrake.report import sections, words
@@ -17,6 +18,7 @@ from geodrake.report.page import Page, Section, Tile, render, without_empty
 from geodrake.report.tables import error_stages
 
 
+@typed
 def render_comparison(
     comparison: Comparison,
     *,
@@ -70,6 +72,7 @@ def render_comparison(
     return render(page)
 
 
+@typed
 def render_diagnosis(
     diagnosis: Diagnosis,
     *,
@@ -126,6 +129,7 @@ def render_diagnosis(
     return render(page)
 
 
+@typed
 def render_explanation(
     explanation: Explanation,
     *,

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from geodrake.boundary.arguments import typed
 from geodrake.boundary.escaping import path_part
-from geodrake.boundary.whole_files import write_together
+from geodrake.boundary.whole_files import made_folder, write_together
 from geodrake.diagnosis.results import Diagnosis, Explanation
-from geodrake.errors import OutputError
 from geodrake.identification.logs.model_errors import Comparison
 from geodrake.report import style
 from geodrake.report.figures import (
@@ -23,6 +23,7 @@ from geodrake.report.numbers import Units
 from geodrake.report.series_figures import effort_figure, residual_figure
 
 
+@typed
 def comparison_figures(comparison: Comparison, *, units: Units | None = None) -> dict[str, Figure]:
     """The figures of a comparison's report, by name.
 
@@ -37,6 +38,7 @@ def comparison_figures(comparison: Comparison, *, units: Units | None = None) ->
     }
 
 
+@typed
 def diagnosis_figures(diagnosis: Diagnosis, *, units: Units | None = None) -> dict[str, Figure]:
     """The figures of a diagnosis' report, by name.
 
@@ -50,6 +52,7 @@ def diagnosis_figures(diagnosis: Diagnosis, *, units: Units | None = None) -> di
     return figures
 
 
+@typed
 def report_figures(explanation: Explanation) -> dict[str, Figure]:
     """The figures of an explanation's report, by name."""
     units = Units.of(explanation.model)
@@ -65,6 +68,7 @@ def report_figures(explanation: Explanation) -> dict[str, Figure]:
     }
 
 
+@typed
 def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> tuple[Path, ...]:
     """Write figures as PNG files, all of them or none.
 
@@ -77,13 +81,6 @@ def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> tuple[Pat
     """
     folder = Path(folder)
     paths = {name: folder / f"{path_part(name)}.png" for name in figures}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(
-            f"Cannot write to {folder}: {error.strerror}.",
-            advice="Choose another place.",
-            path=folder,
-        ) from error
-    write_together({paths[name]: style.png(figure) for name, figure in figures.items()})
+    with made_folder(folder):
+        write_together({paths[name]: style.png(figure) for name, figure in figures.items()})
     return tuple(paths.values())

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import typed
 from geodrake.control.rollout import Rollout
 from geodrake.report.charts import Chart, Panel, Plot, Stage
 from geodrake.report.curves import gap_filled
@@ -33,6 +34,7 @@ SIMULATED = Stage("after", "simulated", "after")
 BEFORE = Stage("before", "before", "before")
 
 
+@typed
 def render_rollout(
     found: tuple[Rollout, Rollout | None],
     *,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from geodrake.boundary.arguments import typed
 from geodrake.control.rollout import RolloutFit
 from geodrake.model.effort_signal import SERVO
 from geodrake.report.numbers import Units
@@ -13,6 +14,7 @@ from geodrake.report.tables import rollout_fit_table, rollout_values_table
 from geodrake.report.words import departure, rollout_fit_words
 
 
+@typed
 def render_rollout_fit(
     found: RolloutFit,
     *,

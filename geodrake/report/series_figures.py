@@ -12,6 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
+from geodrake.boundary.arguments import typed
 from geodrake.identification.logs.model_errors import Comparison, JointError, Series
 from geodrake.report import style
 from geodrake.report.numbers import Units, number
@@ -28,6 +29,7 @@ _CUT = 3.0
 
 
 @style.own_look()
+@typed
 def effort_figure(
     comparison: Comparison,
     *,
@@ -75,6 +77,7 @@ def effort_figure(
 
 
 @style.own_look()
+@typed
 def residual_figure(
     comparison: Comparison,
     *,

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import io
+import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.input_files import open_regular, read_regular, regular_files
 from geodrake.errors import GeodrakeError, ModelError
-from geodrake.robot.files.xml_text import parse_xml
+from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -24,6 +26,11 @@ MOST_TRIANGLES = 6000
 
 _HEADER, _COUNT, _FACET = 80, 4, 50  # bytes of a binary STL file
 _VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
+_MATERIALS = re.compile(rb"^[ \t]*mtllib[ \t]+(.+)$", re.MULTILINE)
+_IMAGES = re.compile(
+    rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t].*?(\S+)[ \t\r]*$", re.MULTILINE
+)
+_URIS = re.compile(rb'"uri"\s*:\s*"([^"]{1,4000})"')  # longer ones are data
 _SMOOTH = 0.8  # cosine of the angle between a face's normal and the mean, up to which it is smooth
 _GRIDS = (256, 180, 128, 90, 64, 45, 32, 22, 16)  # cells along the longest side
 
@@ -51,6 +58,37 @@ def wavefront(path: Path, most: int = MOST_TRIANGLES) -> str:
     np.savetxt(text, normals, "vn %.2f %.2f %.2f")
     np.savetxt(text, corners, "f %d//%d %d//%d %d//%d")
     return text.getvalue()
+
+
+def check_mesh(path: Path) -> None:
+    """Raise if Drake would open what is no file, for a mesh or for what it names.
+
+    Args:
+        path: A mesh of any kind; one that is not there is nothing to wait for.
+
+    Raises:
+        ModelError: It would.
+    """
+    for mesh in _there([path]):
+        open_regular(mesh, "mesh", ModelError).close()
+        if mesh.suffix.lower() == ".obj":
+            for material in _named(mesh, _MATERIALS, "mesh"):
+                regular_files(_named(material, _IMAGES, "material"), "texture", ModelError)
+        elif mesh.suffix.lower() == ".gltf":
+            regular_files(_named(mesh, _URIS, "mesh"), "file of a mesh", ModelError)
+
+
+def _named(path: Path, pattern: re.Pattern[bytes], what: str) -> list[Path]:
+    """Return the files beside a file that it names."""
+    data = read_regular(path, what, ModelError, largest=LARGEST_FILE, empty=True)
+    names = dict.fromkeys(name.strip() for name in pattern.findall(data))
+    return _there(path.parent / os.fsdecode(name) for name in names)
+
+
+def _there(places: Iterable[Path]) -> list[Path]:
+    """Return the places where there is something that is no folder."""
+    exists = os.path.exists  # which takes names that no file can have
+    return [place for place in places if exists(place) and not place.is_dir()]
 
 
 def _unreadable(path: Path, reason: str) -> ModelError:
@@ -120,10 +158,7 @@ def stl_vertices(path: Path) -> Array:
     Raises:
         ModelError: The file cannot be read, or has no triangles.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise _unreadable(path, error.strerror or "it is not there") from error
+    data = read_regular(path, "mesh", ModelError, empty=True)
     start = _HEADER + _COUNT
     count = int.from_bytes(data[_HEADER:start], "little")
     if count and len(data) == start + _FACET * count:

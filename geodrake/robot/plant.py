@@ -24,7 +24,7 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import Context
 
-from geodrake.boundary.arguments import instance, number, real_array
+from geodrake.boundary.arguments import file_path, instance, number, real_array, typed
 from geodrake.errors import ModelError
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
@@ -53,6 +53,7 @@ class LoadedPlant:
         plant: Finalized, continuous in time, without damping, friction and rotor inertia.
         path: The model file.
         repairs: Bodies whose inertia no body can have, with what they got instead.
+        changes: Sentences on all inertias that are not those of the file, repairs first.
         notes: Sentences on what else of the file was read in a way worth knowing.
         file_damping: (nv,) damping of the file, N·m·s/rad or N·s/m; here and below nv without
             followers, whose share is their leader's.
@@ -72,6 +73,7 @@ class LoadedPlant:
     plant: MultibodyPlant
     path: Path
     repairs: tuple[Repair, ...]
+    changes: tuple[str, ...]
     notes: tuple[str, ...]
     file_damping: Array
     file_friction: Array
@@ -124,12 +126,14 @@ def load_plant(
         ModelError: The file cannot be read, is no robot description, or nothing moves in it; a
             joint cannot be held; or Drake refuses the inertial parameters that are given.
     """
-    path, given = Path(path), instance(given or Given(), "given", Given)
-    held = {n: number(x, f"held[{n!r}]") for n, x in instance(held or {}, "held", Mapping).items()}
+    path = file_path(path)
+    given = Given() if given is None else instance(given, "given", Given)
+    held = {} if held is None else instance(held, "held", Mapping)
+    held = {name: number(value, f"held[{name!r}]") for name, value in held.items()}
     with drake_messages() as messages:
         description = read_description(path, given)
         draft, arrangement = _draft(description, floating=floating, held=held, given=given)
-        repairs, repair_notes, changed = repair_inertias(description, draft.plant)
+        repairs, left_out, changed = repair_inertias(description, draft.plant)
         if phi is not None:
             _write_inertias(description, draft.plant, phi)
             changed = True
@@ -139,13 +143,14 @@ def load_plant(
         if phi is not None:
             _check_inertias(built.plant, phi, path)
     notes = [*description.notes, *built.notes, *_follower_notes(description, arrangement)]
-    notes += [*repair_notes, *_relevant(messages)]
+    changes = [*map(str, repairs), *left_out, *description.lost, *_relevant(messages)]
     coordinates = OwnCoordinates(built.plant, arrangement.followers)
     stiffness, rest = built.springs
     return LoadedPlant(
         built.plant,
         path,
         repairs,
+        tuple(dict.fromkeys(changes)),
         tuple(dict.fromkeys(notes)),
         coordinates.joined(built.damping, 2),
         coordinates.joined(built.friction, 1),
@@ -450,6 +455,7 @@ def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayL
         )
 
 
+@typed
 def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
     """Names of the velocities (nv): the joint's, with a suffix where it has several.
 
@@ -475,6 +481,7 @@ def scoped_joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
     return tuple(names[k] for k in range(plant.num_velocities()))
 
 
+@typed
 def effort_limits(plant: MultibodyPlant) -> Array:
     """Largest efforts (nv,) of the plant's actuators, N·m or N; infinite where there is none."""
     limits = np.full(plant.num_velocities(), np.inf)
@@ -483,11 +490,13 @@ def effort_limits(plant: MultibodyPlant) -> Array:
     return limits
 
 
+@typed
 def position_limits(plant: MultibodyPlant) -> tuple[Array, Array]:
     """Lower and upper limits of the positions, each (nq,), rad or m."""
     return plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
 
 
+@typed
 def velocity_limits(plant: MultibodyPlant) -> Array:
     """Largest speeds (nv,) in both directions, rad/s or m/s; infinite where there is no limit."""
     return np.minimum(-plant.GetVelocityLowerLimits(), plant.GetVelocityUpperLimits())

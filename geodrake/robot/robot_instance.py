@@ -22,7 +22,7 @@ from pydrake.multibody.tree import (
 from pydrake.systems.framework import Context, DiagramBuilder, InputPort, OutputPort
 from pydrake.systems.primitives import Adder, MatrixGain
 
-from geodrake.boundary.arguments import instance, real_array
+from geodrake.boundary.arguments import instance, instances, real_array, typed
 from geodrake.errors import ArgumentError
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
@@ -30,7 +30,7 @@ from geodrake.inertia import (
     inertial_parameters,
     to_spatial_inertia,
 )
-from geodrake.inertia.bodies import Member, body_names, check_plant, lumped_bodies
+from geodrake.inertia.bodies import Member, body_names, check_context, check_plant, lumped_bodies
 from geodrake.robot.floating_base import body_poses
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import joint_names
@@ -242,10 +242,13 @@ class RobotInstance:
         Raises:
             ArgumentError: They are not the robot's joints, or the state is not theirs.
         """
-        state = real_array(state, "state", (2 * len(joints),))
+        check_context(self.plant, context)
+        joints = instances(joints, "joints", str)
+        order = self.order(joints)
+        state = real_array(state, "state", (2 * len(order),))
         q, v = self.plant.GetPositions(context), self.plant.GetVelocities(context)
-        q[self.positions(joints)] = state[: len(joints)]
-        v[self.velocities[self.order(joints)]] = state[len(joints) :]
+        q[self.positions(joints)] = state[: len(order)]
+        v[self.velocities[order]] = state[len(order) :]
         self.plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
 
     def set_inertial_parameters(self, context: Context, phi: ArrayLike) -> None:
@@ -261,6 +264,7 @@ class RobotInstance:
         Raises:
             ArgumentError: The shape does not fit, or a value is not finite.
         """
+        check_context(self.plant, context)
         lumps = [[m for m in lump.members if self._is_own(m)] for lump in lumped_bodies(self.plant)]
         lumps = [members for members in lumps if members]
         phi = real_array(phi, "phi", (len(lumps), PARAMETERS_PER_BODY))
@@ -403,13 +407,22 @@ class RobotInstance:
         return np.eye(len(joints))[at]
 
 
+@typed
 def take_out_stated(plant: MultibodyPlant, name: str) -> None:
     """Takes damping and rotor inertia out of a robot, where they are to be effects of a model.
 
     Args:
         plant: A plant that is not finalized.
         name: Name of the robot's model instance.
+
+    Raises:
+        ArgumentError: The plant is finalized, or has no such instance.
     """
+    if plant.is_finalized() or not plant.HasModelInstanceNamed(name):
+        raise ArgumentError(
+            f"The plant is finalized, or has no model instance {name!r}.",
+            advice="Call it with the name of a robot in the plant, before plant.Finalize().",
+        )
     index = plant.GetModelInstanceByName(name)
     for joint_index in plant.GetJointIndices(index):
         joint = plant.get_mutable_joint(joint_index)

@@ -19,10 +19,11 @@ from pydrake.systems.framework import DiagramBuilder
 from geodrake.errors import ModelError
 from geodrake.robot.files.description import drake_errors, drake_messages, read_description
 from geodrake.robot.files.given import Given
+from geodrake.robot.files.meshes import check_geometry
 from geodrake.robot.files.values import drop
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
-from geodrake.robot.mesh_files import READERS, wavefront
+from geodrake.robot.mesh_files import READERS, check_mesh, wavefront
 
 GRAY = Rgba(0.82, 0.84, 0.87, 1.0)
 _DRAKE_READS = (".obj", ".gltf", ".vtk")
@@ -101,11 +102,13 @@ def robot_shapes(path: Path, given: Given) -> RobotShapes:
 def _read(path: Path, given: Given, folder: Path, lost: _Lost) -> dict[str, tuple[LinkShape, ...]]:
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
     parser = Parser(plant)
-    read_description(path, given).add_every_package(parser.package_map())
+    description = read_description(path, given)
+    description.add_every_package(parser.package_map())
     root = None
     if path.suffix.lower() not in (".yaml", ".yml"):
         root = parse_xml_bytes(read_expanded(path, given), path)
     if root is None or root.tag not in ("robot", "sdf"):
+        check_geometry((text.path for text in description.texts), parser.package_map(), given)
         parser.AddModels(str(path))
     else:
         _prepare(root, parser.package_map(), path, folder, lost)
@@ -165,6 +168,8 @@ def _is_readable(
             elif found.suffix.lower() not in _DRAKE_READS:
                 lost.reasons[place] = f"MeshCat shows no {found.suffix or 'such'} files"
                 return False
+            else:
+                check_mesh(found)
         except ModelError as error:
             lost.reasons[place] = error.problem.rstrip(".")
             return False

@@ -5,12 +5,12 @@ import re
 import shutil
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from processor_time import limited
 from pyarrow import parquet
 from small_fleet import FROM, HEAVY, LOGS, STICKY, DayOf, date_of, write_file, write_fleet
 from typer.testing import CliRunner
@@ -119,8 +119,7 @@ def test_a_watch_takes_in_logs_as_they_come(folder):
     run = subprocess.Popen(
         [sys.executable, "-m", "geodrake", *words], stdout=subprocess.PIPE, text=True
     )
-    end = threading.Timer(40.0, run.kill)  # a line that never comes is no reason to wait
-    end.start()
+    limited(run, 40)  # a line that never comes is no reason to wait
     try:
         first = json.loads(run.stdout.readline())["finding"]
         assert (first["robot"], first["effect"]) == (HEAVY, "payload")
@@ -128,11 +127,9 @@ def test_a_watch_takes_in_logs_as_they_come(folder):
             path.rename(folder / STICKY / path.name)
         second = json.loads(run.stdout.readline())["finding"]
         assert second["robot"] == STICKY
-        until = time.monotonic() + 10.0
-        while not Path("results/told_findings.json").exists() and time.monotonic() < until:
+        while not Path("results/told_findings.json").exists() and run.poll() is None:
             time.sleep(0.01)
     finally:
-        end.cancel()
         run.terminate()
         run.communicate()
     assert run.returncode == 128 + 15

@@ -6,12 +6,14 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from importlib.resources import files
 from pathlib import Path
 
 import pytest
 import yaml
 from pendulum_logs import PENDULUM, friction, pendulum_log
+from processor_time import limited
 from typer.testing import CliRunner
 
 import geodrake
@@ -44,6 +46,15 @@ def test_share_and_time_left_are_told_where_nothing_was_said_for_long(capsys, mo
         shown("Simulating", 0.5)
         shown("Simulating", 0.6)
     assert capsys.readouterr().err == "Simulating (50 %, 10 s, about 10 s left)\n"
+
+
+def test_work_that_says_nothing_goes_on(capsys, monkeypatch):
+    monkeypatch.setattr("geodrake.cli.progress._SILENT", 0.02)
+    monkeypatch.setattr("geodrake.cli.progress._PAUSE", 0.01)
+    with progress("Reading a file") as shown:
+        shown("Comparing")
+        time.sleep(0.3)
+    assert "Comparing (0 s)" in capsys.readouterr().err
 
 
 def test_quiet_is_silent(capsys):
@@ -116,7 +127,7 @@ def started(folder, pendulum, *options):
     # Jobs of a shell in the background ignore interrupts, and so do their children.
     heard = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)"
     run = f"{heard}\nfrom geodrake.cli import main\nmain()"
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-c", run, "explain", *pendulum, *options],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(PACKAGES)},
@@ -124,6 +135,7 @@ def started(folder, pendulum, *options):
         stderr=subprocess.PIPE,
         text=True,
     )
+    return limited(process, 60)
 
 
 @pytest.mark.thorough
@@ -131,7 +143,7 @@ def test_an_interrupt_after_a_step_keeps_what_was_found(tmp_path, pendulum):
     run = started(tmp_path, pendulum, "--json", "found.json", "--save", "model.yaml")
     first = run.stderr.readline()
     run.send_signal(signal.SIGINT)
-    out, err = run.communicate(timeout=60)
+    out, err = run.communicate()
     assert run.returncode == 130, err
     assert re.match(r"1  .*friction.*: nrms 0\.\d+ -> ", first)
     assert "Interrupted: keeping what was found" in err and "Traceback" not in err
@@ -149,6 +161,6 @@ def test_a_second_interrupt_ends_at_once(tmp_path, pendulum):
     lines = iter(run.stderr.readline, "")
     assert any("Interrupted: keeping" in line for line in lines)
     run.send_signal(signal.SIGINT)
-    out, err = run.communicate(timeout=60)
+    out, err = run.communicate()
     assert (run.returncode, out, err) == (130, "", "Interrupted.\n")
     assert not list(tmp_path.iterdir())

@@ -120,6 +120,21 @@ def test_bad_options_are_refused_in_one_line(command, options, words, robot, tmp
     assert re.search(words, run(command, robot, *logs, *options, code=2))
 
 
+def test_a_xacro_file_that_asks_for_more_than_values_needs_to_be_trusted(robot, tmp_path):
+    pytest.importorskip("xacro")
+    text = robot.read_text().replace(
+        "<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ', 1
+    )
+    path, saved = tmp_path / "arm.urdf.xacro", tmp_path / "saved.yaml"
+    prop = '<xacro:property name="x" value="${(lambda: 1)()}"/><gazebo v="${x}"/></robot>'
+    path.write_text(text.replace("</robot>", prop))
+    log = log_of(robot, tmp_path / "log.csv")
+    assert "--trust-xacro" in run("compare", path, log, code=2)
+    run("compare", path, log, "--save", saved, "--trust-xacro")
+    assert "--trust-xacro" in run("compare", saved, log, code=2)
+    run("compare", saved, log, "--trust-xacro")
+
+
 def test_logs_that_leave_the_gripper_open_to_doubt_are_refused(robot, tmp_path):
     logs = [log_of(robot, tmp_path / f"{at}.csv", **{"left.position": at}) for at in (0.0, 0.04)]
     assert "stands at 0 in '0.0' and at 0.04 in '0.04'" in run("compare", robot, *logs, code=2)

@@ -72,9 +72,9 @@ SIZE = MIXED.dimension
 BODIES = Product((PhysicalInertia(), PhysicalInertia(), Positive(2)))
 
 seeds = st.integers(0, 2**32 - 1)
-properties = settings(max_examples=40, derandomize=True, deadline=None)
-few = settings(max_examples=6, derandomize=True, deadline=None)
-some = settings(max_examples=20, derandomize=True, deadline=None)
+properties = settings(max_examples=40)
+few = settings(max_examples=6)
+some = settings(max_examples=20)
 
 
 def random_inertia(rng):

@@ -321,7 +321,7 @@ ANY = st.one_of(
 MESSAGE = st.lists(ANY, min_size=8, max_size=8)
 
 
-@settings(derandomize=True, deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(
     st.sampled_from(KINDS),
     st.sampled_from([0.0, 1e-3, 0.1]),

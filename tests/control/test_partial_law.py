@@ -26,7 +26,7 @@ from geodrake.manifolds import PhysicalInertia, Polyhedron, Positive, Product
 LAST = MODEL.bodies[-1]
 BODY = adapted_parameters(MODEL, [LAST])
 """The parameters of the last body."""
-some = settings(max_examples=20, derandomize=True, deadline=None)
+some = settings(max_examples=20)
 
 
 def partial(gamma=0.5):

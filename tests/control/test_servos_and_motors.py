@@ -21,6 +21,13 @@ from pydrake.trajectories import PiecewisePolynomial
 from scipy.integrate import solve_ivp
 
 from geodrake.control import DcMotor, PositionServo
+from geodrake.control.motors import (
+    MotorConstants,
+    ServoError,
+    ServoGains,
+    motor_torque,
+    servo_effort,
+)
 from geodrake.effects import FittedEffect, RotorInertia, ViscousFriction
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.model import EffortSignal
@@ -100,7 +107,7 @@ def test_an_integral_does_not_wind_up():
     np.testing.assert_allclose(rates, [0.0, -0.2])  # the second effort is at +2 and falls
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     st.tuples(*[st.floats(-3.0, 3.0)] * 4),
     st.floats(0.1, 200.0),
@@ -356,3 +363,22 @@ def test_numbers_of_the_context():
 def test_wrong_numbers_are_refused(make, arguments):
     with pytest.raises(ArgumentError):
         make(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: servo_effort(np.inf, [None]), "gains must be a ServoGains; it is inf"),
+        (lambda: ServoGains("1", 0.0, 0.0, np.inf, 0.0), "kp must be"),
+        (lambda: ServoGains(np.nan, 0.0, 0.0, np.inf, 0.0), "kp must be numbers; it holds NaN"),
+        (
+            lambda: ServoError(np.zeros(2), np.zeros(3), 0.0, 0.0),
+            "velocity must be one number or 2",
+        ),
+        (lambda: motor_torque(MotorConstants(*np.ones((7, 2))), np.ones(3)), "current must be one"),
+        (lambda: motor_torque(None, np.ones(3)), "constants must be a MotorConstants"),
+    ],
+)
+def test_laws_say_which_argument_is_wrong(call, words):
+    with pytest.raises(ArgumentError, match=words):
+        call()

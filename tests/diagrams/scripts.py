@@ -7,6 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from processor_time import limited
 
 import geodrake
 
@@ -17,14 +18,15 @@ FOLDER = ROOT / "diagrams"
 
 def start(name, *arguments):
     """Runs a script in a process of its own; its exit code, and what it printed."""
-    return subprocess.run(
+    process = subprocess.Popen(
         [sys.executable, str(FOLDER / f"{name}.py"), *map(str, arguments)],
         env={**os.environ, "PYTHONPATH": PACKAGES, "PYTHONWARNINGS": "error"},
-        capture_output=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
-        timeout=300,
-        check=False,
     )
+    out, err = limited(process, 300).communicate()
+    return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 
 def call(name, *arguments):

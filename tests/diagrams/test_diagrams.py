@@ -27,6 +27,7 @@ LONG = {  # whose parts are tested elsewhere, too
     "iiwa_excitation",
     "long_log",
     "online_payload",
+    "ordinary_robots",
     "pages_and_exports",
     "readme_figures",
     "real_robots",
@@ -101,6 +102,14 @@ def finds_servos(table):
     assert table["summary"]["departure over that of the true model, median"] < 1.2
 
 
+def names_friction_and_tool_of_an_arm(table):
+    """All of what a short log hides, and nothing where there is nothing."""
+    lines = {line["figure"]: line["value"] for line in table["lines"]}
+    assert lines["ordinary: everything named"] == 1.0
+    assert lines["tool's mass inside its interval"] == 1.0
+    assert lines["nothing hidden, white noise: something named"] == 0.0
+
+
 def finds_changes_of_a_fleet(table):
     """All of what few robots of one type hide, and nothing where there is nothing."""
     assert table["summary"]["found"] == 1.0
@@ -158,6 +167,7 @@ SHOWS = {
     "fleet_kills": goes_on_where_it_was_killed,
     "fleet_study": finds_changes_of_a_fleet,
     "hidden_effects": reaches_its_bars,
+    "ordinary_robots": names_friction_and_tool_of_an_arm,
     "servo_gains": finds_servos,
     "digest_speed": digests_are_small_and_merge,
     "long_log": takes_little_memory,

@@ -240,7 +240,7 @@ class TestBodies:
         assert np.abs(found).max() > 1e-3
 
     @given(arrays(float, 2, elements=st.floats(-1.5, 1.5)))
-    @settings(max_examples=25, deadline=None)
+    @settings(max_examples=25)
     def test_tilt_is_exact_where_it_is_expanded(self, angles):
         angle = float(np.linalg.norm(angles))
         effect = effects.GravityTilt().expanded_about(angles, self.motion.bodies)
@@ -341,7 +341,7 @@ class TestDelay:
     def test_bad_arguments(self):
         with pytest.raises(ArgumentError, match="delay of effort_delay must be"):
             effects.EffortDelay(np.nan)
-        with pytest.raises(ArgumentError, match="positive period"):
+        with pytest.raises(ArgumentError, match=r"period must be .* above 0"):
             effects.EffortDelay(0.1).delayed(self.time, 0.0)
 
 

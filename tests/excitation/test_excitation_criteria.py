@@ -180,7 +180,7 @@ class TestInvariance:
             [Objective(target, Criterion(name), **settings).value(motion) for name in CRITERIA]
         )
 
-    @settings(max_examples=10, deadline=None, derandomize=True)
+    @settings(max_examples=10)
     @given(st.integers(0, 2**32 - 1))
     def test_body_frames(self, seed):
         rng = np.random.default_rng(seed)
@@ -190,7 +190,7 @@ class TestInvariance:
         first, second = (self.values(m, motion, 0.1) for m in (model, turned))
         np.testing.assert_allclose(second, first, rtol=1e-9)
 
-    @settings(max_examples=10, deadline=None, derandomize=True)
+    @settings(max_examples=10)
     @given(st.integers(0, 2**32 - 1))
     def test_units(self, seed):
         rng = np.random.default_rng(seed)
@@ -209,7 +209,7 @@ class TestInvariance:
         )
         np.testing.assert_allclose(second, first, rtol=1e-9)
 
-    @settings(max_examples=10, deadline=None, derandomize=True)
+    @settings(max_examples=10)
     @given(st.integers(0, 2**32 - 1))
     def test_base_representations(self, seed):
         rng = np.random.default_rng(seed)

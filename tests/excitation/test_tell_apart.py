@@ -72,7 +72,7 @@ def best_imitation(rows, wanted, prior, lower):
 
 
 class TestSeparation:
-    @settings(max_examples=8, deadline=None, derandomize=True)
+    @settings(max_examples=8)
     @given(st.integers(0, 2**32 - 1))
     def test_is_what_two_fits_leave(self, seed):
         """Every pair, against a bounded least-squares fit of its stacked rows."""

@@ -24,6 +24,7 @@ from geodrake.fleet import (
     model_hash,
     read_digest,
 )
+from geodrake.fleet.digest_file import sealed
 from geodrake.fleet.log_dates import date_of_log, date_seconds
 from geodrake.fleet.model_hash import text_hash
 from geodrake.fleet.robot_logs import reduced_log
@@ -348,6 +349,8 @@ def test_a_log_that_cannot_bear_the_settings_is_told_so(model, logs, settings):
         lambda data: data[: len(data) // 2],
         lambda data: data[:5000] + bytes(100) + data[5100:],
         lambda data: data[:60] + bytes([7]) + data[61:],  # a block of no kind that is compressed
+        lambda data: data[:-1] + bytes([data[-1] ^ 1]),
+        lambda data: data[:10] + bytes([data[10] ^ 1]) + data[11:],  # a time stamp in the archive
         lambda data: b"",
         lambda data: b"PK" + bytes(100),
         lambda data: rewritten(data, header=lambda h: {**h, "format": "geodrake digest 9"}),
@@ -378,9 +381,7 @@ def rewritten(data, *, header=None, settings=None, arrays=None):
         if change is not None:
             said = change(json.loads(bytes(members[name]).decode()))
             members[name] = np.frombuffer(json.dumps(said).encode(), np.uint8)
-    file = io.BytesIO()
-    np.savez_compressed(file, **{**members, **(arrays or {})})
-    return file.getvalue()
+    return sealed({**members, **(arrays or {})})
 
 
 def test_dates_are_those_of_stamps_or_said(logs, tmp_path):

@@ -2,6 +2,7 @@
 
 import errno
 import multiprocessing
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from pendulum_logs import PENDULUM, pendulum_log
 
+from geodrake.boundary.whole_files import write_new
 from geodrake.effects import JointEffect, Parameter
 from geodrake.errors import ArgumentError, DigestError, OutputError
 from geodrake.fleet import (
@@ -117,6 +119,27 @@ def test_a_damaged_digest_is_made_again(model, made, folder):
     assert damaged.read_bytes() == good
 
 
+def test_a_digest_under_the_name_of_another_log_is_made_again(model, made, folder):
+    first, second = digest_files(folder)[:2]
+    good = first.read_bytes()
+    first.write_bytes(second.read_bytes())
+    run = digested(model, [made / "log_1.csv", made / "log_2.csv"], folder)
+    (again,) = (row for row in run.rows if row.status == "made")
+    assert re.search("made again: .* holds the digest of another log", again.reason)
+    assert first.read_bytes() == good
+
+
+def test_a_full_disk_leaves_no_folder(model, made, tmp_path):
+    def full(file):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(digest_folder, "digest_content", lambda digest: full)
+        with pytest.raises(OutputError, match="No space left"):
+            digested(model, [made / "log_1.csv"], tmp_path / "digests")
+    assert not [*tmp_path.iterdir()]
+
+
 def test_settings_of_something_else_are_refused_by_name(model, made, folder):
     log, before = [made / "log_3.csv"], bytes_of(folder)
     own = read_settings(folder)
@@ -148,7 +171,7 @@ def test_settings_of_something_else_are_refused_by_name(model, made, folder):
         (lambda text: text[: len(text) // 2], "does not hold settings"),
         (lambda text: "", "is empty"),
         (lambda text: "[]", "does not hold settings"),
-        (lambda text: text.replace("geodrake digest 1", "geodrake digest 9"), "has the format"),
+        (lambda text: text.replace("geodrake digest 2", "geodrake digest 9"), "has the format"),
         (lambda text: text.replace('"blocks": 4', '"blocks": "four"'), "does not hold settings"),
         (lambda text: text.replace('"held"', '"holds"'), "does not hold settings"),
         (lambda text: text.replace('"lags": 200', '"lags": NaN'), "does not hold settings"),
@@ -235,12 +258,13 @@ def test_settings_that_another_run_has_made_meanwhile_are_taken(model, made, fol
         if asked.append(words) is None and len(asked) == 1:
             other.mkdir()
 
-    def slowly(path):
+    def slowly(*how):
         text = (folder / SETTINGS_FILE).read_text(encoding="utf-8").replace("log_1", "another")
         (other / SETTINGS_FILE).write_text(text, encoding="utf-8")
+        return write_new(*how)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(digest_folder, "make_folder", slowly)
+        patch.setattr(digest_folder, "write_new", slowly)
         run = digested(model, [made / "log_3.csv"], other, told=meanwhile)
     assert run.settings.hash == read_settings(folder).hash
     assert (run.chosen, run.settings.chosen_from) == (False, "another")

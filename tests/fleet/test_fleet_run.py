@@ -17,6 +17,7 @@ import numpy as np
 import psutil
 import pytest
 from distributed import LocalCluster
+from processor_time import limited
 from small_fleet import (
     DRY,
     FROM,
@@ -35,7 +36,7 @@ from small_fleet import (
 from geodrake.effects import CoulombFriction, FittedEffect, StribeckFriction
 from geodrake.errors import ArgumentError, DigestError, FleetError, OutputError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
-from geodrake.fleet.digest_file import read_digest
+from geodrake.fleet.digest_file import read_digest_of
 from geodrake.fleet.digest_run import FleetDigests, digest_task, find_tasks
 from geodrake.fleet.fleet_run import fleet_result, take_in_logs
 from geodrake.fleet.log_dates import check_date_pattern, date_in_path, date_text
@@ -145,8 +146,8 @@ def test_a_run_that_was_killed_goes_on(own, tmp_path):
     command = [sys.executable, "-m", "geodrake", "fleet", str(path), "--workers", "0", "-q"]
     run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        until = time.monotonic() + 120.0
-        while len(digests(tmp_path)) < 3 and run.poll() is None and time.monotonic() < until:
+        limited(run, 120)
+        while len(digests(tmp_path)) < 3 and run.poll() is None:
             time.sleep(0.002)
     finally:
         os.kill(run.pid, signal.SIGKILL)
@@ -419,6 +420,7 @@ def test_a_scheduler_that_does_not_answer_is_said(own, monkeypatch):
     ):
         with pytest.raises(FleetError, match=r"tcp://127\.0\.0\.1:9 cannot be reached"):
             look()
+    assert not fleet.folder.exists()
 
 
 @pytest.mark.thorough
@@ -596,8 +598,8 @@ def test_what_logs_say_is_kept_and_added_to(task, monkeypatch):
     task.file.unlink()
     reads = []
     monkeypatch.setattr(
-        "geodrake.fleet.robot_logs.read_digest",
-        lambda path: reads.append(path) or read_digest(path),
+        "geodrake.fleet.robot_logs.read_digest_of",
+        lambda path, settings: reads.append(path) or read_digest_of(path, settings),
     )
     for count in (1, 2, 3, 3):
         found = read_history(replace(task, records=task.records[:count])).history
@@ -605,6 +607,14 @@ def test_what_logs_say_is_kept_and_added_to(task, monkeypatch):
     same_history(found.read(), anew)
     np.testing.assert_array_equal(found.effort, whole.history.effort)
     assert len(reads) == 3
+
+
+def test_a_digest_under_the_name_of_another_log_is_not_believed(task):
+    first, second = (task.folder / "digests" / record.digest for record in task.records[:2])
+    second.write_bytes(first.read_bytes())
+    ((record, problem),) = read_history(task).refused
+    assert record == task.records[1]
+    assert "holds the digest of another log" in problem
 
 
 def test_a_log_before_others_is_added_to_none(task):

@@ -274,7 +274,7 @@ def test_wrong_histories_are_refused():
         weighted_history("a", [1.0, 2.0], grams, -weights)
     with pytest.raises(ArgumentError, match="not symmetric"):
         weighted_history("a", [1.0, 2.0], np.triu(np.ones((2, 1, 3, 3))), weights)
-    with pytest.raises(ArgumentError, match="free, relative"):
+    with pytest.raises(ArgumentError, match="factors of spreads"):
         replace(columns(), spreads=(Spread("short", np.eye(2)),))
     with pytest.raises(ArgumentError, match="4 columns cannot have 1 units"):
         replace(columns(), units=("kg",))

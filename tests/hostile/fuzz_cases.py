@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from fuzz_inputs import DIRECTIVES, EFFECT, MJCF, SDF
+from good_files import DIRECTIVES, EFFECT, MJCF, SDF
 from hostile import HEADER, fill, run_here, table
 from hypothesis import strategies as st
 

@@ -92,41 +92,24 @@ def later(seconds):
 SPIKE, NONE = "jumps and comes back", "no robot in SI units has that"
 SPIKES = [
     Row("uint32 of -1", COMPARE, (SPIKE, "4.295e+09"), log(put(1000, 1, 2.0**32 - 1)), code=0),
-    Row("uint32 of -1, explained", EXPLAIN, (SPIKE,), log(put(1000, 1, 2.0**32 - 1)), code=0),
     Row("a million", COMPARE, (SPIKE, "t = 10.00 s"), log(put(1000, 1, 1e6)), code=0),
-    Row("a million, explained", EXPLAIN, (SPIKE,), log(put(1000, 1, 1e6)), code=0),
-    Row("a million, identified", IDENTIFY, (SPIKE,), log(put(1000, 1, 1e6)), code=0),
-    Row("a million, simulated", ROLLOUT, (SPIKE,), log(put(1000, 1, 1e6)), 0, ("new.json",)),
-    Row("a hundred", COMPARE, (SPIKE,), log(put(1000, 1, 100.0)), code=0),
-    Row("10.5 rad in 24 s", COMPARE, (SPIKE,), log(put(1000, 1, 10.5)), code=0),
     Row("10.5 rad in 12 s", COMPARE, (SPIKE,), log(put(600, 1, 10.5), seconds=12), code=0),
-    Row("10^30", COMPARE, (SPIKE,), log(put(1000, 1, 1e30)), code=0),
-    Row("10^300", COMPARE, (SPIKE,), log(put(1000, 1, 1e300)), code=0),
     Row("three rows", COMPARE, (SPIKE, "3 rows in all"), log(put([100, 900, 901], 1, 1e5)), code=0),
     Row("both joints", COMPARE, ("of shoulder jumps", "of elbow jumps"), log(
         put(1000, BOTH, -1e5)), code=0),
     Row("the first row", COMPARE, (SPIKE, "t = 0.00 s"), log(put(0, 1, 1e6)), code=0),
-    Row("the last row", COMPARE, (SPIKE,), log(put(-1, 1, 1e6)), code=0),
     Row("beside an empty cell", COMPARE, (SPIKE,), log(one_by_one(
         put(999, 1, np.nan), put(1000, 1, 1e6))), code=0),
     Row("an effort of a million", COMPARE, (SPIKE, "effort of shoulder"), log(
         put(1000, EFFORT, 1e6)), code=0),
-    Row("an effort of 10^160", COMPARE, (SPIKE,), log(put(1000, EFFORT, 1e160)), code=0),
     Row("an effort of 10^308", COMPARE, (SPIKE,), log(put(1000, EFFORT, 1e308)), code=0),
-    Row("an effort of 10^160, explained", EXPLAIN, (SPIKE,), log(put(999, EFFORT, 1e160)), code=0),
-    Row("a velocity of 10^4", COMPARE, (SPIKE, "velocity"), moving(put(500, 3, 1e4)), code=0),
     Row("a velocity of 10^200", COMPARE, (SPIKE,), moving(put(500, 3, 1e200)), code=0),
     Row("a jump that stays", COMPARE, ("and stays there",), log(
         lambda rows: put(slice(1200, None), 1, rows[1200:, 1] + 50.0)(rows)), code=0),
-    Row("10^30 throughout", COMPARE, ("Row 1 ", NONE), log(put(ALL, 1, 1e30)), code=2),
     Row("10^30 from the middle on", COMPARE, ("Row 1201 ", NONE), log(
         put(slice(1200, None), 1, 1e30))),
     Row("positions of 10^30", COMPARE, ("position of shoulder", NONE), log(scaled(BOTH, 1e30))),
-    Row("positions of 10^30, explained", EXPLAIN, (NONE,), log(scaled(BOTH, 1e30))),
-    Row("positions of 10^10", COMPARE, (NONE,), log(scaled(BOTH, 1e10))),
     Row("efforts of 10^160", COMPARE, ("effort of shoulder", NONE), log(scaled(EFFORTS, 1e160))),
-    Row("efforts of 10^160, explained", EXPLAIN, (NONE,), log(scaled(EFFORTS, 1e160))),
-    Row("efforts of 10^160, simulated", ROLLOUT, (NONE,), log(scaled(EFFORTS, 1e160))),
     Row("efforts of 10^12, simulated", ROLLOUT, (NONE,), log(scaled(EFFORTS, 1e12))),
     Row("velocities of 10^200", COMPARE, ("velocity of shoulder", NONE), moving(scaled(3, 1e200))),
     Row("a walk of 10^9", COMPARE, (NONE,), log(lambda rows: np.column_stack([
@@ -136,8 +119,6 @@ SPIKES = [
 WRAP, FROZEN = "unwrapped", "while the joint moves: left out"
 TURNS = [
     Row("0 to 2π", COMPARE, ("turn of 6.283", WRAP), log(wrapped(0, 2 * np.pi)), code=0),
-    Row("0 to 2π, explained", EXPLAIN, (WRAP,), log(wrapped(0, 2 * np.pi)), code=0),
-    Row("0 to 2π with velocity", COMPARE, (WRAP,), moving(wrapped(0, 2 * np.pi)), code=0),
     Row("±π", COMPARE, (WRAP,), log(lambda rows: wrapped(-np.pi, 2 * np.pi)(
         put(ALL, BOTH, rows[:, BOTH] + np.pi)(rows) or rows)), code=0),
     Row("0 to 360", COMPARE, ("turn of 360", "in degrees"), log(
@@ -145,23 +126,18 @@ TURNS = [
     Row("degrees", COMPARE, ("in degrees",), log(scaled(BOTH, np.degrees(1.0))), code=0),
     Row("a frozen position", COMPARE, ("4 s from t = 8.00 s", FROZEN), moving(
         held(800, 1201, 1)), code=0),
-    Row("a frozen position, explained", EXPLAIN, (FROZEN,), moving(held(800, 1200, 1)), code=0),
-    Row("frozen for a moment", COMPARE, (FROZEN,), moving(held(800, 830, 1)), code=0),
     Row("frozen to the end", COMPARE, (FROZEN,), moving(held(1800, 2400, 1)), code=0),
     Row("a frozen position that jumps on", COMPARE, ("position of elbow", FROZEN), log(
         held(800, 1200, 2)), code=0),
     Row("frozen throughout", COMPARE, ("stays at", "locked"), moving(held(0, 2400, 1))),
     Row("a frozen effort", COMPARE, ("effort of shoulder", FROZEN), log(
         held(800, 1200, EFFORT)), code=0),
-    Row("an effort frozen to the end", COMPARE, (FROZEN,), log(held(1800, 2400, EFFORT)), code=0),
     Row("an effort frozen for most of it", COMPARE, ("Has the sensor failed?",), log(
         held(500, 2400, EFFORT))),
     Row("a frozen velocity", COMPARE, ("velocities are not used",), moving(
         held(800, 1200, 3)), code=0),
     Row("a joint that stands", COMPARE, (), log(held(0, 2400, 1)), code=0),
     Row("velocities backwards", COMPARE, ("200 % off",), moving(scaled(slice(3, 5), -1)), code=0),
-    Row("velocities in rpm", COMPARE, ("not used",), moving(scaled(slice(3, 5), 9.55)), code=0),
-    Row("velocities of zero", COMPARE, ("not used",), moving(scaled(slice(3, 5), 0)), code=0),
     Row("no velocity", COMPARE, ("empty cells",), moving(put(ALL, 3, np.nan)), code=0),
 ]  # fmt: skip
 
@@ -177,11 +153,7 @@ EMPTY = [
     Row("joints in turns", COMPARE, ("0 rows without empty cells",), log(one_by_one(
         put(slice(0, None, 2), 1, np.nan), put(slice(1, None, 2), 2, np.nan)))),
     Row("efforts of zero", COMPARE, ("never changes",), log(scaled(EFFORTS, 0.0))),
-    Row("efforts of zero, simulated", ROLLOUT, ("never changes",), log(scaled(EFFORTS, 0.0))),
-    Row("one effort of zero", COMPARE, ("effort of shoulder never",), log(scaled(EFFORT, 0.0))),
     Row("efforts of 10^-160", COMPARE, ("never changes",), log(scaled(EFFORTS, 1e-160))),
-    Row("efforts of 10^-160, explained", EXPLAIN, ("never changes",), log(scaled(EFFORTS, 1e-160))),
-    Row("efforts of 10^-300", COMPARE, ("never changes",), log(scaled(EFFORTS, 1e-300))),
     Row("still", COMPARE, ("still throughout",), log(put(ALL, BOTH, 0.1))),
     Row("noise", COMPARE, ("still throughout",), log(lambda rows: np.column_stack([
         rows[:, :1], np.random.default_rng(0).normal(size=(len(rows), 4))]))),
@@ -191,12 +163,8 @@ EMPTY = [
 OFTEN, RARELY, DIGITS = "more often than", "too rarely", "numbers are"
 TIMES = [
     Row("in ms", COMPARE, (RARELY, "ms, µs or ns"), log(scaled(0, 1e3))),
-    Row("in µs", COMPARE, (RARELY,), log(scaled(0, 1e6))),
     Row("in ns", EXPLAIN, (RARELY,), log(scaled(0, 1e9))),
-    Row("of 10^300", COMPARE, (RARELY,), log(scaled(0, 1e300))),
     Row("at 1 MHz", COMPARE, (OFTEN,), log(scaled(0, 1e-4))),
-    Row("a row every ns", COMPARE, (OFTEN,), log(scaled(0, 1e-7))),
-    Row("of 10^-300", COMPARE, (OFTEN,), log(scaled(0, 1e-300))),
     Row("that grows like e^t", COMPARE, (RARELY,), log(lambda rows: put(
         ALL, 0, np.exp(rows[:, 0]))(rows))),
     Row("in ns since 1970, called s", COMPARE, ("Time is constant",), log(lambda rows: put(
@@ -210,46 +178,18 @@ TIMES = [
     Row("that stands", COMPARE, ("is constant",), log(put(ALL, 0, 5.0))),
     Row("that starts again", COMPARE, ("runs backwards", "row 1201"), log(later(-12.0))),
     Row("an hour later", COMPARE, ("split into 2 pieces",), log(later(3600.0)), code=0),
-    Row("an hour later, simulated", ROLLOUT, (), log(later(3600.0)), 0, ("new.json",)),
-    Row("a year later", COMPARE, ("split into 2 pieces",), log(later(3e7)), code=0),
     Row("before zero", COMPARE, (), log(lambda rows: put(ALL, 0, rows[:, 0] - 1e4)(rows)), code=0),
-    Row("since 1970", COMPARE, (), log(lambda rows: put(ALL, 0, rows[:, 0] + 1.7e9)(rows)), code=0),
     Row("at random", COMPARE, ("split into",), log(lambda rows: put(
         ALL, 0, np.sort(np.random.default_rng(0).uniform(0, 24, len(rows))))(rows)), code=0),
     Row("missing once", COMPARE, ("split into 2 pieces",), log(put(100, 0, np.nan)), code=0),
-    Row("two rows", COMPARE, ("has 2 rows",), log(lambda rows: rows[:2])),
     Row("thirty rows", COMPARE, ("32 samples",), log(lambda rows: rows[:30])),
     Row("half a second", COMPARE, ("too short",), log(lambda rows: rows[:50])),
 ]  # fmt: skip
 
 
-SEARCHED = {  # as the log with 2^32 is; `compare` reads them all in the same way
-    "a million, explained",
-    "an effort of 10^160, explained",
-    "0 to 2π, explained",
-    "a frozen position, explained",
-}
-
-
-def cases(rows):
-    """Rows, of which those are thorough that search."""
-    return [pytest.param(r, marks=pytest.mark.thorough) if r.name in SEARCHED else r for r in rows]
-
-
 @pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", cases(SPIKES), ids=str)
-def test_spikes(row, tmp_path, monkeypatch):
-    row.check(tmp_path, monkeypatch)
-
-
-@pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", cases(TURNS), ids=str)
-def test_wraps_and_frozen_sensors(row, tmp_path, monkeypatch):
-    row.check(tmp_path, monkeypatch)
-
-
-@pytest.mark.parametrize("row", EMPTY, ids=str)
-def test_little_or_nothing_measured(row, tmp_path, monkeypatch):
+@pytest.mark.parametrize("row", [*SPIKES, *TURNS, *EMPTY, *TIMES], ids=str)
+def test_row(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 
 
@@ -260,9 +200,3 @@ def test_efforts_in_other_units_are_simulated(tmp_path, monkeypatch):
     make = log(scaled(EFFORTS, 1e3))
     says = ("in other units", "breaks off")
     Row("in N·mm", ROLLOUT, says, make, 0, ("new.json",)).check(tmp_path, monkeypatch)
-
-
-@pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", cases(TIMES), ids=str)
-def test_time(row, tmp_path, monkeypatch):
-    row.check(tmp_path, monkeypatch)

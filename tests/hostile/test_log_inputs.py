@@ -1,6 +1,5 @@
 """Logs that are no logs: files that are none, archives that lie, tables that nobody can read."""
 
-import bz2
 import gzip
 import io
 import os
@@ -15,8 +14,7 @@ from hostile import HEADER, Row, table, write_log
 from numpy.lib import format as npy
 
 from geodrake.errors import LogError
-from geodrake.logs.files import read_log
-from geodrake.logs.files import recording as columns
+from geodrake.logs.files import read_log, room
 
 NAMES = HEADER.split(",")
 NPZ, CSV = "compare robot.urdf x.npz", "compare robot.urdf x.csv"
@@ -124,69 +122,46 @@ NO_ARCHIVE = "no NPZ archive"
 
 ARCHIVES = [
     Row("npy", NPZ, (NO_ARCHIVE,), with_bytes(bytes_of(table()))),
-    Row("nothing", NPZ, ("is empty",), with_bytes(b"")),
-    Row("a sentence", NPZ, (NO_ARCHIVE,), with_bytes(b"hello world")),
-    Row("pickle", NPZ, (NO_ARCHIVE,), with_bytes(b"\x80\x04K\x01.")),
     Row("csv", NPZ, (NO_ARCHIVE,), lambda f: shutil.copy(f / "log.csv", f / "x.npz")),
     Row("cut off at the end", NPZ, (NO_ARCHIVE,), patched(lambda data: data[:-200])),
-    Row("cut in half", NPZ, (NO_ARCHIVE,), patched(lambda data: data[: len(data) // 2])),
-    Row("beginning gone", NPZ, (NO_ARCHIVE,), patched(lambda data: data[9000:])),
     Row("checksum", NPZ, ("Bad CRC-32",), patched(damaged)),
     Row("encrypted", NPZ, ("encrypted",), flagged(ENTRY, 1, 0)),
     Row("compression 99", NPZ, ("compression method",), flagged(ENTRY, 0, 99)),
     Row("7 PiB", NPZ, ("1000000000000000 numbers",), claiming((10**15,))),
     Row("10^30 numbers", NPZ, ("takes 19200 bytes",), claiming((10**30,))),
-    Row("fewer than none", NPZ, ("-5 numbers",), claiming((-5,))),
-    Row("a boolean length", NPZ, ("takes 19200 bytes",), claiming((True,))),
     Row("more than there are", NPZ, ("2401 numbers",), claiming((2401,))),
-    Row("fewer than there are", NPZ, ("2000 numbers",), claiming((2000,))),
     Row("a matrix by header", NPZ, ("not 1-D",), claiming((1200, 2))),
-    Row("a number by header", NPZ, ("takes 19200 bytes",), claiming(())),
     Row("objects by header", NPZ, ("holds object",), claiming((2400,), "|O")),
     Row("bomb", NPZ, ("750000000 numbers",), bomb),
     Row("member of text", NPZ, (NO_ARCHIVE,), only("time", lambda data: b"hello")),
-    Row("empty member", NPZ, (NO_ARCHIVE,), only("time", lambda data: b"")),
     Row("members of text", NPZ, (NO_ARCHIVE,), members(lambda *_: b"1,2,3", called="{}")),
     Row("nested", NPZ, ("no column 'time'",), members(called="a/b/{}.npy")),
     Row("in the folder above", NPZ, (), members(called="../{}.npy"), code=0),
-    Row("absolute", NPZ, (), members(called="/{}.npy"), code=0),
     Row("columns twice", NPZ, ("more than once",), members(twice=True)),
     Row("format of the future", NPZ, ("version (9, 0)",), only(
         "time", lambda data: data[:6] + b"\x09\x00" + data[8:])),
-    Row("header of rubbish", NPZ, (NO_ARCHIVE,), only(
-        "time", lambda data: data[:10] + b"x" * 118 + data[128:])),
     Row("header that runs", NPZ, (NO_ARCHIVE,), only(
         "time", lambda data: data[:10] + b"__import__('os').mkdir('x')".ljust(118) + data[128:])),
     Row("header that is deep", NPZ, (NO_ARCHIVE,), only(
         "time", lambda data: data[:10] + b"(" * 118 + data[128:])),
     Row("objects", NPZ, ("holds object",), archive(time=np.array([0.1, None] * 1200, object))),
-    Row("structures", NPZ, ("holds",), archive(time=np.zeros(2400, [("a", float)]))),
     Row("complex", NPZ, ("holds complex128",), archive(**{"elbow.effort": effort + 1j})),
     Row("words", NPZ, ("not real numbers",), archive(time=effort.astype("U20"))),
-    Row("bytes", NPZ, ("not real numbers",), archive(time=effort.astype("S20"))),
     Row("booleans", NPZ, ("holds bool",), archive(time=effort > 0)),
     Row("dates", NPZ, ("date",), archive(**{"elbow.position": np.arange(2400).astype("M8[ms]")})),
-    Row("durations", NPZ, ("timedelta64",), archive(time=np.arange(2400).astype("m8[ms]"))),
     Row("a number", NPZ, ("not 1-D",), archive(time=np.float64(1))),
     Row("a matrix", NPZ, ("not 1-D",), archive(time=table())),
-    Row("a matrix of one column", NPZ, ("not 1-D",), archive(time=table()[:, :1])),
     Row("one is short", NPZ, ("not of one length",), archive(time=effort[:5])),
     Row("no numbers", NPZ, ("has 0 rows",), archive(**dict.fromkeys(NAMES, np.empty(0)))),
     Row("no time", NPZ, ("no column 'time'",), archive(time=MISSING)),
-    Row("no arrays", NPZ, ("no column 'time'",), lambda f: np.savez(f / "x.npz")),
-    Row("time in ns", NPZ, ("ms, µs or ns",), archive(time=(np.arange(2400) * 10**7))),
     Row("big-endian", NPZ, (), archive(**{"elbow.effort": effort.astype(">f8")}), code=0),
     Row("every other number", NPZ, (), archive(**{
         "elbow.effort": np.repeat(effort, 2)[::2]}), code=0),
-    Row("half precision", NPZ, (), archive(**{"elbow.effort": effort.astype("f2")}), code=0),
     Row("long doubles", NPZ, (), archive(**{"elbow.effort": effort.astype("g")}), code=0),
     Row("too long doubles", NPZ, ("split into 2 pieces",), archive(**{"elbow.effort": np.where(
         np.arange(2400) == 1200, np.longdouble("1e4000"), effort)}), code=0),
-    Row("small integers", NPZ, (), archive(**{
-        "elbow.effort": (20 * effort).astype("i1")}), code=0),
     Row("a note beside", NPZ, ("ignored: note",), archive(note=np.array("hi")), code=0),
     Row("members without ending", NPZ, (), members(called="{}"), code=0),
-    Row("bzip2", NPZ, (), members(compression=zipfile.ZIP_BZIP2), code=0),
     Row("lzma", NPZ, (), members(compression=zipfile.ZIP_LZMA), code=0),
 ]  # fmt: skip
 
@@ -218,61 +193,36 @@ NO_NUMBER = "which is not a number"
 
 TABLES = [
     Row("empty", CSV, ("is empty",), text("")),
-    Row("blank lines", CSV, ("no header",), text("\n\n\n")),
     Row("header alone", CSV, ("has 0 rows",), text(HEADER)),
-    Row("header and a line end", CSV, ("has 0 rows",), text(HEADER + "\n")),
-    Row("one row", CSV, ("has 1 rows",), text("\n".join(LINES[:2]))),
-    Row("two rows", CSV, ("has 2 rows",), text("\n".join(LINES[:3]))),
     Row("ten rows", CSV, ("32 samples in a row",), text("\n".join(LINES[:11]))),
     Row("null in a cell", CSV, ("Row 6", NO_NUMBER), cell("0.0\x005")),
     Row("null in front", CSV, (NO_TEXT, "null"), text("\x00" + BODY)),
     Row("nulls behind", CSV, ("Row 2401",), text(BODY + "\x00" * 5000)),
-    Row("nulls alone", CSV, (NO_TEXT,), text("\x00" * 5000)),
     Row("UTF-16", CSV, (NO_TEXT,), text(BODY, "utf-16")),
-    Row("UTF-16 without a mark", CSV, (NO_TEXT,), text(BODY, "utf-16-be")),
-    Row("UTF-32", CSV, (NO_TEXT,), text(BODY, "utf-32")),
     Row("Latin-1 in the header", CSV, (NO_TEXT,), text("zähler," + BODY, "latin-1")),
-    Row("Latin-1 at the end", CSV, (NO_TEXT,), text(BODY + "ä", "latin-1")),
     Row("gzip", CSV, (NO_TEXT,), with_bytes(gzip.compress(BODY.encode()), "x.csv")),
-    Row("bzip2 as csv", CSV, (NO_TEXT,), with_bytes(bz2.compress(BODY.encode()), "x.csv")),
-    Row("random bytes", CSV, (NO_TEXT,), with_bytes(np.random.default_rng(0).bytes(9999), "x.csv")),
-    Row("npz as csv", CSV, (NO_TEXT,), lambda f: (
-        archive()(f), (f / "x.npz").rename(f / "x.csv"))),
     Row("a quote that opens the header", CSV, ("never closes",), text('"' + BODY)),
     Row("a quote that never closes", CSV, ("Row 6", "never closes"), cell('"0.05')),
-    Row("a quote at the end", CSV, ("Row 2401",), text(BODY + '"')),
     Row("a line of 10 MB", CSV, ("more than 8 MB",), text(
         lambda: HEADER + "\n" + "1," * 5_000_000)),
-    Row("a header of 10 MB", CSV, ("more than 8 MB",), text(lambda: "x" * 10_000_000)),
-    Row("five million columns", CSV, ("more than 8 MB",), text(lambda: "x," * 5_000_000)),
     Row("ten thousand joints", CSV, ("no joint 'j0'",), text(lambda: "\n".join(
         ["time," + ",".join(f"j{k}.position,j{k}.effort" for k in range(10_000))]
         + [f"{k}" + ",0" * 20_000 for k in range(12)]))),
     Row("vertical tabs", CSV, ("has 0 rows",), text(BODY.replace("\n", "\x0b"))),
-    Row("next lines", CSV, ("has 0 rows",), text(BODY.replace("\n", "\x85"))),
-    Row("line separators", CSV, ("has 0 rows",), text(BODY.replace("\n", "\u2028"))),
     Row("a cell too many", CSV, ("Row 6", "has 6 cells"), cell("0.05,1")),
     Row("a cell too few", CSV, ("Row 2401", "has 3 cells"), text(BODY + "24.0,1.0,1.0\n")),
     Row("semicolons", CSV, (), text(BODY.replace(",", ";")), code=0),
-    Row("tabs", CSV, (), text(BODY.replace(",", "\t")), code=0),
-    Row("spaces", CSV, (), text(BODY.replace(",", "  ")), code=0),
     Row("decimal commas", CSV, (), text("\n".join(
         [HEADER.replace(",", ";"), *(r.replace(",", ";").replace(".", ",") for r in LINES[1:])]
     )), code=0),
     Row("separators of two kinds", CSV, ("Row 1",), text(
         HEADER.replace(",", ";") + "\n" + "\n".join(LINES[1:]))),
     Row("hexadecimal", CSV, (NO_NUMBER,), cell("0x1p-4")),
-    Row("underscores", CSV, (NO_NUMBER,), cell("0.0_5")),
-    Row("a date", CSV, (NO_NUMBER,), cell("2024-01-01")),
     Row("a word", CSV, (NO_NUMBER,), cell("error")),
-    Row("a formula", CSV, (NO_NUMBER,), cell("=1+1")),
     Row("escapes in a cell", CSV, (NO_NUMBER,), cell("\x1b[2J")),
-    Row("text that turns round in a cell", CSV, (NO_NUMBER,), cell("\u202e")),
     Row("a cell of 200 kB", CSV, ("Row 6",), cell("z" * 200_000)),
-    Row("a cell of 9 kB", CSV, ("Row 6", NO_NUMBER), cell("z" * 9000)),
     Row("comments", CSV, (), text(
         "# robot\n" + BODY.replace("\n0.05,", "\n# here\n0.05,")), code=0),
-    Row("comments alone", CSV, ("no header",), text("# robot\n" * 20)),
     Row("a column twice", CSV, ("more than once: elbow.effort",), header(
         HEADER.replace("shoulder.effort", "elbow.effort"))),
     Row("a joint without a name", CSV, ("no joint ''",),
@@ -288,9 +238,6 @@ TABLES = [
     Row("quoted line ends", CSV, (), cell('"0.05\n"'), code=0),
     Row("CR", CSV, (), text(BODY.replace("\n", "\r")), code=0),
     Row("CR LF", CSV, (), text(BODY.replace("\n", "\r\n")), code=0),
-    Row("CR CR LF", CSV, (), text(BODY.replace("\n", "\r\r\n")), code=0),
-    Row("LF CR", CSV, (), text(BODY.replace("\n", "\n\r")), code=0),
-    Row("no line end at the end", CSV, (), text(BODY[:-1]), code=0),
     Row("commas at the ends of lines", CSV, (), text(BODY.replace("\n", ",\n")), code=0),
     Row("Arabic digits", CSV, (), cell("٠.٠٥"), code=0),
     Row("infinite time", CSV, ("split into 2 pieces",), text(
@@ -314,39 +261,25 @@ def link(target, name="x.csv"):
 
 PATHS = [
     Row("pipe", CSV, ("log x.csv is a pipe",), lambda f: os.mkfifo(f / "x.csv")),
-    Row("pipe as npz", NPZ, ("log x.npz is a pipe",), lambda f: os.mkfifo(f / "x.npz")),
     Row("zeros without end", "compare robot.urdf /dev/zero", ("is a device",)),
-    Row("full device", "compare robot.urdf /dev/full", ("is a device",)),
-    Row("null device", "compare robot.urdf /dev/null", ("is a device",)),
     Row("standard input", "compare robot.urdf /dev/stdin", ("not a file",), apart=True),
     Row("link to zeros", CSV, ("is a device",), link("/dev/zero")),
-    Row("link to zeros as npz", NPZ, ("is a device",), link("/dev/zero", "x.npz")),
     Row("socket", CSV, ("is a socket",), bound_socket),
     Row("link to itself", CSV, ("symbolic links",), link("x.csv")),
-    Row("links in a circle", CSV, ("symbolic links",), lambda f: (
-        link("y.csv")(f), link("x.csv", "y.csv")(f))),
     Row("link to nothing", CSV, ("x.csv does not exist",), link("y.csv")),
     Row("nothing", CSV, ("x.csv does not exist",)),
     Row("long name", f"compare robot.urdf {'x' * 300}.csv", ("name too long",)),
-    Row("long path", f"compare robot.urdf {'x/' * 3000}x.csv", ("name too long",)),
     Row("null in the name", "compare robot.urdf 'a\0b.csv'", ("null byte",)),
     Row("no name", "compare robot.urdf ''", ("is a folder",)),
     Row("folder", CSV, ("is a folder",), lambda f: (f / "x.csv").mkdir()),
-    Row("dash", "compare robot.urdf -", ("does not exist",)),
     Row("in a file", "compare robot.urdf log.csv/x.csv", ("Not a directory",)),
     Row("memory of the process", "compare robot.urdf /proc/self/mem", ("is empty",)),
     Row("log as model", "compare log.csv other.csv", ("log.csv",)),
     Row("model as log", "compare robot.urdf robot.urdf", ("ends in '.urdf'",)),
-    Row("the other way round", "compare log.csv robot.urdf", ("log.csv",)),
-    Row("saved model as log", "compare robot.urdf kept.yaml", ("ends in '.yaml'",)),
     Row("page as log", "compare robot.urdf kept.html", ("ends in '.html'",)),
-    Row("another pipe", "rollout robot.urdf x.csv", ("is a pipe",), lambda f: os.mkfifo(
-        f / "x.csv")),
     Row("pipe with a payload", f"{CSV} --known-payload x.csv:lower_link:1", ("is a pipe",),
         lambda f: os.mkfifo(f / "x.csv")),
     Row("twice", "compare robot.urdf log.csv log.csv", ("given twice",)),
-    Row("twice by a path", "compare robot.urdf log.csv ./log.csv", ("given twice",)),
-    Row("twice by a link", "compare robot.urdf log.csv x.csv", ("given twice",), link("log.csv")),
     Row("twice by a hard link", "compare robot.urdf log.csv x.csv", ("given twice",),
         lambda f: (f / "x.csv").hardlink_to(f / "log.csv")),
     Row("a copy", "compare robot.urdf log.csv x.csv", ("given twice",),
@@ -364,19 +297,8 @@ PATHS = [
 
 
 @pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", ARCHIVES, ids=str)
-def test_archive(row, tmp_path, monkeypatch):
-    row.check(tmp_path, monkeypatch)
-
-
-@pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", TABLES, ids=str)
-def test_table(row, tmp_path, monkeypatch):
-    row.check(tmp_path, monkeypatch)
-
-
-@pytest.mark.parametrize("row", PATHS, ids=str)
-def test_path(row, tmp_path, monkeypatch):
+@pytest.mark.parametrize("row", [*ARCHIVES, *TABLES, *PATHS], ids=str)
+def test_row(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 
 
@@ -393,7 +315,7 @@ def test_what_must_not_be_read(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", ["x.npz", "x.csv"])
 def test_more_than_memory_is_refused_before_it_is_read(tmp_path, monkeypatch, name):
-    monkeypatch.setattr(columns, "_memory", lambda: 100_000)
+    monkeypatch.setattr(room, "machine_memory", lambda: 100_000)
     if name == "x.npz":
         archive()(tmp_path)
     else:

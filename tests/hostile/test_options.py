@@ -6,7 +6,6 @@ import pytest
 from hostile import Row, fill
 
 from geodrake.errors import ArgumentError
-from geodrake.excitation import FourierMotion, FreeSamples, SplineMotion
 from geodrake.identification.logs.compare import compare
 from geodrake.logs.filtering import design_filter
 from geodrake.model.saved_model import load_model
@@ -14,8 +13,8 @@ from geodrake.model.saved_model import load_model
 DATA = "robot.urdf log.csv"
 NO_FLOATS = ("wide", "''", "1,5", "0x10")
 NO_INTEGERS = ("nan", "inf", "1.5", "many", "''")
-ODD = ("nan", "inf", "-inf", "0", "-1", "1e300", "1e-300")
-HUGE = ("1000000000", "1" * 30)
+ODD = ("nan", "inf", "-1", "1e-300")
+HUGE = ("1" * 30,)
 
 
 def rows(command, option, values, *says, **settings):
@@ -52,103 +51,66 @@ DIGEST = [
     *rows(f"digest {DATA} --to new", "--bandwidth", ("0.001", "26", "1000"), "bandwidth of"),
     *rows(f"digest {DATA} --to new", "--bandwidth", NO_FLOATS, "'--bandwidth'"),
     *rows(f"digest {DATA} --to new", "--blocks", ("0", "-1", "1", "101", *HUGE), "blocks"),
-    *rows(f"digest {DATA} --to new", "--blocks", NO_INTEGERS, "'--blocks'"),
-    *rows(
-        f"digest {DATA} --to new",
-        "--date",
-        ("''", "soon", "1", "nan", "2026-02-30", "0001-01-01", "9999-12-31"),
-        "A date is such as",
-    ),
-    *rows(f"digest {DATA}", "--to", ("log.csv", "none/new", "log.csv/new"), "no folder"),
-    *rows(f"digest {DATA}", "--to", ("/dev/null", "/proc/new", "x" * 300), "Digests cannot be"),
+    *rows(f"digest {DATA} --to new", "--date", ("soon", "nan", "2026-02-30"), "A date is such as"),
+    *rows(f"digest {DATA}", "--to", ("log.csv", "log.csv/new"), "no folder"),
+    *rows(f"digest {DATA}", "--to", ("/dev/null", "x" * 300), "Digests cannot be"),
     *rows(f"digest {DATA} --to new", "--units", ("position=furlong",), "furlong"),
     *rows(f"digest {DATA} --to new", "--known-payload", ("log.csv:nobody:1",), "nobody"),
     *rows(f"digest {DATA} --to new", "--known-payload", ("log.csv:lower_link:-1",), "mass of"),
     *rows(f"digest {DATA} --to new", "--json", ("log.csv", "robot.urdf", "x.txt"), "--json"),
     Row("digest to nowhere", f"digest {DATA}", ("--to",)),
     Row("digest of no log", "digest robot.urdf --to new", ("LOG",)),
-    Row("digest of no model", "digest nothing.urdf log.csv --to new", ("nothing.urdf",)),
-    Row(
-        "digest over its input",
-        f"digest {DATA} --to new --json log.json",
-        ("is an input",),
-        lambda folder: (folder / "log.json").symlink_to("log.csv"),
-    ),
-]
+    Row("digest over its input", f"digest {DATA} --to new --json log.json", ("is an input",),
+        lambda folder: (folder / "log.json").symlink_to("log.csv")),
+]  # fmt: skip
 
 FLEET = [
     *rows("fleet fleet.yaml", "--workers", ("-1", *HUGE), "workers", make=fleet),
-    *rows("fleet fleet.yaml", "--workers", NO_INTEGERS, "'--workers'"),
     *rows("fleet fleet.yaml", "--every", ODD, "--every", make=fleet),
-    *rows("fleet fleet.yaml", "--every", NO_FLOATS, "'--every'"),
-    *rows(
-        "fleet fleet.yaml",
-        "--false-alarms",
-        ("nan", "inf", "-1", "0", "1", "1e300"),
-        "false_alarms",
-        make=fleet,
-    ),
+    *rows("fleet fleet.yaml", "--false-alarms", ("nan", "0", "1"), "false_alarms", make=fleet),
     *rows("fleet fleet.yaml", "--json", ("fleet.yaml", "robot.urdf"), "--json", make=fleet),
     Row("fleet of no file", "fleet none.yaml", ("none.yaml",)),
     Row("fleet of a log", "fleet log.csv", ("log.csv",)),
     Row("fleet of nothing", "fleet", ("FLEET.yaml",)),
-    Row("fleet of a model", "fleet robot.urdf", ("robot.urdf",)),
 ]
 
 
 LOG_OPTIONS = [
     *chain.from_iterable(
         rows(f"{command} {DATA}", "--bandwidth", ODD, "bandwidth of", "Hz")
-        for command in ("compare", "identify", "identifiable", "rollout")
+        for command in ("compare", "rollout")
     ),
     *chain.from_iterable(
-        rows(f"{command} {DATA}", "--bandwidth", ("nan", "1e300", "1e-300"), "bandwidth of")
-        for command in ("diagnose", "add coulomb_friction", "explain")
+        rows(f"{command} {DATA}", "--bandwidth", ("0.05",), "too short")
+        for command in ("compare", "diagnose", "explain", "identify", "identifiable", "rollout")
     ),
-    *chain.from_iterable(
-        rows(f"{command} {DATA}", "--bandwidth", ("0.05", "0.01"), "too short")
-        for command in ("compare", "diagnose", "add coulomb_friction", "explain", "identify",
-                        "identifiable", "rollout")
-    ),
-    *rows(f"compare {DATA}", "--bandwidth", ("0.001", "26", "1000"), "bandwidth of"),
-    *rows(f"compare {DATA}", "--bandwidth", NO_FLOATS, "'--bandwidth'"),
+    *rows(f"compare {DATA}", "--bandwidth", ("0.001", "26"), "bandwidth of"),
     *rows(f"compare {DATA}", "--bandwidth", ("25", "5"), code=0),
     *chain.from_iterable(
-        rows(f"{command} {DATA}", "--blocks", ("0", "-1", "1", "1001", *HUGE), "blocks")
-        for command in ("compare", "identify", "identifiable")
+        rows(f"{command} {DATA}", "--blocks", ("0", "1", "1001", *HUGE), "blocks")
+        for command in ("compare", "diagnose", "identify")
     ),
-    *chain.from_iterable(
-        rows(f"{command} {DATA}", "--blocks", ("-1", "1000000000"), "blocks")
-        for command in ("diagnose", "add coulomb_friction", "explain")
-    ),
-    *rows(f"compare {DATA}", "--blocks", NO_INTEGERS, "'--blocks'"),
     *rows(f"compare {DATA}", "--blocks", ("2", "1000"), code=0),
     *rows(f"rollout {DATA}", "--horizon", (*ODD, "1e9", "0.0001"), "horizon"),
     *rows(f"rollout {DATA}", "--horizon", ("0.002",), "between two samples"),
     *rows(f"rollout {DATA}", "--horizon", ("30", "1000"), "In no log does the robot move for"),
-    *rows(f"rollout {DATA}", "--horizon", NO_FLOATS, "'--horizon'"),
     *rows(f"rollout {DATA}", "--windows", ("0", "-1"), "window"),
-    *rows(f"rollout {DATA}", "--windows", NO_INTEGERS, "'--windows'"),
     Row("a fit of nothing", f"rollout {DATA} --fit", ("no soft joint and no play",)),
     Row("a rollout saved", f"rollout {DATA} --save new.yaml", ("Without --fit",)),
     Row("a fit under commands", f"rollout {DATA} --fit --commands", ("no soft joint and no play",)),
     *rows(f"rollout {DATA}", "--windows", HUGE[-1:], "departs", code=0),
-    *rows(f"identify {DATA}", "--gamma", ("nan", "inf", "-inf", "0", "-1"), "gamma must be"),
+    *rows(f"identify {DATA}", "--gamma", ("nan", "-inf", "0"), "gamma must be"),
     *rows(f"identify {DATA}", "--gamma", ("1e-300",), "gamma 1.00·10⁻³⁰⁰", "·10¹⁵", code=0),
     *rows(f"identify {DATA}", "--gamma", ("1e300",), code=0),
-    *rows(f"identify {DATA}", "--gamma", NO_FLOATS, "'--gamma'"),
     *rows(f"identify {DATA}", "--residual-bound", (*ODD, "1", "1e9"), "residual bound"),
     *rows(f"identify {DATA}", "--residual-bound", (
         "1000", "1000 --compare"), "nothing limits gamma", code=0),
-    *rows(f"identify {DATA}", "--residual-bound", NO_FLOATS, "'--residual-bound'"),
-    *rows(f"identify {DATA}", "--total-mass", ("nan", "inf", "-inf", "0", "-1"), "total mass"),
+    *rows(f"identify {DATA}", "--total-mass", ("nan", "-inf", "0"), "total mass"),
     *rows(f"identify {DATA}", "--total-mass", ("1e300", "1e-300"), "leads to a solution"),
-    *rows(f"identify {DATA}", "--total-mass", NO_FLOATS, "'--total-mass'"),
     *rows(f"identify {DATA}", "--regularizer", ("''", "nan", "0"), "no regularizer"),
-    *rows(f"identifiable {DATA}", "--threshold", ("nan", "inf", "-inf", "0", "-1"), "threshold"),
+    *rows(f"identifiable {DATA}", "--threshold", ("nan", "-inf", "0"), "threshold"),
     *rows(f"identifiable {DATA}", "--threshold", ("1e-300",)),
     *rows(f"identifiable {DATA}", "--threshold", ("1e300",), code=0),
-    *rows(f"identifiable {DATA}", "--threshold", NO_FLOATS, "'--threshold'"),
     *rows(f"identifiable {DATA}", "--noise", ODD, "noise of shoulder, elbow"),
     *rows(f"identifiable {DATA}", "--noise", ("shoulder=1",), "--noise says nothing of elbow"),
     *rows(f"identifiable {DATA}", "--noise", (
@@ -179,17 +141,12 @@ DESIGN = f"{LIMITED} --samples 30"
 
 DESIGNS = [
     *rows(DESIGN, "--duration", (*ODD, "1e9"), "motion needs a positive duration"),
-    *rows(DESIGN, "--duration", NO_FLOATS, "'--duration'"),
     *rows(f"{DESIGN} --duration 1e5", "--frequency", ("1000",), "is too long"),
     *rows(DESIGN, "--harmonics", ("0", "-1", *HUGE), "at least one mode"),
-    *rows(DESIGN, "--harmonics", NO_INTEGERS, "'--harmonics'"),
     *rows(DESIGN, "--frequency", (*ODD, "1e9"), "frequency"),
-    *rows(DESIGN, "--frequency", NO_FLOATS, "'--frequency'"),
     *rows(f"{DESIGN} --trajectory spline", "--points", ("0", "-1", *HUGE), "control points"),
-    *rows(f"{DESIGN} --trajectory spline", "--points", NO_INTEGERS, "'--points'"),
     *rows(LIMITED, "--samples", ("0", "-1", *HUGE), "--samples is a positive number"),
     *rows(f"{LIMITED} --trajectory free", "--samples", ("0", "-1", "5000", *HUGE), "sample"),
-    *rows(LIMITED, "--samples", NO_INTEGERS, "'--samples'"),
     *rows(f"excite robot.urdf {QUICK}", "--limits", ("nan", "0", "-1", "wide", "nan%"), ""),
     *rows(f"excite robot.urdf {QUICK}", "--limits", [
         f"{what}={value}" for what in ("velocity", "acceleration", "effort")
@@ -201,19 +158,13 @@ DESIGNS = [
     *rows(DESIGN, "--start", ("nan", "inf", "1e300"), ""),
     *rows(DESIGN, "--start", ("wide", "shoulder=1"), "--start"),
     *rows(DESIGN, "--clearance", ("nan", "inf", "-inf", "-1", "1e300"), "--clearance"),
-    *rows(DESIGN, "--clearance", NO_FLOATS, "'--clearance'"),
     *rows(DESIGN, "--noise", ODD, "noise of shoulder, elbow"),
     *rows(DESIGN, "--seeds", ("0", "-1", *HUGE), "--seeds is a positive number"),
-    *rows(DESIGN, "--seeds", NO_INTEGERS, "'--seeds'"),
     *rows(DESIGN, "--seed", ("-1", "1" * 30), "--seed is not negative"),
-    *rows(DESIGN, "--seed", NO_INTEGERS, "'--seed'"),
-    *rows(DESIGN, "--seconds", ("nan", "inf", "-inf", "0", "-1", "1e300"), "--seconds is a"),
-    *rows(DESIGN, "--seconds", NO_FLOATS, "'--seconds'"),
+    *rows(DESIGN, "--seconds", ("nan", "-inf", "0"), "--seconds is a"),
     *rows(DESIGN, "--iterations", ("0", "-1", *HUGE), "--iterations is a positive number"),
-    *rows(DESIGN, "--iterations", NO_INTEGERS, "'--iterations'"),
     *rows(f"{DESIGN} --save new.csv", "--rate", (
-        "nan", "inf", "-inf", "0", "-1", "1e300"), "--rate is a positive number"),
-    *rows(f"{DESIGN} --save new.csv", "--rate", NO_FLOATS, "'--rate'"),
+        "nan", "-inf", "0"), "--rate is a positive number"),
     *rows(DESIGN, "--criterion", ("''", "nan"), "no criterion"),
     *rows(DESIGN, "--normalization", ("''", "0"), "no normalization"),
     *rows(DESIGN, "--solver", ("''", "simplex"), "solver"),
@@ -228,18 +179,10 @@ def test_row(row, tmp_path, monkeypatch):
 
 
 @pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", [*CHECK, *DIGEST, *FLEET, *LOG_OPTIONS], ids=str)
-def test_options_of_commands_on_logs(row, tmp_path, monkeypatch):
-    row.check(tmp_path, monkeypatch)
-
-
-@pytest.mark.parametrize("row", PAYLOADS, ids=str)
-def test_known_payloads(row, tmp_path, monkeypatch):
-    row.check(tmp_path, monkeypatch)
-
-
-@pytest.mark.parametrize("row", DESIGNS, ids=str)
-def test_options_of_designs(row, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "row", [*CHECK, *DIGEST, *FLEET, *LOG_OPTIONS, *PAYLOADS, *DESIGNS], ids=str
+)
+def test_options(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 
 
@@ -247,21 +190,6 @@ def test_options_of_designs(row, tmp_path, monkeypatch):
 def test_filters_have_a_bandwidth_that_fits(bandwidth):
     with pytest.raises(ArgumentError, match=r"Choose a bandwidth from 0\.005 to 25 Hz"):
         design_filter(0.01, bandwidth)
-
-
-@pytest.mark.parametrize("duration", [float("nan"), 0.0, -1.0, 1e-300, 1e6, 1e300])
-@pytest.mark.parametrize("family", [FourierMotion, SplineMotion])
-def test_motions_last_a_while(family, duration):
-    with pytest.raises(ArgumentError, match="duration"):
-        family(duration)
-
-
-@pytest.mark.parametrize("count", [0, -1, 10**5, 10**30])
-@pytest.mark.parametrize("family", [lambda n: FourierMotion(10.0, n),
-                                    lambda n: SplineMotion(10.0, n), FreeSamples])  # fmt: skip
-def test_motions_have_some_coefficients(family, count):
-    with pytest.raises(ArgumentError):
-        family(count)
 
 
 def test_a_library_call_has_the_bounds_of_the_command(tmp_path):

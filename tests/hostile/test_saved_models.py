@@ -2,10 +2,11 @@
 
 import hashlib
 import os
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from hostile import PENDULUM, Row
+from hostile import PENDULUM, Row, changed_rows
 
 DIGEST = hashlib.sha256(PENDULUM.read_bytes()).hexdigest()
 FRICTION, PAYLOAD = "name: coulomb_friction", "name: payload"
@@ -93,17 +94,6 @@ def part(name, old, new, *says, code=2, command="compare {} log.csv"):
     return whole(name, UNINFORMED.replace(old, new, 1), *says, code=code, command=command)
 
 
-def each(name, old, words, *says, command="compare {} log.csv"):
-    """Rows of several words in the place of what is between the marks «» of a text."""
-    before, _, rest = old.partition("«")
-    value, _, after = rest.partition("»")
-    plain = before + value + after
-    return [
-        part(f"{name} {word}", plain, before + word + after, *says, command=command)
-        for word in words
-    ]
-
-
 def told(name, change, *says):
     """A row of an information matrix that was changed."""
     return whole(name, UNINFORMED + information(change), "information", *says)
@@ -123,7 +113,6 @@ def set_one(i, j, value):
     return change
 
 
-NO_NUMBERS = (".nan", ".inf", "-.inf", "1e200", "-1e300")
 EFFECT = """  - name: {}
     where: [{}]
     shape: {{{}}}
@@ -140,156 +129,33 @@ def added(name, where, shape, parameters, deviations="", *says):
 
 
 ALL = (
-    "compare {0} log.csv",
-    "diagnose {0} log.csv",
-    "add viscous_friction {0} log.csv",
-    "explain {0} log.csv",
-    "rollout {0} log.csv",
-    "rollout robot.urdf log.csv --before {0}",
-    "identify {0} log.csv",
-    "identifiable {0} log.csv",
-    "digest {0} log.csv --to new",
+    *("compare {0} log.csv", "diagnose {0} log.csv", "add viscous_friction {0} log.csv"),
+    *("explain {0} log.csv", "rollout {0} log.csv", "rollout robot.urdf log.csv --before {0}"),
+    *("identify {0} log.csv", "identifiable {0} log.csv", "digest {0} log.csv --to new"),
     "excite {0}",
 )
 GOOD = [
     whole("all in order", SAVED, code=0),
     whole("no information", HEAD + BODIES + EFFECTS + JOINTS, code=0),
     whole("nothing but bodies", HEAD + BODIES, code=0),
-    part("friction of 0, which is its bound", "[0.3]", "[0.0]", code=0),
-    part("friction beyond its bound by rounding", "[0.3]", "[-1.0e-12]", code=0),
-    part("deviation of infinity", "[0.01]", "[.inf]", code=0),
     part("base that has changed", DIGEST, "a" * 64, "has changed", code=0),
     whole("information off by rounding", UNINFORMED + information(set_one(3, 4, 1e-12)), code=0),
     whole("empty information of parameters", UNINFORMED + information(set_both(0, 0, 0.0)), code=0),
     whole("byte order mark", SAVED.encode("utf-8-sig"), code=0),
-    whole(
-        "comments and quotes",
-        "# by hand\n" + SAVED.replace("geodrake model 1", "'geodrake model 1'"),
-        code=0,
-    ),
-]
-IN_BODIES = [
-    *each(
-        "mass",
-        "upper_link: [«0.5235»",
-        (*NO_NUMBERS, "-1.0", "0.0", "-0.0", "1e-300"),
-        "inertial_parameters of 'upper_link'",
-        "m",
-    ),
-    *each(
-        "first moment",
-        "0.0, «-0.1047», 0.03189",
-        (*NO_NUMBERS, "-5.0"),
-        "inertial_parameters of 'upper_link'",
-    ),
-    *each(
-        "moment of inertia",
-        "-0.1047, «0.03189», 0.03189",
-        (*NO_NUMBERS, "-0.03", "0.0"),
-        "inertial_parameters of 'upper_link'",
-    ),
-    *each(
-        "product of inertia",
-        "0.001095, «0.0», 0.0",
-        (*NO_NUMBERS, "0.5"),
-        "inertial_parameters of 'upper_link'",
-    ),
-    part("nine numbers", "0.00099667, 0.0, 0.0, 0.0]", "0.00099667, 0.0, 0.0]", "lower_link", "10"),
-    part("eleven numbers", "0.00099667, 0.0,", "0.00099667, 0.0, 0.0,", "lower_link", "10"),
-    part(
-        "no numbers",
-        "[0.6256, 0.0, 0.0, -0.16, 0.05087, 0.05087, 0.00099667, 0.0, 0.0, 0.0]",
-        "[]",
-        "lower_link",
-    ),
-    part(
-        "all zeros",
-        "[0.6256, 0.0, 0.0, -0.16, 0.05087, 0.05087, 0.00099667, 0.0, 0.0, 0.0]",
-        "[0, 0, 0, 0, 0, 0, 0, 0, 0, 0]",
-        "lower_link",
-    ),
-    part("words", "[0.6256,", "[heavy,", "heavy"),
-    part("a body that is not there", "  lower_link: [", "  tail: [", "'tail'"),
-    part("a body missing", BODIES[BODIES.index("  lower_link") :], "", "'lower_link'"),
-    part(
-        "one body more",
-        "  lower_link: [",
-        "  tail: [1, 0, 0, 0, 1, 1, 1, 0, 0, 0]\n  lower_link: [",
-        "'tail'",
-    ),
-    part("no bodies", BODIES, "", "inertial_parameters"),
-    part("bodies as a list", BODIES, "inertial_parameters: [1, 2]\n", "inertial_parameters"),
-]
+    whole("comments and quotes", "# by hand\n" + SAVED.replace("geodrake model 1",
+        "'geodrake model 1'"), code=0),
+]  # fmt: skip
 IN_EFFECTS = [
-    *each(
-        "friction",
-        "[«0.3»]",
-        (*NO_NUMBERS, "-0.3", "-1.0e-3"),
-        "parameters of coulomb_friction at shoulder",
-    ),
-    *each(
-        "friction's deviation",
-        "[«0.01»]",
-        (".nan", "-0.01", "-.inf"),
-        "deviations of coulomb_friction at shoulder",
-    ),
-    *each(
-        "stiffness",
-        "[«0.5», 0.125]",
-        (".nan", "-0.5"),
-        "parameters of joint_spring at elbow",
-        "stiffness",
-    ),
-    *each(
-        "preload", "[0.5, «0.125»]", NO_NUMBERS, "parameters of joint_spring at elbow", "preload"
-    ),
-    *each("coupled friction", "[0.25, «0.75»]", (".nan", "-0.75"), "coupled_friction", "viscous"),
-    *each(
-        "mass of a payload",
-        "[«0.2», 0.0, 0.0, -0.04",
-        (*NO_NUMBERS, "-0.2", "0.0"),
-        "payload at lower_link",
-    ),
-    *each(
-        "inertia of a payload", "-0.04, «0.0085»", (".nan", "-1.0", "0.0"), "payload at lower_link"
-    ),
-    *each("delay", "delay: «0.002»", (".nan", ".inf"), "delay"),
-    *each("center of a spring", "center: «0.2»", (".nan", ".inf", "1e200"), "center"),
-    *each("exponent of a spring", "exponent: «1.0»", ("2", ".nan", "-1", "1e300"), "exponent"),
-    *each("sign of coupled friction", "sign: «1.0»", ("0.5", "0", ".nan"), "sign"),
-    part("no parameters", "[0.3]", "[]", "coulomb_friction"),
-    part("two parameters", "[0.3]", "[0.3, 0.3]", "coulomb_friction"),
-    part("two deviations", "[0.01]", "[0.01, 0.01]", "coulomb_friction"),
-    part("an unknown effect", FRICTION, "name: coulomb_fiction", "coulomb_friction"),
-    part("an effect without a name", FRICTION, "name: ''", "effect"),
-    part("an effect at a joint that is not there", "[shoulder]", "[wrist]", "'wrist'"),
-    part("an effect of joints at a body", "[shoulder]", "[upper_link]", "'upper_link'"),
-    part("an effect of bodies at a joint", "[lower_link]", "[elbow]", "'elbow'"),
-    part("an effect nowhere", "[shoulder]", "[]", "coulomb_friction"),
-    part("an effect at two joints", "[shoulder]", "[shoulder, elbow]", "coulomb_friction"),
-    part(
-        "an effect of two joints at one", "[shoulder, elbow]", "[elbow, elbow]", "coupled_friction"
-    ),
-    part("a shape that is not there", "shape: {}", "shape: {colour: 1.0}", "colour"),
-    part("shapes as a list", "shape: {}", "shape: [1.0]", "field 'effects'"),
-    part("delay of words", "delay: 0.002", "delay: soon", "field 'effects'", "'soon'"),
-    part("effects as a word", EFFECTS, "effects: friction\n", "effects"),
-    part("effects of null", EFFECTS, "effects:\n- null\n", "effects"),
     added("coulomb_friction", "shoulder", "", "0.1", "", "twice"),
     added("payload", "lower_link", "", "0.2, 0, 0, 0, 1, 1, 1, 0, 0, 0", "", "twice"),
-    added("stribeck_friction", "elbow", "", "0.1"),
     added("stribeck_friction", "elbow", "stribeck_velocity: -1.0", "0.1"),
-    added("stribeck_friction", "elbow", "stribeck_velocity: 0.0", "0.1"),
     added("stribeck_friction", "elbow", "stribeck_velocity: .nan", "0.1"),
     added("torque_ripple", "elbow", "order: 1.0e300", "0.1, 0.1"),
-    added("torque_ripple", "elbow", "order: .inf", "0.1, 0.1"),
     added("hysteresis", "elbow", "breakaway_angle: 0.0", "0.1"),
     added("nonlinear_viscous_friction", "elbow", "exponent: -2.0", "0.1"),
     added("friction_drift", "elbow", "time_constant: 0.0", "0.1, 0.1"),
-    added("effort_scale", "elbow", "", "-3.0"),
     added("effort_scale", "elbow", "", ".nan"),
     added("gravity_tilt", "", "", ".nan, 0.0"),
-    added("gravity_tilt", "elbow", "", "0.0, 0.0"),
     added("rotor_inertia", "elbow", "", "-0.1"),
     added("joint_elasticity", "elbow", "", "-0.1"),
     added("backlash", "elbow", "half_width: -0.1", "0.1"),
@@ -298,176 +164,51 @@ IN_EFFECTS = [
     added("contact", "lower_link", "start: 1.0, end: 2.0, rise: 0.0", "1, 0, 0, 0, 0, 0"),
     added("contact", "lower_link", "start: 1.0, end: 2.0, x: .nan", "1, 0, 0, 0, 0, 0"),
     added("contact", "lower_link", "start: 1.0, end: 2.0, log: 1.5", "1, 0, 0, 0, 0, 0"),
-]
+]  # fmt: skip
 IN_THE_REST = [
     told("an entry nan", set_both(1, 2, np.nan)),
-    told("an entry infinite", set_both(1, 2, np.inf)),
     told("an entry of 1e300", set_both(1, 2, 1e300)),
-    told("a negative diagonal", set_both(3, 3, -1.0)),
     told("a small negative diagonal", set_both(3, 3, -1e-3)),
     told("not symmetric", set_one(3, 4, 0.5), "symmetric"),
     told("not positive", set_both(3, 4, 100.0), "semidefinite"),
-    told(
-        "a zero with something beside it",
-        lambda m: (set_both(3, 3, 0.0)(m), set_both(3, 4, 0.5)(m)),
-    ),
+    told("a zero with something beside it", lambda m: (set_both(3, 3, 0.0)(m),
+        set_both(3, 4, 0.5)(m))),
     whole("a row too few", UNINFORMED + information().rsplit("  - ", 1)[0], "information"),
-    whole(
-        "a number too few",
-        UNINFORMED + information().replace("- [1.0, 0.0,", "- [1.0,", 1),
-        "information",
-    ),
-    whole(
-        "information as a list of numbers",
-        HEAD + BODIES + EFFECTS + JOINTS + "information: [1, 2]\n",
-        "information",
-    ),
-    whole(
-        "information of words",
-        HEAD + BODIES + EFFECTS + JOINTS + "information: [[a]]\n",
-        "information",
-    ),
-    whole(
-        "information of nothing",
-        HEAD + BODIES + EFFECTS + JOINTS + "information: [[]]\n",
-        "information",
-    ),
-    *each("noise", "shoulder: «0.0625»", (*NO_NUMBERS, "-0.1", "loud"), "effort_noise"),
-    *each("bandwidths", "abc: [«5.0», 15.0]", (*NO_NUMBERS, "-0.1", "0.0", "wide"), "bandwidths"),
-    part("one bandwidth", "[5.0, 15.0]", "[5.0]", "bandwidths"),
-    *each("fading speed", "shoulder: «0.015625»", (*NO_NUMBERS, "-0.1", "slow"), "fading_speed"),
-    part(
-        "noise of a joint that is not there",
-        "  elbow: 0.03125",
-        "  wrist: 0.03125",
-        "effort_noise",
-        "'wrist'",
-    ),
-    part("noise of one joint missing", "  elbow: 0.03125\n", "", "effort_noise", "'elbow'"),
-    part(
-        "fading speed of one joint more",
-        "  elbow: 0.0\n",
-        "  elbow: 0.0\n  wrist: 0.0\n",
-        "fading_speed",
-        "'wrist'",
-    ),
-    *[
-        part(f"format of {x!r}", "geodrake model 1", x, "format")
-        for x in (
-            "geodrake model 99",
-            "geodrake model 0",
-            "geodrake model",
-            "geodrake model one",
-            "geodrake model 1.5",
-            "geodrake model 11",
-        )
-    ],
-    part("another format", "geodrake model 1", "something else"),
-    part("no format", "format: geodrake model 1\n", ""),
-    part("floating perhaps", "floating: false", "floating: perhaps", "floating"),
-    part("a field that is not there", "floating: false", "colour: red", "colour"),
-    part("no base", "base_model: robot.urdf\n", "", "base"),
-    *[
-        part(f"base {x}", "robot.urdf", x, "is based on")
-        for x in (
-            "''",
-            ".",
-            "nobody.urdf",
-            "/dev/zero",
-            "/dev/stdin",
-            "saved.yaml",
-            "./saved.yaml",
-            "x" * 300,
-            "log.csv/x",
-        )
-    ],
-    Row(
-        "base that is no robot",
-        "compare saved.yaml log.csv",
-        ("log.csv is not a robot",),
-        put("saved.yaml", SAVED.replace("robot.urdf", "log.csv")),
-    ),
-    part("base with a null character", "robot.urdf", '"a\\0b"'),
-    whole(
-        "base that is a pipe",
-        lambda f: (
-            os.mkfifo(f / "p.urdf"),
-            put("saved.yaml", SAVED.replace("robot.urdf", "p.urdf"))(f),
-        ),
-        "is a pipe",
-    ),
-    whole(
-        "base that is another saved model",
-        lambda f: (
-            put("other.yaml", SAVED)(f),
-            put("saved.yaml", SAVED.replace("robot.urdf", "other.yaml"))(f),
-        ),
-        "saved model itself",
-    ),
-    whole(
-        "base that is a link to itself",
-        lambda f: (
-            (f / "l.yaml").symlink_to("saved.yaml"),
-            put("saved.yaml", SAVED.replace("robot.urdf", "l.yaml"))(f),
-        ),
-        "saved model itself",
-    ),
-    whole(
-        "base of other directives that add the saved model",
-        lambda f: (
-            put("d.dmd.yaml", "directives:\n- add_model: {name: a, file: saved.yaml}\n")(f),
-            put("saved.yaml", SAVED.replace("robot.urdf", "d.dmd.yaml"))(f),
-        ),
-    ),
-    *each(
-        "digest",
-        "base_sha256: «" + DIGEST + "»",
-        ("''", "abc", DIGEST[1:], DIGEST.upper() + "x", "5"),
-        "base_sha256",
-    ),
+    whole("a number too few", UNINFORMED + information().replace("- [1.0, 0.0,", "- [1.0,", 1),
+        "information"),
+    whole("information as a list of numbers",
+        HEAD + BODIES + EFFECTS + JOINTS + "information: [1, 2]\n", "information"),
+    whole("information of nothing", HEAD + BODIES + EFFECTS + JOINTS + "information: [[]]\n",
+        "information"),
+    Row("base that is no robot", "compare saved.yaml log.csv", ("log.csv is not a robot",),
+        put("saved.yaml", SAVED.replace("robot.urdf", "log.csv"))),
+    whole("base that is a pipe", lambda f: (os.mkfifo(f / "p.urdf"),
+        put("saved.yaml", SAVED.replace("robot.urdf", "p.urdf"))(f)), "is a pipe"),
+    whole("base that is another saved model", lambda f: (put("other.yaml", SAVED)(f),
+        put("saved.yaml", SAVED.replace("robot.urdf", "other.yaml"))(f)), "saved model itself"),
+    whole("base that is a link to itself", lambda f: ((f / "l.yaml").symlink_to("saved.yaml"),
+        put("saved.yaml", SAVED.replace("robot.urdf", "l.yaml"))(f)), "saved model itself"),
+    whole("base of other directives that add the saved model",
+        lambda f: (put("d.dmd.yaml", "directives:\n- add_model: {name: a, file: saved.yaml}\n")(f),
+        put("saved.yaml", SAVED.replace("robot.urdf", "d.dmd.yaml"))(f))),
+    part("digest cut short", DIGEST, DIGEST[1:], "base_sha256"),
+    part("digest of other letters", DIGEST, f"{DIGEST.upper()}x", "base_sha256"),
     part("no digest", f"base_sha256: {DIGEST}\n", "", "base_sha256"),
-    whole(
-        "another robot's",
-        SAVED.replace("upper_link", "thigh").replace("lower_link", "shank"),
-        "thigh",
-    ),
-    part(
-        "tags that run",
-        "fitted_to: [abc]",
-        'fitted_to: !!python/object/apply:os.system ["touch PWNED"]',
-    ),
-    part("tags of Python's", "fitted_to: [abc]", "fitted_to: !!python/name:os.system"),
-    part("tags unknown", "fitted_to: [abc]", "fitted_to: !Odd [abc]"),
-    part("an anchor in itself", "fitted_to: [abc]", "fitted_to: &a [*a]"),
-    whole(
-        "a bomb of anchors",
-        "format: geodrake model 1\n_a: &a [x, x]\n"
-        + "".join(
-            f"_{b}: &{b} [{', '.join([f'*{a}'] * 9)}]\n"
-            for a, b in zip("abcdefghij", "bcdefghijk", strict=True)
-        )
-        + "information: *k\n",
-        "unfold",
-    ),
-    whole(
-        "rows of one alias",
+    whole("another robot's", SAVED.replace("upper_link", "thigh").replace("lower_link",
+        "shank"), "thigh"),
+    whole("a bomb of anchors",
+        "format: geodrake model 1\n_a: &a [x, x]\n" + "".join(
+            f"_{b}: &{b} [{', '.join([f'*{a}'] * 9)}]\n" for a, b in pairwise("abcdefghijk")
+        ) + "information: *k\n", "unfold"),
+    whole("rows of one alias",
         HEAD + f"_a: &a [{', '.join(['1'] * 2000)}]\ninformation: [{', '.join(['*a'] * 2000)}]\n",
-        "unfold",
-    ),
-    whole(
-        "merges that double",
-        HEAD
-        + "_a: &a {x: 1}\n"
-        + "".join(
-            f"_{b}: &{b} {{<<: [{', '.join([f'*{a}'] * 9)}]}}\n"
-            for a, b in zip("abcdefghij", "bcdefghijk", strict=True)
-        ),
-        "unfold",
-    ),
-    *[
-        whole(f"cut off after {share:.0%}", SAVED[: int(share * len(SAVED))])
-        for share in (0.02, 0.1, 0.3, 0.6, 0.98)
-    ],
+        "unfold"),
+    whole("merges that double",
+        HEAD + "_a: &a {x: 1}\n" + "".join(
+            f"_{b}: &{b} {{<<: [{', '.join([f'*{a}'] * 9)}]}}\n" for a, b in pairwise("abcdefghijk")
+        ), "unfold"),
+    whole("cut off soon", SAVED[: len(SAVED) // 50]),
+    whole("cut off later", SAVED[: len(SAVED) * 6 // 10]),
     whole("a list", "# format: \nformat: geodrake model 1\n- a\n"),
     whole("only the format", "format: geodrake model 1\n"),
     whole("lists 1,000 deep", HEAD + "fitted_to: " + "[" * 1000 + "]" * 1000),
@@ -475,26 +216,26 @@ IN_THE_REST = [
     whole("null characters", SAVED.replace("abc", "a\0c"), "null"),
     whole("bytes that are no UTF-8", SAVED.encode().replace(b"abc", b"a\xff\xfe")),
     whole("UTF-16", SAVED.encode("utf-16")),
-    whole("two documents", SAVED + "---\n" + SAVED),
-    whole(
-        "150 MB",
-        lambda f: (put("saved.yaml", HEAD)(f), os.truncate(f / "saved.yaml", 150_000_000)),
-        "MB are read",
-    ),
-    *[
-        part(
-            f"mass of nan, by {command.partition(' ')[0]}{' before' * ('before' in command)}",
-            "upper_link: [0.5235",
-            "upper_link: [.nan",
-            "upper_link",
-            command=command,
-        )
-        for command in ALL
-    ],
+    whole("150 MB", lambda f: (put("saved.yaml", HEAD)(f),
+        os.truncate(f / "saved.yaml", 150_000_000)), "MB are read"),
+    *[part(f"mass of nan, by {command.partition(' ')[0]}{' before' * ('before' in command)}",
+        "upper_link: [0.5235", "upper_link: [.nan", "upper_link", command=command)
+        for command in ALL],
+]  # fmt: skip
+
+
+CHANGED = [
+    part(kind, old, new, *says, code=code)
+    for _, code, kind, old, new, says in changed_rows("saved_models.yaml")
 ]
 
 
-@pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", [*GOOD, *IN_BODIES, *IN_EFFECTS, *IN_THE_REST], ids=str)
-def test_row(row, tmp_path, monkeypatch):
+@pytest.mark.parametrize("row", [*IN_EFFECTS, *IN_THE_REST, *CHANGED], ids=str)
+def test_what_is_refused(row, tmp_path, monkeypatch):
+    row.check(tmp_path, monkeypatch)
+
+
+@pytest.mark.sampled(4)
+@pytest.mark.parametrize("row", GOOD, ids=str)
+def test_what_is_read(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)

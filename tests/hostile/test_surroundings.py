@@ -14,7 +14,7 @@ from pathlib import Path
 
 import matplotlib
 import pytest
-from hostile import KEPT, PACKAGES, Row, changed, contents, fill, read_json, run_forked
+from hostile import KEPT, PACKAGES, PATIENCE, Row, changed, contents, fill, read_json, run_forked
 
 from geodrake import load_model
 from geodrake.boundary import whole_files
@@ -24,7 +24,6 @@ from geodrake.report import render_comparison
 
 COMPARE = "compare robot.urdf log.csv --json new.json --report new.html"
 WRITES = ("new.json", "new.html")
-SHOWN = "compare robot.urdf log.csv --json new.json"  # where only what is shown could differ
 
 
 def settings(text):
@@ -41,32 +40,6 @@ def without_home(folder):
     (folder / "home").write_text("no folder", encoding="utf-8")
 
 
-ROWS = [
-    Row(what, COMPARE, make=make, code=0, writes=WRITES, environment=environment)
-    for what, environment, make in (
-        ("no such backend", {"MPLBACKEND": "nonsense"}, lambda folder: None),
-        ("a backend with windows", {"MPLBACKEND": "tkagg", "DISPLAY": None}, lambda folder: None),
-        ("no home", {"HOME": None}, lambda folder: None),
-        ("a home that cannot be written", {"HOME": "/proc/none"}, lambda folder: None),
-        ("a home that is no folder", {"HOME": "home", "XDG_CACHE_HOME": "home"}, without_home),
-        ("the locale C", {"LC_ALL": "C", "LANG": None, "PYTHONUTF8": None}, lambda folder: None),
-        ("a locale that is not there", {"LC_ALL": "xx_YY.UTF-8"}, lambda folder: None),
-        ("a folder for passing files that is not there", {"TMPDIR": "/none"}, lambda folder: None),
-        ("typesetting by TeX", {"MATPLOTLIBRC": "rc"}, settings(b"text.usetex: True\n")),
-        ("settings that are none", {"MATPLOTLIBRC": "rc"}, settings(b"foo: bar\nfont.size: x\n")),
-    )
-]
-TERMINALS = [
-    Row(what, SHOWN, code=0, writes=WRITES[:1], environment=environment)
-    for what, environment in (
-        ("a poor terminal", {"TERM": "dumb", "COLUMNS": "10"}),
-        ("no terminal known", {"TERM": None, "COLUMNS": "0"}),
-        ("columns that are none", {"COLUMNS": "many", "LINES": "-1"}),
-        ("colours asked for", {"FORCE_COLOR": "", "NO_COLOR": "1"}),
-        ("streams in ASCII", {"PYTHONIOENCODING": "ascii"}),
-        ("streams in UTF-16", {"PYTHONIOENCODING": "ascii:strict"}),
-    )
-]
 TOGETHER = [
     Row(what, COMPARE, make=make, code=0, writes=WRITES, environment=environment)
     for what, environment, make in (
@@ -102,7 +75,7 @@ TOGETHER = [
         ),
     )
 ]
-"""All of the others a few at a time: each starts Python and Drake."""
+"""What surroundings may lack or have wrong, a few at a time: each row starts Python and Drake."""
 REFUSED = [
     Row(
         "files in ASCII",
@@ -113,14 +86,11 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize("row", TOGETHER[:1] + REFUSED, ids=str)
+OTHERS = [pytest.param(row, marks=pytest.mark.thorough) for row in TOGETHER[1:]]
+
+
+@pytest.mark.parametrize("row", [TOGETHER[0], *REFUSED, *OTHERS], ids=str)
 def test_row(row, tmp_path, monkeypatch):
-    row.check(tmp_path, monkeypatch)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("row", ROWS + TERMINALS + TOGETHER[1:], ids=str)
-def test_row_alone(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 
 
@@ -191,7 +161,7 @@ def in_terminal(arguments, folder, columns):
             {**os.environ, **variables},
         )
     shown = b""
-    while select.select([terminal], [], [], 60)[0]:
+    while select.select([terminal], [], [], PATIENCE)[0]:
         try:
             block = os.read(terminal, 65536)
         except OSError:  # the other end is closed
@@ -244,7 +214,7 @@ def test_a_signal_at_any_time_leaves_a_word_alone(number, seconds, tmp_path):
     run = started([*EXPLAIN, *ALL], tmp_path)
     time.sleep(seconds)
     run.send_signal(number)
-    out, err = run.communicate(timeout=60)
+    out, err = run.communicate(timeout=PATIENCE)
     if run.returncode == 0:  # the machine was quick
         assert changed(before, contents(tmp_path)) == set(KEPT)
         return
@@ -292,7 +262,7 @@ def test_a_signal_while_modules_load(name, number, tmp_path):
     before = contents(tmp_path)
     hook = HOOK.format(name=name, signal=number.name)
     run = started(["compare", "robot.urdf", "log.csv", *ALL], tmp_path, hook)
-    out, err = run.communicate(timeout=60)
+    out, err = run.communicate(timeout=PATIENCE)
     assert (run.returncode, err) == SIGNALS[number]
     assert out == ""
     assert contents(tmp_path) == before
@@ -352,7 +322,7 @@ def test_an_interrupt_that_nothing_can_raise_comes_again(tmp_path):
     def begin():
         def work(*_given, **_more):
             Gone()
-            time.sleep(60)
+            time.sleep(PATIENCE)
 
         explaining.investigate = work
 
@@ -367,5 +337,5 @@ def test_a_signal_that_is_to_be_ignored_is_ignored(tmp_path):
         name="numpy", signal="SIGHUP"
     )
     run = started(["check", "robot.urdf", "--samples", "2", "--quiet"], tmp_path, code)
-    _, err = run.communicate(timeout=60)
+    _, err = run.communicate(timeout=PATIENCE)
     assert (run.returncode, err) == (0, "")

@@ -88,7 +88,7 @@ def test_no_fit_is_certified_without_a_solution_of_the_program(monkeypatch):
     assert "No digits are left" in told.notes[-1]
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.integers(0, 999), st.floats(-4.0, 4.0), st.floats(1e-5, 0.3))
 def test_the_gap_bounds_how_far_any_parameters_are_from_the_least_cost(seed, log_gamma, share):
     problem = example(seed, gamma=10.0**log_gamma, rows=40)

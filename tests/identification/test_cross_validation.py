@@ -24,6 +24,7 @@ from geodrake.effects import (
     StribeckFriction,
     ViscousFriction,
 )
+from geodrake.errors import IdentificationError
 from geodrake.identification import normal_equations
 from geodrake.identification.conic_fit import solve_surely
 from geodrake.identification.logs.cross_validation import CrossValidation, hold_out
@@ -317,7 +318,7 @@ def test_one_matrix_of_many_that_has_no_factor_is_seen(place, wrong):
     for matrix, factor in zip(many, normal_equations.choleskies(many), strict=True):
         np.testing.assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix, atol=1e-8)
     many[place, 2, 1] = many[place, 1, 2] = wrong
-    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+    with pytest.raises(IdentificationError, match="not positive definite"):
         normal_equations.choleskies(many)
 
 
@@ -325,9 +326,9 @@ def test_normal_equations_that_are_none_are_refused():
     for wrong in (np.nan, np.inf):
         matrix = np.eye(3)
         matrix[1, 1] = wrong
-        with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+        with pytest.raises(IdentificationError, match="not positive definite"):
             normal_equations.cholesky(matrix)
-    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+    with pytest.raises(IdentificationError, match="not positive definite"):
         normal_equations.cholesky(np.array([[1.0, 2.0], [2.0, 1.0]]))
     assert normal_equations.solved(np.zeros((0, 0)), np.zeros(0)).shape == (0,)
 

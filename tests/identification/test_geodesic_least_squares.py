@@ -60,7 +60,7 @@ def test_lambert_inverts_up_to_its_branch_point():
 
 
 @given(seed=st.integers(0, 10_000), noise=st.floats(0.01, 5.0))
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25)
 def test_projections_are_on_the_plane_and_geodesics_meet_it_at_right_angles(seed, noise):
     A, b = data(seed, noise=noise)
     X = covectors(A)
@@ -247,6 +247,18 @@ def test_close_to_the_prior_it_is_regularized_least_squares():
     np.testing.assert_allclose(change, other, atol=2e-3 * np.abs(other).max())
 
 
+@pytest.mark.parametrize("noise", [1e-1, 1e-5, 1e-9])
+@pytest.mark.parametrize("gamma", [1e-3, 10.0, 1e5])
+def test_it_ends_where_rounding_hides_the_rest(noise, gamma):
+    """However small the cost is, a tolerance that cannot be reached is no error."""
+    rng = np.random.default_rng(10)
+    A = rng.normal(size=(30, 20))
+    b = A @ PRIOR.ravel() + noise * rng.normal(size=30)
+    found = geodesic_least_squares(A, b, PRIOR, gamma=gamma, tolerance=1e-300)
+    assert found.distance < 1e-10
+    assert found.iterations < 20
+
+
 def test_outliers_are_rejected_and_do_no_harm():
     A, b = data(5, noise=0.02)
     clean = geodesic_least_squares(A, b, PRIOR, gamma=1.0)
@@ -258,7 +270,7 @@ def test_outliers_are_rejected_and_do_no_harm():
 
 
 @given(seed=st.integers(0, 1000), length=st.floats(0.05, 20.0), mass=st.floats(0.05, 20.0))
-@settings(max_examples=5, deadline=None, derandomize=True)
+@settings(max_examples=5)
 def test_invariance_under_frames_and_units(seed, length, mass):
     rng = np.random.default_rng(seed)
     units = mass * np.repeat([1.0, length, length**2], [1, 3, 6])

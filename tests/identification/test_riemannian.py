@@ -64,7 +64,7 @@ def positive_matrices(seed, n=5, spread=1.0):
 
 
 @given(seed=st.integers(0, 10_000), spread=st.floats(1e-3, 1.5))
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20)
 def test_derivatives_are_those_of_finite_differences(seed, spread):
     S, h = positive_matrices(seed, spread=spread), 1e-5
     gradient, hessian = log_derivatives(S)
@@ -208,7 +208,7 @@ def test_interior_point_solves_a_quadratic_program_like_clarabel():
 
 
 @given(seed=st.integers(0, 10_000), length=st.floats(0.05, 20.0), mass=st.floats(0.05, 20.0))
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=8)
 def test_invariance_under_frames_and_units(seed, length, mass):
     """The same bodies to 1e-8, whatever frame and units their parameters are stated in."""
     rng = np.random.default_rng(seed)

@@ -131,7 +131,7 @@ def test_a_prior_keeps_a_scalar_positive_that_data_pull_below_zero():
         assert found.extra[0] == pytest.approx(0.0, abs=1e-9)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.sampled_from(GEOMETRIC), st.integers(0, 99), st.floats(-6.0, 6.0), st.floats(-3.0, 3.0))
 def test_units_of_scalars_do_not_matter(regularizer, seed, log_unit, log_gamma):
     A, b, scalars = data(seed)

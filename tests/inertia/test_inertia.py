@@ -11,7 +11,7 @@ from geodrake import inertia
 from geodrake.errors import ArgumentError
 
 SEEDS = st.integers(0, 2**32 - 1)
-EXAMPLES = settings(max_examples=40, deadline=None, derandomize=True)
+EXAMPLES = settings(max_examples=40)
 
 
 def random_bodies(rng, *shape):

@@ -21,7 +21,7 @@ def log_with(effort):
     return JointLog("steps", ("shoulder", "elbow"), TIME, Q, np.stack([SMOOTH, effort], 1))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     step=st.floats(0.06, 1.0),
     offset=st.floats(-1.0, 1.0),
@@ -35,7 +35,7 @@ def test_the_step_of_a_converter_is_found(step, offset, noise, seed):
     assert effort_steps(log_with(effort)) == pytest.approx([0.0, step])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(digits=st.sampled_from([1, 2, 3]), ratio=st.floats(1.0, 30.0), seed=st.integers(0, 2**31))
 def test_few_digits_below_the_noise_are_no_steps(digits, ratio, seed):
     noise = ratio * 10.0**-digits * np.random.default_rng(seed).normal(size=len(TIME))

@@ -45,9 +45,7 @@ numbers = st.floats(-1e9, 1e9) | st.just(np.nan)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
-@settings(
-    max_examples=25, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     steps=arrays(float, st.integers(10, 20), elements=st.floats(1e-6, 1e3)),
     data=st.data(),

@@ -35,7 +35,7 @@ from geodrake.manifolds.projections import (
 from geodrake.manifolds.projections.half_space import half_space_projection
 
 SEEDS = st.integers(0, 2**32 - 1)
-EXAMPLES = settings(max_examples=25, deadline=None, derandomize=True)
+EXAMPLES = settings(max_examples=25)
 HULL = Ellipsoid(np.array([0.2, -0.1, 0.0]), np.array([14.0, 15.0, 16.0]), np.eye(3))
 CONSTRAINED = ConstrainedInertia(realizability_row(HULL.quadric)[None], np.zeros(1), 0.7)
 PRODUCT = Product((PhysicalInertia(), Positive(2), Free(1)), (2.0, 0.5, 1.0))

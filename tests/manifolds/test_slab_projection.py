@@ -22,7 +22,7 @@ ROBOT = Product(
     (1.0, 0.5, 2.0, 3.0),
 )
 """What a robot has: bodies and lower bounds."""
-some = settings(derandomize=True, deadline=None, max_examples=15)
+some = settings(max_examples=15)
 
 
 def point(rng, scale=1.0):
@@ -69,7 +69,7 @@ def test_it_is_the_projection_and_says_so(seed, rows, decades):
     assert after <= before * (1 + 1e-7) + 1e-9
 
 
-@settings(derandomize=True, deadline=None, max_examples=8)
+@settings(max_examples=8)
 @given(st.integers(0, 2**31), st.integers(1, 4))
 def test_it_agrees_with_the_general_solver(seed, rows):
     x, A, b, epsilon, _ = slabs(np.random.default_rng(seed), rows)

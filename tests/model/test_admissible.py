@@ -146,6 +146,12 @@ def test_what_rounding_does_is_admitted(model):
     check_model(with_effect(model, Payload("lower_link"), *point))
 
 
+def test_information_says_something_of_each_parameter(model):
+    p = model.phi.size
+    for none in (np.zeros((p, p)), np.diag(np.arange(float(p)))):
+        assert "has 0 at 0, 0 on its diagonal" in refused(replace(model, information=none))
+
+
 def test_units_do_not_matter_to_the_information(model):
     p = model.phi.size
     matrix = np.eye(p)

@@ -118,7 +118,8 @@ def written(folder, name, text):
 
 
 def without_inertials(data):
-    """A file less its inertial elements and the white space before them."""
+    """A file less its inertial elements, what is said of them, and the white space before them."""
+    data = re.sub(rb"\s*<!-- geodrake did not take .*?-->", b"", data)
     return re.sub(rb"\s*<inertial\b[^>]*?(/>|>.*?</inertial>)", b"", data, flags=re.DOTALL)
 
 
@@ -268,7 +269,7 @@ def test_where_the_rest_is_no_body_all_change_alike(tmp_path):
     assert any("change alike" in note for note in export.notes)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(st.integers(0, 10**6), st.floats(0.01, 2.0), st.floats(0.05, 20.0))
 def test_shares_of_a_body_are_bodies_and_sum_to_it(seed, size, factor):
     rng = np.random.default_rng(seed)

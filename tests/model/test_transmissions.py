@@ -286,7 +286,7 @@ def test_within_the_limits_of_actuators_joints_keep_theirs(name, request):
         assert np.abs(at_joints).max() <= 40.0 + 1e-9
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=3)
 @given(
     st.lists(
         st.floats(2.0, 50.0).flatmap(lambda x: st.sampled_from([x, -x])), min_size=3, max_size=3

@@ -239,10 +239,10 @@ def test_the_page_is_served_on_a_port():
     thread = threading.Thread(target=serve_page, args=(server, "<p>played ✓</p>"))
     thread.start()
     try:
-        with urllib.request.urlopen(f"http://localhost:{port}/", timeout=10) as answer:
+        with urllib.request.urlopen(f"http://localhost:{port}/", timeout=60) as answer:
             assert answer.read().decode() == "<p>played ✓</p>"
         with pytest.raises(urllib.error.HTTPError, match="404") as caught:
-            urllib.request.urlopen(f"http://localhost:{port}/other", timeout=10)
+            urllib.request.urlopen(f"http://localhost:{port}/other", timeout=60)
         caught.value.close()
     finally:
         server.shutdown()

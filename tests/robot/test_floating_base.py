@@ -84,7 +84,7 @@ def test_wrench_in_the_base_is_pinocchios(name):
         assert_close(ours[i], np.r_[tau[3:6], tau[:3]])
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30)
 @given(st.lists(st.sampled_from(moving), min_size=1, max_size=5), st.integers(0, 2**32 - 1))
 def test_wrench_is_the_rate_of_momentum_less_gravity(kinds, seed):
     rng = np.random.default_rng(seed)
@@ -113,7 +113,7 @@ def test_wrench_is_the_rate_of_momentum_less_gravity(kinds, seed):
     np.testing.assert_allclose(ours, expected, atol=2e-6 * np.abs(expected).max())
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30)
 @given(st.lists(st.sampled_from(sorted(JOINTS)), min_size=1, max_size=7), st.integers(0, 2**32 - 1))
 def test_poses_are_drakes(kinds, seed):
     rng = np.random.default_rng(seed)
@@ -226,7 +226,7 @@ def test_zero_moment_point_at_rest_is_below_the_centre_of_mass():
         np.testing.assert_allclose(point[i], com[:2], atol=1e-12)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50)
 @given(st.integers(0, 2**32 - 1), st.floats(-1, 1))
 def test_zero_moment_point_is_the_centre_of_pressure(seed, height):
     rng = np.random.default_rng(seed)

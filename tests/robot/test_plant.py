@@ -229,7 +229,7 @@ def test_mjcf(load):
     assert loaded.file_rotor_inertia == pytest.approx([0.2] * 6)
     assert loaded.file_friction == pytest.approx([2.0, 0.5, 0, 0, 0, 0])
     assert effort_limits(plant)[0] == pytest.approx(100.0)
-    assert any("meshes" in note and "b" in note for note in loaded.notes)
+    assert any("meshes" in note and "b" in note for note in loaded.changes)
     # The bodies without mass get a thousandth of the robot's together.
     assert {repair.body for repair in loaded.repairs} == {"b", "b_s"}
     assert inertial_parameters(plant)[:, 0].sum() == pytest.approx(3.0 * 1.001)
@@ -388,7 +388,7 @@ def test_impossible_member_of_a_possible_body_is_no_problem(load):
     dummy = fixed("dummy", inertial(0.0, GOOD))
     loaded = load(urdf(inertial(), extra=point_mass + dummy + fixed("tool0", "")))
     assert loaded.repairs == ()
-    assert any("dummy" in note for note in loaded.notes)
+    assert any("dummy" in note for note in loaded.changes)
     (body,) = lumped_bodies(loaded.plant)
     assert [member.name for member in body.members] == ["l1", "point", "dummy", "tool0"]
     expected = from_mass_com_inertia(1.0, [0, 0, 0.1], 0.1 * np.eye(3)) + from_mass_com_inertia(

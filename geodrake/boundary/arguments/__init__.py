@@ -11,9 +11,11 @@ Numbers are real: complex ones, strings, objects, booleans, masked arrays and ra
 refused instead of being half believed.
 """
 
+from geodrake.boundary.arguments.annotations import typed
 from geodrake.boundary.arguments.arrays import (
     Shape,
     Sizes,
+    mask,
     one_or_each,
     positive_definite,
     real_array,
@@ -30,10 +32,12 @@ __all__ = [
     "instances",
     "integer",
     "integers",
+    "mask",
     "number",
     "one_of",
     "one_or_each",
     "positive",
     "positive_definite",
     "real_array",
+    "typed",
 ]

@@ -89,6 +89,22 @@ def one_or_each(
     return np.broadcast_to(array, (count,))
 
 
+def mask(value: Any, name: str, count: int | None = None) -> NDArray[np.bool_]:
+    """Booleans (n,), of a given number or any.
+
+    Raises:
+        ArgumentError: They are something else, or not as many.
+    """
+    try:
+        found = np.asarray(value)
+    except ValueError:  # ragged
+        found = np.empty((), object)
+    size = "n" if count is None else count
+    if found.ndim != 1 or found.dtype != bool or count not in (None, len(found)):
+        raise ArgumentError(f"{name} must be ({size},) booleans; it is {shown(value)}.", name=name)
+    return found
+
+
 def positive_definite(value: Any, name: str, shape: Shape, sizes: Sizes | None = None) -> Array:
     """A symmetric positive-definite matrix, in whatever units its rows are.
 

@@ -78,7 +78,14 @@ def file_path(value: str | os.PathLike[str], name: str = "path") -> Path:
     """
     if not isinstance(value, str | os.PathLike):
         raise ArgumentError(f"{name} must be a path; it is {shown(value)}.", name=name)
-    return Path(value)
+    path = Path(value)
+    try:
+        unusable = b"\0" in os.fsencode(path)
+    except UnicodeEncodeError:
+        unusable = True
+    if unusable:
+        raise ArgumentError(f"{name} must be a path; no file can be called {value!a}.", name=name)
+    return path
 
 
 def one_of(value: Any, name: str, choices: Collection[str]) -> str:

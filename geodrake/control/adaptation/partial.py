@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.boundary.arguments import instance
+from geodrake.boundary.arguments import instance, mask
 from geodrake.boundary.showing import Short
 from geodrake.control.adaptation.law import UpdateLaw
 from geodrake.errors import ArgumentError
@@ -35,12 +35,9 @@ class PartialLaw(UpdateLaw, Short):
 
     def __post_init__(self) -> None:
         instance(self.law, "law", UpdateLaw)
-        adapted = np.asarray(self.adapted)
-        if adapted.ndim != 1 or adapted.dtype != bool or not adapted.any():
-            raise ArgumentError(
-                "adapted must be booleans (n,), some of them true; got "
-                f"{np.array2string(adapted, threshold=8)}."
-            )
+        adapted = mask(self.adapted, "adapted")
+        if not adapted.any():
+            raise ArgumentError("adapted must be booleans (n,), some of them true.")
         if self.law.dimension not in (None, count := int(adapted.sum())):
             raise ArgumentError(
                 f"The law moves {self.law.dimension} parameters; {count} are to be adapted.",

@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import instance, positive
+from geodrake.boundary.arguments import instance, instances, positive, typed
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.manifolds import Manifold, PhysicalInertia, Product
 from geodrake.model.robot_model import RobotModel
 
 
+@typed
 def parameter_manifold(
     model: RobotModel,
     *,
@@ -35,11 +36,10 @@ def parameter_manifold(
     Raises:
         ArgumentError: There is no such body or effect, or a manifold is not one of a body.
     """
-    instance(model, "model", RobotModel)
     positive(body_weight, "body_weight")
     positive(effect_weight, "effect_weight")
-    weights = dict(instance(weights or {}, "weights", Mapping))
-    bodies = dict(instance(bodies or {}, "bodies", Mapping))
+    weights = dict(weights or {})
+    bodies = dict(bodies or {})
     names = {fitted.effect.name for fitted in model.effects}
     _check_names(model, set(weights) - names | set(bodies), names)
     factors, factor_weights = [], []
@@ -72,7 +72,7 @@ def adapted_parameters(model: RobotModel, names: Sequence[str]) -> NDArray[np.bo
         ArgumentError: There is no such body or effect, or no name.
     """
     instance(model, "model", RobotModel)
-    wanted = set([names] if isinstance(names, str) else instance(names, "names", Sequence))
+    wanted = set([names] if isinstance(names, str) else instances(names, "names", str))
     kinds = {fitted.effect.name for fitted in model.effects if fitted.effect.parameters}
     _check_names(model, wanted - kinds, kinds)
     if not wanted:

@@ -90,7 +90,7 @@ def export_with_proof(
             f"The format {form.name} has efforts and friction at joints, and the model at",
             "Export to python or cpp, or the inertias alone: geodrake identify --export.",
         )
-    case = open_case(model, logs, candidates=False, bandwidth=bandwidth) if logs else None
+    case = open_case(model, logs, candidates=False, bandwidth=bandwidth) if len(logs) else None
     tried = len(model.single_joints) == len(model.joints)
     if case is not None:
         motions = logged_motions(model, case.trajectories)

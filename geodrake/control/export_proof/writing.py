@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 
-from geodrake.boundary.arguments import file_path, instance
-from geodrake.boundary.whole_files import Content, write_together
+from geodrake.boundary.arguments import file_path, instances, positive, typed
+from geodrake.boundary.whole_files import Content, made_folder, write_together
 from geodrake.control.export_proof.export import ProvenExport, export_with_proof
 from geodrake.errors import OutputError
 from geodrake.logs.motion import JointLog
@@ -18,6 +17,7 @@ from geodrake.model.exporting.held import HeldModel
 from geodrake.model.robot_model import RobotModel
 
 
+@typed
 def export_to(
     to: str,
     model: RobotModel,
@@ -49,9 +49,11 @@ def export_to(
         LogError: A log cannot be used.
         OutputError: A file is there already, or cannot be written.
     """
-    form, folder = export_format(instance(to, "to", str)), file_path(folder)
-    instance(model, "model", RobotModel)
-    check_folder(model, form, folder, (), force=instance(force, "force", bool))
+    form, folder = export_format(to), file_path(folder)
+    logs = instances(logs, "logs", (JointLog, str, Path))
+    if bandwidth is not None:
+        positive(bandwidth, "bandwidth")
+    check_folder(model, form, folder, (), force=force)
     found = export_with_proof(model, form, folder, logs, bandwidth=bandwidth)
     write_files(found, folder)
     return found
@@ -113,19 +115,6 @@ def write_files(
         OutputError: One cannot be written.
     """
     files: dict[Path, Content] = {folder / name: d for name, d in found.exported.files.items()}
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
+    with made_folder(folder):
         write_together({**files, **(beside or {})})
-    except BaseException as error:
-        for path in made:
-            with suppress(OSError):
-                path.rmdir()
-        if isinstance(error, OSError):
-            raise OutputError(
-                f"Cannot make the folder {folder}: {error.strerror}.",
-                advice="Choose another place.",
-                path=folder,
-            ) from error
-        raise
     return [*files]

@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geodrake.boundary.arguments import instance
+from geodrake.control.motors.joint_scalars import JointScalars, joint_scalars
 from geodrake.model.formulas.evaluation import Scalars
 
 
 @dataclass(frozen=True, eq=False)
-class MotorConstants:
+class MotorConstants(JointScalars):
     """Constants of n motors, all (n,).
 
     Attributes:
@@ -40,6 +42,7 @@ def steady_current(constants: MotorConstants, voltage: Scalars, velocity: Scalar
         voltage: (n,) voltages u, V, of which no more than the limit acts.
         velocity: (n,) velocities v of the joints, rad/s or m/s.
     """
+    voltage, velocity = _checked(constants, voltage=voltage, velocity=velocity)
     free = _driving_voltage(constants, voltage, velocity) / constants.resistance
     return _within(free, constants.current_limit)
 
@@ -57,6 +60,9 @@ def current_rate(
         velocity: (n,) velocities v of the joints, rad/s or m/s.
         current: (n,) currents i, A.
     """
+    voltage, velocity, current = _checked(
+        constants, voltage=voltage, velocity=velocity, current=current
+    )
     driving = _driving_voltage(constants, voltage, velocity)
     rate = (driving - constants.resistance * current) / constants.inductance
     held = np.logical_or(
@@ -73,7 +79,12 @@ def motor_torque(constants: MotorConstants, current: Scalars) -> Scalars:
         constants: Constants of the motors.
         current: (n,) currents i, A.
     """
+    (current,) = _checked(constants, current=current)
     return constants.gear_ratio * constants.torque_constant * current
+
+
+def _checked(constants: MotorConstants, **values: Scalars) -> list[Scalars]:
+    return joint_scalars(instance(constants, "constants", MotorConstants).shape, **values)
 
 
 def _driving_voltage(constants: MotorConstants, voltage: Scalars, velocity: Scalars) -> Scalars:

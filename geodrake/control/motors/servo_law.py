@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geodrake.boundary.arguments import instance
+from geodrake.control.motors.joint_scalars import JointScalars, joint_scalars
 from geodrake.model.formulas.evaluation import Scalars
 
 
 @dataclass(frozen=True, eq=False)
-class ServoGains:
+class ServoGains(JointScalars):
     """Gains of n servos, all (n,).
 
     Attributes:
@@ -29,7 +31,7 @@ class ServoGains:
 
 
 @dataclass(frozen=True, eq=False)
-class ServoError:
+class ServoError(JointScalars):
     """What n servos act upon, all (n,).
 
     Attributes:
@@ -78,6 +80,8 @@ def integral_rate(gains: ServoGains, error: ServoError) -> Scalars:
 
 
 def _unlimited(gains: ServoGains, error: ServoError) -> Scalars:
+    shape = instance(gains, "gains", ServoGains).shape
+    joint_scalars(shape, **vars(instance(error, "error", ServoError)))
     e = _beyond(error.position, gains.dead_band)
     return gains.kp * e + gains.kd * error.velocity + gains.ki * error.integral + error.feedforward
 

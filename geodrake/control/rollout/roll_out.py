@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geodrake.boundary.arguments import function, instance, instances, integer, real_array
+from geodrake.boundary.arguments import function, instance, instances, integer, real_array, typed
 from geodrake.control.rollout.acting import told_joints
 from geodrake.control.rollout.results import Rollout, Window
 from geodrake.control.rollout.simulations import Simulations, chosen_passages
@@ -139,6 +139,7 @@ def commanded_motions(
     return (*found, case_rollout(case, most=_COMPARED, commands=True))
 
 
+@typed
 def case_rollout(
     case: Case,
     *,

@@ -29,7 +29,10 @@ from geodrake.errors import ArgumentError, ModelError
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import load_model
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram
-from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.files.description import drake_errors, drake_messages, model_files
+from geodrake.robot.files.given import Given
+from geodrake.robot.files.includes import Includes
+from geodrake.robot.files.meshes import check_geometry
 from geodrake.robot.robot_instance import RobotInstance, RobotPorts, take_out_stated
 
 _DIRECTIVES = Path("the directives")  # what messages call them
@@ -153,6 +156,10 @@ def _add_plant(builder: DiagramBuilder, scenario: Scenario) -> tuple[MultibodyPl
                         f"The folder {folder} of package {name!r} is not there.", advice=advice
                     )
                 parser.package_map().Add(name, folder)
+            given = Given(packages={name: Path(each) for name, each in scenario.packages.items()})
+            includes = Includes(_DIRECTIVES, given.packages)
+            for file in model_files(scenario.directives, includes):
+                check_geometry([file], parser.package_map(), given)
             ProcessModelDirectives(ModelDirectives(directives=scenario.directives), parser)
             for name, robot in scenario.robots.items():
                 if robot.model and plant.HasModelInstanceNamed(name):

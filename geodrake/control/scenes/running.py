@@ -11,6 +11,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import Context, EventStatus
 
+from geodrake.boundary.arguments import typed
 from geodrake.boundary.escaping import one_line
 from geodrake.boundary.whole_files import write_together
 from geodrake.control.scenes.building import RobotInScene, Scene, build_scene
@@ -144,6 +145,7 @@ def _ran(robot: RobotInScene, context: Context) -> RobotRun | None:
     )
 
 
+@typed
 def write_logs(done: SceneRun) -> tuple[Path, ...]:
     """Writes the logs that the scenario asks for.
 

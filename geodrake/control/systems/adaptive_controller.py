@@ -32,6 +32,7 @@ from geodrake.control.systems.requirements import (
 from geodrake.control.systems.safeguards import Safeguards, Seen, Watch, usable
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import Array
+from geodrake.inertia.bodies import check_context
 
 _PARAMETERS, _ACTUATION, _WATCH = 0, 1, 2
 _GAINS, _GAMMA = 0, 1  # numeric parameters
@@ -195,16 +196,17 @@ class AdaptiveController(LeafSystem):
             return np.array(context.get_discrete_state(_PARAMETERS).value())
         return np.array(context.get_continuous_state_vector().CopyToVector())
 
-    def set_parameters(self, context: Context, parameters: ArrayLike) -> None:
+    def set_parameters(self, context: Context, parameters: ArrayLike | None) -> None:
         """Puts an estimate (p,) into a Context.
 
         Args:
             context: Context of this system.
-            parameters: (p,) estimate, in the order of `ControlModel.prior`.
+            parameters: (p,) estimate, in the order of `ControlModel.prior`, or None for that.
 
         Raises:
             ArgumentError: It is not in the manifold of the law, or has the wrong length.
         """
+        check_context(self, context)
         p = checked_estimate(self.control, self.law, parameters)
         if self._time_step > 0:
             context.SetDiscreteState(_PARAMETERS, p)
@@ -224,10 +226,12 @@ class AdaptiveController(LeafSystem):
         positive(gamma, "gamma")
         if self.law is None:
             raise ArgumentError("The controller does not adapt, so it has no γ.")
+        check_context(self, context)
         self.law.with_slowness(gamma)
         context.get_mutable_numeric_parameter(_GAMMA).SetFromVector([gamma])
 
     def _set_gains(self, context: Context, gains: Array) -> None:
+        check_context(self, context)
         context.get_mutable_numeric_parameter(_GAINS).SetFromVector(gains)
 
     def _gains(self, context: Context) -> Array:

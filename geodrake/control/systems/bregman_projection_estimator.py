@@ -22,6 +22,7 @@ from geodrake.control.systems.requirements import (
 from geodrake.control.systems.safeguards import Safeguards, Watch, look_at, usable
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
+from geodrake.inertia.bodies import check_context
 
 _SLOTS = 24  # samples in memory
 
@@ -165,16 +166,17 @@ class BregmanProjectionEstimator(LeafSystem):
         """The estimate (p,) in a Context."""
         return np.array(context.get_discrete_state(self._estimate).value())
 
-    def set_parameters(self, context: Context, parameters: ArrayLike) -> None:
+    def set_parameters(self, context: Context, parameters: ArrayLike | None) -> None:
         """Puts an estimate (p,) into a Context.
 
         Args:
             context: Context of this system.
-            parameters: (p,) estimate, in the order of `ControlModel.prior`.
+            parameters: (p,) estimate, in the order of `ControlModel.prior`, or None for that.
 
         Raises:
             ArgumentError: It is not in the manifold of the update, or has the wrong length.
         """
+        check_context(self, context)
         p = checked_estimate(self.control, self._sample_update.manifold, parameters)
         context.SetDiscreteState(self._estimate, p)
 

@@ -18,6 +18,7 @@ from geodrake.control.motors import (
 from geodrake.control.systems.joint_system import JointSystem, count_of
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
+from geodrake.inertia.bodies import check_context
 from geodrake.model.formulas.evaluation import Scalars
 from geodrake.model.simulation.scalar_system import add_scalar_types
 
@@ -84,6 +85,7 @@ class _DcMotor(JointSystem):
             ArgumentError: There is no such constant, it is not positive, or an inductance comes or
                 goes.
         """
+        check_context(self, context)
         if unknown := [name for name in constants if name not in _CONSTANTS]:
             raise ArgumentError(
                 f"A motor has no {', '.join(unknown)}.", advice=f"It has {', '.join(_CONSTANTS)}."

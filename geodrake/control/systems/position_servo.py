@@ -20,6 +20,7 @@ from geodrake.control.motors import ServoError, ServoGains, integral_rate, servo
 from geodrake.control.systems.joint_system import JointSystem, count_of
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
+from geodrake.inertia.bodies import check_context
 from geodrake.model.formulas.evaluation import Scalars
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import command_delays, servo_gains
@@ -79,6 +80,7 @@ class _PositionServo(JointSystem):
             ArgumentError: There is no such gain, a gain is negative, or ki is given to a servo that
                 was made without an integral.
         """
+        check_context(self, context)
         if unknown := [name for name in gains if name not in _GAINS]:
             raise ArgumentError(
                 f"A servo has no {', '.join(unknown)}.", advice=f"It has {', '.join(_GAINS)}."

@@ -364,8 +364,12 @@ class _System:
         p = len(self.mean)
         found = np.zeros((len(grams), p + 1, p + 1))
         for out, columns, T, gram in zip(found, self.columns, self._maps(x), grams, strict=True):
-            at = np.append(columns, p)
-            out[at[:, None], at] = T.T @ gram @ T
+            at, m = np.append(columns, p), len(columns) - 1
+            scale, ends = T.diagonal()[:m], T[:, m:]  # a map is diagonal but for its last columns
+            mapped = gram @ ends
+            beside = scale[:, None] * mapped[:m]
+            inner = scale[:, None] * gram[:m, :m] * scale
+            out[at[:, None], at] = np.block([[inner, beside], [beside.T, ends.T @ mapped]])
         return found
 
     def _maps(self, x: Array) -> Iterator[Array]:

@@ -23,6 +23,7 @@ _MINUTE = (60.0, 1.0 / 60.0)
 _TIMES = (*_THOUSAND, *_MINUTE, 0.1, 10.0, 0.5, 2.0)
 _TURNS = 12  # zeros that are tried at a joint, evenly over a turn
 _PAYLOAD, _SLOPE, _APART = 4.0, 2.0, 1.0  # numbers of a mass and its centre, of a tilt, of noise
+_LEAST_FACTOR = 1e-100  # of measured velocities: less is none, of which there is no reciprocal
 _OTHER = 1.1  # factor by which times, or velocities, are to differ for a hypothesis of its own
 
 
@@ -191,16 +192,14 @@ def velocity_factors(judge: ColumnJudge, base: ColumnFit) -> Array:
         base: A fit.
     """
     samples, start = judge.samples, base.assignment
-    found = np.full(len(start.gain), np.nan)
     if samples.rate is None:
-        return found
+        return np.full(len(start.gain), np.nan)
     at = start.position
     measured = samples.rate[:, at] * start.rate
     v = samples.v[:, at] * start.scale / start.time
     moving = np.mean(v**2, axis=0) > samples.width[at] ** 2
     slope = np.sum(measured * v, axis=0) / np.where(moving, np.sum(v**2, axis=0), 1.0)
-    found[moving & (slope != 0.0)] = slope[moving & (slope != 0.0)]
-    return found
+    return np.where(moving & (np.abs(slope) > _LEAST_FACTOR), slope, np.nan)
 
 
 def _clocks(judge: ColumnJudge, base: ColumnFit) -> Iterator[ColumnMistake]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geodrake.boundary.arguments import function, instance
+from geodrake.boundary.arguments import function, instance, typed
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.drafting.formula import Formula
 from geodrake.diagnosis.drafting.judgement import judge
@@ -73,6 +73,7 @@ def draft_effects(
     return found.explanation, draft_rest(found, fixed=effects_of(model), progress=progress)
 
 
+@typed
 def rest_correlates(investigation: Investigation) -> tuple[Correlate, ...]:
     """What the error that an investigation left goes with, without a search for formulas.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 
+from geodrake.boundary.arguments import typed
 from geodrake.boundary.escaping import docstring_text, identifiers, quoted
 from geodrake.diagnosis.drafting.formula import Formula
 from geodrake.diagnosis.drafting.results import Draft, DraftedEffect
@@ -59,6 +60,7 @@ class {title}(Effect):
 '''
 
 
+@typed
 def source_of(draft: Draft) -> str:
     """The drafted effects as a Python file that `geodrake.effects.load_effect_file` reads.
 

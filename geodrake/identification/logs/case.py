@@ -409,7 +409,7 @@ def _check_changes(log: JointLog) -> None:
     highest = log.effort.max(axis=0, initial=-np.inf, where=known)
     lowest = log.effort.min(axis=0, initial=np.inf, where=known)
     largest = np.maximum(np.abs(highest), np.abs(lowest))
-    constant = highest - lowest <= np.maximum(1e-9 * largest, _LEAST_EFFORT)
+    constant = highest - np.maximum(1e-9 * largest, _LEAST_EFFORT) <= lowest
     constant &= known.any(axis=0)
     if constant.any():
         joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]

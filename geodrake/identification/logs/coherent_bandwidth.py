@@ -27,6 +27,9 @@ _ENOUGH = 400
 _SAMPLES = 100_000
 """At most so many samples of a segment are looked at."""
 
+_LARGEST_RATIO = 700.0
+"""Logarithm of a ratio that is a number still."""
+
 
 def prepare_for_model(
     model: RobotModel, logs: Sequence[JointLog | UniformLog]
@@ -121,8 +124,8 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
         needed = needed + _density(robot.effort(motion), segment, window, frequency)
         measured = measured + _density(start.effort, segment, window, frequency)
     tiny = np.finfo(float).tiny
-    ratio = np.exp(np.mean(np.log((needed + tiny) / (measured + tiny)), axis=1))
-    return frequency, ratio
+    ratio = np.mean(np.log(needed + tiny) - np.log(measured + tiny), axis=1)
+    return frequency, np.exp(np.minimum(ratio, _LARGEST_RATIO))
 
 
 def _density(effort: Array, segment: Stretch, window: float, frequency: Array) -> Array:

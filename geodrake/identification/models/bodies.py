@@ -28,6 +28,9 @@ _NOTABLY = 0.95
 _FAR = 2.0
 """Factor of a mass from which on a body's change is worth a word."""
 
+_NOTHING = 1e-140
+"""Square root of information, in any unit, that is none: its inverse would be beyond floats."""
+
 USUAL = tuple(effect.name for effect in catalogue() if effect.usual)
 """Effects that a real robot is hardly without; inertias that lack them stand in for them."""
 
@@ -78,11 +81,16 @@ def _changes(
 
 
 def covariance_of(information: Array) -> Array:
-    """Inverse of an information matrix, whatever the units of its parameters."""
-    size = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
-    values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    values = np.maximum(values, np.finfo(float).eps * values[-1])
-    return np.asarray((vectors / values) @ vectors.T / np.outer(size, size))
+    """Inverse of an information matrix, whatever the units; infinite where nothing is known."""
+    size = np.sqrt(np.diagonal(information))
+    known = np.flatnonzero(size > _NOTHING)
+    covariance, size = np.diag(np.full(len(information), np.inf)), size[known]
+    if len(known):
+        values, vectors = np.linalg.eigh(information[np.ix_(known, known)] / np.outer(size, size))
+        values = np.maximum(values, np.finfo(float).eps * values[-1])
+        inverse = (vectors / values) @ vectors.T
+        covariance[np.ix_(known, known)] = inverse / np.outer(size, size)
+    return covariance
 
 
 def block_names(fits: LogFits) -> tuple[str, ...]:

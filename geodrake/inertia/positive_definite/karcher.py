@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import Sizes, integer, positive, real_array
+from geodrake.descent import is_within_rounding, rounding_of_squares, step_length
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.inertia.positive_definite.geometry import (
     Array,
@@ -16,9 +17,6 @@ from geodrake.inertia.positive_definite.geometry import (
     relative_spectrum,
     whitening,
 )
-
-_SUFFICIENT_DECREASE = 1e-4
-_LEAST_STEP = 2.0**-30
 
 
 def karcher_mean(
@@ -36,7 +34,8 @@ def karcher_mean(
     Args:
         matrices: (..., k, n, n) positive-definite matrices.
         weights: (..., k) weights, none negative; all equal if None.
-        tolerance: Distance from the exact mean at which to stop.
+        tolerance: Distance from the exact mean at which to stop, unless rounding hides what is
+            left of it.
         max_iterations: Newton steps after which to give up.
 
     Returns:
@@ -52,16 +51,19 @@ def karcher_mean(
     sizes: Sizes = {}
     P = real_array(matrices, "matrices", ("...", "k", "n", "n"), sizes)
     w = _normalized(weights, sizes)
-    mean = _first_guess(P, w)
+    mean, before, found = _first_guess(P, w), np.full((), np.inf), np.zeros((), bool)
     for _ in range(max_iterations):
         L, _ = whitening(mean)
         logs, axes = relative_spectrum(mean[..., None, :, :], P)
         gradient = _weighted_sum(w, logs, axes)  # of −½ Σ wₖ d², whitened
         left = np.asarray(np.linalg.norm(gradient, axis=(-2, -1)))
-        if (left <= tolerance).all():
-            return mean
         step = _newton_step(w, logs, axes, gradient)
-        mean = _line_search(P, w, (L, mean), (step, (gradient * step).sum((-2, -1))))
+        promise, cost = (gradient * step).sum((-2, -1)), _cost(P, w, mean)
+        rounding = rounding_of_squares(cost, 1.0)
+        found = found | (left <= tolerance) | is_within_rounding(promise, before, rounding)
+        if found.all():
+            return mean
+        before, mean = promise, _line_search(P, w, (L, step), (cost, promise, rounding))
     raise ConvergenceError(
         f"The Karcher mean is not found to {tolerance:g} in {max_iterations} steps: it is still "
         f"{float(left.max()):.2g} away.",
@@ -115,19 +117,19 @@ def _newton_step(w: Array, logs: Array, axes: Array, gradient: Array) -> Array:
     return congruent(np.eye(n), step.reshape(gradient.shape))
 
 
-def _line_search(P: Array, w: Array, at: tuple[Array, Array], along: tuple[Array, Array]) -> Array:
-    """Next mean, with each step halved until the sum of squared distances decreases."""
-    (L, mean), (step, slope) = at, along
+def _line_search(
+    P: Array, w: Array, along: tuple[Array, Array], known: tuple[Array, Array, Array]
+) -> Array:
+    """Next mean: the cost, what the slope promises of the step, and rounding are known."""
+    (L, step), (cost, promise, rounding) = along, known
     rates, axes = np.linalg.eigh(step)
 
-    def cost(candidate: Array) -> Array:
-        return np.asarray(0.5 * (w * distance(candidate[..., None, :, :], P) ** 2).sum(-1))
+    def moved(share: Array) -> Array:
+        return from_root(L @ axes, 0.5 * share[..., None] * rates)
 
-    before, t = cost(mean), np.ones(slope.shape)
-    while True:
-        candidate = from_root(L @ axes, 0.5 * t[..., None] * rates)
-        # Rounding hides the decrease of the last steps, which are good ones.
-        enough = cost(candidate) <= before * (1 + 1e-12) - _SUFFICIENT_DECREASE * t * slope
-        if (enough | (t < _LEAST_STEP)).all():
-            return candidate
-        t = np.where(enough, t, 0.5 * t)
+    return moved(step_length(lambda t: cost - _cost(P, w, moved(t)), promise, rounding))
+
+
+def _cost(P: Array, w: Array, mean: Array) -> Array:
+    """½ Σ wₖ d(mean, Pₖ)², (...)."""
+    return np.asarray(0.5 * (w * distance(mean[..., None, :, :], P) ** 2).sum(-1))

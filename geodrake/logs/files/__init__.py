@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
-from geodrake.boundary.arguments import file_path, instance, instances
+from geodrake.boundary.arguments import file_path, instance, instances, typed
 from geodrake.errors import LogError
 from geodrake.logs.files.column_names import Columns, is_used, listed
 from geodrake.logs.files.csv_file import read_csv
@@ -163,6 +163,7 @@ def _unused(path: Path, reading: Reading) -> list[str]:
     ]
 
 
+@typed
 def log_of(
     table: LogTable,
     *,

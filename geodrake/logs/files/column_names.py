@@ -13,6 +13,7 @@ from geodrake.logs.files.units import Unit
 from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
 
 HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
+_MOST_COLUMNS = 10_000  # ten times more than a robot of a hundred joints has
 HEADER_ADVICE = f"The first line names the columns: {HEADER}; velocity may be left out."
 SIGNAL_ADVICE = "In the place of efforts, <joint>.current, .voltage, .pwm or .command will do."
 """What a joint may have whose efforts are not measured."""
@@ -113,6 +114,11 @@ def check_text(path: Path, names: Sequence[str]) -> None:
         path: The file, for messages.
         names: Its columns.
     """
+    if len(names) > _MOST_COLUMNS:
+        raise LogError(
+            f"Log {str(path)!r} has {len(names)} columns; at most {_MOST_COLUMNS} are read.",
+            advice="Is it a table with a row for each sample? Else leave columns out.",
+        )
     if any("\0" in name for name in names):
         raise LogError(
             f"The first line of log {str(path)!r} has null characters: it is no text in UTF-8.",

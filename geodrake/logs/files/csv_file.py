@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.input_files import open_regular, open_text, regular_file
 from geodrake.errors import LogError
 from geodrake.logs.files.column_names import HEADER_ADVICE, Columns
 from geodrake.logs.files.csv_layout import CsvLayout, csv_layout
@@ -42,7 +42,7 @@ def read_csv(
         partial: Whether the log may lack some of the joints.
     """
     most = 1 + _count_lines(path)
-    with path.open(encoding="utf-8-sig", newline="") as file:
+    with open_text(path, "log", LogError, newline="") as file:
         layout, lines = csv_layout(path, file, reading, joints)
         columns = columns_of(
             path,
@@ -70,7 +70,7 @@ def csv_table(path: Path, reading: Reading) -> LogTable:
         reading: What the user said of it.
     """
     most = 1 + _count_lines(regular_file(path, "log", LogError))
-    with path.open(encoding="utf-8-sig", newline="") as file:
+    with open_text(path, "log", LogError, newline="") as file:
         layout, lines = csv_layout(path, file, reading, None, numbered=True)
         torn = TornRows(path, most, reading.skip_bad_rows)
         blocks = list(csv_blocks(path, layout, lines, layout.names, torn))
@@ -107,7 +107,7 @@ def csv_blocks(
 def _count_lines(path: Path) -> int:
     """Line ends of any system; one more where a block ends between the two of a pair."""
     count = without = 0
-    with path.open("rb") as binary:
+    with open_regular(path, "log", LogError) as binary:
         while block := binary.read(_BLOCK):
             ends = block.count(b"\n") + block.count(b"\r") - block.count(b"\r\n")
             count, without = count + ends, 0 if ends else without + 1

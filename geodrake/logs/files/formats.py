@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from geodrake.boundary.arguments import file_path
-from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.arguments import file_path, typed
+from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.errors import LogError
 from geodrake.logs.files.lcm_log import MAGIC, read_lcm
 from geodrake.logs.files.lerobot_dataset import INFO, read_lerobot
@@ -44,6 +44,7 @@ BEGINNINGS: Mapping[bytes, Reader] = {MAGIC: read_lcm}
 """Reader of files by their first bytes: lcm-logger's names end in a date."""
 
 
+@typed
 def read_table(path: str | Path, reading: Reading | None = None) -> LogTable:
     """Read a log of any format but CSV and NPZ.
 
@@ -76,7 +77,7 @@ def reader_of(path: Path) -> Reader | None:
         return next((reader for mark, reader in FOLDERS.items() if any(path.glob(mark))), None)
     if path.suffix.lower() in SUFFIXES:
         return SUFFIXES[path.suffix.lower()]
-    with path.open("rb") as file:
+    with open_regular(path, "log", LogError) as file:
         first = file.read(max(map(len, BEGINNINGS)))
     return BEGINNINGS.get(first)
 
@@ -88,6 +89,7 @@ def _is_folder(path: Path) -> bool:
         return False
 
 
+@typed
 def check_log(path: Path) -> Path:
     """The path of a log that can be opened: a file, or the folder of a format that is one.
 

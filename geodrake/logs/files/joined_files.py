@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from geodrake.boundary.arguments import typed
 from geodrake.logs.files.csv_file import csv_table
 from geodrake.logs.files.formats import read_table
 from geodrake.logs.files.joined_tables import joined_tables, meanings_of
@@ -17,6 +18,7 @@ from geodrake.logs.files.table import LogTable
 _TEXT = (".csv", ".txt", ".dat", ".tsv", ".log")
 
 
+@typed
 def parts_of(path: Path) -> tuple[Path, ...]:
     """The files of a log: itself, or those that `+` joins, as in `positions.csv+efforts.csv`."""
     if "+" not in str(path) or path.exists():

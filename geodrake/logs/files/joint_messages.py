@@ -19,6 +19,9 @@ from geodrake.logs.motion import EFFORT_KINDS
 
 Array = NDArray[np.float64]
 
+_LATEST = 1 << 62
+"""What no stamp reaches, ns since 1970: the year 2116, and steps between two fit 64 bits."""
+
 NUMBERS = "data"
 """What the numbers of a message are called that says nothing of them."""
 
@@ -164,10 +167,17 @@ class MessageRows:
             received: When it was recorded, ns.
 
         Raises:
-            LogError: An array has not as many numbers as there are joints.
+            LogError: An array has not as many numbers as there are joints, or a stamp is of no
+                time that a robot was measured at.
         """
         joints, found, output = self.fields.sample(message)
         self.count += 1
+        if not max(abs(stamp), abs(received)) < _LATEST:
+            raise LogError(
+                f"Message {self.count} of {self.topic} is stamped {1e-9 * stamp:.4g} s and "
+                f"received {1e-9 * received:.4g} s since 1970, which cannot be.",
+                advice="Check the clock of the recorder, or leave that message out.",
+            )
         self.from_controller |= output
         for quantity, values in found.items():
             if len(values) != len(joints):

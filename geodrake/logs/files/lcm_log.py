@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import importlib
+import os
+import struct
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
+from geodrake.boundary.input_files import open_regular
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
+from geodrake.logs.files.damage import readable
 from geodrake.logs.files.joint_messages import JointFields, MessageRows
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
@@ -22,6 +26,8 @@ _TYPES = ("lcmt_iiwa_status", "lcmt_jaco_status", "lcmt_panda_status")
 _NEGATIVE = ("lcmt_iiwa_status",)
 """Types with torques of the other sign than Drake's, as their definition says."""
 
+_EVENT = struct.Struct(">4sQQII")  # begin, number, time, and lengths of a channel and its message
+_LARGEST = 100_000_000  # bytes of a message, which the package lcm would take into memory
 _FINGERPRINT = 8  # bytes of the type at the beginning of a message
 
 
@@ -31,13 +37,16 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
     Channels are known by the types of their messages, whatever their names.
     """
     lcm = optional_package("lcm", "lcm", "LCM logs", LogError)
-    with path.open("rb") as file:
+    with open_regular(path, "log", LogError) as file:
         if file.read(len(MAGIC)) != MAGIC:
             raise LogError(
                 f"Log {str(path)!r} is no LCM log: it does not begin as one.",
                 advice="Record it by lcm-logger.",
             )
-    topics = _topics(lcm.EventLog(str(path), "r"), _types())
+        file.seek(0)
+        _check_sizes(path, file)
+    with readable(path, "LCM log"):
+        topics = _topics(lcm.EventLog(str(path), "r"), _types())
     topic, *others = chosen_topics(path, topics, reading)
     if others:
         raise LogError(
@@ -53,6 +62,21 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
     }
     note = f"efforts turned in sign, as {topic.kind} defines torques"
     return replace(table, columns=turned, notes=(*table.notes, note))
+
+
+def _check_sizes(path: Path, file: BinaryIO) -> None:
+    """Raise a LogError if a message is too large."""
+    while len(head := file.read(_EVENT.size)) == _EVENT.size:
+        begin, number, _, channel, message = _EVENT.unpack(head)
+        if begin != MAGIC:  # the package lcm looks for the next
+            return
+        if channel + message > _LARGEST:
+            raise LogError(
+                f"Message {number} of the log {str(path)!r} has {message / 1e6:.0f} MB; geodrake "
+                f"reads up to {_LARGEST / 1e6:.0f} MB.",
+                advice="Record again, without such channels.",
+            )
+        file.seek(channel + message, os.SEEK_CUR)
 
 
 def _types() -> Mapping[bytes, type]:
@@ -71,7 +95,7 @@ def _topics(events: Any, types: Mapping[bytes, type]) -> list[Topic]:
         if kind is None:
             topics.setdefault(event.channel, Topic(event.channel, "another type"))
             continue
-        message = kind.decode(event.data)
+        message = _decoded(kind, event)
         if event.channel not in rows:
             fields = JointFields.of(message)
             if fields is None:
@@ -80,3 +104,15 @@ def _topics(events: Any, types: Mapping[bytes, type]) -> list[Topic]:
             topics[event.channel] = Topic(event.channel, kind.__name__, rows[event.channel], True)
         rows[event.channel].add(message, 1000 * message.utime, 1000 * event.timestamp)
     return list(topics.values())
+
+
+def _decoded(kind: Any, event: Any) -> Any:
+    """Return the message of an event, or raise if it is not of its type."""
+    try:
+        return kind.decode(event.data)
+    except (struct.error, ValueError) as error:
+        raise LogError(
+            f"Message {event.eventnum} of the log, on channel {event.channel}, is cut off or "
+            f"damaged: {error}.",
+            advice="Record again, or leave that message out.",
+        ) from error

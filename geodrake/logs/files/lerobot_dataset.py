@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.input_files import read_regular, regular_files
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.damage import readable
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 INFO = "meta/info.json"
 """What makes a folder a dataset."""
 
+_LARGEST_INFO = 100_000_000  # bytes
 _ACTION = "action"  # what a policy or a person told the joints
 _BETWEEN = 1.0  # s between episodes, which is a gap
 _WORDS = {
@@ -46,7 +48,8 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
     """
     parquet = optional_package("pyarrow.parquet", "parquet", "LeRobot datasets", LogError)
     with readable(path, "LeRobot dataset"):
-        features = json.loads((path / INFO).read_text(encoding="utf-8"))["features"]
+        told = read_regular(path / INFO, "description", LogError, largest=_LARGEST_INFO)
+        features = json.loads(told)["features"]
         meaning = _without_spare_actions(dict(_meaning(features)))
         _check_efforts(path, features, meaning)
         wanted = ["timestamp", "episode_index", *dict.fromkeys(f for f, _ in meaning)]
@@ -54,7 +57,7 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
         only = None if episode is None else [("episode_index", "==", episode)]
         tables = [
             arrow_table(file, parquet.read_table(file, columns=wanted, filters=only)).columns
-            for file in sorted(path.glob("data/**/*.parquet"))
+            for file in regular_files(path.glob("data/**/*.parquet"), "log", LogError)
         ]
         tables = [table for table in tables if len(table["timestamp"])]
         if not tables:

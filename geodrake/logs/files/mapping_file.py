@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml  # type: ignore[import-untyped]
 
+from geodrake.boundary.arguments import typed
 from geodrake.boundary.yaml_text import yaml_content, yaml_table
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files.joint_matching import matched
@@ -31,6 +32,7 @@ _FORM = (
 )
 
 
+@typed
 def read_mapping(path: Path) -> ColumnMapping:
     """Read a mapping file.
 

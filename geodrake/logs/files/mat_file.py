@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat
 
+from geodrake.boundary.input_files import open_regular
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.damage import readable
 from geodrake.logs.files.numeric_columns import numeric_table
 from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.room import check_room
 from geodrake.logs.files.table import LogTable
 
+_MOST_VARIABLES, _DEEPEST = 10_000, 30
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _HDF5_STARTS = (0, 512)  # MATLAB puts a header of its own before
 _ADVICE = "Save arrays or structs of them: save('log.mat', 'time', 'q', 'tau', '-v7')."
@@ -40,7 +43,7 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
 
 
 def _is_hdf5(path: Path) -> bool:
-    with path.open("rb") as file:
+    with open_regular(path, "log", LogError) as file:
         for start in _HDF5_STARTS:
             file.seek(start)
             if file.read(len(_HDF5)) == _HDF5:
@@ -49,18 +52,36 @@ def _is_hdf5(path: Path) -> bool:
 
 
 def _of_hdf5(path: Path) -> dict[str, Any]:
-    """Variables of a file of version 7.3."""
+    """Return the variables of a file of version 7.3: every object once, whatever leads to it."""
     what = "MATLAB files of version 7.3 (or save them with -v7)"
     h5py = optional_package("h5py", "mat", what, LogError)
+    names: list[str] = []
+
+    def take(name: str) -> bool | None:
+        if not name.startswith("#"):
+            names.append(name)
+        return len(names) > _MOST_VARIABLES or name.count("/") > _DEEPEST or None
+
+    variables: dict[str, Any] = {}
     with h5py.File(path, "r") as file:
-        return {name: _value(h5py, value) for name, value in file.items()}
-
-
-def _value(h5py: Any, value: Any) -> Any:
-    if isinstance(value, h5py.Group):
-        return {name: _value(h5py, each) for name, each in value.items()}
-    kind = value.attrs.get("MATLAB_class", b"double")
-    return None if kind in (b"char", b"cell") else np.asarray(value).T  # columns come first there
+        if file.visit(take):
+            raise LogError(
+                f"Log {str(path)!r} has more than {_MOST_VARIABLES} variables, or structs in more "
+                f"than {_DEEPEST} others.",
+                advice=_ADVICE,
+            )
+        found = {name: file[name] for name in names}
+        arrays = {n: v for n, v in found.items() if isinstance(v, h5py.Dataset) and v.shape}
+        size = sum(value.size for value in arrays.values())
+        check_room(path, size, f"{size} numbers")
+        for name, value in arrays.items():
+            *structs, last = name.split("/")
+            inside = variables
+            for struct in structs:
+                inside = inside.setdefault(struct, {})
+            is_text = value.attrs.get("MATLAB_class", b"double") in (b"char", b"cell")
+            inside[last] = None if is_text else np.asarray(value).T  # columns come first there
+    return variables
 
 
 def _flattened(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from geodrake.boundary.input_files import open_regular
 from geodrake.errors import GeodrakeError, LogError
 from geodrake.logs.files.column_names import Columns, is_used
 from geodrake.logs.files.dates import dates
@@ -43,7 +44,7 @@ def read_npz(
         reading: What the user said of the file.
         partial: Whether the log may lack some of the joints.
     """
-    with _reading(path), zipfile.ZipFile(path) as archive:
+    with _archive(path) as archive:
         entries = archive.infolist()
         places = [place for entry in entries for place in _places(archive, entry)]
         names = [place.name for place in places]
@@ -97,7 +98,7 @@ class _Read:
 def npz_table(path: Path, reading: Reading) -> LogTable:
     """The arrays of an NPZ file as they are, those without numbers left out; see `read_bag`."""
     arrays: dict[str, Any] = {}
-    with _reading(path), zipfile.ZipFile(path) as archive:
+    with _archive(path) as archive:
         for entry in archive.infolist():
             name = entry.filename.removesuffix(".npy").strip()
             shape, dtype = _declared(path, archive, name, entry)
@@ -138,10 +139,11 @@ def _places(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> list[_Place]:
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    """Whatever an archive raises that is damaged, or made to do harm, is an error of the log."""
+def _archive(path: Path) -> Iterator[zipfile.ZipFile]:
+    """Open an archive; whatever it raises that is damaged, or made to do harm, is a `LogError`."""
     try:
-        yield
+        with open_regular(path, "log", LogError) as file, zipfile.ZipFile(file) as archive:
+            yield archive
     except (GeodrakeError, MemoryError):
         raise
     except Exception as error:  # of zipfile, its decompressors and numpy: no list would be whole

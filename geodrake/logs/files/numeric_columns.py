@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _SECOND = np.timedelta64(1, "s")
 _MOST_NAMES = 8
 _LONGEST_TEXT = 60
-_NOTHING = ("", "NaT", "nan", "None", "null")
+_NOTHING = ("", "NaT", "nan", "None", "null", "<NA>")
 
 
 def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
@@ -81,6 +81,9 @@ def numbers(values: Any) -> tuple[Array | None, int | None]:
 
     Of dates, the seconds from the first on, and the first, ns since 1970.
     """
+    if isinstance(values, np.ma.MaskedArray):
+        missing, values = np.ma.getmaskarray(values), np.array(values.data, object)
+        values[missing] = None
     try:
         array = np.asarray(values)
         if array.dtype.kind == "M":
@@ -89,7 +92,7 @@ def numbers(values: Any) -> tuple[Array | None, int | None]:
             return np.asarray(array / _SECOND), None
         if array.dtype.kind in "OUT":
             return _of_objects(array.astype(object))
-    except (TypeError, ValueError):  # texts, and rows of different lengths
+    except (TypeError, ValueError, ArithmeticError):  # texts, rows of different lengths, 10**400
         return None, None
     return (np.asarray(array, float) if array.dtype.kind in "fiub" else None), None
 
@@ -121,10 +124,11 @@ def _date(value: Any) -> int | None:
 
 def _number(value: Any) -> float:
     """A number, NaN for None and other words for nothing."""
-    try:
-        return float(value)
-    except TypeError:
+    if _is_nothing(value):
         return np.nan
+    if isinstance(value, str) and "_" in value:  # which Python takes in its own numbers
+        raise ValueError(value)
+    return float(value)
 
 
 def _is_number(text: str) -> bool:

@@ -14,6 +14,7 @@ from geodrake.logs.files.column_names import check_once
 from geodrake.logs.files.damage import readable
 from geodrake.logs.files.numeric_columns import numeric_table
 from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.room import check_room
 from geodrake.logs.files.table import LogTable
 
 Array = NDArray[np.float64]
@@ -23,7 +24,10 @@ def read_parquet(path: Path, reading: Reading) -> LogTable:
     """The columns of a Parquet file; see `read_bag` for arguments."""
     parquet = optional_package("pyarrow.parquet", "parquet", "Parquet files", LogError)
     with readable(path, "Parquet file"):
-        return arrow_table(path, parquet.ParquetFile(path).read())
+        file = parquet.ParquetFile(path)
+        rows, width = file.metadata.num_rows, file.metadata.num_columns
+        check_room(path, rows * width, f"{rows} rows of {width} columns")
+        return arrow_table(path, file.read())
 
 
 def read_feather(path: Path, reading: Reading) -> LogTable:

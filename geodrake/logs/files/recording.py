@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 
 import numpy as np
@@ -10,13 +9,13 @@ from numpy.typing import NDArray
 
 from geodrake.errors import LogError
 from geodrake.logs.files.column_names import Columns, Source
+from geodrake.logs.files.room import check_room
 from geodrake.logs.files.torn_rows import TornRows
 from geodrake.logs.motion import JointLog
 
 Array = NDArray[np.float64]
 
 LEAST_ROWS = 10
-_LARGEST_SHARE = 0.5  # of the memory that the numbers of a log may take; the rest is for the work
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 _UNITS = {"ns": 1e-9, "µs": 1e-6, "ms": 1e-3}
 _EPOCH = 9e8, 4.2e9  # s since 1970 at which a robot may have been logged: from 1998 to 2103
@@ -35,14 +34,8 @@ class Recording:
             LogError: There is none: with what is made of them they would fill the memory.
         """
         self.columns = columns
-        needed, there = 8 * rows * len(columns.names), _memory()
-        if needed > _LARGEST_SHARE * there:
-            raise LogError(
-                f"Log {str(columns.path)!r} has {rows} rows of {len(columns.names)} numbers, "
-                f"{needed / 1e9:.3g} GB; this machine has {there / 1e9:.3g} GB of memory.",
-                advice="Give excerpts of it, or fewer columns.",
-                rows=rows,
-            )
+        width = len(columns.names)
+        check_room(columns.path, rows * width, f"{rows} rows of {width} numbers")
         self.torn = TornRows(columns.path, rows, columns.reading.skip_bad_rows)
         self.time = np.empty(rows)
         self._start: float | None = None
@@ -126,24 +119,18 @@ class Recording:
         """Where a joint stands whose effort is not there; NaN if it moves."""
         numbers = self._standing[joint][:rows]
         numbers = numbers[np.isfinite(numbers)]
-        still = len(numbers) and np.ptp(numbers) <= _STILL
-        return float(numbers.mean()) if still else np.nan
+        if not len(numbers) or numbers.max() - _STILL > numbers.min():
+            return np.nan
+        return float(numbers[0] + (numbers - numbers[0]).mean())
 
     def _seconds(self, time: Array) -> tuple[Array, tuple[str, ...]]:
         """Time stamps in s, where they are of an epoch in ms, µs or ns, and a note of that."""
         source = self.columns.sources.get("time")
         if source is None or source.unit is not None or source.nanoseconds is not None:
             return time, ()
-        typical = float(np.nanmedian(time)) if np.isfinite(time).any() else 0.0
+        known = np.sort(time[np.isfinite(time)])
+        typical = known[len(known) // 2] if len(known) else 0.0
         for name, factor in _UNITS.items():
             if _EPOCH[0] < factor * typical < _EPOCH[1]:
                 return factor * time, (f"time is in {name} since 1970, by its size: converted",)
         return time, ()
-
-
-def _memory() -> int:
-    """Bytes of memory of this machine, where its system tells; else more than any log needs."""
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):
-        return 1 << 62

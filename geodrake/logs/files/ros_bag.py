@@ -10,6 +10,7 @@ from itertools import groupby, islice
 from pathlib import Path
 from typing import Any
 
+from geodrake.boundary.input_files import regular_files
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.damage import readable
@@ -28,6 +29,8 @@ _NUMBERS = re.compile(r"std_msgs/msg/(Float|Int)\d+MultiArray")
 _WORDS = re.compile(r"effort|torque|\btau")  # in the definition of a type that has efforts
 _WANTED = re.compile(r"command|cmd|goal|target|desired|reference|setpoint", re.IGNORECASE)
 _IDL_RULE = "=" * 80 + "\n"  # between definitions in IDL
+_LONGEST_DEFINITION = 50_000  # letters of a type and of those in it, which take seconds to parse
+_LONG_ARRAY = re.compile(r"\[\d{5,}\]")  # in a definition, that a message need not have data for
 _REPAIR = (
     "If the recording was cut off, repair it: `ros2 bag reindex` for a folder, `mcap recover` for "
     ".mcap, `rosbag reindex` for .bag."
@@ -86,10 +89,17 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
 
 
 def _storage(path: Path) -> Path:
-    """What the reader takes: the folder, or its only file if the recorder could not end it."""
-    if not path.is_dir() or (path / "metadata.yaml").exists():
+    """Return what the reader takes: the folder, or its only file if the recorder could not end it.
+
+    Raises:
+        LogError: Something inside is no file, or nobody says the order of several.
+    """
+    if not path.is_dir():
         return path
-    files = sorted(each for each in path.iterdir() if each.suffix in (".mcap", ".db3"))
+    inside = regular_files((each for each in path.iterdir() if not each.is_dir()), "log", LogError)
+    if path / "metadata.yaml" in inside:
+        return path
+    files = [each for each in inside if each.suffix in (".mcap", ".db3")]
     if len(files) == 1:
         return files[0]
     raise LogError(
@@ -148,6 +158,8 @@ def _probed(reader: Any, connections: Sequence[Any], method: str) -> _Source:
 
 def _definitions(kind: str, definition: Any) -> tuple[str, ...]:
     """What the messages of a type may be, if it can be about joints at all."""
+    if len(definition.data) > _LONGEST_DEFINITION or _LONG_ARRAY.search(definition.data):
+        return ()  # no message about joints has such a one
     numbers = kind == _DYNAMIC_STATE or _NUMBERS.fullmatch(kind)
     if definition.data:
         return (definition.data,) if numbers or _WORDS.search(definition.data) else ()
@@ -176,7 +188,7 @@ def _store(kind: str, definition: str, form: str) -> Any:
 def _problems() -> tuple[type[Exception], ...]:
     """What types raise that cannot be understood, and messages that are not of their type."""
     serde, typesys = map(importlib.import_module, ("rosbags.serde", "rosbags.typesys"))
-    return serde.SerdeError, typesys.TypesysError, LogError, TypeError, ValueError
+    return serde.SerdeError, typesys.TypesysError, LogError, TypeError, ValueError, RecursionError
 
 
 def _stamp(message: Any) -> int:

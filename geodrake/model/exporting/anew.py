@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -11,8 +11,10 @@ from pydrake.math import RigidTransform, RollPitchYaw
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array, to_mass_com_inertia
+from geodrake.model.export import repair_comments
 from geodrake.model.exporting.links import Link, links_of
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot.files.source_text import comment_words
 from geodrake.robot.files.values import UPPER, tensor_words, words
 
 _DRAKE = "http://drake.mit.edu"
@@ -38,6 +40,8 @@ def written_anew(model: RobotModel, kind: str, gravity: Array) -> bytes:
         )
     name = model.path.name.partition(".")[0]
     root = _WRITERS[kind](links_of(model), name, gravity)
+    for at, each in enumerate(repair_comments(model)):
+        root.insert(at, Comment(comment_words(each)))
     indent(root)
     return tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
 

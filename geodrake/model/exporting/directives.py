@@ -10,6 +10,8 @@ import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.tree import BodyIndex, RigidBody
 
+from geodrake.boundary.escaping import printable
+from geodrake.model.export import repair_comments
 from geodrake.model.exporting.export_format import Exported
 from geodrake.model.exporting.held import HeldModel
 from geodrake.model.exporting.model_text import model_file, own_kind, tilt_rotation, written_kind
@@ -41,6 +43,7 @@ def drake_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
     lines = [
         "# Inertias, damping and rotors are those of the model; dry friction is in the file, but",
         "# Drake does not simulate it. parser.package_map().PopulateFromFolder(…) finds the file.",
+        *(f"# {printable(each)}" for each in repair_comments(model)),
         "directives:",
         "- add_model:",
         f"    name: {json.dumps(instance)}",

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from geodrake.model.export import repair_comments
 from geodrake.model.exporting.actuators import actuators_of
 from geodrake.model.exporting.export_format import Exported
 from geodrake.model.exporting.held import HeldModel
@@ -57,7 +59,9 @@ def isaac_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
             "delay": actuator.delay,
             "effort_delay": actuator.measured_late,
         }
-    table = {"urdf": name, "units": "SI; delays in s", "joints": joints}
+    table: dict[str, Any] = {"urdf": name, "units": "SI; delays in s", "joints": joints}
+    if repairs := repair_comments(model):
+        table["notes"] = repairs  # as JSON has no comments
     files = {
         name: data,
         f"{name.removesuffix('.urdf')}.actuators.json": (

@@ -27,6 +27,7 @@ from geodrake.effects.deflection import SPRING_DAMPING
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.inertia.bodies import check_context
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.formulas.evaluation import Scalars
 from geodrake.model.simulation.force_law import (
@@ -139,6 +140,7 @@ class _EffectForce(ScalarSystem):
         Raises:
             ArgumentError: An effect is none of `effects`, or cannot have these parameters.
         """
+        check_context(self, context)
         mu = self._parameters(context).copy()
         for effect, given in values.items():
             mu[self._part(effect)] = admissible(effect, given)
@@ -155,6 +157,7 @@ class _EffectForce(ScalarSystem):
         Raises:
             ArgumentError: The shape does not fit.
         """
+        check_context(self, context)
         phi = real_array(phi, "phi", self.law.phi.shape)
         self._set(context.get_mutable_numeric_parameter(_PHI), phi.ravel())
 
@@ -168,6 +171,7 @@ class _EffectForce(ScalarSystem):
         Raises:
             ArgumentError: An effect has no hidden states here, or not as many.
         """
+        check_context(self, context)
         whole = np.array(context.get_continuous_state_vector().CopyToVector())
         for effect, values in states.items():
             place = self.law.states.get(effect)
@@ -190,6 +194,7 @@ class _EffectForce(ScalarSystem):
         Raises:
             ArgumentError: They are not as many as the soft joints.
         """
+        check_context(self, context)
         size = (len(self.law.soft),)
         both = [real_array(lag, "lag", size), real_array(speed, "speed", size)]
         whole = np.array(context.get_continuous_state_vector().CopyToVector())
@@ -214,10 +219,16 @@ class _EffectForce(ScalarSystem):
             q: (nq,) positions of the motors.
             v: (nv,) their velocities.
             vd: (nv,) their accelerations; none if None.
+
+        Raises:
+            ArgumentError: The Context is another's, or they are not as many.
         """
-        v = np.asarray(v, float)
-        vd = np.zeros(len(v)) if vd is None else np.asarray(vd, float)
-        return self.law.lags(np.asarray(q, float), v, vd, self._values(context))
+        check_context(self, context)
+        plant = self.law.plant.plant
+        size = (plant.num_velocities(),)
+        q, v = real_array(q, "q", (plant.num_positions(),)), real_array(v, "v", size)
+        vd = np.zeros(size) if vd is None else real_array(vd, "vd", size)
+        return self.law.lags(q, v, vd, self._values(context))
 
     def deflect(self, root: Context) -> None:
         """Takes the plant's state for that of the motors, and puts links where a load has them.

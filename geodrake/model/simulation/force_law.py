@@ -366,7 +366,7 @@ class ForceLaw:
             torques = effort[self.soft.velocities].tolist()
             before = lag
             lag = np.array([c.lag(t) for c, t in zip(couplings, torques, strict=True)])
-            if np.abs(lag - before).max() <= _LAG_TOLERANCE:
+            if np.abs(lag - before).max(initial=0.0) <= _LAG_TOLERANCE:
                 break
         return lag
 

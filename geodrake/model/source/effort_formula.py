@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geodrake.boundary.arguments import typed
 from geodrake.effects import Effect, FittedEffect, RobotMotion, Role
 from geodrake.effects.base import BEYOND_MOTION
 from geodrake.effects.column_checks import line_of
@@ -39,6 +40,7 @@ class EffortFormula:
     left_out: tuple[str, ...]
 
 
+@typed
 def is_written(effect: Effect) -> bool:
     """Whether a formula of q, v and v̇ has an effect as it is."""
     return effect.role not in _NOT_INCLUDED and not effect.depends_on & BEYOND_MOTION

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import instance, one_of
 from geodrake.boundary.escaping import identifier, printable, quoted
+from geodrake.model.export import repair_comments
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.source.effort_formula import EffortFormula, effort_formula
 from geodrake.model.source.languages import CPP, PYTHON, Language
@@ -203,6 +204,7 @@ def _comment(model: RobotModel, formula: EffortFormula, mark: str) -> str:
         f"Effort that {quoted(model.path.name)} needs for a motion, written by geodrake.",
         f"Rigid bodies, payloads included, and: {'; '.join(formula.included) or 'no effect'}.",
         *(f"Not included: {one}." for one in formula.left_out),
+        *repair_comments(model),
     ]
     lines = [line for p in paragraphs for line in textwrap.wrap(printable(p), _WIDTH)]
     return "\n".join(f"{mark}{line}{_ended(line)}" for line in lines)

@@ -30,6 +30,7 @@ class ModelText(abc.ABC):
     Attributes:
         kind: Drake's name of the format.
         notes: Sentences on what was taken out of the text and matters.
+        lost: Sentences on inertias that the text does not state and nothing else tells.
         set_aside: Scoped link names with the (10,) inertial parameters that the file gives them
             and no body can have; these are not in the text.
         friction: Scoped joint names with their dry friction, N or N·m.
@@ -51,6 +52,7 @@ class ModelText(abc.ABC):
     ) -> None:
         self.root, self.path, self.scope, self.folders = root, path, scope, folders
         self.notes: list[str] = []
+        self.lost: list[str] = []
         self.friction: dict[str, float] = {}
         self.armature: dict[str, float] = {}
         self.stiffness: dict[str, float] = {}

@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 from pydrake.multibody.parsing import (
     FlattenModelDirectives,
     LoadModelDirectivesFromString,
+    ModelDirective,
     ModelDirectives,
     PackageMap,
     Parser,
@@ -21,6 +22,7 @@ from pydrake.multibody.parsing import (
 )
 from pydrake.multibody.plant import MultibodyPlant
 
+from geodrake.boundary.arguments import typed
 from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.yaml_text import yaml_text
 from geodrake.errors import GeodrakeError, ModelError
@@ -59,6 +61,11 @@ class ModelDescription:
     def notes(self) -> tuple[str, ...]:
         """What was taken out of the texts and matters."""
         return tuple(note for text in self.texts for note in text.notes)
+
+    @property
+    def lost(self) -> tuple[str, ...]:
+        """Inertias that the texts do not state and nothing else tells, in words."""
+        return tuple(note for text in self.texts for note in text.lost)
 
     @property
     def set_aside(self) -> Mapping[str, Array]:
@@ -146,6 +153,7 @@ class ModelDescription:
                 ProcessModelDirectives(self.directives, parser)
 
 
+@typed
 def read_description(path: Path, given: Given | None = None) -> ModelDescription:
     """Reads a model file of any supported format.
 
@@ -163,7 +171,7 @@ def read_description(path: Path, given: Given | None = None) -> ModelDescription
     else:
         found = ModelDescription(path, (read_model_text(path, given),), given=given)
     files = (text.path for text in found.texts)
-    if given.xacro and not any(is_xacro(file.read_bytes()) for file in files):
+    if given.xacro and not any(is_xacro(file) for file in files):
         raise ModelError(
             f"{path} is no xacro file, so it takes no argument {next(iter(given.xacro))!r}.",
             advice="Leave it out.",
@@ -194,6 +202,25 @@ def _read_directives(path: Path, given: Given) -> ModelDescription:
         file = includes.checked(includes.resolve(model.file, path.parent))
         texts.append(read_model_text(file, given, model.name))
     return ModelDescription(path, tuple(texts), directives, given)
+
+
+def model_files(directives: Iterable[ModelDirective], includes: Includes) -> Iterator[Path]:
+    """Yield the model files that directives add, and those that they lead to.
+
+    Args:
+        directives: Directives whose paths are URLs.
+        includes: What follows them.
+
+    Raises:
+        ModelError: A file cannot be read, or there is no end to them.
+    """
+    for each in directives:
+        if each.add_model:
+            yield includes.checked(includes.resolve(each.add_model.file, Path()))
+        if each.add_directives:
+            file = includes.resolve(each.add_directives.file, Path())
+            loaded = _load_directives(file, includes, includes.enter((), file))
+            yield from model_files(loaded.directives, includes)
 
 
 def _load_directives(path: Path, includes: Includes, chain: tuple[Path, ...]) -> ModelDirectives:

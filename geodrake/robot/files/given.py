@@ -6,11 +6,26 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from geodrake.boundary.arguments import file_path, instance
 from geodrake.errors import ArgumentError, ModelError
 
 _NAME = re.compile(r"[^\s/:=]+")
+
+
+class Expanded(NamedTuple):
+    """What a xacro file was expanded to, of what.
+
+    Attributes:
+        begin: Checksum of the file and its arguments.
+        asked: Kind, value and checksum of the answer of all that it asked for.
+        data: What it was expanded to.
+    """
+
+    begin: bytes
+    asked: Sequence[tuple[str, Any, bytes]]
+    data: bytes
 
 
 @dataclass(frozen=True)
@@ -21,6 +36,9 @@ class Given:
         robot: Name of the robot, where the file has several; None for all that it has.
         packages: Package of ROS -> its folder, before those that are found.
         xacro: Argument of a xacro file -> its value.
+        trust_xacro: Whether a xacro file may evaluate any expression and read files of any folder,
+            as those may that the user or a friend has written.
+        expansions: What xacro files were expanded to; see `read_expanded`.
 
     Raises:
         ArgumentError: Something is not of its type.
@@ -30,6 +48,10 @@ class Given:
     robot: str | None = None
     packages: Mapping[str, Path] = field(default_factory=dict)
     xacro: Mapping[str, str] = field(default_factory=dict)
+    trust_xacro: bool = False
+    expansions: dict[Path, Expanded] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         if self.robot is not None:
@@ -47,15 +69,24 @@ class Given:
         for name, value in instance(self.xacro, "xacro", Mapping).items():
             instance(name, "the name of a xacro argument", str)
             instance(value, f"xacro[{name!r}]", str)
+        instance(self.trust_xacro, "trust_xacro", bool)
 
     @classmethod
-    def of_words(cls, robot: str | None, packages: Sequence[str], xacro: Sequence[str]) -> Given:
+    def of_words(
+        cls,
+        robot: str | None,
+        packages: Sequence[str],
+        xacro: Sequence[str],
+        *,
+        trust_xacro: bool = False,
+    ) -> Given:
         """From `NAME=FOLDER` and `NAME:=VALUE`, as people write them.
 
         Args:
             robot: Name of the robot, if there are several.
             packages: `NAME=FOLDER` of each package.
             xacro: `NAME:=VALUE` of each argument of a xacro file.
+            trust_xacro: As `Given.trust_xacro`.
 
         Raises:
             ArgumentError: One cannot be read, or is there twice.
@@ -63,7 +94,8 @@ class Given:
         """
         folders = _pairs(packages, "=", "--package", "ur_description=~/ws/src/ur_description")
         values = _pairs(xacro, ":=", "--xacro-arg", "ur_type:=ur10e")
-        return cls(robot, {name: Path(f).expanduser() for name, f in folders.items()}, values)
+        there = {name: Path(folder).expanduser() for name, folder in folders.items()}
+        return cls(robot, there, values, trust_xacro)
 
 
 def _pairs(given: Sequence[str], sign: str, option: str, example: str) -> dict[str, str]:

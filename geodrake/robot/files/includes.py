@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -12,6 +13,7 @@ from geodrake.boundary.input_files import regular_file
 from geodrake.errors import ModelError
 from geodrake.robot.files.packages import PACKAGE_ADVICE, add_packages, named_packages
 from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml
+from geodrake.robot.mesh_files import check_mesh
 
 _DEEPEST = 30  # files that include each other in a row
 _MOST = 500  # inclusions altogether
@@ -103,6 +105,7 @@ class Includes:
         """
         chain = chain or (self.path.resolve(),)
         self._count_elements(root)
+        self._check_meshes(root, folder)
         for parent in list(root.iter()):
             for include in parent.findall("include"):
                 url = include.findtext("uri", "").strip()
@@ -133,6 +136,16 @@ class Includes:
                 self.insert_elements(included, below)
                 at = list(parent).index(include)
                 parent[at : at + 1] = list(included)
+
+    def _check_meshes(self, root: Element, folder: Path) -> None:
+        """Raise if a mesh of an SDF is no file: Drake opens them for inertias and for shapes."""
+        urls = {mesh.findtext("uri", "").strip() for mesh in root.iter("mesh")}
+        places = set()
+        for url in urls:
+            with suppress(ModelError):  # of a package that only those need who look at shapes
+                places.add(self.resolve(url, folder))
+        for place in places:
+            check_mesh(place)
 
     def _count_elements(self, root: Element) -> None:
         self._elements += sum(1 for _ in root.iter())

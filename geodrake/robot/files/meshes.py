@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 from pydrake.multibody.parsing import PackageMap
 
 from geodrake.robot.files.description import ModelDescription
+from geodrake.robot.files.given import Given
+from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
+from geodrake.robot.mesh_files import check_mesh
 
 _MOST_NAMES = 4
+_ASSETS = ("meshdir", "assetdir", "texturedir")  # settings of MJCF
 
 
 def missing_meshes(description: ModelDescription) -> tuple[str, ...]:
     """Places of meshes, as the files of a model name them, at which no file is found.
 
     Args:
-        description: The model file, of URDFs and SDFs; of MJCF files `ModelText.notes` tell.
+        description: The model file, of URDFs and SDFs; of MJCF files `ModelText.lost` tells.
     """
     packages = PackageMap()
     description.add_packages(packages, description.named_packages())
@@ -31,6 +37,39 @@ def missing_meshes(description: ModelDescription) -> tuple[str, ...]:
     return tuple(found)
 
 
+def check_geometry(files: Iterable[Path], packages: PackageMap, given: Given) -> None:
+    """Raise if Drake would open what is no file, for the geometry of model files.
+
+    Args:
+        files: URDFs, SDFs and MJCF files.
+        packages: Where packages are.
+        given: How the files are read.
+
+    Raises:
+        ModelError: It would.
+    """
+    for path in files:
+        root = parse_xml_bytes(read_expanded(path, given), path)
+        includes = Includes(path, given.packages)
+        if root.tag == "mujoco":
+            includes.insert_elements(root)
+        settings = [each.get(name) for each in root.iter("compiler") for name in _ASSETS]
+        folders = [path.parent / (each or "") for each in dict.fromkeys([None, *settings])]
+        for place in filter(None, map(_file_of, root.iter())):
+            for folder in folders:
+                found = _resolved(place, packages, folder)
+                if found is not None:
+                    check_mesh(found)
+
+
+def _file_of(element: Element) -> str:
+    """Return the file that an element of a model names."""
+    if element.tag == "include":
+        return ""
+    own = element.get("filename") or element.get("file")
+    return (own or (element.text if element.tag == "uri" else "") or "").strip()
+
+
 def mesh_notes(description: ModelDescription) -> list[str]:
     """That meshes are not found, in words."""
     missing = missing_meshes(description)
@@ -42,10 +81,16 @@ def mesh_notes(description: ModelDescription) -> list[str]:
 
 
 def _is_there(place: str, packages: PackageMap, folder: Path) -> bool:
-    scheme, _, rest = place.rpartition("://")
-    if scheme in ("package", "model"):
-        name, _, inner = rest.partition("/")
-        return packages.Contains(name) and Path(packages.GetPath(name), inner).is_file()
-    if scheme not in ("", "file"):
+    if place.rpartition("://")[0] not in ("", "file", "package", "model"):
         return True  # of a place that is no file, nothing is known
-    return (folder / rest).is_file()
+    found = _resolved(place, packages, folder)
+    return found is not None and found.is_file()
+
+
+def _resolved(place: str, packages: PackageMap, folder: Path) -> Path | None:
+    """Return where a URL, or a path from a folder on, leads; None if that is nowhere."""
+    scheme, _, rest = place.rpartition("://")
+    name, _, inner = rest.partition("/")
+    if scheme in ("package", "model") and packages.Contains(name):
+        return Path(packages.GetPath(name), inner)
+    return folder / rest if scheme in ("", "file") else None

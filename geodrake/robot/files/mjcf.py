@@ -29,6 +29,7 @@ _POSE = ("pos", "quat", "euler", "axisangle", "xyaxes", "zaxis")
 _OF_MOTORS = ("actuator", "tendon", "default")
 _ACTUATORS = ("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder")
 _IGNORED = ("tendon", "sensor", "keyframe", "visual", "statistic", "contact", "camera", "light")
+_GENERATORS = ("replicate", "composite", "flexcomp", "attach")
 
 
 class MjcfText(ModelText):
@@ -46,6 +47,10 @@ class MjcfText(ModelText):
         self._motors = Element("mujoco")
         self._motors.extend(deepcopy(e) for e in self.root if e.tag in _OF_MOTORS)
         drop(self.root, *_IGNORED)
+        made = [tag for tag in _GENERATORS if self.root.find(f".//{tag}") is not None]
+        if made:
+            self.notes.append(f"<{'>, <'.join(made)}> is ignored: its bodies are missing.")
+        drop(self.root, *_GENERATORS)
         scope = self.scope or self.root.get("model") or self.path.stem
         self._take_equalities(scope)
         self.root.set("model", self.root.get("model") or scope)
@@ -165,7 +170,7 @@ class MjcfText(ModelText):
             if geoms and body.find("inertial") is None:
                 unknown.append(body.get("name", ""))
         if unknown:
-            self.notes.append(
+            self.lost.append(
                 f"The inertia of {', '.join(unknown)} follows from meshes that are not there "
                 f"or not .obj (in {folder}); these meshes do not count."
             )

@@ -11,9 +11,9 @@ from pathlib import Path
 
 from pydrake.multibody.parsing import PackageMap
 
-from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.input_files import read_regular
 from geodrake.errors import ModelError
-from geodrake.robot.files.xml_text import parse_xml
+from geodrake.robot.files.xml_text import parse_xml_bytes
 
 _URL = re.compile(r"(?:package|model)://([^/\n\"'<>]+)")
 _LARGEST_MANIFEST = 1_000_000  # bytes
@@ -109,6 +109,6 @@ def _package_name(folder: Path) -> str | None:
     """What a folder's manifest calls the package; None if there is none that can be read."""
     manifest = folder / "package.xml"
     with suppress(ModelError):
-        regular_file(manifest, "manifest", ModelError, largest=_LARGEST_MANIFEST)
-        return str(parse_xml(manifest).findtext("name", "")).strip() or None
+        data = read_regular(manifest, "manifest", ModelError, largest=_LARGEST_MANIFEST)
+        return str(parse_xml_bytes(data, manifest).findtext("name", "")).strip() or None
     return None

@@ -7,12 +7,13 @@ where they stand in the bytes of the file, and edits replace just those bytes.
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
 from xml.sax.saxutils import escape, quoteattr
 
+from geodrake.boundary.escaping import printable
 from geodrake.errors import ModelError
 
 _SPACE = re.compile(rb"\s*?(\r?\n[ \t]*)(?=\S)")
@@ -208,6 +209,30 @@ class SourceText:
         except (expat.ExpatError, ValueError) as error:
             raise ModelError(f"{path} cannot be changed: it is not plain XML ({error}).") from error
         return stack[0].children[0]
+
+
+def with_comments(data: bytes, path: Path, sentences: Sequence[str]) -> bytes:
+    """An XML file with comments before all else in it.
+
+    Args:
+        data: The bytes of the file.
+        path: Where they are from, for messages.
+        sentences: What the comments say.
+    """
+    if not sentences:
+        return data
+    text = SourceText(data, path)
+    text.insert(text.root, *(f"<!--{comment_words(each)}-->" for each in sentences))
+    return text.edited()
+
+
+def comment_words(sentence: str) -> str:
+    """A sentence as an XML comment may have it, which has no two hyphens in a row.
+
+    Args:
+        sentence: What it says, names of a file included.
+    """
+    return f" {re.sub('-(?=-)', '- ', printable(sentence))} "
 
 
 def _named(element: SourceElement) -> int:

@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 from xml.sax.saxutils import escape, quoteattr
 
-from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.input_files import read_regular
 from geodrake.errors import ModelError
 
 SUPPORTED_FORMATS = "geodrake reads URDF, SDF, MJCF and Drake model directives (.dmd.yaml)."
@@ -41,8 +41,8 @@ def parse_xml(path: Path) -> Element:
     Raises:
         ModelError: The file is not XML, or no file at all.
     """
-    regular_file(path, "model file", ModelError, largest=LARGEST_FILE)
-    return parse_xml_bytes(path.read_bytes(), path)
+    data = read_regular(path, "model file", ModelError, largest=LARGEST_FILE)
+    return parse_xml_bytes(data, path)
 
 
 def parse_xml_bytes(data: bytes, path: Path) -> Element:

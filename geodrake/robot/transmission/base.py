@@ -177,6 +177,7 @@ class Transmission(abc.ABC):
         Raises:
             ArgumentError: No actuator position reaches the joints' positions.
         """
+        theta = real_array(theta, "theta", ("N", self.num_joints))
         q, wanted = real_array(start, "start"), (len(theta), self.num_actuators)
         if q.shape not in ((), wanted[1:], wanted):
             raise ArgumentError(f"A start has the shape {wanted[1:]} or {wanted}; got {q.shape}.")

@@ -13,8 +13,10 @@ from pydrake.multibody.tree import MultibodyForces
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder
 
+from geodrake.boundary.input_files import read_regular
 from geodrake.control.export_proof.engines.base import Array, Engine, Mask, order_of
 from geodrake.effects import Effect
+from geodrake.errors import ModelError
 from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_errors, drake_messages
@@ -40,7 +42,7 @@ class DrakeEngine(Engine):
         builder = DiagramBuilder()
         self._plant = builder.AddSystem(MultibodyPlant(time_step=0.0))
         parser = Parser(self._plant)
-        text = file.read_text(encoding="utf-8", errors="replace")
+        text = read_regular(file, "model file", ModelError).decode(errors="replace")
         parser.package_map().PopulateFromFolder(str(file.parent))
         with drake_messages() as messages, drake_errors(file):
             add_packages(parser.package_map(), model.path, named_packages(text))

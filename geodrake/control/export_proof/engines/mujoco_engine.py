@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import mujoco
@@ -34,7 +36,8 @@ class MujocoEngine(Engine):
     def __init__(self, file: Path, model: RobotModel) -> None:
         self.name = f"MuJoCo {mujoco.__version__}"
         try:
-            self._model = mujoco.MjModel.from_xml_path(str(file))
+            with self._warning_here():
+                self._model = mujoco.MjModel.from_xml_path(str(file))
         except ValueError as error:
             line = " ".join(str(error).split())[:300]
             raise ModelError(f"MuJoCo cannot read {file.name}: {line}") from error
@@ -68,7 +71,8 @@ class MujocoEngine(Engine):
             data.qpos[self._qpos(at)] = value
         for k in range(len(v)):
             data.qpos[self._positions], data.qvel[self._at], data.qacc[self._at] = q[k], v[k], vd[k]
-            mujoco.mj_inverse(self._model, data)
+            with self._warning_here():
+                mujoco.mj_inverse(self._model, data)
             found[k] = data.qfrc_inverse[self._at]
             held = -np.sign(v[k]) * data.qfrc_constraint[self._at]
             meant[k] = held >= _FULL * self._friction
@@ -94,10 +98,24 @@ class MujocoEngine(Engine):
                     data.qfrc_applied[at] = value
                 else:
                     data.ctrl[self._signals[actuator]] = value
-            mujoco.mj_step(model, data)
+            with self._warning_here():
+                mujoco.mj_step(model, data)
             found.append(data.qpos[self._positions].copy())
         model.opt.timestep, model.opt.integrator, model.opt.disableflags = before
         return np.array(found)
+
+    @contextmanager
+    def _warning_here(self) -> Iterator[None]:
+        """Take MuJoCo's warnings, which it would print, and write into a file where it runs."""
+        before = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(self._take_warning)
+        try:
+            yield
+        finally:
+            mujoco.set_mju_user_warning(before)
+
+    def _take_warning(self, words: str) -> None:
+        self.messages = tuple(dict.fromkeys((*self.messages, words.partition(" Time =")[0])))
 
     def _start_history(self, data: mujoco.MjData, controls: Array) -> None:
         """Has late actuators be told the first signals all the time before."""

@@ -1,0 +1,1 @@
+"""Ordinary robots: arms with friction, rotors and tools, and what a diagnosis says of them."""

@@ -1,0 +1,96 @@
+"""Files are read through one door: nothing else in the package opens one."""
+
+import ast
+from pathlib import Path
+
+import geodrake
+
+PACKAGE = Path(geodrake.__file__).parent
+OPENERS = frozenset(
+    {
+        *("open", "fdopen", "read_text", "read_bytes", "fromfile", "genfromtxt", "memmap"),
+        *("File", "ZipFile", "ParquetFile", "ParquetDataset", "read_table", "loadmat", "EventLog"),
+        *(
+            "Reader",
+            "AnyReader",
+            "connect",
+            "read_csv",
+            "read_parquet",
+            "read_feather",
+            "read_json",
+        ),
+        *("AddModels", "AddModelsFromUrl", "ProcessModelDirectives", "LoadModelDirectives"),
+        *("from_xml_path", "MemoryFile", "exec_module", "run_path"),
+    }
+)
+"""Names of functions that open files by their paths."""
+
+ARRAYS = frozenset({"load", "loadtxt"})
+"""Those that do in NumPy, of which others are called alike."""
+
+DOOR = {"boundary/input_files.py": {"open", "fdopen"}}
+
+CHECKED = {
+    "control/export_proof/engines/drake_engine.py": {"AddModels"},
+    "control/export_proof/engines/mujoco_engine.py": {"from_xml_path"},
+    "control/export_proof/engines/python_engine.py": {"run_path"},
+    "control/scenes/building.py": {"ProcessModelDirectives"},
+    "effects/user_code.py": {"exec_module"},
+    "excitation/collision_geometry.py": {"AddModels"},
+    "logs/files/__init__.py": {"read_table"},
+    "logs/files/lcm_log.py": {"EventLog"},
+    "logs/files/lerobot_dataset.py": {"read_table"},
+    "logs/files/mat_file.py": {"File", "loadmat"},
+    "logs/files/parquet_file.py": {"ParquetFile", "read_table"},
+    "logs/files/ros_bag.py": {"Reader"},
+    "robot/files/description.py": {"ProcessModelDirectives"},
+    "robot/shapes.py": {"AddModels"},
+}
+"""Module -> what it hands to a library by its path, after the door has checked what is there."""
+
+HELD = {
+    "fleet/digest_file.py": {"ZipFile"},
+    "fleet/history_sums.py": {"load"},
+    "logs/files/csv_file.py": {"loadtxt"},
+    "logs/files/npz_file.py": {"ZipFile", "open"},
+}
+"""Module -> what it reads of a file that the door has opened, or of lines and entries of it."""
+
+OWN = {
+    "boundary/whole_files.py": {"open"},
+    "cli/surroundings.py": {"open"},
+    "compiling.py": {"fdopen", "open", "read_text"},
+    "excitation/collision_meshes.py": {"open"},
+    "identification/own_process.py": {"open"},
+    "report/page.py": {"read_text"},
+    "robot/files/xacro_process.py": {"run_path"},
+}
+"""Module -> what it opens of the package's own, or to write."""
+
+
+def openers(source: str) -> set[str]:
+    """Names of functions that open files, of all that a module calls."""
+    calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
+    found = set()
+    for function in (call.func for call in calls):
+        if isinstance(function, ast.Name) and function.id in OPENERS:
+            found.add(function.id)
+        if isinstance(function, ast.Attribute):
+            of_numpy = isinstance(function.value, ast.Name) and function.value.id == "np"
+            if function.attr in (ARRAYS if of_numpy else OPENERS):
+                found.add(function.attr)
+    return found
+
+
+def test_every_file_is_read_through_the_door():
+    found = {
+        str(path.relative_to(PACKAGE)): calls
+        for path in PACKAGE.rglob("*.py")
+        if (calls := openers(path.read_text(encoding="utf-8")))
+    }
+    assert found == DOOR | CHECKED | HELD | OWN
+
+
+def test_other_openers_are_noticed():
+    source = "path.read_text(); np.load(p); open(p); h5py.File(p); pd.read_csv(p); json.load(f)"
+    assert openers(source) == {"read_text", "load", "open", "File", "read_csv"}

@@ -1,0 +1,99 @@
+"""Files are written whole or not at all, and nothing else is left of what could not be written."""
+
+import errno
+import os
+
+import pytest
+
+from geodrake.boundary import whole_files
+from geodrake.boundary.whole_files import check_writable, made_folder, write_new, write_together
+from geodrake.errors import OutputError
+
+
+def full(file):
+    file.write(b"some")
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def files_in(folder):
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*"))
+
+
+@pytest.fixture
+def sticky(tmp_path, monkeypatch):
+    """A file of another user in a folder such as /tmp, where only its owner may replace it."""
+    folder = tmp_path / "sticky"
+    folder.mkdir()
+    folder.chmod(0o1777)
+    target = folder / "a.json"
+    target.write_text("theirs", encoding="utf-8")
+    target.chmod(0o666)
+    other = os.geteuid() + 1
+    monkeypatch.setattr(whole_files.os, "geteuid", lambda: other)
+    return target
+
+
+def test_what_is_another_users_is_refused_before_the_work_and_nothing_is_left(sticky):
+    for refused in (
+        lambda: check_writable(sticky),
+        lambda: write_together({sticky: "mine", sticky.with_name("b.json"): "mine"}),
+    ):
+        with pytest.raises(OutputError, match=r"a\.json: it is another user's"):
+            refused()
+    assert files_in(sticky.parent) == ["a.json"]
+    assert sticky.read_text(encoding="utf-8") == "theirs"
+
+
+def test_one_of_several_that_cannot_be_put_there_leaves_all_as_they_were(tmp_path, monkeypatch):
+    """What was replaced is kept until all are there: by a copy, where a link would stay."""
+    first, second = tmp_path / "a", tmp_path / "b"
+    first.write_text("before", encoding="utf-8")
+    monkeypatch.setattr(whole_files, "_is_of_another_user", lambda target: target == first)
+    monkeypatch.setattr(whole_files.os, "geteuid", lambda: 0)
+    rename = whole_files._Part.rename
+
+    def refuse(part):
+        if part.path == second:
+            raise PermissionError(errno.EPERM, "Operation not permitted")
+        rename(part)
+
+    links = []
+    monkeypatch.setattr(whole_files._Part, "rename", refuse)
+    monkeypatch.setattr(whole_files.Path, "hardlink_to", lambda *of: links.append(of))
+    with pytest.raises(OutputError, match="Operation not permitted"):
+        write_together({first: "after", second: "after"})
+    assert files_in(tmp_path) == ["a"] and not links
+    assert first.read_text(encoding="utf-8") == "before"
+
+
+def test_folders_that_were_made_in_vain_go(tmp_path):
+    (tmp_path / "there").mkdir()
+    with pytest.raises(OutputError, match="No space"), made_folder(tmp_path / "there" / "x" / "y"):
+        write_together({tmp_path / "there" / "x" / "y" / "z": full})
+    assert files_in(tmp_path) == ["there"]
+
+
+def test_folders_with_something_in_them_stay(tmp_path):
+    with pytest.raises(OutputError, match="No space"), made_folder(tmp_path / "x" / "y"):
+        write_together({tmp_path / "x" / "a": "whole"})
+        write_together({tmp_path / "x" / "y" / "z": full})
+    assert files_in(tmp_path) == ["x", "x/a"]
+
+
+def test_a_folder_below_a_file_cannot_be_made(tmp_path):
+    (tmp_path / "file").touch()
+    with (
+        pytest.raises(OutputError, match="cannot be made: Not a directory"),
+        made_folder(tmp_path / "file" / "x"),
+    ):
+        pass
+
+
+def test_what_is_new_is_written_with_what_belongs_to_it_or_not_at_all(tmp_path):
+    settings, data = tmp_path / "settings", tmp_path / "data"
+    with pytest.raises(OutputError, match="No space"):
+        write_new(settings, "mine", {data: full})
+    assert files_in(tmp_path) == []
+    assert write_new(settings, "mine", {data: "by mine"})
+    assert not write_new(settings, "yours", {data: "by yours"})
+    assert (settings.read_text("utf-8"), data.read_text("utf-8")) == ("mine", "by mine")

@@ -1,0 +1,138 @@
+"""What commands say of inertias that are not the file's, and where users' own prints go."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import geodrake
+from geodrake.cli.app import app
+
+APART = {**os.environ, "PYTHONPATH": str(Path(geodrake.__file__).parents[1])}
+URDF = """<robot name="two">
+  <link name="base"/>
+  <link name="upper"><inertial><origin xyz="0 0 0.2"/>{mass}
+    <inertia ixx="0.03" iyy="0.03" izz="0.004" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="fore"><inertial><origin xyz="0 0 0.1"/><mass value="1.2"/>
+    <inertia ixx="0.012" iyy="0.012" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
+    <axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="60" velocity="4"/></joint>
+  <joint name="elbow" type="revolute"><parent link="upper"/><child link="fore"/>
+    <origin xyz="0 0 0.4"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="30" velocity="4"/></joint>
+</robot>
+"""
+PRINTS = """
+import ctypes, os
+from dataclasses import dataclass
+from geodrake.effects import JointEffect, Parameter
+print("printed")
+os.write(1, b"written\\n")
+ctypes.CDLL(None).printf(b"in C\\n")
+@dataclass(frozen=True)
+class Hose(JointEffect):
+    name = "hose"
+    parameters = (Parameter("a", "N·m"),)
+    def columns(self, joint):
+        return [joint.q]
+"""
+
+
+def model_of(folder, mass):
+    path = folder / "two.urdf"
+    path.write_text(URDF.format(mass=mass), encoding="utf-8")
+    return path
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.mark.parametrize(
+    ("mass", "problem"),
+    [
+        ('<mass value="nan"/>', "upper has a mass or inertia that is not a number"),
+        ('<mass value="inf"/>', "upper has a mass or inertia that is not a number"),
+        ('<mass value="abc"/>', "upper has a mass or inertia that is not a number"),
+        ('<mass value="-2"/>', "upper has a mass of -2 kg"),
+        ('<mass value=""/>', "upper has a mass of 0 kg"),
+        ("", "upper has a mass of 0 kg"),
+    ],
+)
+def test_a_mass_that_was_replaced_is_no_agreement(tmp_path, mass, problem):
+    done = run("check", model_of(tmp_path, mass), "--samples", 2, "--json", tmp_path / "c.json")
+    assert done.exit_code == 1
+    assert done.output.startswith(f"Warning: two.urdf is not used as it stands. {problem}")
+    assert "agree" not in done.output.rpartition("Verdict")[2]
+    numbers = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
+    assert not numbers["agrees"] and numbers["repaired"]
+    assert numbers["notes"][0].startswith(problem)
+
+
+def test_a_mass_that_can_be_is_no_repair(tmp_path):
+    done = run("check", model_of(tmp_path, '<mass value="2"/>'), "--samples", 2)
+    assert done.exit_code == 0
+    assert "Warning" not in done.output
+    assert "agree" in done.output
+
+
+@pytest.mark.parametrize(
+    ("form", "file"),
+    [
+        ("urdf", "two.urdf"),
+        ("sdf", "two.sdf"),
+        ("mjcf", "two.xml"),
+        ("drake", "two.dmd.yaml"),
+        ("isaac", "two.actuators.json"),
+        ("python", "two_effort.py"),
+        ("cpp", "two_effort.hpp"),
+    ],
+)
+def test_what_is_exported_says_what_was_replaced(tmp_path, form, file):
+    target = tmp_path / "out"
+    done = run("export", model_of(tmp_path, '<mass value="nan"/>'), "--to", form, target, "-q")
+    assert done.exit_code == 0
+    assert done.output.startswith("Warning: two.urdf is not used as it stands. upper has a mass")
+    text = (target / file).read_text(encoding="utf-8")
+    assert "geodrake did not take two.urdf as it stands: upper has a mass" in text
+
+
+def test_a_repair_of_a_link_with_any_name_leaves_xml(tmp_path):
+    path = model_of(tmp_path, '<mass value="nan"/>')
+    path.write_text(
+        path.read_text("utf-8").replace('"upper"', '"up--per--&gt;-"'), encoding="utf-8"
+    )
+    done = run("export", path, "--to", "urdf", tmp_path / "out", "-q")
+    assert done.exit_code == 0
+    assert run("check", tmp_path / "out" / "two.urdf", "--samples", 2).exit_code == 0
+
+
+def test_many_repairs_are_counted(tmp_path):
+    links = "".join(f'<link name="l{k}"/>' for k in range(9))
+    joints = "".join(
+        f'<joint name="j{k}" type="continuous"><parent link="{"fore" if k == 0 else f"l{k - 1}"}"/>'
+        f'<child link="l{k}"/></joint>'
+        for k in range(9)
+    )
+    path = model_of(tmp_path, '<mass value="2"/>')
+    text = path.read_text("utf-8").replace("</robot>", f"{links}{joints}</robot>")
+    path.write_text(text, encoding="utf-8")
+    done = run("check", path, "--samples", 2)
+    assert done.output.count("Warning") == 6
+    assert "4 more of its inertias were replaced or left out" in done.output
+
+
+def test_what_code_of_users_prints_is_no_result(tmp_path):
+    own = tmp_path / "own.py"
+    own.write_text(PRINTS, encoding="utf-8")
+    model = model_of(tmp_path, '<mass value="2"/>')
+    command = [sys.executable, "-m", "geodrake", "check", model, "--samples", "2", "--json", "-"]
+    done = subprocess.run(
+        [*command, "--effects", own], env=APART, capture_output=True, text=True, check=True
+    )
+    assert json.loads(done.stdout)["agrees"]
+    assert {"printed", "written", "in C"} <= set(done.stderr.splitlines())

@@ -1,0 +1,117 @@
+"""The server of a page: for this machine alone, and no client takes it for itself."""
+
+import http.client
+import socket
+import threading
+import time
+
+import pytest
+
+from geodrake.cli import serving
+from geodrake.cli.serving import page_server
+
+
+@pytest.fixture
+def server():
+    served = page_server(0)
+    served.page = b"<html>the page</html>"
+    thread = threading.Thread(target=served.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    yield served
+    served.shutdown()
+    thread.join()
+    served.server_close()
+
+
+def port_of(server):
+    return server.server_address[1]
+
+
+def asked(server, method="GET", path="/", **headers):
+    connection = http.client.HTTPConnection("127.0.0.1", port_of(server), timeout=10)
+    connection.request(method, path, headers=headers)
+    answer = connection.getresponse()
+    return answer, answer.read()
+
+
+def connected(server):
+    return socket.create_connection(("127.0.0.1", port_of(server)), timeout=10)
+
+
+def is_hung_up(client):
+    try:
+        return client.recv(1) == b""
+    except ConnectionError:
+        return True
+
+
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.1:99", "[::1]:99", "LOCALHOST:1"])
+def test_the_page_is_for_this_machine(server, host):
+    answer, body = asked(server, Host=host)
+    assert (answer.status, body) == (200, server.page)
+    assert answer.headers["Server"] == "geodrake"
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "localhost.evil.example", "evil.example:80", "", "[", "127.0.0.1@x"]
+)
+def test_other_names_of_this_machine_are_refused(server, host):
+    for method in ("GET", "HEAD"):
+        answer, body = asked(server, method, Host=host)
+        assert answer.status == 403
+        assert server.page not in body
+
+
+def test_a_second_host_is_refused(server):
+    with connected(server) as client:
+        client.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n")
+        assert client.recv(100).startswith(b"HTTP/1.0 403")
+
+
+def test_heads_have_no_body(server):
+    answer, body = asked(server, "HEAD")
+    assert (answer.status, body) == (200, b"")
+    assert answer.headers["Content-Length"] == str(len(server.page))
+    assert asked(server, path="/other")[0].status == 404
+    assert asked(server, "POST")[0].status == 501
+
+
+def test_a_client_that_sends_little_at_a_time_is_hung_up_on(server):
+    server.seconds = 0.3
+    with connected(server) as client:
+        begin = time.monotonic()
+        while time.monotonic() - begin < 0.25:
+            client.sendall(b"G")
+            time.sleep(0.05)
+        assert is_hung_up(client)
+
+
+def test_few_clients_are_answered_at_once(server, monkeypatch):
+    waiting = [connected(server) for _ in range(serving._MOST_CONNECTIONS)]
+    with connected(server) as one_more:
+        assert is_hung_up(one_more)
+    for client in waiting:
+        client.close()
+    end = time.monotonic() + 10.0
+    while server._free._value < serving._MOST_CONNECTIONS and time.monotonic() < end:
+        time.sleep(0.02)
+    assert asked(server)[0].status == 200
+
+
+def test_a_client_that_leaves_is_no_news(server, capfd):
+    server.page = bytes(20_000_000)
+    with connected(server) as client:
+        client.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        client.recv(100)
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")  # reset
+    end = time.monotonic() + 10.0
+    while server._free._value < serving._MOST_CONNECTIONS and time.monotonic() < end:
+        time.sleep(0.02)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_mistake_of_its_own_is_told(server, capfd, monkeypatch):
+    monkeypatch.setattr(serving._PageHandler, "_is_asked_here", lambda handler: 1 / 0)
+    with pytest.raises(http.client.RemoteDisconnected):
+        asked(server)
+    assert "ZeroDivisionError" in capfd.readouterr().err

@@ -1,0 +1,173 @@
+"""The benchmark of ordinary robots: its robots, its logs, and how it scores."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "diagrams"))
+
+from hidden.engines import MuJoCoEngine, PinocchioEngine  # noqa: E402
+from hidden.motions import FAST, POINTS  # noqa: E402
+from hidden.robots import robot_file, robot_model  # noqa: E402
+from hidden.truths import Seen  # noqa: E402
+from ordinary import lines, logs, scoring  # noqa: E402
+from ordinary.draws import ARMS, ORDINARY, OUTSIDE, QUIET, all_draws, draw  # noqa: E402
+from ordinary.logs import DRY, ROTOR, TOOL, make_recording  # noqa: E402
+from ordinary.uncatalogued import KINDS, Site  # noqa: E402
+
+from geodrake.inertia import pseudo_inertia  # noqa: E402
+
+SHORT = {"duration": 6.0, "rate": 100.0, "noise": 0.01, "velocities": True, "quantised": False}
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_bodies_are_those_that_geodrake_reads(name):
+    model = robot_model(name)
+    for engine in (PinocchioEngine(robot_file(name)), MuJoCoEngine(robot_file(name))):
+        assert engine.joints == model.joints
+        P = pseudo_inertia(model.phi)
+        np.testing.assert_allclose(engine.bodies(), P, rtol=1e-6, atol=1e-6 * np.abs(P).max())
+
+
+def test_draws_have_all_cases_early_and_all_kinds():
+    draws = all_draws(0)
+    assert {each.case for each in draws[:4]} == {ORDINARY, OUTSIDE, QUIET}
+    assert sorted(each.kind for each in draws if each.case == OUTSIDE) == sorted(KINDS)
+    assert {each.robot for each in draws if each.case == ORDINARY} == set(ARMS)
+    assert draws != all_draws(1)
+
+
+def test_same_draw_is_the_same_log():
+    made = [make_recording(draw(ORDINARY, "z1", 2, 5, **SHORT)).logs[1] for _ in range(2)]
+    np.testing.assert_array_equal(made[0].effort, made[1].effort)
+    np.testing.assert_array_equal(made[0].position, made[1].position)
+
+
+class TestRecording:
+    def test_friction_and_rotors_have_the_size_that_was_drawn(self):
+        own = draw(ORDINARY, "ur5", 0, 1, **{**SHORT, "noise": 0.0, "tool": 0.0, "off": 0.0})
+        own = replace(own, rotors=True)
+        bare = make_recording(replace(own, friction=False, rotors=False))
+        full, dry = make_recording(own), make_recording(replace(own, rotors=False))
+        sizes = np.array(full.values[DRY])
+        assert (sizes > 0.0).all()
+        for k, log in enumerate(dry.logs):
+            rubbing = np.abs(log.effort - bare.logs[k].effort).max(0)
+            assert (rubbing > 0.9 * sizes).all()
+            assert (rubbing < 2.6 * sizes).all()
+            rotors = full.logs[k].effort - log.effort
+            assert np.abs(rotors).max() > 0.0
+        assert set(full.hidden) == {DRY, "viscous_friction", ROTOR}
+
+    def test_tool_hangs_at_the_last_link(self):
+        own = draw(ORDINARY, "z1", 0, 1, **{**SHORT, "noise": 0.0, "tool": 0.1, "off": 0.0})
+        own = replace(own, friction=False, rotors=False)
+        made = make_recording(own)
+        total = float(robot_model("z1").phi.reshape(-1, 10)[:, 0].sum())
+        assert made.mass == pytest.approx(0.1 * total)
+        assert made.hidden == {TOOL: (robot_model("z1").bodies[-1],)}
+        assert (
+            np.abs(
+                made.logs[0].effort - make_recording(replace(own, tool=0.0)).logs[0].effort
+            ).max()
+            > 0.1
+        )
+
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_effects_of_no_catalogue_have_a_usual_size(self, kind):
+        own = draw(OUTSIDE, "ur5", 0, 2, **{**SHORT, "kind": kind})
+        engine = MuJoCoEngine(robot_file("ur5"))
+        motions = [logs._moved(own, engine, each) for each in (FAST, POINTS)]
+        largest = np.max([np.abs(seen.load).max(0) for seen in motions], 0)
+        site = logs._site(own, motions, largest)
+        effort = logs._sized(own, site, motions)
+        efforts = np.concatenate([effort(seen, 1.0) for seen in motions])
+        shares = np.sqrt(np.mean(efforts**2, 0))
+        shares /= np.concatenate([seen.load for seen in motions]).std(0)
+        assert 0.045 < shares.max() < 0.27
+        if kind not in {"pendulum in a link", "slipping belt"}:  # which act on other joints, too
+            acting = set(np.flatnonzero(shares).tolist())
+            assert site.joint in acting <= {site.joint, site.other}
+
+
+def test_a_pendulum_that_came_to_rest_pulls_at_its_hinge():
+    """A weight on a horizontal axis that hangs is as one at the hinge: nothing is left of it."""
+    file, still = robot_file("ur5"), np.zeros(6)
+    site = Site(5, 4, file, still, still + 1.0, still + 1.0, still + 1.0, _Horizontal())
+    effort = KINDS["pendulum in a link"].make(site)
+    engine, time = MuJoCoEngine(file), np.arange(0.0, 20.0, 0.01)
+    # The last link's y stands upright, so that the axis, its x, is level.
+    q = np.tile([0.3, -1.0, 0.8, 0.2, 0.5, 0.0], (len(time), 1))
+    turn = engine.rotations(5, q[:1])[0]
+    q[:, 5] = np.arctan2(-turn[2, 0], -turn[2, 2])
+    level = engine.rotations(5, q[:1])[0][2, 0]
+    assert abs(level) < 1e-9
+    seen = Seen(time, q, 0.0 * q, 0.0 * q, engine.efforts(q, 0.0 * q, 0.0 * q), engine)
+    swing = effort(seen, 2.0)
+    np.testing.assert_allclose(swing, 2.0 * effort(seen, 1.0), atol=1e-12)
+    assert np.abs(swing[: len(time) // 10]).max() > 0.01
+    assert np.abs(swing[-1]).max() < 0.02 * np.abs(swing).max()
+
+
+class _Horizontal:
+    """Draws a short, damped pendulum about x that starts along y."""
+
+    def __init__(self):
+        self._draws = iter([0.1, 0.3, np.zeros(3)])
+        self._axes = iter([np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])])
+
+    def uniform(self, *_):
+        return next(self._draws)
+
+    def normal(self, size):
+        return next(self._axes)
+
+
+def _step(effect, where, probability=0.95):
+    return SimpleNamespace(
+        effect=effect,
+        where=where,
+        probability=probability,
+        indistinguishable_from=(),
+        parameters={},
+        deviations={},
+        systematic={},
+    )
+
+
+class TestScores:
+    RECORDING = SimpleNamespace(
+        hidden={DRY: ("a", "b")}, beside={"effort_offset": ("a",)}, mass=0.0, joints=()
+    )
+
+    @pytest.mark.parametrize(
+        ("effect", "where", "off", "right"),
+        [
+            (DRY, ("a",), 0.0, True),
+            (DRY, ("a", "c"), 0.0, False),
+            ("effort_offset", ("a",), 0.0, True),
+            ("effort_offset", ("b",), 0.0, False),
+            ("wrong_inertia", ("link",), 0.0, False),
+            ("wrong_inertia", ("link",), 0.3, True),
+        ],
+    )
+    def test_right_at_all_its_places(self, effect, where, off, right):
+        own = SimpleNamespace(off=off)
+        assert scoring._step_row(_step(effect, where), own, self.RECORDING)["right"] is right
+
+    def test_missing_is_said_place_by_place(self):
+        found = scoring._missing([_step(DRY, ("b",))], {DRY: ("a", "b"), TOOL: ("link",)})
+        assert found == [f"{DRY} at a", f"{TOOL} at link"]
+
+    def test_calibration_counts_by_bins(self):
+        said = [(0.6, True), (0.6, False), (0.95, True), (0.999, True), (0.3, False)]
+        rows = [{"steps": [{"probability": p, "right": r} for p, r in said]}]
+        found = [(line.value, line.logs) for line in lines.calibration(rows)]
+        assert found == [(0.5, 2), (None, 0), (1.0, 1), (1.0, 1)]

@@ -1,0 +1,127 @@
+"""Wrong calls of everything exported: they end in an error of geodrake, or in a finite result."""
+
+import numpy as np
+import pytest
+from calls import HELD, UNCALLED, Call, ended, exports, good_calls, outcomes
+
+from geodrake.boundary.arguments import instances, integer, number, one_or_each, real_array
+from geodrake.errors import ArgumentError
+from geodrake.model import EffortSignal
+
+KNOWN = dict.fromkeys(
+    (
+        *("AdaptationLaw.parameter_error", "AdaptationLaw.rate", "AdaptationLaw.reach"),
+        *("AdaptationLaw.step", "PartialLaw.contains", "PartialLaw.parameter_error"),
+        *("PartialLaw.rate", "PartialLaw.reach", "PartialLaw.step", "ProjectedLaw.rate"),
+        *("ProjectedLaw.parameter_error", "ProjectedLaw.reach", "ProjectedLaw.step"),
+    ),
+    "arrays are taken as they are",
+)
+"""What the generator found and the library does not refuse yet. Empty it."""
+ALLOWED = {
+    **dict.fromkeys(("Motion", "FittedEffect", "is_physical"), ("NaN", "NaN at one place")),
+    **dict.fromkeys(("RobotHistory", "body_spread"), ("NaN at one place",)),
+    "RobotModel.positions": ("NaN at one place", "infinity at one place"),
+    **dict.fromkeys(("RobotModel.motion", "zero_moment_point"), ("NaN at one place",)),
+    "IdentificationSettings": ("NaN",),  # a bandwidth that the logs decide
+    "motion_limits": ("nothing",),
+    **dict.fromkeys(
+        ("roll_out", "command_rollout", "fit_rollouts"),
+        ("beyond floats", "beyond machine integers"),  # all windows
+    ),
+    "design_reduced_excitation": ("two numbers",),
+    "add_adaptive_loop": ("nothing",),
+    "weighted_history": ("NaN at one place",),
+    "JointLog": ("NaN at one place",),
+    **dict.fromkeys(("PartialLaw", "TypeColumns"), ("truth values",)),
+    **dict.fromkeys(
+        ("current_rate", "motor_torque"),
+        ("infinity", "minus infinity", "infinity at one place"),
+    ),
+}
+"""Callable -> words of wrong values that its documentation takes."""
+CALLS, _UNKNOWN = good_calls()
+
+
+def held(call):
+    """Whether a call may be looked at, and the ends of wrong calls that may not be."""
+    allowed = ALLOWED.get(call.name, ())
+    if call.name.endswith(".contains"):
+        allowed = ("NaN at one place",)
+    for argument, words, end, told in outcomes(call):
+        if end not in HELD and not (end in ("believed", "not finite") and words in allowed):
+            yield f"{call.name}({argument} = {words}): {end}: {told}"
+
+
+NAMES = [
+    pytest.param(name, marks=pytest.mark.thorough if call.is_slow else ())
+    for name, call in CALLS.items()
+    if name not in KNOWN
+]
+
+
+@pytest.mark.sampled(5)
+@pytest.mark.parametrize("name", NAMES)
+def test_wrong_calls(name):
+    wrong = list(held(CALLS[name]))
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.sampled(5)
+@pytest.mark.parametrize("name", NAMES)
+def test_good_call(name):
+    end, told = ended(CALLS[name])
+    assert end == "accepted", told
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", sorted(KNOWN))
+def test_what_is_known_is_still_so(name):
+    assert list(held(CALLS[name])) or ended(CALLS[name])[0] != "accepted", "take it out of KNOWN"
+
+
+def test_everything_exported_is_called():
+    assert not _UNKNOWN, "give its arguments good values, or a reason in UNCALLED"
+    called = {name.split(".")[0] for name in CALLS} | set(UNCALLED)
+    assert len(called) > 150 and called <= {*exports(), *UNCALLED}
+    assert set(KNOWN) <= set(CALLS) and set(ALLOWED) <= set(CALLS)
+
+
+def test_a_call_that_is_believed_is_noticed():
+    def halved(x):
+        return 0.5 * np.asarray(x, float)
+
+    found = outcomes(Call("halved", halved, {"x": np.ones(2)}))
+    ends = {words: end for _, words, end, _ in found}
+    assert ends["complex"] == "warning"
+    assert ends["NaN at one place"] == "believed"
+    assert ends["infinity at one place"] == "not finite"
+    assert ends["texts"] == "believed"
+    assert ends["a text"] == "ValueError"
+    assert ends["an object"] == "inside"
+
+
+@pytest.mark.parametrize(
+    ("check", "message"),
+    [
+        (lambda: real_array(np.ones((3, 9)), "phi", ("N", 10)), r"\(N, 10\) .* shape \(3, 9\)"),
+        (lambda: real_array([[1.0, np.nan]], "v", ("N", 2)), r"holds nan at \[0, 1\]"),
+        (lambda: real_array([1j], "q"), "of type complex128"),
+        (lambda: real_array([[1.0], [1.0, 2.0]], "q"), r"it is \[\[1.0\], \[1.0, 2.0\]\]"),
+        (lambda: real_array([1e200], "q"), r"holds 1e\+200 at \[0\]"),
+        (lambda: real_array(np.ones(3), "b", ("N",), {"N": (2,)}), "with N = 2"),
+        (lambda: real_array(np.ones((3, 2)), "x", ("...", 2), {"...": (4,)}), r"axes \(4,\)"),
+        (lambda: number("1", "tolerance"), "tolerance must be a finite real number"),
+        (lambda: number(0.0, "tolerance", lower=0.0, strict=True), "above 0; it is 0"),
+        (lambda: integer(1.0, "count"), "a whole number; it is 1.0"),
+        (lambda: integer(True, "count", lower=0), "of at least 0; it is True"),
+        (lambda: instances("elbow", "joints", str), "a tuple of str; it is 'elbow'"),
+        (lambda: instances(("elbow", 2), "joints", str), "number 1 is 2"),
+        (lambda: one_or_each([1.0, 2.0], "width", 3), r"one number or 3; .* \(2,\)"),
+        (lambda: one_or_each(-1.0, "width", 3), "at least 0; it is -1.0"),
+        (lambda: EffortSignal("a", "command", 1.0, limit="5"), "limit of a must be .* type <U1"),
+    ],
+)
+def test_messages_name_what_is_expected_and_what_came(check, message):
+    with pytest.raises(ArgumentError, match=message):
+        check()

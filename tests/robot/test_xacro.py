@@ -1,0 +1,398 @@
+"""Xacro files: expanded as the package xacro expands them, unless they ask for more than values."""
+
+import os
+import random
+import string
+import time
+from pathlib import Path
+
+import pytest
+
+from geodrake.errors import ModelError
+from geodrake.robot.files import xacro_file
+from geodrake.robot.files.given import Given
+from geodrake.robot.files.xacro_expressions import (
+    Expressions,
+    RefusedError,
+    functions_of,
+    withhold,
+)
+from geodrake.robot.files.xacro_file import read_expanded
+
+xacro = pytest.importorskip("xacro")
+
+HEAD = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
+<xacro:property name="x" value="2"/>"""
+
+
+def written(folder: Path, body: str, name: str = "r.urdf.xacro") -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / name
+    path.write_text(f"{HEAD}{body}</robot>" if name.endswith("xacro") else body)
+    return path
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A package with a macro, values in YAML, and a folder for the model."""
+    folder = tmp_path / "parts"
+    written(folder, "<package><name>parts</name></package>", "package.xml")
+    written(folder / "config", "a: {x: 1.5, names: [p, q], angle: !degrees 90}\nb: 3\n", "v.yaml")
+    written(folder / "urdf", '<xacro:property name="inner" value="7"/><l v="${inner}"/>', "i.xacro")
+    written(
+        folder / "urdf",
+        '<xacro:macro name="part" params="name mass:=2 *origin **all">'
+        '<link name="${name}" m="${mass}"><xacro:insert_block name="origin"/>'
+        '<xacro:insert_block name="all"/></link></xacro:macro>',
+        "m.xacro",
+    )
+    return folder
+
+
+CONSTRUCTS = {
+    "arithmetic": '<a v="${1+2*3-4/5} ${7//2} ${7%4} ${2**10} ${-x} ${1e3} ${6^3} ${1&lt;&lt;4}"/>',
+    "comparisons": '<a v="${1 &lt; x &lt;= 3} ${x == 2 and not x > 3} ${None is None} ${x or 1}"/>',
+    "conditional": "<a v=\"${'one' if x == 1 else 'more'}\"/>",
+    "mathematics": '<a v="${sin(pi/6)} ${math.radians(90)} ${radians(30)} ${atan2(1,2)} ${inf}"/>',
+    "functions": '<a v="${max(1, x)} ${len([1, 2])} ${round(2.345, 1)} ${python.sum((1, 2))}"/>',
+    "keywords": "<a v=\"${dict(a=1, **dict(b=2))['b']} ${sorted([2, 1], reverse=True)}\"/>",
+    "lists": '<a v="${[1, *[2, 3]][1:]} ${(x, 2)[-1]} ${[0]*3} ${list(range(3))[::-1]}"/>',
+    "comprehensions": "<a v=\"${[(i, j) for i in range(3) if i for j in 'ab']}"
+    " ${dict((k, 2*k) for k in [x])} ${' '.join(str(i*x) for i in range(3))}\"/>",
+    "literals in arguments": '<a v="${$(arg mapping)[1]} ${list($(arg mapping))}"/>',
+    "strings": "<a v=\"${'a,b'.split(',')[1]} ${'%.3f %s' % (x, 'y')}"
+    " ${'A'.lower()+'b'.replace('b', 'c')} ${'r' in 'arm'}\"/>",
+    "loop": '<xacro:macro name="loop" params="items:=^"><xacro:if value="${items}"><xacro:property '
+    'name="item" value="${items.pop(0)}"/><item>${item}</item><xacro:loop/></xacro:if>'
+    '</xacro:macro><xacro:loop items="${[1,2,3]}"/>',
+    "yaml": '<xacro:property name="v" value="${xacro.load_yaml(\'../config/v.yaml\')}"/>'
+    "<a v=\"${v.a.x} ${v['a']['names'][1]} ${v.b} ${v.a.angle} ${list(v.keys())} ${'b' in v}\"/>",
+    "dotify": '<xacro:property name="v" value="${xacro.dotify(dict(k=dict(x=4)))}"/>'
+    '<a v="${v.k.x}"/>',
+    "tokens": "<a v=\"${xacro.tokenize('1, 2;3')} ${[float(s) for s in '1 2'.split()]}\"/>",
+    "message": "<a v=\"${xacro.warning('seen')}\"/>",
+    "include": '<xacro:include filename="i.xacro"/><a v="${inner}"/>',
+    "include in a namespace": '<xacro:include filename="i.xacro" ns="n"/><a v="${n.inner + 1}"/>',
+    "include by wildcard": '<xacro:include filename="[i].xacro"/>',
+    "optional include": '<xacro:include filename="none.xacro" optional="true"/>',
+    "macro": '<xacro:include filename="m.xacro"/><xacro:part name="l" mass="${x}"><o xyz="0 0 1"/>'
+    "<all><visual/></all></xacro:part><xacro:call macro=\"part\" name='k'><o/><all/></xacro:call>",
+    "arguments": '<xacro:arg name="side" default="left"/><a v="$(arg side) $(arg given)"/>',
+    "environment": '<a v="$(env HOME) $(optenv NO_SUCH_NAME none)"/>',
+    "substitutions": '<a v="$(cwd) $$(arg x) $${x} $(eval 1 + 2)"/>',
+    "names in eval": '<a v="$(eval given + 1) $(eval [given, 2*pi][1]) $(eval True)"/>',
+    "elements": '<xacro:element xacro:name="e${x}"><xacro:attribute name="k" value="v${x}"/>'
+    "</xacro:element>",
+    "conditions": '<xacro:if value="${x == 2}"><yes/></xacro:if><xacro:unless value="1"><no/>'
+    "</xacro:unless>",
+    "properties": '<xacro:property name="x" default="9"/><xacro:property name="lazy" '
+    'value="${later}"/><xacro:property name="later" value="5"/><a v="${lazy}"/>'
+    '<xacro:property name="later" '
+    'remove="true"/>',
+    "block": '<xacro:property name="b"><o/><p/></xacro:property><xacro:insert_block name="b"/>',
+    "comments": "<!-- ${x} --><!-- xacro:eval-comments --><!-- ${x} --><a>${x} text</a>",
+    "letters": '<a v="größer ${x} ∞"/>',
+}
+
+
+@pytest.mark.parametrize("construct", CONSTRUCTS)
+def test_files_expand_as_the_package_expands_them(package, construct, monkeypatch):
+    path = written(package / "urdf", CONSTRUCTS[construct])
+    monkeypatch.chdir(package)
+    given = {"given": "3", "mapping": "{1: {2, 3}}"}
+    expected = xacro.process_file(str(path), mappings=dict(given)).toxml(encoding="utf-8")
+    for trust in (False, True):
+        assert read_expanded(path, Given(xacro=given, trust_xacro=trust)) == expected
+
+
+def test_packages_are_found_as_elsewhere(package, tmp_path):
+    path = written(
+        tmp_path / "model",
+        '<xacro:include filename="$(find parts)/urdf/m.xacro"/><xacro:part name="l"><o/><all/>'
+        '</xacro:part><xacro:property name="v" value="${xacro.load_yaml(\'$(find parts)/config/'
+        'v.yaml\')}"/><a v="${v.b}"/>',
+    )
+    text = read_expanded(path, Given(packages={"parts": package})).decode()
+    assert '<link m="2" name="l">' in text
+    assert 'v="3"' in text
+    with pytest.raises(ModelError, match="names the package 'parts', which is not found"):
+        read_expanded(path, Given())
+
+
+CLIMB = "__class__.__base__.__subclasses__()"
+ESCAPES = (
+    f"(lambda: [c for c in ().{CLIMB}][0])()",
+    f"[c for c in ().{CLIMB}]",
+    f"{{1: c for c in ().{CLIMB}}}",
+    f"list(c for c in ().{CLIMB})",
+    "'{0.__class__}'.format(1)",
+    "'{x.__class__}'.format(x=1)",
+    "'{0[__class__]}'.format(python)",
+    "'{0.__class__}'.format_map(dict())",
+    "list(map('{0.__class__}'.format, [1]))",
+    "dict(k='{0.__class__}')['k'].format(1)",
+    "{c: 1 for c in [1]}",
+    "str.format('{0.__class__}', 1)",
+    "(i for i in [1]).gi_frame",
+    "[g.gi_frame for g in [(i for i in [1])]]",
+    "python.type(1)",
+    "python.type('X', (), dict())",
+    "list(map(python.type, [1]))",
+    "python['type'](1)",
+    "list(map(*[list((python | dict()).values())[-3:-2], [[1]]][0], [1]))",
+    "(python | dict()).get('type')('')",
+    "python.vars(math)",
+    "math.sin.__self__",
+    "xacro.load_yaml.__globals__",
+    "xacro.print_location.__globals__",
+    "f'{(1).__class__}'",
+    "'%s' % str.__mro__",
+    "[x := 1]",
+    "dict.fromkeys",
+    "[1][0].real.__class__",
+)
+UNKNOWN = ("__import__('os')", "open('x')", "eval('1')", "python.update(len=1)", "math.__dict__")
+
+
+@pytest.fixture(scope="module")
+def known():
+    """What xacro gives to expressions."""
+    xacro.init_stacks(None)
+    known = xacro.create_global_symbols()
+    withhold(known["python"])
+    return known
+
+
+def evaluate(known, text):
+    kinds = xacro.NameSpace, xacro.YamlDictWrapper
+    return Expressions(xacro.Table(known), functions_of(known), *kinds).evaluate(text)
+
+
+@pytest.mark.parametrize("text", ESCAPES)
+def test_an_expression_that_asks_for_more_than_values_is_refused(known, text):
+    with pytest.raises(RefusedError, match="is asked for in"):
+        evaluate(known, text)
+
+
+@pytest.mark.parametrize("text", UNKNOWN)
+def test_names_of_python_are_unknown(known, text):
+    with pytest.raises(NameError):
+        evaluate(known, text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "9**9**8",
+        "1 << 10**9",
+        "'a' * 10**10",
+        "[0] * 10**10",
+        "10**9 * 'ab'",
+        "range(10**10)",
+        "range(10**30)",
+        "[0 for i in range(10**6) for j in range(10**6)]",
+        "[*python.range(10**7)]",
+    ],
+)
+def test_what_grows_without_end_is_an_error_at_once(known, text):
+    begin = time.process_time()
+    with pytest.raises(OverflowError):
+        evaluate(known, text)
+    assert time.process_time() - begin < 2.0
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        f'<a v="${{(lambda: ().{CLIMB})()}}"/>',
+        '<a v="$(eval [0 for c in sin.real])"/>',
+        '<a v="$(eval [lambda: 1][0])"/>',
+        '<xacro:property name="p" value="${python.type}"/><a v="${p(1)}"/>',
+        '<xacro:macro name="m" params="f:=${python.vars}"><a v="${f(math)}"/></xacro:macro>'
+        "<xacro:m/>",
+    ],
+)
+def test_a_file_that_asks_for_more_is_refused_and_runs_nothing(tmp_path, monkeypatch, body):
+    monkeypatch.chdir(tmp_path)
+    path = written(tmp_path, body)
+    with pytest.raises(ModelError, match=r"is asked for in .*--trust-xacro"):
+        read_expanded(path, Given())
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
+def test_trust_lets_any_expression_run_in_the_process(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = written(tmp_path, '<a v="${(lambda x: 2 * x)(4)}"/>')
+    with pytest.raises(ModelError, match=r"a lambda is asked for .*--trust-xacro"):
+        read_expanded(path, Given())
+    assert b'v="8"' in read_expanded(path, Given(trust_xacro=True))
+
+
+def test_even_what_is_trusted_writes_no_file_and_starts_no_process(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    reach = "[c for c in ().__class__.__base__.__subclasses__() if c.__name__ == '_wrap_close'][0]"
+    path = written(
+        tmp_path,
+        f"<a v=\"${{(lambda: {reach}.__init__.__globals__['system']('touch seen'))()}}\"/>"
+        f"<a v=\"${{(lambda: {reach}.__init__.__globals__['open']('seen', 65))()}}\"/>",
+    )
+    with pytest.raises(ModelError, match="Too many open files"):
+        read_expanded(path, Given(trust_xacro=True))
+    assert not (tmp_path / "seen").exists()
+
+
+def test_a_python_tag_in_yaml_makes_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path, "a: !!python/object/apply:os.system ['touch seen']", "v.yaml")
+    path = written(tmp_path, "<a v=\"${xacro.load_yaml('v.yaml')}\"/>")
+    with pytest.raises(ModelError, match="could not determine a constructor"):
+        read_expanded(path, Given(trust_xacro=True))
+    assert not (tmp_path / "seen").exists()
+
+
+@pytest.mark.parametrize("body", ['<xacro:include filename="{}"/>', "${{xacro.load_yaml('{}')}}"])
+def test_only_regular_files_within_reach_are_read(tmp_path, body):
+    os.mkfifo(tmp_path / "model-pipe")
+    written(tmp_path / "other", "k: 1", "v.yaml")
+    (tmp_path / "model").mkdir()
+    os.mkfifo(tmp_path / "model" / "pipe")
+    for place, words in (
+        ("pipe", "is a pipe"),
+        (".", "is a folder"),
+        ("../other/v.yaml", "neither in its folder nor in its packages.*--package.*--trust-xacro"),
+        ("../model-pipe", "neither in its folder"),
+        ("/dev/zero", "neither in its folder"),
+        ("/etc/passwd", "neither in its folder"),
+        ("none.yaml", "No such file"),
+    ):
+        path = written(tmp_path / "model", body.format(place))
+        with pytest.raises(ModelError, match=words):
+            read_expanded(path, Given())
+    with pytest.raises(ModelError, match="/dev/zero is a device"):
+        read_expanded(
+            written(tmp_path / "model", body.format("/dev/zero")), Given(trust_xacro=True)
+        )
+
+
+def test_includes_that_never_end_are_an_error(tmp_path):
+    written(tmp_path, '<xacro:include filename="b.xacro"/>', "a.xacro")
+    written(tmp_path, '<xacro:include filename="a.xacro"/>', "b.xacro")
+    path = written(tmp_path, '<xacro:include filename="a.xacro"/>')
+    with pytest.raises(ModelError, match="files hold themselves"):
+        read_expanded(path, Given())
+    path = written(tmp_path, '<xacro:include filename="*/*/*/x.xacro"/>')
+    with pytest.raises(ModelError, match="wildcards"):
+        read_expanded(path, Given())
+
+
+def doubling(levels: int) -> str:
+    calls = "".join(
+        f'<xacro:macro name="m{k}"><xacro:m{k + 1}/><xacro:m{k + 1}/></xacro:macro>'
+        for k in range(levels)
+    )
+    return f'{calls}<xacro:macro name="m{levels}"><g/></xacro:macro><xacro:m0/>'
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (doubling(28), "the processor's time"),
+        ("<a v=\"${'%0*d' % (10**10, 1)}\"/>", "more than 2 GB"),
+        ('<a v="${math.factorial(10**8)}"/>', "the processor's time"),
+    ],
+)
+def test_what_takes_too_much_is_ended(tmp_path, monkeypatch, body, words):
+    module = "geodrake.robot.files.xacro_process"
+    source = Path(__import__(module, fromlist=["x"]).__file__)
+    for each in (source, source.with_name("xacro_expressions.py")):
+        text = each.read_text().replace("CPU_SECONDS = 10", "CPU_SECONDS = 1")
+        (tmp_path / each.name).write_text(text)
+    monkeypatch.setattr(f"{module}.__file__", str(tmp_path / source.name))
+    with pytest.raises(ModelError, match=words):
+        read_expanded(written(tmp_path / "model", body), Given())
+
+
+VALUES = {
+    "zero": 0,
+    "x": 7,
+    "half": 0.5,
+    "text": "ab",
+    "numbers": [1, 2],
+    "pair": (3, "b"),
+    "table": {1: "a"},
+    "few": {3},
+    "yes": True,
+    "none": None,
+}
+SHAPES = (
+    *("({} + {})", "({} * {})", "({} - {})", "({} / {})", "({} // {})", "({} % {})", "({} ** {})"),
+    *("({} < {})", "({} == {} != {})", "({} in {})", "({} is not {})", "({} and {})", "({} or {})"),
+    *(
+        "(not {})",
+        "(-{})",
+        "({} if {} else {})",
+        "({} or x)[{} or x]",
+        "({} or x)[{}:]",
+        "[{}, *{}]",
+        "len({})",
+    ),
+    *("[i for i in {} if {}]", "[(i, j) for i in {} for j in {}]", "str({}).upper()", "({},)"),
+    *(
+        "dict(a={})['a']",
+        "python.sorted({}, reverse={})",
+        "list(map(str, {}))",
+        "python.any(i for i in {})",
+    ),
+    *("({} & {})", "({} | {})", "({} << {})", "{{{}: {}}}", "max({}, {})", "'%s-%s' % ({}, {})"),
+)
+
+
+def grown(rng: random.Random, depth: int) -> str:
+    if not depth:
+        return rng.choice([*VALUES])
+    shape = rng.choice(SHAPES)
+    count = len([name for _, name, _, _ in string.Formatter().parse(shape) if name is not None])
+    return shape.format(*(grown(rng, rng.randrange(depth)) for _ in range(count)))
+
+
+def outcome(evaluation):
+    try:
+        return repr(evaluation())
+    except Exception as error:
+        return type(error)
+
+
+def test_expressions_have_the_values_and_errors_that_python_gives(known):
+    rng = random.Random(43)
+    names = {**known, **VALUES}
+    kinds = xacro.NameSpace, xacro.YamlDictWrapper
+    own = Expressions(names, functions_of(known), *kinds)
+    seen = set()
+    for _ in range(3000):
+        text = grown(rng, 4)
+        expected = outcome(lambda text=text: xacro.safe_eval(text, dict(names)))
+        assert outcome(lambda text=text: own.evaluate(text)) == expected, text
+        seen.add(expected)
+    assert sum(isinstance(each, str) for each in seen) > 100
+
+
+def test_a_file_is_expanded_again_only_if_something_in_it_has_changed(tmp_path, monkeypatch):
+    top, part, given = tmp_path / "top.xacro", tmp_path / "part.xacro", Given()
+    name = '<robot xmlns:xacro="x"><xacro:property name="n" value="{}"/></robot>'
+    top.write_text(
+        '<robot xmlns:xacro="x"><xacro:include filename="part.xacro"/><link name="${n}"/></robot>'
+    )
+    counted = []
+    start = xacro_file.subprocess.Popen
+    monkeypatch.setattr(
+        xacro_file.subprocess, "Popen", lambda *a, **k: counted.append(1) or start(*a, **k)
+    )
+    for value, times in (("a", 1), ("a", 1), ("b", 2), ("a", 3)):
+        part.write_text(name.format(value))
+        assert f'name="{value}"'.encode() in read_expanded(top, given)
+        assert len(counted) == times
+    top.write_text(top.read_text().replace("<link", '<link name="c"/><link'))
+    assert b'name="c"' in read_expanded(top, given)
+    part.unlink()
+    with pytest.raises(ModelError, match=r"part\.xacro"):
+        read_expanded(top, given)
