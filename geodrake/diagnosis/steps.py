@@ -84,7 +84,7 @@ def _late(found: Found) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class StagedFinding:
     """A finding in the order of steps.
 
     Attributes:
@@ -98,7 +98,7 @@ class Stage:
     validated: Hypothesis
 
 
-def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[Stage]]:
+def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[StagedFinding]]:
     """The model before the first step, and findings in the order of what they gain.
 
     Args:
@@ -110,12 +110,12 @@ def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[
     if any(f.name == INERTIA and not f.terms for f in findings):
         width = model.widths[0]
     at = _fitted(model, (), width, model.on_time, end)
-    start, stages, left = model.validated(at), list[Stage](), [*findings]
+    start, stages, left = model.validated(at), list[StagedFinding](), [*findings]
     while left:
         tried = [(each, _with(model, at, each, end)) for each in left]
         finding, at = min(tried, key=lambda pair: nrms_of(model, pair[1]))
         left.remove(finding)
-        stages.append(Stage(finding, at, model.validated(at)))
+        stages.append(StagedFinding(finding, at, model.validated(at)))
     return start, stages
 
 
@@ -141,7 +141,7 @@ def _fitted(model: LogModel, terms: Sequence[Term], width: float, delay: Delay, 
 
 
 def steps_of(
-    case: Case, found: Found, start: Hypothesis, stages: Sequence[Stage], fit: ModelFit
+    case: Case, found: Found, start: Hypothesis, stages: Sequence[StagedFinding], fit: ModelFit
 ) -> tuple[Step, ...]:
     """Steps from the model refitted within its prior to the final fit.
 

@@ -13,7 +13,7 @@ from geodrake.diagnosis.drafting.formula import Formula
 from geodrake.diagnosis.drafting.judgement import judge
 from geodrake.diagnosis.drafting.results import Array, Correlate, Draft, DraftedEffect
 from geodrake.diagnosis.drafting.screening import Screen
-from geodrake.diagnosis.drafting.search import Found, JointSearch
+from geodrake.diagnosis.drafting.search import FoundFormula, JointSearch
 from geodrake.diagnosis.drafting.term_columns import TermColumns
 from geodrake.diagnosis.drafting.vocabulary import short_vocabulary
 from geodrake.diagnosis.explain import Investigation, investigate
@@ -173,7 +173,7 @@ def _left(hypothesis: Hypothesis, joint: str) -> bool:
     return bool(hypothesis.held_out.rms[j] > NOISE_MARGIN * hypothesis.dataset.noise_floor[j])
 
 
-def _drafted(found: Found, end: Hypothesis) -> DraftedEffect:
+def _drafted(found: FoundFormula, end: Hypothesis) -> DraftedEffect:
     """What was found, with the coefficients of the fit to all logs."""
     formula, span = found.columns.formula, end.unknowns.span(found.columns)
     j = end.dataset.joints.index(formula.joint)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geodrake.diagnosis.drafting.clock import clock_correlates
-from geodrake.diagnosis.drafting.formula import Formula, Term
+from geodrake.diagnosis.drafting.formula import Formula, FormulaTerm
 from geodrake.diagnosis.drafting.judgement import LEAST_REDUCTION, judge
 from geodrake.diagnosis.drafting.results import Correlate
 from geodrake.diagnosis.drafting.screening import Screen, best_sums
@@ -35,7 +35,7 @@ _ROUNDS = 3  # in which the constants at which a function turns are tried, close
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FoundFormula:
     """A formula that convinces.
 
     Attributes:
@@ -98,14 +98,14 @@ class JointSearch:
         Args:
             screen: That of the vocabulary.
         """
-        kinds: dict[int, dict[frozenset[Term], list[Term]]] = defaultdict(dict)
+        kinds: dict[int, dict[frozenset[FormulaTerm], list[FormulaTerm]]] = defaultdict(dict)
         for found in best_sums(screen):
             terms = [screen.vocabulary[k] for k in found.terms]
             kinds[len(terms)].setdefault(frozenset(term.kind for term in terms), terms)
         finalists = [terms for same in kinds.values() for terms in list(same.values())[:FINALISTS]]
         return [self._sharpened(terms) for terms in finalists]
 
-    def judged(self, formulas: Sequence[Formula], tried: int) -> Found | None:
+    def judged(self, formulas: Sequence[Formula], tried: int) -> FoundFormula | None:
         """The simplest of those that are as good as the best; None if it does not convince.
 
         Args:
@@ -140,7 +140,7 @@ class JointSearch:
             for columns, _ in sorted(tied, key=lambda t: -score(t))
             if len(columns.formula.terms) <= len(formula.terms) and columns is not chosen
         ]
-        return Found(chosen, before, after, found.alarm, tuple(rivals))
+        return FoundFormula(chosen, before, after, found.alarm, tuple(rivals))
 
     def _with_columns(self, formulas: Sequence[Formula]) -> tuple[Dataset, list[TermColumns]]:
         """A dataset that has columns for formulas beside those of the hypothesis."""
@@ -153,11 +153,11 @@ class JointSearch:
         )
         return dataset, columns
 
-    def _screen(self, terms: Sequence[Term]) -> Screen:
+    def _screen(self, terms: Sequence[FormulaTerm]) -> Screen:
         dataset, (columns,) = self._with_columns([Formula(self.joint, tuple(terms))])
         return Screen.of(self.hypothesis, dataset, columns)
 
-    def _sharpened(self, terms: list[Term]) -> Formula:
+    def _sharpened(self, terms: list[FormulaTerm]) -> Formula:
         """A formula of terms, the constants at which its functions turn found by trial."""
         turning = [(i, place) for i, term in enumerate(terms) for place in term.turning]
         spacing = TURNS[1] - TURNS[0]
