@@ -29,31 +29,32 @@ def dry_friction(seen):
     return {1: 0.5 * np.sign(seen.v[:, 1])}
 
 
-def slow_log(hidden):
-    return effort_log("double_pendulum", 1, hidden, duration=16.0, share=0.02, pace=0.3).log
+def slow_log(hidden, share=0.02):
+    return effort_log("double_pendulum", 1, hidden, duration=16.0, share=share, pace=0.3).log
 
 
-@pytest.fixture(scope="module", params=[spring, dry_friction])
-def case(request):
-    """A log and its explanation, whose one step has one rival."""
-    log = slow_log(request.param)
+@pytest.fixture(scope="module")
+def case():
+    """A log with a spring, beside noise, and its explanation: a counterweight may be there."""
+    log = slow_log(spring, 0.05)
     return log, explain(MODEL, [log])
 
 
-@pytest.mark.sampled(2)
 def test_the_error_of_a_rival_is_that_of_adding_it(case):
     log, found = case
     (step,) = found.steps
-    (rival,) = step.rivals
+    rival = step.rivals[0]
+    assert {step.effect, rival.effect} == {"joint_spring", "gravity_compensator"}
     assert rival.instead_of == (step.effect,)
-    assert rival.names == step.indistinguishable_from
+    assert set(rival.names) <= set(step.indistinguishable_from)
     instead = add(rival.effect, MODEL, [log], where=rival.where).steps[0]
-    assert rival.error == pytest.approx(instead.error_after, rel=0.02)
-    assert rival.error_of_choice == pytest.approx(step.error_after, rel=0.02)
-    assert 0.01 < rival.tie_probability < 0.5
-    (probability,) = step.probabilities_of_rivals
-    assert 0.0 < probability < 0.5 < step.probability < 1.0
-    assert probability + step.probability == pytest.approx(1.0 - step.false_alarm_probability)
+    assert rival.error == pytest.approx(instead.error_after, rel=0.05)
+    assert rival.error_of_choice == pytest.approx(step.error_after, rel=0.05)
+    probabilities = step.probabilities_of_rivals
+    assert 0.01 < probabilities[0] < 0.5 < step.probability < 1.0
+    assert sum(probabilities) + step.probability == pytest.approx(
+        1.0 - step.false_alarm_probability
+    )
 
 
 def test_what_adds_the_same_is_no_rival():
