@@ -52,6 +52,7 @@ def step(effect, where, parameters, deviations, **more):
             "parameters": parameters,
             "deviations": deviations,
             "indistinguishable_from": ("stribeck_friction",),
+            "rivals": (FittedRival("stribeck_friction", where, (effect,), 0.11, 0.1, 0.1, 0.1),),
             "false_alarm_probability": 1e-30,
             "agreement": 0.75,
             "rms_before": dict.fromkeys(joints, 1.0),

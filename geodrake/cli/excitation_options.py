@@ -118,7 +118,7 @@ class _Robot:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Search:
+class _Choosing:
     """How excite judges motions and looks for the best one."""
 
     criterion: Annotated[
@@ -153,7 +153,7 @@ class _Search:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExciteOptions(ModelOptions, _Motion, _Robot, _Search):
+class ExciteOptions(ModelOptions, _Motion, _Robot, _Choosing):
     """Options of excite."""
 
     model: ModelFile

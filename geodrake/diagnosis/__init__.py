@@ -8,7 +8,6 @@ from geodrake.diagnosis.drafting import draft_effects, rest_correlates, source_o
 from geodrake.diagnosis.explain import explain
 from geodrake.diagnosis.results import Candidate, Diagnosis, Explanation, Step
 from geodrake.identification.logs.compare import compare
-from geodrake.identification.logs.criteria import Criteria
 from geodrake.identification.logs.model_errors import (
     Comparison,
     ErrorTable,
@@ -24,7 +23,6 @@ __all__ = [
     "Candidate",
     "ColumnFinding",
     "Comparison",
-    "Criteria",
     "Diagnosis",
     "ErrorTable",
     "Explanation",

@@ -15,7 +15,14 @@ from geodrake.diagnosis.moves import additions
 from geodrake.diagnosis.posterior import nrms_of
 from geodrake.diagnosis.results import Candidate, Diagnosis
 from geodrake.diagnosis.search import Found, searched
-from geodrake.diagnosis.steps import INERTIA, Stage, findings_of, late_joints, moved_bodies, staged
+from geodrake.diagnosis.steps import (
+    INERTIA,
+    StagedFinding,
+    findings_of,
+    late_joints,
+    moved_bodies,
+    staged,
+)
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
@@ -70,7 +77,7 @@ def diagnose(
     )
 
 
-def _candidates(case: Case, found: Found, first: Stage, before: float) -> list[Candidate]:
+def _candidates(case: Case, found: Found, first: StagedFinding, before: float) -> list[Candidate]:
     """The first step, its rivals, and what else improves the model alone."""
     finding, certainty = first.finding, first.finding.certainty
     if finding.name == INERTIA:

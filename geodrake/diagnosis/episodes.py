@@ -8,7 +8,7 @@ one half of the window, in alternate pieces, predicts the other.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +30,7 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.episode import Episode
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case, error_table, reduced
-from geodrake.identification.logs.criteria import FIXED, Criteria
+from geodrake.identification.logs.criteria import ALARM, FIXED
 from geodrake.identification.logs.evidence import chi2_tail
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.logs.folds import set_apart
@@ -63,7 +63,7 @@ class _Scale:
 
 
 def find_episodes(
-    case: Case, hypothesis: Hypothesis, *, alarm: float = Criteria.alarm
+    case: Case, hypothesis: Hypothesis, *, alarm: float = ALARM
 ) -> tuple[Episode, ...]:
     """Contacts that stand out of the held-out residuals of a hypothesis.
 
@@ -113,26 +113,6 @@ def _contacts(
     tried = [_contact(case, window, len(windows), alarm) for window in cut if window is not None]
     found = tuple(contact for contact, _ in tried if contact is not None)
     return found, any(share >= 0.5 * _LEAST_SHARE for _, share in tried)
-
-
-def refined_episodes(case: Case, hypothesis: Hypothesis) -> Mapping[Episode, Episode]:
-    """The contacts of a hypothesis, each with what it is once all other effects are known.
-
-    Args:
-        case: The case.
-        hypothesis: A hypothesis.
-    """
-    known = [e for e in hypothesis.unknowns.effects if isinstance(e, Episode)]
-    scale = _scaled(case, hypothesis, without=known)
-    numbers = [log_number(trajectory.name) for trajectory in case.trajectories]
-    motion, found = full_motion(case), {}
-    for contact in known:
-        if contact.log in numbers:
-            place = (numbers.index(contact.log), contact.start, contact.end)
-            window = _cut_out(case, scale, motion, place)
-            if window is not None:
-                found[contact] = refined(window, contact)
-    return found
 
 
 def _overlap(case: Case, window: tuple[int, float, float], contact: Episode) -> bool:

@@ -13,13 +13,13 @@ from geodrake.diagnosis.search import Found
 from geodrake.effects import FittedEffect
 from geodrake.effects.shape import when_sliding
 from geodrake.identification.logs.case import Case, reopen
-from geodrake.identification.logs.criteria import TIGHTER_PRIORS
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.hypothesis import Hypothesis, settle
 from geodrake.identification.logs.model_fit import ModelFit, fit_model
 from geodrake.identification.logs.unknowns import Unknowns, effect_prior
 from geodrake.model.robot_model import RobotModel
 
+_FREE = 0.1  # of the assumed width: bodies that are known well
 _MOST_ITERATIONS = 10
 """Refits until the weights stay: a prior from another fit gives way step by step."""
 
@@ -68,10 +68,9 @@ def freed(hypothesis: Hypothesis) -> Hypothesis:
 
     To hold the inertias, as a search may do, does not make them known.
     """
-    least = min(TIGHTER_PRIORS)
-    if hypothesis.looseness >= least:
+    if hypothesis.looseness >= _FREE:
         return hypothesis
-    return hypothesis.loosened(least / hypothesis.looseness)
+    return hypothesis.loosened(_FREE / hypothesis.looseness)
 
 
 def _with_fitted_loads(

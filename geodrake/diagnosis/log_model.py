@@ -487,10 +487,10 @@ class Neighbourhood:
         self._turned = self._inverse @ gram[columns]
         self._schur = gram - gram[:, columns] @ self._turned
         self._pull = right - gram[:, columns] @ fit.x
-        at, self._at = model._first_term, dict[Term, Indices]()
+        first, self._at = model._first_term, dict[Term, Indices]()
         for term in fit.terms:
-            self._at[term] = np.arange(at, at + len(term.columns))
-            at += len(term.columns)
+            self._at[term] = np.arange(first, first + len(term.columns))
+            first += len(term.columns)
 
     def delays(self) -> list[tuple[Delay, float]]:
         """The best other delay of all joints, and of each joint alone, with what each gains."""

@@ -46,8 +46,8 @@ def neighbours(
     """
     finder = _Finder(model, fit)
     moves = finder.moves() if joints is None else finder.rebuilt(joints)
-    moves = sorted(moves, key=lambda move: -move.gain)
-    best = list({move.choice.key: move for move in moves}.values())[:most]
+    promising = sorted(moves, key=lambda move: -move.gain)
+    best = list({move.choice.key: move for move in promising}.values())[:most]
     found = [move.choice for move in best]
     if joints is not None:
         return found

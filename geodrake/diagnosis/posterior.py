@@ -24,7 +24,7 @@ _LEAST = 0.01
 
 
 @dataclass(frozen=True)
-class Rival:
+class Instead:
     """What stands in the place of a finding in other explanations.
 
     Attributes:
@@ -52,7 +52,7 @@ class Certainty:
 
     probability: float
     chance: float
-    rivals: tuple[Rival, ...]
+    rivals: tuple[Instead, ...]
 
 
 class Posterior:
@@ -112,7 +112,7 @@ class Posterior:
             if (name, where) not in best or fit.score > best[name, where].score:
                 best[name, where] = fit
         likely = [(key, p) for key, p in sums.items() if p >= _LEAST]
-        rivals = [Rival(*key, p, nrms_of(self._model, best[key])) for key, p in likely]
+        rivals = [Instead(*key, p, nrms_of(self._model, best[key])) for key, p in likely]
         chance += sum(p for key, p in sums.items() if p < _LEAST)
         probability = float(self._weights[np.array(has)].sum())
         return Certainty(

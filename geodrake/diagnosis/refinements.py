@@ -19,7 +19,6 @@ from geodrake.effects.base import Effect
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.delays import effort_delays
 from geodrake.identification.logs.case import Case, reduced
-from geodrake.identification.logs.criteria import MOST, SEARCH_MARGIN
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.reduce import peak_speeds, sign_widths
 from geodrake.inertia import is_physical
@@ -28,6 +27,8 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 
 _SHARES = (0.75, 0.5, 0.25, 0.0)  # of a step to bodies that are not physical
+_MARGIN = 1.5  # of the noise, above which other speeds at which friction fades are tried
+_MOST = 0.5  # of the squared error is what another speed must leave at most
 _OTHER_LOADS = 0.02
 """Columns are made anew if a load changes by more than this share of the effort's deviation."""
 
@@ -280,7 +281,7 @@ def fading_speeds(case: Case, model: LogModel, fit: Fit) -> Array | None:
 
     before = errors(known)
     tried = np.array([joint in rubbing for joint in robot.joints]) & (least < most)
-    tried &= before > np.square(SEARCH_MARGIN * model.dataset.noise_floor)
+    tried &= before > np.square(_MARGIN * model.dataset.noise_floor)
     if not tried.any():
         return None
     speeds, left = [known], [before]
@@ -292,7 +293,7 @@ def fading_speeds(case: Case, model: LogModel, fit: Fit) -> Array | None:
             break
     best = np.argmin(left, axis=0)
     joints = np.arange(len(best))
-    clear = tried & (np.array(left)[best, joints] <= MOST * before) & (best > 0)
+    clear = tried & (np.array(left)[best, joints] <= _MOST * before) & (best > 0)
     return np.where(clear, np.array(speeds)[best, joints], known) if clear.any() else None
 
 

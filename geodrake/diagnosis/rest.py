@@ -16,7 +16,7 @@ from geodrake.diagnosis.residuals import (
     joint_residuals,
 )
 from geodrake.identification.logs.case import Case, error_table
-from geodrake.identification.logs.criteria import NOISE_MARGIN, Criteria
+from geodrake.identification.logs.criteria import ALARM, NOISE_MARGIN
 from geodrake.identification.logs.evidence import false_alarm_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.reduce import peak_speeds
@@ -34,7 +34,7 @@ _PROMISING = 3  # functions, by what they leave with the first ridge, are fitted
 _MOST = 4_000  # samples that are looked at
 
 
-def share_of_motion(case: Case, hypothesis: Hypothesis, *, alarm: float = Criteria.alarm) -> Array:
+def share_of_motion(case: Case, hypothesis: Hypothesis, *, alarm: float = ALARM) -> Array:
     """(nv,) share of each joint's squared error that a smooth function of the motion could remove.
 
     Functions of all positions, and of position, velocity and direction of the joint itself and one

@@ -24,9 +24,10 @@ class Candidate(Short):
         where: Joints or bodies.
         error_before: Held-out nrms without it.
         error_after: Held-out nrms with it, everything that may move refitted.
-        evidence: Twice the held-out log-likelihood ratio, less the price of its parameters.
-        false_alarm_probability: Chance that an irrelevant candidate looks as good.
-        tied: Whether the logs cannot distinguish it from the best candidate.
+        evidence: Twice the logarithm of how much more probable it makes the model, alone; 0 for
+            what stands in the place of the first one.
+        false_alarm_probability: How probable it is that it is not needed.
+        tied: Whether it is the first one, or stands in its place in other explanations.
     """
 
     effect: str
@@ -62,18 +63,17 @@ class Diagnosis(Shown):
 
 @dataclass(frozen=True)
 class FittedRival:
-    """What could have been added instead of an effect, as far as the logs show.
+    """What stands in the place of a finding in other explanations of the logs.
 
     Attributes:
         effect: Name; two names joined by " + " for effects found together.
         where: Joints or bodies.
         instead_of: Names of the effects that were added.
-        error: Held-out nrms with the rival, everything that may move refitted, beside all else that
-            was found; as it was at the choice where the rival has no place of its own by then.
+        error: nrms with the rival, everything that may move refitted, beside all else that was
+            found.
         error_of_choice: The same with what was added.
-        tie_probability: Chance that the rival is truly no worse than what was added.
-        odds: Odds of the rival against what was added: by that chance, and as complex effects
-            are rarer.
+        tie_probability: How probable the rival is, if it is either that or what was added.
+        odds: Odds of the rival against what was added.
     """
 
     effect: str
@@ -101,14 +101,14 @@ class Step(Short):
         error_after: Held-out nrms after.
         parameters: Place -> parameter name -> value, SI units.
         deviations: The same for the standard deviations.
-        indistinguishable_from: Effects that the logs could not distinguish from this one.
-        false_alarm_probability: Chance that an irrelevant effect gains as much.
+        indistinguishable_from: Effects that stand in its place in other explanations, of a
+            probability above 1 %.
+        false_alarm_probability: How probable it is that nothing is in its place.
         agreement: Share of the held-out blocks in which it lowers the error where it acts; one
             that hardly changes may count half.
         rms_before: Joint -> held-out RMS before, N·m or N.
         rms_after: Joint -> held-out RMS after, N·m or N.
-        rivals: Those of these effects that were fitted, best first; the others follow from what is
-            known of the effects.
+        rivals: These effects with their places, the most probable first.
         systematic: As `deviations`, those that more data do not narrow: from the gains of the
             efforts, known to the logs' `effort_uncertainty` only, and from what stays unexplained.
         series: What is measured and predicted after it, on held-out data; none for the last step,
@@ -134,23 +134,17 @@ class Step(Short):
 
     @property
     def probability(self) -> float:
-        """How probable the finding is, beside its rivals and chance.
+        """How probable it is: the sum over all explanations that have it.
 
-        A rival that was not fitted is as probable as the finding: no data tell them apart.
+        With what stands in its place in others, and that nothing does, it adds up to one.
         """
-        odds = sum(rival.odds for rival in self.rivals) + len(self.unfitted_rivals)
+        odds = sum(rival.odds for rival in self.rivals)
         return (1.0 - self.false_alarm_probability) / (1.0 + odds)
 
     @property
     def probabilities_of_rivals(self) -> tuple[float, ...]:
-        """How probable each of `rivals` is; each of `unfitted_rivals` is as the finding."""
+        """How probable each of `rivals` is."""
         return tuple(rival.odds * self.probability for rival in self.rivals)
-
-    @property
-    def unfitted_rivals(self) -> tuple[str, ...]:
-        """Those of `indistinguishable_from` of which `rivals` has no numbers."""
-        fitted = {name for rival in self.rivals for name in rival.names}
-        return tuple(name for name in self.indistinguishable_from if name not in fitted)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from geodrake.diagnosis.refinements import (
     fitted_loads,
     with_delays,
 )
-from geodrake.diagnosis.search_progress import Progress, progress_of
+from geodrake.diagnosis.search_progress import FoundStep, Progress, progress_of
 from geodrake.diagnosis.terms import Term, Terms
 from geodrake.diagnosis.unknown_efforts import is_resolved, reversals, unknown_functions
 from geodrake.effects import Effect
@@ -120,6 +120,7 @@ class _Search:
         self._faded = list[Terms]()
         self._looked = self._doubted = False
         self._is_stopped = False
+        self._told: FoundStep | None = None
         self.model = self._made()
         self.fit = self._start()
 
@@ -141,6 +142,8 @@ class _Search:
             if not self.fit.terms:
                 raise
             self._is_stopped = True
+            if self._progress is not None and self._told is not None:
+                self._progress(replace(self._told, is_last=True))
         return Found(self.case, self.model, self.fit, self._start(), self._is_stopped)
 
     def forced(
@@ -193,8 +196,8 @@ class _Search:
             best[place] = self._best(choices, was)
         if single:
             return max(best.values(), key=lambda fit: fit.score)
-        terms = tuple(fit.terms[0] for fit in best.values())
-        return self._best([model.choice(terms, w, was.choice.delay) for w in known], was)
+        together = tuple(fit.terms[0] for fit in best.values())
+        return self._best([model.choice(together, w, was.choice.delay) for w in known], was)
 
     def _latest(self, was: Fit, places: tuple[tuple[str, ...], ...] | None) -> Fit:
         """The best delay of all efforts, or of those of each of some joints."""
@@ -246,7 +249,8 @@ class _Search:
         def watch(before: Fit, after: Fit) -> None:
             self.fit = after
             if self._progress is not None:
-                self._progress(progress_of(self.model, before, after))
+                self._told = progress_of(self.model, before, after)
+                self._progress(self._told)
 
         for _ in range(_MOST_ROUNDS):
             self.fit = climb(

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geodrake.diagnosis.log_model import Fit, LogModel
+from geodrake.effects import Role
+from geodrake.effects.lookup import effect_of
 
 
 @dataclass(frozen=True)
@@ -15,12 +17,13 @@ class FoundStep:
     """A step of a search, as it is taken; what comes later may still change it.
 
     Attributes:
-        effect: Name of what was found; several joined by " + ".
-        where: Joints or bodies.
+        effect: Name of what was found; several joined by " + "; empty if something only went.
+        where: Joints or bodies; of what went, if nothing was found.
         before: Held-out nrms before.
         after: Held-out nrms after.
         start: Held-out nrms before the first step.
         floor: nrms of the sensor noise; zero if the logs show none.
+        instead_of: Names of what went.
         is_last: Whether the search was stopped here; what was found is being fitted once more.
     """
 
@@ -30,6 +33,7 @@ class FoundStep:
     after: float
     start: float
     floor: float
+    instead_of: tuple[str, ...] = ()
     is_last: bool = False
 
     @property
@@ -58,11 +62,24 @@ def progress_of(model: LogModel, before: Fit, after: Fit) -> FoundStep:
     data = model.dataset
     deviation = np.where(data.effort_std > 0.0, data.effort_std, np.inf)
     new = [term for term in after.terms if term not in before.terms]
+    old = [term for term in before.terms if term not in after.terms]
+    names = dict.fromkeys(term.name for term in new)
+    gone = tuple(dict.fromkeys(term.name for term in old if term.name not in names))
+    if after.choice.delay != before.choice.delay:
+        names[effect_of(Role.DELAY).name] = None
+    if not names and not gone:
+        names["bodies"] = None
     power = np.array([j.effort_sums[:, 1].sum() for j in data.data]) / model.rows
     errors = (np.sqrt(before.variance), np.sqrt(after.variance), np.sqrt(power), data.noise_floor)
-    nrms = [float(np.sqrt(np.mean(np.square(error / deviation)))) for error in errors]
+    first, last, start, floor = (
+        float(np.sqrt(np.mean(np.square(error / deviation)))) for error in errors
+    )
     return FoundStep(
-        " + ".join(dict.fromkeys(term.name for term in new)) or "bodies",
-        tuple(dict.fromkeys(name for term in new for name in term.where)),
-        *nrms,
+        " + ".join(names),
+        tuple(dict.fromkeys(name for term in new or old for name in term.where)),
+        first,
+        last,
+        start,
+        floor,
+        gone,
     )

@@ -26,8 +26,8 @@ from geodrake.identification.logs.case import Case, error_table, series
 from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.evidence import fold_agreement
 from geodrake.identification.logs.hypothesis import Hypothesis
-from geodrake.identification.logs.model_errors import ErrorTable, Series
-from geodrake.identification.logs.model_fit import ModelFit, as_it_stands
+from geodrake.identification.logs.model_errors import Series
+from geodrake.identification.logs.model_fit import ModelFit
 from geodrake.inertia import pullback_metric
 from geodrake.model.effort_signal import signal_of
 from geodrake.model.robot_model import RobotModel
@@ -84,7 +84,7 @@ def _late(found: Found) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class StagedFinding:
     """A finding in the order of steps.
 
     Attributes:
@@ -98,7 +98,7 @@ class Stage:
     validated: Hypothesis
 
 
-def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[Stage]]:
+def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[StagedFinding]]:
     """The model before the first step, and findings in the order of what they gain.
 
     Args:
@@ -110,12 +110,12 @@ def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[
     if any(f.name == INERTIA and not f.terms for f in findings):
         width = model.widths[0]
     at = _fitted(model, (), width, model.on_time, end)
-    start, stages, left = model.validated(at), list[Stage](), [*findings]
+    start, stages, left = model.validated(at), list[StagedFinding](), [*findings]
     while left:
         tried = [(each, _with(model, at, each, end)) for each in left]
         finding, at = min(tried, key=lambda pair: nrms_of(model, pair[1]))
         left.remove(finding)
-        stages.append(Stage(finding, at, model.validated(at)))
+        stages.append(StagedFinding(finding, at, model.validated(at)))
     return start, stages
 
 
@@ -141,7 +141,7 @@ def _fitted(model: LogModel, terms: Sequence[Term], width: float, delay: Delay, 
 
 
 def steps_of(
-    case: Case, found: Found, start: Hypothesis, stages: Sequence[Stage], fit: ModelFit
+    case: Case, found: Found, start: Hypothesis, stages: Sequence[StagedFinding], fit: ModelFit
 ) -> tuple[Step, ...]:
     """Steps from the model refitted within its prior to the final fit.
 
@@ -313,8 +313,3 @@ def _servo_damping(case: Case, joint: str) -> Array:
     """(1, 1) how well the damping of a joint's servo is known, which friction takes the rest of."""
     signal = signal_of(case.model.effort_signals, joint)
     return np.array([[0.0 if signal is None else signal.damping_deviation]])
-
-
-def standing_errors(case: Case) -> ErrorTable:
-    """Errors of the model as it stands."""
-    return error_table(case.dataset, as_it_stands(case.dataset, case.model))

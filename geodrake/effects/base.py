@@ -88,15 +88,10 @@ class Effect(CheckedFields, abc.ABC):
         expandable: Whether the columns are slopes of something not linear in the parameters.
         proposer: What in a residual proposes it, instead of trying all `candidates`; effects of
             pairs of joints that follow each other are tried all the same.
-        hidden_share: Share of the squared error at its joint from which on it is tried although
-            its evidence is weak, as other effects may hide it; 0 where inertias may hide all of it.
-        other_bandwidths: Bandwidths, over that of a log, at which it may show and not at that one.
 
     Its relations to others:
         contains: Effects of the same place that it replaces.
         companion: The effect that is offered beside it as a pair, and fitted beside it at the end.
-        tried_beside: Effects without which the search in the residual does not see it.
-        at_each_joint: What the same actuator adds to either joint of a pair alone.
         jumps: Whether it jumps where a joint reverses, as dry friction does.
         usual: Whether a real robot is hardly without it.
         damps: Whether its one column is the velocity of its joint, as that of a servo's damping is.
@@ -124,13 +119,9 @@ class Effect(CheckedFields, abc.ABC):
     needs_known_inertia: ClassVar[bool] = False
     expandable: ClassVar[bool] = False
     proposer: ClassVar[Proposer | None] = None
-    hidden_share: ClassVar[float] = np.inf
-    other_bandwidths: ClassVar[tuple[float, ...]] = ()
 
     contains: ClassVar[tuple[type[Effect], ...]] = ()
     companion: ClassVar[type[Effect] | None] = None
-    tried_beside: ClassVar[tuple[type[Effect], ...]] = ()
-    at_each_joint: ClassVar[tuple[type[Effect], ...]] = ()
     jumps: ClassVar[bool] = False
     usual: ClassVar[bool] = False
     damps: ClassVar[bool] = False
@@ -295,19 +286,6 @@ class Effect(CheckedFields, abc.ABC):
             along: (N,) instants since the log began, s, or positions of the joint, by `proposer`.
         """
         raise NotImplementedError(f"{self.name} has no course along {len(along)} samples.")
-
-    def as_gain(self, parameters: Array) -> Array | None:
-        """The wrong gain of its joint's effort that it looks like, as a share.
-
-        Args:
-            parameters: (..., k) values.
-
-        Returns:
-            (...) ε of `EffortScale`; None for effects that look like none. One that is no larger
-            than gains are uncertain is not named.
-        """
-        del parameters
-        return None
 
     @property
     def distinct(self) -> bool:

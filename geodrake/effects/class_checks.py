@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import keyword
-import math
 from collections.abc import Mapping
 from dataclasses import fields
 from inspect import get_annotations
@@ -34,7 +33,7 @@ _KINDS: Mapping[type, tuple[Any, str]] = {
 }
 """What may stand where a class attribute of `Effect` is of a type, also in words."""
 
-_RELATIONS = ("contains", "tried_beside", "at_each_joint")
+_RELATIONS = ("contains",)
 _BASES: Mapping[Role, type] = {
     Role.DEFLECTION: DeflectionEffect,
     Role.EPISODE: Episode,
@@ -121,7 +120,7 @@ def _is_code(value: Any) -> bool:
 
 
 def _check_relations(effect: type[Effect]) -> None:
-    """Refuse what names other effects, or bandwidths, in another form than `Effect` says."""
+    """Refuse what names other effects in another form than `Effect` says."""
     for attribute in _RELATIONS:
         if not all(_is_effect(each) for each in getattr(effect, attribute)):
             has = f"{attribute} = {getattr(effect, attribute)!r:.60}"
@@ -129,10 +128,6 @@ def _check_relations(effect: type[Effect]) -> None:
     if not (effect.companion is None or _is_effect(effect.companion)):
         has = f"companion = {effect.companion!r:.60}"
         raise _of_class(effect, has, "the class of an effect, or None")
-    for factor in effect.other_bandwidths:
-        if not (type(factor) in (int, float) and 0.0 < factor < math.inf):
-            has = f"other_bandwidths = {effect.other_bandwidths!r:.60}"
-            raise _of_class(effect, has, "a tuple of positive numbers")
 
 
 def _check_base(effect: type[Effect]) -> None:

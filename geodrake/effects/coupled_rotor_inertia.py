@@ -9,7 +9,6 @@ import numpy as np
 
 from geodrake.effects.base import Array, Parameter, RobotMotion
 from geodrake.effects.gradient import RobotGradient
-from geodrake.effects.rotor_inertia import RotorInertia
 from geodrake.effects.shared_actuator import Direction, SharedActuatorEffect
 
 
@@ -28,7 +27,6 @@ class CoupledRotorInertia(SharedActuatorEffect):
     law = "I v̇_j on joint i and I v̇_i on joint j; of any two joints, like `coupled_friction`"
     list_position = 41
     complexity = 1
-    at_each_joint = (RotorInertia,)
     parameters = (Parameter("inertia", "kg·m²"),)
     signature = "at each of two joints, follows the acceleration of the other one"
     depends_on = frozenset({"vd"})

@@ -34,10 +34,6 @@ class EffortScale(JointEffect):
     depends_on = frozenset({"load"})
     needs_known_inertia = True
 
-    def as_gain(self, parameters: Array) -> Array:
-        """ε itself."""
-        return parameters[..., 0]
-
     def columns(self, joint: JointMotion) -> tuple[Array]:
         """[τ] of the rigid bodies, where no more is known."""
         return (joint.load,)

@@ -44,10 +44,6 @@ class GearEfficiency(JointEffect):
     depends_on = frozenset({"v", "load"})
     needs_known_inertia = True
 
-    def as_gain(self, parameters: Array) -> Array:
-        """Half the difference of both losses."""
-        return 0.5 * (parameters[..., 0] - parameters[..., 1])
-
     @property
     def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
         """Load-dependent friction, which it replaces where the difference is worth it."""

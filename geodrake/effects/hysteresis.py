@@ -17,8 +17,6 @@ from geodrake.effects.base import (
     Shape,
     require_positive,
 )
-from geodrake.effects.coulomb_friction import CoulombFriction
-from geodrake.effects.viscous_friction import ViscousFriction
 
 
 @dataclass(frozen=True)
@@ -47,8 +45,6 @@ class Hysteresis(JointEffect):
     law = "F z with Dahl's bristles z, ż = (v − |v| z) / θ"
     list_position = 18
     proposer = Proposer.BRISTLES
-    hidden_share = 0.1
-    tried_beside = (CoulombFriction, ViscousFriction)
     shapes = (
         Shape(
             "breakaway_angle", "rad", grid=(0.003, 0.01, 0.03, 0.1, 0.3), scale="reach", usual=0.02

@@ -38,8 +38,6 @@ class JointElasticity(DeflectionEffect):
     list_position = 50
     complexity = 1
     proposer = Proposer.BENDING
-    hidden_share = 0.0
-    other_bandwidths = (0.5,)
     shapes = (Shape("damping", "1"),)
     parameters = (Parameter("compliance", "rad/(N·m)", lower=0.0),)
     signature = "follows what moving the joint on by its own load would change, at all joints"

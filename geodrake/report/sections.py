@@ -22,7 +22,7 @@ from geodrake.report.tables import (
     signals_table,
     steps_table,
 )
-from geodrake.report.words import failing_list, removable_share, worst_joint
+from geodrake.report.words import failing_list, removable_share, rivals, worst_joint
 
 NOTHING_FOUND = "No effect takes away enough of the error on held-out data to be believed."
 
@@ -51,7 +51,7 @@ def removable_tiles(errors: ErrorTable, of: str) -> tuple[Tile, ...]:
 
 
 def steps_section(explanation: Explanation, units: Units) -> Section:
-    """The steps: effect, where, error before and after, rivals, chance of a false alarm.
+    """The steps: effect, where, error before and after, what else may be there, how sure it is.
 
     Args:
         explanation: The explanation.
@@ -63,13 +63,13 @@ def steps_section(explanation: Explanation, units: Units) -> Section:
         "Effects in the order of what they take away. After each, everything that may move was "
         "refitted. Blocks better is the share of the held-out stretches of data in which the "
         "error falls where the effect acts: a finding to rely on lowers it in most. Probability is "
-        "how likely the finding is, beside its rivals and chance; the false alarm is the chance "
-        "that an effect that is not there gains as much."
+        "that of all explanations of the logs that have the finding. In others something else "
+        "stands in its place, or nothing does: the three add up to one."
     )
-    if any(step.rivals for step in explanation.steps):
+    if any(map(rivals, explanation.steps)):
         text += (
-            " Behind what is indistinguishable stand its own probability, and the nrms with it "
-            "against that with the effect, beside all else that was found."
+            " Behind what stands there instead are its own probability, and in brackets the nrms "
+            "that is left with it, beside all else that was found."
         )
     table = steps_table(explanation, units)
     return Section("What is missing", (text, *distinguishing_motions(explanation)), (table,))
@@ -175,9 +175,9 @@ def candidates_section(diagnosis: Diagnosis, units: Units) -> Section:
         return Section("Candidates", (NOTHING_FOUND,))
     text = (
         "Each was added alone to the model, and everything that may move refitted; before and "
-        "after are nrms on held-out data. Evidence is twice the log-likelihood ratio there, less "
-        "the price of the parameters; chance is that of a false alarm. The first is the simplest "
-        "of those that are as good as the best, as far as the logs show; = marks the others."
+        "after are nrms. Evidence is twice the logarithm of how much likelier it makes the model, "
+        "prior odds counted. The first is the first step of the most probable explanation; = marks "
+        "what may stand in its place. Chance is how probable it is that it is not needed there."
     )
     table = candidates_table(diagnosis, units)
     return Section("Candidates", (text, *distinguishing_motions(diagnosis)), (table,))

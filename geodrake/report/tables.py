@@ -164,9 +164,9 @@ def steps_table(explanation: Explanation, units: Units) -> Table:
         for count, step in enumerate(explanation.steps, 1)
     )
     head = (
-        "", "missing effect", "where", "indistinguishable from", "nrms before", "after",
+        "", "missing effect", "where", "or instead", "nrms before", "after",
         "squared error gone", "blocks better", "probability",
-        "false alarm",
+        "nothing there",
     )  # fmt: skip
     return Table(head, rows, words=4)
 
@@ -218,7 +218,8 @@ def step_details(explanation: Explanation, units: Units) -> list[str]:
 
 def _details(step: Step, units: Units) -> list[str]:
     lines = [*step_parameters(step, units)]
-    return [*lines, f"or: {short_rivals(step)}"] if step.indistinguishable_from else lines
+    others = short_rivals(step)
+    return [*lines, f"instead: {others}"] if others else lines
 
 
 def parameters_table(step: Step, units: Units) -> Table:

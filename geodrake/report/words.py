@@ -13,7 +13,6 @@ from geodrake.diagnosis.drafting import Correlate
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.diagnosis.search_progress import FoundStep
 from geodrake.effects import catalogue
-from geodrake.identification.logs.criteria import Criteria
 from geodrake.identification.logs.model_errors import (
     Comparison,
     ErrorTable,
@@ -24,7 +23,7 @@ from geodrake.report.numbers import Units, chance, estimate, number, percent
 
 _MOST_NAMED = 4
 _MOST_VALUES = 2  # places whose values are listed one by one
-_LIKELY = 0.01  # probability from which on a rival is named in few words
+_LIKELY = 0.01  # probability from which on a rival is named
 _NEARLY_ALL = 0.9995
 _NOTABLE = 0.05  # share of what is left at a joint that goes with the motion
 _MOST_PLACES = 3
@@ -147,7 +146,12 @@ def found_words(step: FoundStep) -> str:
     """A step of a search as it is taken: `payload on flange: nrms 0.703 -> 0.266`."""
     names, more = step.where[:_MOST_PLACES], len(step.where) - _MOST_PLACES
     where = listed([*names, f"{more} more"]) if more > 0 else places_label(names, ())
-    return f"{step.effect} on {where}: nrms {number(step.before)} -> {number(step.after)}"
+    what = f"{step.effect or 'without ' + listed(step.instead_of)}"
+    if step.where:
+        what += f" on {where}"
+    if step.effect and step.instead_of:
+        what += f", instead of {listed(step.instead_of)}"
+    return f"{what}: nrms {number(step.before)} -> {number(step.after)}"
 
 
 def lowers_error(step: Step) -> bool:
@@ -156,32 +160,27 @@ def lowers_error(step: Step) -> bool:
 
 
 def rivals(step: Step, label: bool = False) -> list[str]:
-    """What else a step could be: `viscous_friction 3 % (0.0312 against 0.0310)`.
+    """What stands in a step's place in other explanations: `viscous_friction 3 % (0.0312)`.
 
-    Its probability, and in brackets the held-out nrms with the rival and that with the effect.
+    Their probability, and in brackets the nrms that is left with it.
 
     Args:
         step: The step.
         label: Whether effects are named in words.
     """
     named = effect_label if label else str
-    fitted = [
-        f"{named(rival.effect)} {percent(probability)} ({number(rival.error, 4)} against "
-        f"{number(rival.error_of_choice, 4)})"
+    return [
+        f"{named(rival.effect)} {percent(probability)} ({number(rival.error)})"
         for rival, probability in zip(step.rivals, step.probabilities_of_rivals, strict=True)
+        if probability >= _LIKELY
     ]
-    others = [f"{named(rival)} {percent(step.probability)}" for rival in step.unfitted_rivals]
-    return [*fitted, *others]
 
 
 def short_rivals(step: Step) -> str:
-    """What else a step could be, in few words: `viscous_friction 3 %, 2 others < 1 %`."""
-    pairs = [*zip((r.effect for r in step.rivals), step.probabilities_of_rivals, strict=True)]
-    pairs += [(name, step.probability) for name in step.unfitted_rivals]
-    likely = [f"{name} {percent(share)}" for name, share in pairs if share >= _LIKELY]
-    rare = len(pairs) - len(likely)
-    words = f"{rare} other{'s' if rare > 1 else ''} < {percent(_LIKELY)}"
-    return ", ".join([*likely, *([words.replace(".0", "")] if rare else [])])
+    """What may stand in a step's place, in few words: `viscous_friction 3 %`."""
+    pairs = zip(step.rivals, step.probabilities_of_rivals, strict=True)
+    likely = (f"{r.effect} {percent(share)}" for r, share in pairs if share >= _LIKELY)
+    return ", ".join(likely)
 
 
 def is_summarized(step: Step) -> bool:
@@ -277,7 +276,7 @@ def diagnosis_verdict(diagnosis: Diagnosis, units: Units) -> str:
         f"held-out nrms from {number(best.error_before)} to {number(best.error_after)}."
     )
     tied = _tied(diagnosis)
-    return f"{words} {_indistinguishable(tied)}" if tied else words
+    return f"{words} {_instead(tied)}" if tied else words
 
 
 def comparison_verdict(comparison: Comparison) -> str:
@@ -412,7 +411,7 @@ def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
     )
     tied = [effect_label(effect) for effect in _tied(diagnosis)]
     if tied:
-        return first, _indistinguishable(tied)
+        return first, _instead(tied)
     return first, f"No other candidate {'does as well' if others else 'convinces'}."
 
 
@@ -439,9 +438,8 @@ def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
 
 
 def convincing(step: Step) -> bool:
-    """Whether a step lowers the held-out error, and more than chance would."""
-    likely = step.false_alarm_probability > Criteria.alarm
-    return lowers_error(step) and not likely
+    """Whether a step lowers the held-out error, and is likelier than that nothing is there."""
+    return lowers_error(step) and step.probability > step.false_alarm_probability
 
 
 def removed_share(step: Step) -> str:
@@ -474,14 +472,14 @@ def rollout_fit_words(found: RolloutFit) -> str:
 
 
 def _tied(diagnosis: Diagnosis) -> list[str]:
-    """Effects that the logs cannot distinguish from the best candidate."""
+    """Effects that may stand in the place of the best candidate."""
     best, *others = diagnosis.candidates
     tied = dict.fromkeys(other.effect for other in others if other.tied)
     return [effect for effect in tied if effect != best.effect]
 
 
-def _indistinguishable(effects: Sequence[str]) -> str:
-    return f"The logs cannot distinguish it from {listed(effects, 'or')}."
+def _instead(effects: Sequence[str]) -> str:
+    return f"In its place there may be {listed(effects, 'or')}."
 
 
 def _amount(step: Step, name: str, units: Units) -> str:

@@ -106,7 +106,7 @@ class TestStopped:
         assert first.before > first.after and first.where
 
     def test_before_the_first_step_there_is_no_result(self, monkeypatch, pendulum):
-        def stopped(*_, **options):
+        def stopped(*_, **__):
             raise StopSearch
 
         monkeypatch.setattr("geodrake.diagnosis.search.climb", stopped)

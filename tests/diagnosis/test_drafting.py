@@ -10,7 +10,7 @@ from pydrake.systems.framework import DiagramBuilder
 from geodrake import load_model
 from geodrake.control.systems import EffectForce
 from geodrake.diagnosis.drafting import Draft, draft_effects, source_of
-from geodrake.diagnosis.drafting.formula import Factor, Formula, Term
+from geodrake.diagnosis.drafting.formula import Factor, Formula, FormulaTerm
 from geodrake.diagnosis.drafting.results import DraftedEffect
 from geodrake.diagnosis.drafting.screening import Screen
 from geodrake.diagnosis.drafting.term_columns import TermColumns
@@ -161,12 +161,12 @@ def test_a_written_effect_is_its_formula_and_acts_on_a_plant(tmp_path):
     formula = Formula(
         ELBOW,
         (
-            Term(()),
-            Term((Factor(ELBOW, "sign_v"), Factor(ROLL, "q", "above", 0.25))),
-            Term((Factor(ELBOW, "v"), Factor(SPIN, "v", "drag"))),
-            Term((Factor(YAW, "vd"), Factor(YAW, "q", "cosine_twice"))),
-            Term((Factor(SHOULDER, "q", "below", -0.5),)),
-            Term((Factor(SHOULDER, "load", "size"), Factor(YAW, "q", "square"))),
+            FormulaTerm(()),
+            FormulaTerm((Factor(ELBOW, "sign_v"), Factor(ROLL, "q", "above", 0.25))),
+            FormulaTerm((Factor(ELBOW, "v"), Factor(SPIN, "v", "drag"))),
+            FormulaTerm((Factor(YAW, "vd"), Factor(YAW, "q", "cosine_twice"))),
+            FormulaTerm((Factor(SHOULDER, "q", "below", -0.5),)),
+            FormulaTerm((Factor(SHOULDER, "load", "size"), Factor(YAW, "q", "square"))),
         ),
     )
     model, six = load_model(MODELS / "arm6.urdf"), np.arange(6.0)
@@ -262,7 +262,7 @@ def test_coloured_noise_is_no_formula(name):
 def test_vocabulary_has_nothing_twice():
     terms = vocabulary(YAW, JOINTS, dict.fromkeys(JOINTS, (-1.0, 2.0)))
     assert len({frozenset(term.factors) for term in terms}) == len(terms) > 500
-    assert Term(()) in terms
+    assert FormulaTerm(()) in terms
 
 
 def test_the_short_vocabulary_has_nothing_twice_and_nothing_else():
@@ -274,10 +274,10 @@ def test_the_short_vocabulary_has_nothing_twice_and_nothing_else():
 
 
 def test_words_and_units():
-    term = Term((Factor(ELBOW, "sign_v"), Factor(ROLL, "q", "sine")))
+    term = FormulaTerm((Factor(ELBOW, "sign_v"), Factor(ROLL, "q", "sine")))
     assert term.words(ELBOW) == "its direction of motion times sine of the position of wrist_roll"
     assert term.unit == "N·m"
-    assert Term((Factor(ELBOW, "v"), Factor(ROLL, "v", "size"))).unit == "N·m/(rad/s·rad/s)"
-    assert Term((Factor(ELBOW, "q", "above", 0.25),)).words(ELBOW) == (
+    assert FormulaTerm((Factor(ELBOW, "v"), Factor(ROLL, "v", "size"))).unit == "N·m/(rad/s·rad/s)"
+    assert FormulaTerm((Factor(ELBOW, "q", "above", 0.25),)).words(ELBOW) == (
         "its position beyond 0.25 upwards"
     )

@@ -29,31 +29,32 @@ def dry_friction(seen):
     return {1: 0.5 * np.sign(seen.v[:, 1])}
 
 
-def slow_log(hidden):
-    return effort_log("double_pendulum", 1, hidden, duration=16.0, share=0.02, pace=0.3).log
+def slow_log(hidden, share=0.02):
+    return effort_log("double_pendulum", 1, hidden, duration=16.0, share=share, pace=0.3).log
 
 
-@pytest.fixture(scope="module", params=[spring, dry_friction])
-def case(request):
-    """A log and its explanation, whose one step has one rival."""
-    log = slow_log(request.param)
+@pytest.fixture(scope="module")
+def case():
+    """A log with a spring, beside noise, and its explanation: a counterweight may be there."""
+    log = slow_log(spring, 0.05)
     return log, explain(MODEL, [log])
 
 
-@pytest.mark.sampled(2)
 def test_the_error_of_a_rival_is_that_of_adding_it(case):
     log, found = case
     (step,) = found.steps
-    (rival,) = step.rivals
+    rival = step.rivals[0]
+    assert {step.effect, rival.effect} == {"joint_spring", "gravity_compensator"}
     assert rival.instead_of == (step.effect,)
-    assert rival.names == step.indistinguishable_from
+    assert set(rival.names) <= set(step.indistinguishable_from)
     instead = add(rival.effect, MODEL, [log], where=rival.where).steps[0]
-    assert rival.error == pytest.approx(instead.error_after, rel=0.02)
-    assert rival.error_of_choice == pytest.approx(step.error_after, rel=0.02)
-    assert 0.01 < rival.tie_probability < 0.5
-    (probability,) = step.probabilities_of_rivals
-    assert 0.0 < probability < 0.5 < step.probability < 1.0
-    assert probability + step.probability == pytest.approx(1.0 - step.false_alarm_probability)
+    assert rival.error == pytest.approx(instead.error_after, rel=0.05)
+    assert rival.error_of_choice == pytest.approx(step.error_after, rel=0.05)
+    probabilities = step.probabilities_of_rivals
+    assert 0.01 < probabilities[0] < 0.5 < step.probability < 1.0
+    assert sum(probabilities) + step.probability == pytest.approx(
+        1.0 - step.false_alarm_probability
+    )
 
 
 def test_what_adds_the_same_is_no_rival():
@@ -82,9 +83,9 @@ FITTED = FittedRival(
 
 @pytest.fixture
 def told(case):
-    """An explanation with a rival that was fitted elsewhere than the step, and one that was not."""
+    """An explanation with a rival that is elsewhere than the step."""
     _, found = case
-    names = ("effort_offset", "joint_spring", "payload")
+    names = ("effort_offset", "joint_spring")
     step = replace(
         found.steps[0],
         effect="rotor_inertia",
@@ -99,13 +100,13 @@ def told(case):
 def test_terminal_report_and_numbers_tell_them(told):
     console = Console(file=io.StringIO(), markup=False, highlight=False, width=200)
     show_explanation(console, told, Units.of(told.model))
-    words = "or: joint_spring + effort_offset 20 %, payload 40 %"
+    words = "instead: joint_spring + effort_offset 33 %"
     assert words in " ".join(console.file.getvalue().split())
     section = steps_section(told, Units())
-    cell = "joint spring + effort offset 20 % (0.5000 against 0.4000), payload 40 %"
+    cell = "joint spring + effort offset 33 % (0.500)"
     assert cell in [c.text for c in section.tables[0].rows[0]]
     (step,) = explanation_dict(told)["steps"]
-    assert step["indistinguishable_from"] == ("effort_offset", "joint_spring", "payload")
+    assert step["indistinguishable_from"] == ("effort_offset", "joint_spring")
     assert step["rivals"] == [
         {
             "effect": "joint_spring + effort_offset",
@@ -115,18 +116,17 @@ def test_terminal_report_and_numbers_tell_them(told):
             "error_of_choice": 0.4,
             "tie_probability": 0.2,
             "odds": 0.5,
-            "probability": pytest.approx(0.2),
+            "probability": pytest.approx(1.0 / 3.0, abs=0.01),
         }
     ]
 
 
 def test_probabilities_are_those_of_all_that_it_may_be(told):
-    """The finding, what was fitted in its place, what no data tell from it, and chance."""
+    """The finding, what stands in its place, and nothing."""
     (step,) = told.steps
     step = replace(step, false_alarm_probability=0.1)
     assert step.probabilities_of_rivals == (pytest.approx(0.5 * step.probability),)
-    others = sum(step.probabilities_of_rivals) + len(step.unfitted_rivals) * step.probability
-    assert step.probability + others == pytest.approx(0.9)
+    assert step.probability + sum(step.probabilities_of_rivals) == pytest.approx(0.9)
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.thorough)])

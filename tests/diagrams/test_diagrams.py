@@ -21,7 +21,6 @@ APART = "computed_torque_or_passivity"
 LONG = {  # whose parts are tested elsewhere, too
     "adaptive_soak",
     "ambidex_sandbags",
-    "criteria_worth",
     "fleet_kills",
     "fleet_speed",
     "fleet_study",

@@ -119,7 +119,7 @@ class TestDeclarations:
         assert effect.list_position < float("inf")
 
     def test_relations_are_to_others(self, effect):
-        related = (*effect.contains, *effect.tried_beside, *effect.at_each_joint, effect.companion)
+        related = (*effect.contains, effect.companion)
         assert set(related) - {None} <= set(catalogue()) - {effect}
 
     def test_shapes_are_its_own(self, effect):

@@ -149,16 +149,6 @@ class TestEquations:
         needed = np.where(drives, self.load / eta, self.load * eta)
         np.testing.assert_allclose(self.load + effort, needed)
 
-    def test_what_looks_like_a_gain(self):
-        """Of a joint that moves, other losses in driving than in braking are a share of τ."""
-        gear, scale = effects.GearEfficiency("elbow"), effects.EffortScale("elbow")
-        losses = np.array([0.25, 0.1])
-        mean = self.elbow(effects.LoadDependentFriction("elbow"), [losses.mean()])
-        share = gear.as_gain(losses)
-        np.testing.assert_allclose(self.elbow(gear, losses), mean + share * self.load)
-        assert scale.as_gain(np.array([[0.1], [0.2]])).tolist() == [0.1, 0.2]
-        assert effects.CoulombFriction("elbow").as_gain(np.ones(1)) is None
-
     def test_drift_of_friction(self):
         effort = self.elbow(effects.FrictionDrift("elbow", 0.05), [2.0, 3.0])
         fade = np.exp(-self.motion.time / 0.05)

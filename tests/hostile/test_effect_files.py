@@ -114,12 +114,8 @@ CLASSES = [
 NO_RELATIONS = {
     "companion": ('"viscous_friction"', "(JointEffect,)"),
     "contains": ('("coulomb_friction",)',),
-    "tried_beside": ("(None,)",),
-    "at_each_joint": ('("rotor_inertia",)',),
-    "other_bandwidths": ('("a",)', "(np.nan,)", "2.0"),
     "proposer": ('"waves"', "Proposer.BENDING"),
     "complexity": ("True",),
-    "hidden_share": ('"much"',),
     "jumps": ("1",),
 }
 """Class attributes that are not what `Effect` says: each ended in an error of Python's."""

@@ -22,7 +22,7 @@ from geodrake.boundary.escaping import (
 )
 from geodrake.cli.tables import make_console
 from geodrake.diagnosis.drafting import Draft, source_of
-from geodrake.diagnosis.drafting.formula import Factor, Formula, Term
+from geodrake.diagnosis.drafting.formula import Factor, Formula, FormulaTerm
 from geodrake.diagnosis.drafting.results import DraftedEffect
 from geodrake.effects import load_effect_file
 from geodrake.fleet import digest_files, read_digest
@@ -216,7 +216,7 @@ def drafted(joints, logs):
     """A draft with a formula for each joint, in all of them."""
     effects = tuple(
         DraftedEffect(
-            formula=Formula(joint, (Term(tuple(Factor(j, "q") for j in joints)),)),
+            formula=Formula(joint, (FormulaTerm(tuple(Factor(j, "q") for j in joints)),)),
             coefficients=np.array([1.0]),
             deviations=np.array([0.1]),
             rms_before=1.0,

@@ -9,7 +9,6 @@ from pendulum_logs import JOINTS, PENDULUM, friction, pendulum_log
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import SpatialInertia, UnitInertia
-from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear
 
 from geodrake import load_model
@@ -28,7 +27,7 @@ from geodrake.effects import (
 from geodrake.errors import IdentificationError
 from geodrake.identification import normal_equations
 from geodrake.identification.conic_fit import solve_surely
-from geodrake.identification.logs.cross_validation import CrossValidation, ExtraColumns, hold_out
+from geodrake.identification.logs.cross_validation import CrossValidation, hold_out
 from geodrake.identification.logs.model_fit import (
     as_it_stands,
     fit_model,
@@ -189,143 +188,6 @@ def test_bound_is_kept(dataset, model):
     np.testing.assert_allclose(cv.held_out.sse, ridge_errors(negated, unknowns), rtol=1e-5)
 
 
-@pytest.mark.parametrize("candidate", EFFECTS[4:], ids=lambda effect: effect.name)
-def test_candidate_is_as_good_as_a_refit(dataset, model, candidate):
-    base = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:2])
-    columns = dataset.effect_columns(candidate)
-    mean, information = effect_prior(dataset, candidate)
-    lower = np.array([parameter.lower for parameter in candidate.parameters])
-    if candidate.name == "payload":
-        lower[:] = -np.inf  # bounds are those of the physical fit
-    extra = ExtraColumns(columns, information, lower, np.full(len(columns), np.inf))
-    (shortcut,) = CrossValidation(dataset, base, WEIGHTS).with_candidates([extra])
-    both = base.with_effect(candidate, columns, information, mean)
-    both = replace(both, lower=np.concatenate([base.lower, lower]))
-    np.testing.assert_allclose(shortcut.sse, ridge_errors(dataset, both), rtol=1e-4)
-    assert (shortcut.x[:, len(base.columns) :] >= lower).all()
-
-
-def test_several_candidates_at_once(dataset, model):
-    base = model_unknowns(dataset, model)
-    pair = EFFECTS[:4]
-    columns = np.concatenate([dataset.effect_columns(e) for e in pair])
-    information = block_diag(*[effect_prior(dataset, e)[1] for e in pair])
-    extra = ExtraColumns(columns, information, np.zeros(4), np.full(4, np.inf))
-    (shortcut,) = CrossValidation(dataset, base, WEIGHTS).with_candidates([extra])
-    full = CrossValidation(dataset, with_effects(dataset, base, *pair), WEIGHTS)
-    np.testing.assert_allclose(shortcut.sse, full.held_out.sse, rtol=1e-6)
-
-
-@pytest.mark.parametrize("taken", [0, 2, 4])
-def test_candidates_together_are_as_one_by_one(dataset, model, taken):
-    """Single ones, pairs, payloads that share columns with the inertia, bounds that are met."""
-    base = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:taken])
-    cv = CrossValidation(dataset, base, WEIGHTS, delay=1)
-    packages = [(effect,) for effect in EFFECTS[taken:]]
-    packages += [(EFFECTS[5], EFFECTS[4]), (EFFECTS[8], EFFECTS[9], EFFECTS[7])]
-    candidates = [candidate(dataset, package, sign) for package in packages for sign in (1, -1)]
-    together = cv.with_candidates(candidates)
-    bounded = 0
-    for one, found in zip(candidates, together, strict=True):
-        (alone,) = cv.with_candidates([one])
-        np.testing.assert_allclose(found.sse, alone.sse, rtol=1e-10)
-        size = np.maximum(np.abs(alone.x).max(0), 1e-9)
-        np.testing.assert_allclose(found.x / size, alone.x / size, atol=1e-6)
-        np.testing.assert_array_equal(found.samples, alone.samples)
-        own = found.x[:, len(base.columns) :]
-        assert ((own >= one.lower) & (own <= one.upper)).all()
-        bounded += int(np.any((own == one.lower) | (own == one.upper)))
-    assert bounded > 3
-
-
-def candidate(dataset, effects, sign):
-    """Effects as they are, or with bounds that keep them negative."""
-    columns = np.concatenate([dataset.effect_columns(effect) for effect in effects])
-    information = block_diag(*[effect_prior(dataset, effect)[1] for effect in effects])
-    free = np.full(len(columns), np.inf)
-    bounds = (-free, free) if effects[0].name == "payload" else (np.zeros(len(columns)), free)
-    lower, upper = bounds if sign > 0 else (-bounds[1], -bounds[0])
-    return ExtraColumns(columns, information, lower, upper)
-
-
-def test_dropped_unknowns_are_as_a_refit_without(dataset, model):
-    base = model_unknowns(dataset, model)
-    full = with_effects(dataset, base, *EFFECTS[:4])
-    full = replace(full, lower=np.full_like(full.lower, -np.inf))
-    dropped = np.arange(full.span(EFFECTS[1]).start, full.span(EFFECTS[2]).stop)
-    found = CrossValidation(dataset, full, WEIGHTS).without_columns(dropped)
-    rest = full.without_effect(EFFECTS[1]).without_effect(EFFECTS[2])
-    expected = CrossValidation(dataset, rest, WEIGHTS).held_out
-    np.testing.assert_allclose(found.sse, expected.sse, rtol=1e-6)
-    np.testing.assert_allclose(found.x[:, dropped], 0.0, atol=1e-12)
-    np.testing.assert_allclose(np.delete(found.x, dropped, axis=1), expected.x, rtol=1e-6)
-
-
-def test_unknowns_at_bounds_stay_there_when_others_are_dropped(dataset, model):
-    full = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
-    start = full.span(EFFECTS[0]).start
-    bound = np.where(np.arange(len(full.lower)) == start, 1e3, -np.inf)
-    dropped = np.arange(full.span(EFFECTS[1]).start, full.span(EFFECTS[1]).stop)
-    cv = CrossValidation(dataset, replace(full, lower=bound), WEIGHTS, physical=False)
-    found = cv.without_columns(dropped)
-    fewer = full.without_effect(EFFECTS[1])
-    rest = replace(fewer, lower=np.delete(bound, dropped))
-    expected = CrossValidation(dataset, rest, WEIGHTS, physical=False).held_out
-    np.testing.assert_array_equal(expected.x[:, start], 1e3)
-    np.testing.assert_allclose(found.x[:, start], 1e3, rtol=1e-9)
-    np.testing.assert_allclose(found.sse, expected.sse, rtol=1e-6)
-
-
-def test_unknowns_that_would_leave_their_bounds_are_not_dropped_in_passing(dataset, model):
-    """Bounds between what viscous friction is beside dry friction and what it is without."""
-    dry, viscous = EFFECTS[0], EFFECTS[2]
-    full = with_effects(dataset, model_unknowns(dataset, model), dry, viscous)
-    full = replace(full, lower=np.full_like(full.lower, -np.inf))
-    start, dropped = full.span(viscous).start, full.span(dry)
-    rest = full.without_effect(dry)
-    then = CrossValidation(dataset, rest, WEIGHTS).held_out.x[:, rest.span(viscous).start]
-    now = CrossValidation(dataset, full, WEIGHTS).held_out.x[:, start]
-    assert now.max() < then.min()
-    for bound, leaves in ((0.5 * (now.max() + then.min()), True), (then.max() + 1.0, False)):
-        lower = full.lower.copy()
-        lower[start] = bound
-        cv = CrossValidation(dataset, replace(full, lower=lower), WEIGHTS)
-        found = cv.without_columns(np.arange(dropped.start, dropped.stop))
-        assert (found is None) == leaves
-
-
-def test_candidate_of_the_wrong_sign_changes_nothing(dataset, model):
-    """Friction that is taken already: what is left of its sign is negative in some fold or none."""
-    base = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
-    cv = CrossValidation(dataset, base, WEIGHTS)
-    columns = dataset.effect_columns(CoupledFriction(JOINTS, 1))
-    extra = ExtraColumns(columns, 1e-9 * np.eye(2), np.zeros(2), np.full(2, np.inf))
-    (after,) = cv.with_candidates([extra])
-    at_zero = np.all(after.x[:, -2:] == 0.0, axis=1)
-    np.testing.assert_allclose(after.sse[at_zero], cv.held_out.sse[at_zero], rtol=1e-12)
-    assert (after.x[:, -2:] >= 0.0).all()
-
-
-def test_candidate_keeps_within_its_bounds(dataset, model):
-    base = model_unknowns(dataset, model)
-    friction = EFFECTS[0]
-    columns = dataset.effect_columns(friction)
-    cv = CrossValidation(dataset, base, WEIGHTS)
-    unbounded = (np.array([-np.inf]), np.array([np.inf]))
-    (free,) = cv.with_candidates([ExtraColumns(columns, 1e-9 * np.eye(1), *unbounded)])
-    found = free.x[:, -1]
-    for lower, upper in ((2.0 * found.max(), np.inf), (-np.inf, 0.5 * found.min())):
-        box = (np.array([lower]), np.array([upper]))
-        (bounded,) = cv.with_candidates([ExtraColumns(columns, 1e-9 * np.eye(1), *box)])
-        both = base.with_effect(friction, columns, 1e-9 * np.eye(1))
-        both = replace(
-            both,
-            lower=np.concatenate([base.lower, box[0]]),
-            upper=np.concatenate([base.upper, box[1]]),
-        )
-        np.testing.assert_allclose(bounded.sse, ridge_errors(dataset, both), rtol=1e-4)
-
-
 def test_errors_of_given_parameters_are_those_of_the_rows(dataset):
     rng = np.random.default_rng(2)
     columns = np.concatenate([dataset.effect_columns(e) for e in EFFECTS])
@@ -424,33 +286,6 @@ def test_released_effect_is_forgotten_and_the_rest_is_not(dataset, model):
     np.testing.assert_array_equal(released.information[span, rest], 0.0)
 
 
-@pytest.mark.parametrize("exchanges", [20, 0])
-@pytest.mark.parametrize("seed", range(40))
-def test_small_bounded_problems(seed, exchanges, monkeypatch):
-    """Against another method, by their conditions of optimality; it also is what is left to do
-    where the exchange of bounds does not end."""
-    monkeypatch.setattr(normal_equations, "_MOST_EXCHANGES", exchanges)
-    rng = np.random.default_rng(seed)
-    k = int(rng.integers(2, 6))
-    A = rng.normal(size=(5, k + 3, k)) * np.exp(3.0 * rng.normal(size=k))
-    if seed % 2:  # nearly the same column twice, or just its opposite
-        A[..., 1] = 1.7 * A[..., 0] + 1e-3 * A[..., 1] if seed % 4 == 1 else -3.0 * A[..., 0]
-    b = rng.normal(size=(5, k + 3))
-    lower = np.where(rng.random(k) < 0.6, 0.0, -np.inf)
-    upper = np.where(rng.random(k) < 0.3, np.exp(rng.normal(size=k)), np.inf)
-    gram = np.swapaxes(A, 1, 2) @ A
-    rhs = np.einsum("fmk,fm->fk", A, b)
-    found = normal_equations.bounded_minimizers(gram, rhs, lower, upper)
-    assert (found >= lower).all()
-    assert (found <= upper).all()
-    for y, own_A, own_b in zip(found, A, b, strict=True):
-        scale = 1.0 / np.linalg.norm(own_A, axis=0)
-        ridged = np.vstack([own_A * scale, np.sqrt(1e-9) * np.eye(k)])
-        target, box = np.concatenate([own_b, np.zeros(k)]), (lower / scale, upper / scale)
-        expected = lsq_linear(ridged, target, box, method="bvls", tol=1e-14).x
-        np.testing.assert_allclose(ridged @ (y / scale), ridged @ expected, atol=1e-6)
-
-
 @pytest.mark.parametrize("delay", [(0, 1), (1, 0)])
 def test_every_joint_has_a_delay_of_its_own(dataset, model, delay):
     """The same as with efforts of those columns in place of the first ones."""
@@ -473,34 +308,6 @@ def test_every_joint_has_a_delay_of_its_own(dataset, model, delay):
     np.testing.assert_allclose(
         physical.sse, held_out_physical(moved, unknowns, WEIGHTS).sse, rtol=1e-6
     )
-
-
-@pytest.mark.parametrize("joint", [0, 1])
-def test_errors_at_delays_are_those_of_refits(dataset, model, joint):
-    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
-    unknowns = replace(unknowns, lower=np.full(len(unknowns.lower), -np.inf))
-    for now in (0, 1):
-        found = CrossValidation(dataset, unknowns, WEIGHTS, delay=now).errors_at_delays(joint)
-        for delay in (0, 1):
-            other = [delay if j == joint else now for j in range(2)]
-            refit = CrossValidation(dataset, unknowns, WEIGHTS, delay=other).held_out.sse[:, joint]
-            np.testing.assert_allclose(found[delay], refit, rtol=1e-6)
-
-
-@pytest.mark.parametrize("most", [np.inf, 0.05])
-def test_a_fit_at_another_delay_is_that_of_a_fit_to_it(dataset, model, most):
-    """Where no bound is in the way, and where one is."""
-    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
-    upper = unknowns.upper.copy()
-    upper[unknowns.span(EFFECTS[0])] = most
-    unknowns = replace(unknowns, upper=upper)
-    found = CrossValidation(dataset, unknowns, WEIGHTS).at_delay(1)
-    expected = CrossValidation(dataset, unknowns, WEIGHTS, delay=1).held_out
-    is_held = expected.x[:, unknowns.span(EFFECTS[0])] == most
-    assert is_held.all() if np.isfinite(most) else not is_held.any()
-    np.testing.assert_allclose(found.sse, expected.sse, rtol=1e-9)
-    np.testing.assert_allclose(found.x, expected.x, rtol=1e-6, atol=1e-9)
-    assert (found.sse != CrossValidation(dataset, unknowns, WEIGHTS).held_out.sse).all()
 
 
 @pytest.mark.parametrize("place", [0, 3, 6])

@@ -46,7 +46,7 @@ from geodrake.control.rollout.simulation import Simulation
 from geodrake.control.rollout.simulations import Simulations, chosen_passages
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import Case, open_case
-from geodrake.identification.logs.criteria import Criteria
+from geodrake.identification.logs.criteria import TIE
 from geodrake.identification.logs.evidence import tie_probability
 from geodrake.identification.logs.inputs import checked_logs
 from geodrake.logs.motion import JointLog
@@ -130,7 +130,7 @@ def fit_rollouts(
     after = simulated(replace(case, model=better), progress=_named("after", progress))
     departures = [after.windows[k].simulated - passages[k].logged for k in seen]
     chance = _chance(MotionSearch(case.model, values, [windows[k] for k in seen]), x, departures)
-    taken = chance <= Criteria().tie and not _departs_more(before, after, tested)
+    taken = chance <= TIE and not _departs_more(before, after, tested)
     return RolloutFit(
         better if taken else case.model,
         tuple(

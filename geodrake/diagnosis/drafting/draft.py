@@ -8,19 +8,20 @@ from pathlib import Path
 import numpy as np
 
 from geodrake.boundary.arguments import function, instance, typed
+from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.drafting.formula import Formula
+from geodrake.diagnosis.drafting.judgement import judge
 from geodrake.diagnosis.drafting.results import Array, Correlate, Draft, DraftedEffect
 from geodrake.diagnosis.drafting.screening import Screen
-from geodrake.diagnosis.drafting.search import Found, JointSearch
+from geodrake.diagnosis.drafting.search import FoundFormula, JointSearch
 from geodrake.diagnosis.drafting.term_columns import TermColumns
 from geodrake.diagnosis.drafting.vocabulary import short_vocabulary
 from geodrake.diagnosis.explain import Investigation, investigate
-from geodrake.diagnosis.judgement import judge
 from geodrake.diagnosis.results import Explanation
 from geodrake.diagnosis.search_progress import FoundStep, Progress
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.case import error_table, open_case
-from geodrake.identification.logs.criteria import FIXED, NOISE_MARGIN, Criteria
+from geodrake.identification.logs.criteria import FIXED, NOISE_MARGIN
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.reduce import reduce_logs
@@ -37,15 +38,15 @@ def draft_effects(
     extra: Sequence[type[Effect]] = (),
     bandwidth: float | None = None,
     blocks: int | None = None,
-    criteria: Criteria | None = None,
+    beliefs: Beliefs | None = None,
     progress: Progress | None = None,
 ) -> tuple[Explanation, Draft]:
     """Explain, and draft formulas for what stays unexplained.
 
     A formula is a sum of up to three terms at a joint, each a product of up to two simple functions
-    of positions, velocities, directions, accelerations and loads of any joints. It is judged as
-    effects are: by held-out error, everything that may move refitted, with the number of formulas
-    that were tried counted against it.
+    of positions, velocities, directions, accelerations and loads of any joints. It is judged by
+    held-out error, everything that may move refitted, with the number of formulas that were tried
+    counted against it.
 
     Args:
         model: The model as it stands.
@@ -54,7 +55,7 @@ def draft_effects(
         bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
             or chosen from the data.
         blocks: Blocks into which every log is cut for validation.
-        criteria: When a formula counts as found.
+        beliefs: Prior odds and widths of effects.
         progress: Called with each `FoundStep`, and with each formula.
 
     Returns:
@@ -65,13 +66,11 @@ def draft_effects(
     """
     if progress is not None:
         function(progress, "progress")
-    if criteria is not None:
-        instance(criteria, "criteria", Criteria)
+    if beliefs is not None:
+        instance(beliefs, "beliefs", Beliefs)
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
-    found = investigate(case, progress=progress)
-    return found.explanation, draft_rest(
-        found, fixed=effects_of(model), criteria=criteria, progress=progress
-    )
+    found = investigate(case, beliefs=beliefs, progress=progress)
+    return found.explanation, draft_rest(found, fixed=effects_of(model), progress=progress)
 
 
 @typed
@@ -103,7 +102,6 @@ def draft_rest(
     investigation: Investigation,
     *,
     fixed: Sequence[Effect] = (),
-    criteria: Criteria | None = None,
     progress: Progress | None = None,
 ) -> Draft:
     """Draft formulas for what an investigation left, joint by joint, the worst first.
@@ -111,10 +109,8 @@ def draft_rest(
     Args:
         investigation: What was found so far.
         fixed: Effects that stay even if a formula makes them needless.
-        criteria: When a formula counts as found.
         progress: Called with each formula.
     """
-    criteria = criteria or Criteria()
     start = hypothesis = _where_fewest_joints_err(investigation.hypothesis)
     drafted: list[DraftedEffect] = []
     correlates: list[Correlate] = []
@@ -125,7 +121,7 @@ def draft_rest(
         search = JointSearch(investigation.case, hypothesis, joint)
         screen = search.screened()
         correlates += search.correlates(screen)
-        found = search.judged(search.formulas(screen), len(screen.vocabulary), criteria)
+        found = search.judged(search.formulas(screen), len(screen.vocabulary))
         if found is not None:
             drafts = [e for e in found.after.unknowns.effects if e.name == found.columns.name]
             before = hypothesis.nrms
@@ -177,7 +173,7 @@ def _left(hypothesis: Hypothesis, joint: str) -> bool:
     return bool(hypothesis.held_out.rms[j] > NOISE_MARGIN * hypothesis.dataset.noise_floor[j])
 
 
-def _drafted(found: Found, end: Hypothesis) -> DraftedEffect:
+def _drafted(found: FoundFormula, end: Hypothesis) -> DraftedEffect:
     """What was found, with the coefficients of the fit to all logs."""
     formula, span = found.columns.formula, end.unknowns.span(found.columns)
     j = end.dataset.joints.index(formula.joint)

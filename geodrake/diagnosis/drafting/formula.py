@@ -117,7 +117,7 @@ class Factor:
 
 
 @dataclass(frozen=True)
-class Term:
+class FormulaTerm:
     """A product of factors.
 
     Attributes:
@@ -163,7 +163,7 @@ class Term:
         """In words, seen from the joint `own`."""
         return " times ".join(f.words(own) for f in self.factors) or "a constant"
 
-    def turned(self, place: int, constant: float) -> Term:
+    def turned(self, place: int, constant: float) -> FormulaTerm:
         """The term with another constant in one of its factors.
 
         Args:
@@ -172,12 +172,12 @@ class Term:
         """
         factors = list(self.factors)
         factors[place] = replace(factors[place], constant=constant)
-        return Term(tuple(factors))
+        return FormulaTerm(tuple(factors))
 
     @property
-    def kind(self) -> Term:
+    def kind(self) -> FormulaTerm:
         """The term with all constants forgotten."""
-        return Term(tuple(replace(factor, constant=0.0) for factor in self.factors))
+        return FormulaTerm(tuple(replace(factor, constant=0.0) for factor in self.factors))
 
     @property
     def turning(self) -> tuple[int, ...]:
@@ -195,7 +195,7 @@ class Formula:
     """
 
     joint: str
-    terms: tuple[Term, ...]
+    terms: tuple[FormulaTerm, ...]
 
     @property
     def complexity(self) -> int:

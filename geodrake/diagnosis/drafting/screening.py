@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from geodrake.diagnosis.drafting.formula import Formula, Term
+from geodrake.diagnosis.drafting.formula import Formula, FormulaTerm
 from geodrake.diagnosis.drafting.term_columns import TermColumns
 from geodrake.identification.logs.cross_validation import normal_matrices
 from geodrake.identification.logs.dataset import Dataset
@@ -66,7 +66,7 @@ class Screen:
         weight: Weight of a squared residual of this joint.
     """
 
-    vocabulary: Sequence[Term]
+    vocabulary: Sequence[FormulaTerm]
     base: Array
     rhs: Array
     prior: tuple[Array, Array]

@@ -9,14 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from geodrake.diagnosis.drafting.clock import clock_correlates
-from geodrake.diagnosis.drafting.formula import Formula, Term
+from geodrake.diagnosis.drafting.formula import Formula, FormulaTerm
+from geodrake.diagnosis.drafting.judgement import LEAST_REDUCTION, judge
 from geodrake.diagnosis.drafting.results import Correlate
 from geodrake.diagnosis.drafting.screening import Screen, best_sums
 from geodrake.diagnosis.drafting.term_columns import TermColumns
 from geodrake.diagnosis.drafting.vocabulary import TURNS, vocabulary
-from geodrake.diagnosis.judgement import judge
 from geodrake.identification.logs.case import Case
-from geodrake.identification.logs.criteria import Criteria
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.hypothesis import Hypothesis, settle
 from geodrake.identification.logs.reduce import reduce_logs
@@ -36,7 +35,7 @@ _ROUNDS = 3  # in which the constants at which a function turns are tried, close
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FoundFormula:
     """A formula that convinces.
 
     Attributes:
@@ -99,20 +98,19 @@ class JointSearch:
         Args:
             screen: That of the vocabulary.
         """
-        kinds: dict[int, dict[frozenset[Term], list[Term]]] = defaultdict(dict)
+        kinds: dict[int, dict[frozenset[FormulaTerm], list[FormulaTerm]]] = defaultdict(dict)
         for found in best_sums(screen):
             terms = [screen.vocabulary[k] for k in found.terms]
             kinds[len(terms)].setdefault(frozenset(term.kind for term in terms), terms)
         finalists = [terms for same in kinds.values() for terms in list(same.values())[:FINALISTS]]
         return [self._sharpened(terms) for terms in finalists]
 
-    def judged(self, formulas: Sequence[Formula], tried: int, criteria: Criteria) -> Found | None:
+    def judged(self, formulas: Sequence[Formula], tried: int) -> FoundFormula | None:
         """The simplest of those that are as good as the best; None if it does not convince.
 
         Args:
             formulas: The formulas.
             tried: Terms that each of them could have had.
-            criteria: When a formula counts as found.
         """
         if not formulas:
             return None
@@ -128,21 +126,21 @@ class JointSearch:
 
         def ties(other: Hypothesis) -> bool:
             judged = judge(other, best[1], joints=here)
-            return judged.is_tie(criteria) or judged.reduction < criteria.reduction
+            return judged.is_tie or judged.reduction < LEAST_REDUCTION
 
         tied = [t for t in trials if ties(t[1])]
         chosen, after = min(tied, key=lambda t: (t[0].formula.complexity, -score(t)))
         formula = chosen.formula
         among = tried ** len(formula.terms)
         found = judge(before, after, joints=here, parameters=formula.free, tried=among)
-        if not found.convinces(criteria):
+        if not found.convinces:
             return None
         rivals = [
             columns.formula
             for columns, _ in sorted(tied, key=lambda t: -score(t))
             if len(columns.formula.terms) <= len(formula.terms) and columns is not chosen
         ]
-        return Found(chosen, before, after, found.alarm, tuple(rivals))
+        return FoundFormula(chosen, before, after, found.alarm, tuple(rivals))
 
     def _with_columns(self, formulas: Sequence[Formula]) -> tuple[Dataset, list[TermColumns]]:
         """A dataset that has columns for formulas beside those of the hypothesis."""
@@ -155,11 +153,11 @@ class JointSearch:
         )
         return dataset, columns
 
-    def _screen(self, terms: Sequence[Term]) -> Screen:
+    def _screen(self, terms: Sequence[FormulaTerm]) -> Screen:
         dataset, (columns,) = self._with_columns([Formula(self.joint, tuple(terms))])
         return Screen.of(self.hypothesis, dataset, columns)
 
-    def _sharpened(self, terms: list[Term]) -> Formula:
+    def _sharpened(self, terms: list[FormulaTerm]) -> Formula:
         """A formula of terms, the constants at which its functions turn found by trial."""
         turning = [(i, place) for i, term in enumerate(terms) for place in term.turning]
         spacing = TURNS[1] - TURNS[0]

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.drafting.formula import Factor, Term
+from geodrake.diagnosis.drafting.formula import Factor, FormulaTerm
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ TURNS = (0.2, 0.35, 0.5, 0.65, 0.8)
 
 def vocabulary(
     joint: str, joints: Sequence[str], reach: Mapping[str, tuple[float, float]]
-) -> list[Term]:
+) -> list[FormulaTerm]:
     """All terms for the effort of a joint: simple functions of one signal, and products of two.
 
     Args:
@@ -56,14 +56,14 @@ def vocabulary(
         for share in TURNS:
             constant = float(low + share * (high - low))
             factors += [Factor(name, "q", side, constant) for side in ("above", "below")]
-    terms = [Term(()), *(Term((factor,)) for factor in (*own, *factors))]
-    terms += [Term((a, b)) for a in own for b in factors if a != b]
+    terms = [FormulaTerm(()), *(FormulaTerm((factor,)) for factor in (*own, *factors))]
+    terms += [FormulaTerm((a, b)) for a in own for b in factors if a != b]
     plain = [Factor(name, signal) for name in joints for signal in _MIXED]
-    terms += [Term(pair) for pair in combinations(plain, 2)]
+    terms += [FormulaTerm(pair) for pair in combinations(plain, 2)]
     return list({_key(term): term for term in reversed(terms)}.values())[::-1]
 
 
-def short_vocabulary(joint: str, joints: Sequence[str]) -> list[Term]:
+def short_vocabulary(joint: str, joints: Sequence[str]) -> list[FormulaTerm]:
     """The commonest of all terms: enough to see what an error goes with, and quickly so.
 
     Args:
@@ -75,10 +75,10 @@ def short_vocabulary(joint: str, joints: Sequence[str]) -> list[Term]:
     """
     own = [Factor(joint, signal, function) for signal, function in _FEW_OWN]
     factors = [Factor(name, signal, function) for name in joints for signal, function in _FEW]
-    terms = [Term(()), *(Term((factor,)) for factor in factors)]
-    terms += [Term((a, b)) for a in own for b in factors if a != b]
+    terms = [FormulaTerm(()), *(FormulaTerm((factor,)) for factor in factors)]
+    terms += [FormulaTerm((a, b)) for a in own for b in factors if a != b]
     return list({_key(term): term for term in reversed(terms)}.values())[::-1]
 
 
-def _key(term: Term) -> frozenset[Factor]:
+def _key(term: FormulaTerm) -> frozenset[Factor]:
     return frozenset(term.factors)

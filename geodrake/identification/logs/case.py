@@ -243,32 +243,6 @@ def prepared_as_measured(
     return trajectories, validation_blocks(trajectories, blocks=blocks)
 
 
-def at_bandwidth(case: Case, bandwidth: float, *, candidates: bool, how: str) -> Case:
-    """The logs and the model of a case, opened at another bandwidth.
-
-    Args:
-        case: The case.
-        bandwidth: Bandwidth of the filter, Hz. For a lower one the motion is smoothed as much as
-            efforts were, as above that it may not belong to them.
-        candidates: Whether effects that the model lacks get columns too.
-        how: Where the bandwidth comes from, for the notes.
-
-    Raises:
-        LogError: Too little of a log would be left.
-    """
-    asked, own = case.asked, case.trajectories[0].filter.bandwidth
-    return open_case(
-        case.model,
-        asked.logs,
-        candidates=candidates,
-        extra=asked.extra,
-        bandwidth=bandwidth,
-        blocks=asked.blocks,
-        motion_bandwidth=own if bandwidth < own else None,
-        how=how,
-    )
-
-
 def reopen(case: Case, model: RobotModel) -> Case:
     """The case with a model fitted to it, whose effects alone get columns.
 

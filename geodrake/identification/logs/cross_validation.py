@@ -1,13 +1,12 @@
 """Held-out errors: every fold predicted by a fit to the others.
 
 The normal matrices are assembled from the per-fold, per-joint factors of a `Dataset`, so that a
-fit costs one Cholesky factorization and a candidate effect one small Schur complement. Bodies are
-physical in every fit, as far as is asked for: data that pull them out cost some steps more.
+fit costs one Cholesky factorization. Bodies are physical in every fit, as far as is asked for: data
+that pull them out cost some steps more.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,13 +15,7 @@ from numpy.typing import NDArray
 
 from geodrake.identification.logs.dataset import Dataset, Delay
 from geodrake.identification.logs.unknowns import Unknowns
-from geodrake.identification.normal_equations import (
-    RIDGE,
-    bounded_minimizers,
-    choleskies,
-    cholesky,
-    solved,
-)
+from geodrake.identification.normal_equations import RIDGE, choleskies, cholesky, solved
 from geodrake.identification.physical_minimizers import (
     are_physical,
     inner_bodies,
@@ -63,23 +56,6 @@ class HeldOut:
     def rms(self) -> Array:
         """(nv,) RMS held-out error of each joint."""
         return np.sqrt(self.mse)
-
-
-@dataclass(frozen=True, eq=False)
-class ExtraColumns:
-    """Columns that may come beside the unknowns.
-
-    Attributes:
-        columns: (k,) the candidate's columns.
-        information: (k, k) its prior information about zero.
-        lower: (k,) lower bounds.
-        upper: (k,) upper bounds.
-    """
-
-    columns: Indices
-    information: Array
-    lower: Array
-    upper: Array
 
 
 def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0) -> HeldOut:
@@ -132,7 +108,7 @@ def normal_matrices(
 
 
 class CrossValidation:
-    """Fits to all folds but one, of given unknowns, and of unknowns with one candidate more.
+    """Fits of given unknowns to all folds but one.
 
     Args:
         dataset: The reduced logs.
@@ -142,7 +118,6 @@ class CrossValidation:
         held_out: The held-out errors, if they are known already.
         start: (F, p) parameters of like fits with physical bodies, to save some steps.
         physical: Whether bodies are kept physical.
-        fits: The fits, if they are known already.
     """
 
     def __init__(
@@ -155,69 +130,29 @@ class CrossValidation:
         held_out: HeldOut | None = None,
         start: Array | None = None,
         physical: bool = True,
-        fits: list[_Fit] | None = None,
     ) -> None:
-        self._start, self._physical, self._known_fits = start, physical, fits
+        self._start, self._physical = start, physical
         self.dataset, self.unknowns, self.weights = dataset, unknowns, weights
         self.delay = dataset.delay_of_each(delay)
         self.held_out = self._hold_out() if held_out is None else held_out
 
     def _hold_out(self) -> HeldOut:
-        x = np.array([fit.x for fit in self._fits])
+        gram, rhs = self._whole
+        own_gram, own_rhs = self._own
+        x = self._solved(gram - own_gram, rhs - own_rhs, self._start, self._physical)
         return hold_out(self.dataset, self.unknowns.columns, x, delay=self.delay)
 
     @cached_property
-    def _solution(self) -> tuple[Array, Array, list[_Fit]]:
-        """Normal matrix and right side of all folds with the prior, and the fit without each."""
-        unknowns = self.unknowns
-        own_gram, own_rhs = self._assemble(unknowns.columns, unknowns.columns)
-        gram = own_gram.sum(0) + unknowns.information
-        rhs = own_rhs.sum(0) + unknowns.information @ unknowns.mean
-        return gram, rhs, self._solved(gram - own_gram, rhs - own_rhs, self._start, self._physical)
+    def _own(self) -> tuple[Array, Array]:
+        """Normal matrix (F, p, p) and right side (F, p) of each fold."""
+        columns = self.unknowns.columns
+        return normal_matrices(self.dataset, self.weights, columns, columns, delay=self.delay)
 
-    @property
-    def _fits(self) -> list[_Fit]:
-        return self._solution[2] if self._known_fits is None else self._known_fits
-
-    def less(self, unknowns: Unknowns, kept: Indices) -> CrossValidation:
-        """These fits without some of the unknowns, with the same weights.
-
-        Args:
-            unknowns: What the fit may move still.
-            kept: (p,) places of those among the unknowns of these fits.
-        """
-        if any(fit.constrained for fit in self._fits):  # bodies are to be physical anew
-            return CrossValidation(self.dataset, unknowns, self.weights, delay=self.delay)
-        fits, blocks = [fit.less(kept, unknowns) for fit in self._fits], unknowns.inertia_blocks
-        left = np.array([fit.x for fit in fits])
-        were = are_physical(self.held_out.x, self.unknowns.inertia_blocks).all()
-        known = None if were and not are_physical(left, blocks).all() else fits
-        return CrossValidation(self.dataset, unknowns, self.weights, delay=self.delay, fits=known)
-
-    def at_delay(self, delay: Delay) -> HeldOut:
-        """Held-out errors against the effort with another delay, refitted with the same weights.
-
-        Where bodies are kept from what cannot be, to first order.
-
-        Args:
-            delay: Index of the effort column, of all joints or of each.
-        """
-        columns, none = self.unknowns.columns, np.zeros(0, np.intp)
-        own, new = (
-            normal_matrices(self.dataset, self.weights, none, columns, delay=late)[1]
-            for late in (self.delay, delay)
-        )
-        change = (new - own).sum(0) - (new - own)
-        x = np.array([self._pushed(*each) for each in zip(self._fits, change, strict=True)])
-        return hold_out(self.dataset, columns, x, delay=delay)
-
-    def _pushed(self, fit: _Fit, change: Array) -> Array:
-        """(p,) the minimizer of a fit once the right side of its normal equations has changed."""
-        if fit.constrained:
-            x = fit.x + fit.solve(change[:, None])[:, 0]
-            return np.clip(x, self.unknowns.lower, self.unknowns.upper)
-        x = fit.unbounded + fit.solve(change[:, None])[:, 0]
-        return _within(x, fit.right(x), (fit.scaled, fit.scale), self.unknowns)
+    @cached_property
+    def _whole(self) -> tuple[Array, Array]:
+        """Normal matrix (p, p) and right side (p,) of all folds with the prior."""
+        (gram, rhs), prior = self._own, self.unknowns.information
+        return gram.sum(0) + prior, rhs.sum(0) + prior @ self.unknowns.mean
 
     def physical(self, start: Array | None = None) -> CrossValidation:
         """These fits with physical bodies; themselves if they are so already.
@@ -231,13 +166,9 @@ class CrossValidation:
             self.dataset, self.unknowns, self.weights, delay=self.delay, start=start
         )
 
-    def _assemble(self, left: Indices, right: Indices) -> tuple[Array, Array]:
-        return normal_matrices(self.dataset, self.weights, left, right, delay=self.delay)
-
-    def _solved(self, grams: Array, rhs: Array, start: Array | None, physical: bool) -> list[_Fit]:
-        """Fits of (F, p, p) normal matrices and (F, p) right sides, physical if asked for."""
-        fits = self._within_bounds(grams, rhs)
-        x, blocks = np.array([fit.x for fit in fits]), self.unknowns.inertia_blocks
+    def _solved(self, grams: Array, rhs: Array, start: Array | None, physical: bool) -> Array:
+        """(F, p) fits of matrices (F, p, p) and right sides (F, p), physical if asked for."""
+        x, blocks = self._within_bounds(grams, rhs), self.unknowns.inertia_blocks
         beyond = np.flatnonzero(~are_physical(x, blocks)) if physical else np.zeros(0, int)
         if len(beyond):
             begin = np.broadcast_to(self.unknowns.mean, x.shape) if start is None else start
@@ -245,16 +176,10 @@ class CrossValidation:
             inertial, bounds = self._inertial_and_bounds
             begin = np.where(inertial, begin, x[beyond])
             left = [block for block in blocks if not are_physical(x[beyond], [block]).all()]
-            found = physical_minimizers(
+            x[beyond] = physical_minimizers(
                 grams[beyond], rhs[beyond], blocks, begin, bounds, beyond=left
-            )
-            parts = zip(beyond, found.x, found.slope, found.hessian, strict=True)
-            for f, at, slope, hessian in parts:
-                scale = 1.0 / np.sqrt(np.diag(hessian))
-                factor = cholesky(hessian * scale[:, None] * scale)
-                unbounded = at - scale * solved(factor, scale * slope)
-                fits[f] = _Fit(at, unbounded, factor, scale, constrained=True)
-        return fits
+            ).x
+        return x
 
     @cached_property
     def _inertial_and_bounds(self) -> tuple[NDArray[np.bool_], tuple[Array, Array]]:
@@ -266,21 +191,19 @@ class CrossValidation:
         lower = np.where(inertial, -np.inf, unknowns.lower)
         return inertial, (lower, np.where(inertial, np.inf, unknowns.upper))
 
-    def _within_bounds(self, grams: Array, rhs: Array) -> list[_Fit]:
-        """Minimizers within the bounds, and the factors of the unbounded problems, of each."""
+    def _within_bounds(self, grams: Array, rhs: Array) -> Array:
+        """(F, p) minimizers within the bounds."""
         scales = 1.0 / np.sqrt(np.diagonal(grams, axis1=1, axis2=2))
         scaled = grams * scales[:, :, None] * scales[:, None, :]
-        fits = []
+        found = np.empty_like(rhs)
         for f, factor in enumerate(choleskies(scaled)):
-            scale = scales[f]
-            x = unbounded = scale * solved(factor, scale * rhs[f])
-            x = _within(x, rhs[f], (scaled[f], scale), self.unknowns)
-            fits.append(_Fit(x, unbounded, factor, scale))
-        return fits
+            free = scales[f] * solved(factor, scales[f] * rhs[f])
+            found[f] = _within(free, rhs[f], (scaled[f], scales[f]), self.unknowns)
+        return found
 
     def fit_all(self) -> Array:
         """(p,) parameters fitted to all folds."""
-        return self._whole.x
+        return self._all
 
     def covariance(self) -> Array:
         """(p, p) covariance of `fit_all`, bounds left aside."""
@@ -291,166 +214,17 @@ class CrossValidation:
         return np.sqrt(np.diag(self._covariance))
 
     @cached_property
-    def _whole(self) -> _Fit:
-        gram, rhs, _ = self._solution
+    def _all(self) -> Array:
+        gram, rhs = self._whole
         near = self.held_out.x.mean(0, keepdims=True)  # physical, if each of them is
         return self._solved(gram[None], rhs[None], near, physical=True)[0]
 
     @cached_property
     def _covariance(self) -> Array:
-        gram, _, _ = self._solution
+        gram, _ = self._whole
         scale = 1.0 / np.sqrt(np.diag(gram))
         matrix = gram * scale[:, None] * scale + RIDGE * np.eye(len(scale))
         return np.asarray(scale[:, None] * np.linalg.inv(matrix) * scale)
-
-    @cached_property
-    def _residuals(self) -> list[tuple[Array, Indices, Array]]:
-        """Per joint: factors (F, m, l) of the unknowns it sees, which, and residuals (F, m)."""
-        found = []
-        for data, late in zip(self.dataset.data, self.delay, strict=True):
-            local = data.local(self.unknowns.columns)
-            used = np.flatnonzero(local >= 0)
-            factor = data.factors[:, :, local[used]]
-            predicted = (factor @ self.held_out.x[:, used, None])[..., 0]
-            left = data.factors[:, :, len(data.columns) + late] - predicted
-            found.append((factor, used, left))
-        return found
-
-    def with_candidates(self, candidates: Sequence[ExtraColumns]) -> list[HeldOut]:
-        """Held-out errors with each of some candidates beside the unknowns, one at a time.
-
-        What they share, the products and solutions of all their columns, is computed together.
-        """
-        columns = np.unique(np.concatenate([candidate.columns for candidate in candidates]))
-        cross, right = self._assemble(self.unknowns.columns, columns)
-        own, _ = self._assemble(columns, columns)
-        cross, right, own = (part.sum(0) - part for part in (cross, right, own))
-        moved = np.stack([fit.solve(part) for fit, part in zip(self._fits, cross, strict=True)])
-        turned = np.swapaxes(cross, 1, 2)
-        schur = own - turned @ moved
-        pull = right - (turned @ self.held_out.x[:, :, None])[..., 0]
-        places = [np.searchsorted(columns, candidate.columns) for candidate in candidates]
-        y = np.zeros((len(cross), len(columns), len(candidates)))
-        for width in {len(at) for at in places}:
-            alike = [k for k, at in enumerate(places) if len(at) == width]
-            at = np.array([places[k] for k in alike])
-            known, low, high = (
-                np.array([getattr(candidates[k], name) for k in alike])
-                for name in ("information", "lower", "upper")
-            )
-            blocks = schur[:, at[:, :, None], at[:, None]] + known
-            shape = pull[:, at].shape
-            low, high = (np.broadcast_to(bound, shape).reshape(-1, width) for bound in (low, high))
-            found = bounded_minimizers(
-                blocks.reshape(-1, width, width), pull[:, at].reshape(-1, width), low, high
-            )
-            y[:, at, np.array(alike)[:, None]] = found.reshape(shape)
-        change = -(moved @ y)
-        sse, samples, before = (
-            self._errors_after(columns, y, change),
-            self.dataset.samples,
-            self.held_out.x,
-        )
-        return [
-            HeldOut(sse[..., k], samples, np.hstack([before + change[:, :, k], y[:, at, k]]))
-            for k, at in enumerate(places)
-        ]
-
-    def _errors_after(self, columns: Indices, y: Array, change: Array) -> Array:
-        """(F, nv, n) squared errors with y (F, m, n) at columns (m,) and unknowns changed."""
-        sse = np.empty((*self.held_out.sse.shape, y.shape[2]))
-        for j, (data, (factor, used, left)) in enumerate(
-            zip(self.dataset.data, self._residuals, strict=True)
-        ):
-            local = data.local(columns)
-            on = np.flatnonzero(local >= 0)
-            effect = data.factors[:, :, local[on]] @ y[:, on] + factor @ change[:, used]
-            sse[:, j] = np.square(left[:, :, None] - effect).sum(1)
-        return sse
-
-    def errors_at_delays(self, joint: int) -> Array:
-        """(d, F) squared held-out errors of a joint against its effort with every delay.
-
-        All else is refitted with the same weights; bounds are left aside.
-        """
-        data, (factor, used, _) = self.dataset.data[joint], self._residuals[joint]
-        efforts = len(data.columns) + np.arange(len(self.dataset.delays))
-        rhs = self.weights[joint] * data.products(data.local(self.unknowns.columns), efforts)
-        change = rhs - rhs[:, [self.delay[joint]]]
-        others = np.moveaxis(change.sum(axis=2, keepdims=True) - change, 2, 0)
-        x = [fit.x[:, None] + fit.solve(own) for fit, own in zip(self._fits, others, strict=True)]
-        left = data.factors[:, :, efforts] - factor @ np.array(x)[:, used]
-        return np.asarray(np.square(left).sum(axis=1).T)
-
-    def without_columns(self, places: Indices) -> HeldOut | None:
-        """Held-out errors without some of the unknowns, all else refitted with the same weights.
-
-        Parameters at a bound stay there, and others are not kept from passing theirs.
-
-        Args:
-            places: (k,) their places among the unknowns.
-
-        Returns:
-            The errors; None where a parameter would leave its bound, which this leaves aside.
-        """
-        x = self.held_out.x
-        side = 1.0 * (x <= self.unknowns.lower) - (x >= self.unknowns.upper)
-        side[:, places] = 0.0
-        held = side != 0.0
-        y = np.empty_like(x)
-        for f, fit in enumerate(self._fits):
-            at = np.concatenate([places, np.flatnonzero(held[f])])
-            step = np.zeros(len(at))
-            step[: len(places)] = x[f, places]
-            moved = fit.solve(np.eye(x.shape[1])[:, at])
-            y[f] = x[f] - moved @ np.linalg.solve(moved[at], step)
-            if held[f].any() and np.any(fit.slope(y[f])[held[f]] * side[f, held[f]] < 0.0):
-                return None
-        sse = np.empty_like(self.held_out.sse)
-        for j, (factor, used, left) in enumerate(self._residuals):
-            change = (factor @ (y - x)[:, used, None])[..., 0]
-            sse[:, j] = np.square(left - change).sum(1)
-        return HeldOut(sse, self.dataset.samples, y)
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """A solution, that without bounds, and the scaled Cholesky factor of the normal matrix.
-
-    Where bodies are kept from what cannot be, the matrix is that of the constrained problem.
-    """
-
-    x: Array
-    unbounded: Array
-    factor: Array
-    scale: Array
-    constrained: bool = False
-
-    def solve(self, right: Array) -> Array:
-        return self.scale[:, None] * solved(self.factor, self.scale[:, None] * right)
-
-    def slope(self, x: Array) -> Array:
-        """(p,) slope of half the weighted squared error at other parameters (p,)."""
-        return self.right(x - self.unbounded)
-
-    def right(self, x: Array) -> Array:
-        """(p,) product of the normal matrix with parameters (p,)."""
-        triangle = np.tril(self.factor)
-        return np.asarray((triangle @ (triangle.T @ (x / self.scale))) / self.scale)
-
-    @property
-    def scaled(self) -> Array:
-        """(p, p) scaled normal matrix, without the ridge of its factor."""
-        triangle = np.tril(self.factor)
-        return np.asarray(triangle @ triangle.T - RIDGE * np.eye(len(triangle)))
-
-    def less(self, kept: Indices, unknowns: Unknowns) -> _Fit:
-        """The fit of some of the parameters, at places (k,), without the others."""
-        scale, right = self.scale[kept], self.right(self.unbounded)[kept]
-        scaled = self.scaled[np.ix_(kept, kept)]
-        factor = cholesky(scaled)
-        unbounded = scale * solved(factor, scale * right)
-        return _Fit(_within(unbounded, right, (scaled, scale), unknowns), unbounded, factor, scale)
 
 
 def _within(x: Array, rhs: Array, scaled: tuple[Array, Array], unknowns: Unknowns) -> Array:

@@ -7,8 +7,8 @@ hundreds of candidates are then small dense problems; no one goes back to the sa
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -151,29 +151,6 @@ class JointData:
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
-    """What a fit whose weights were settled came to; the arrays cannot be written to.
-
-    Attributes:
-        fitted: (nv,) weights of the last fit.
-        sse: (F, nv) sums of its squared held-out residuals, (N·m)² or N².
-        x: (F, p) its parameters without each fold.
-        weights: (nv,) weights that its errors deserve.
-        effective: (nv,) effective samples of its residuals.
-    """
-
-    fitted: Array
-    sse: Array
-    x: Array
-    weights: Array
-    effective: Array
-
-    def __post_init__(self) -> None:
-        for each in fields(self):
-            getattr(self, each.name).setflags(write=False)
-
-
-@dataclass(frozen=True, eq=False)
 class Dataset(Short):
     """Several logs, reduced.
 
@@ -194,7 +171,6 @@ class Dataset(Short):
         payload: (10,) a body in the middle of what the robot may carry.
         gain_uncertainty: (nv,) how well the gains of the efforts are known; 0 where known payloads
             say them.
-        settled: What fits of it came to, by what was asked; see `hypothesis.settle`.
     """
 
     joints: tuple[str, ...]
@@ -210,7 +186,6 @@ class Dataset(Short):
     still: Array
     payload: Array
     gain_uncertainty: Array
-    settled: dict[Hashable, Settled] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def starts(self) -> Mapping[Effect, int]:
@@ -243,15 +218,6 @@ class Dataset(Short):
     def effect_columns(self, effect: Effect) -> Indices:
         """(k,) global columns of an effect of this dataset."""
         return self.starts[effect] + np.arange(len(effect.parameters))
-
-    @cached_property
-    def effects_at(self) -> dict[str, frozenset[Effect]]:
-        """Effects by joint or body."""
-        found = dict[str, set[Effect]]()
-        for effect in self.effects:
-            for place in effect.where:
-                found.setdefault(place, set()).add(effect)
-        return {place: frozenset(effects) for place, effects in found.items()}
 
     @cached_property
     def _felt(self) -> dict[Effect, NDArray[np.bool_]]:

@@ -13,11 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import chdtrc, ndtr, stdtr
 
-from geodrake.identification.logs.criteria import MOST
-
 Array = NDArray[np.float64]
 
 _HARDLY, _NO_RISE = 0.01, 0.05  # of a fold's loss, and of the mean one
+_MOST = 0.5  # of a loss, or of the folds: more than this share
 _FEW = 2  # folds
 _ENOUGH, _EXACT = 5, 10  # folds: for ranks, and of which every pattern of signs is counted
 _UNCORRELATED = 0.02  # autocorrelation from which on there is none
@@ -141,9 +140,9 @@ def fold_agreement(before: Array, after: Array) -> float:
     if not seen.any():
         return 0.0
     change = (after - before)[seen] / before[seen]
-    if np.sum(change < -MOST) >= _FEW:
+    if np.sum(change < -_MOST) >= _FEW:
         return float(np.mean((after - before)[seen] < _NO_RISE * before[seen].mean()))
-    if np.mean(change < -_HARDLY) <= MOST:
+    if np.mean(change < -_HARDLY) <= _MOST:
         return float(np.mean(change < 0.0))
     return float(np.mean(np.where(np.abs(change) > _HARDLY, change < 0.0, 0.5)))
 

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from hashlib import blake2b
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
 from geodrake.effects.base import Effect
-from geodrake.identification.logs.criteria import FIXED, IMPROBABLE
+from geodrake.identification.logs.criteria import FIXED
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut
-from geodrake.identification.logs.dataset import Dataset, Delay, JointData, Settled
-from geodrake.identification.logs.evidence import (
-    chi2_tail,
-    effective_samples_of_each,
-    log_likelihood_gain,
-)
+from geodrake.identification.logs.dataset import Dataset, Delay, JointData
+from geodrake.identification.logs.evidence import effective_samples_of_each
 from geodrake.identification.logs.unknowns import Unknowns, effect_prior
 from geodrake.inertia import PARAMETERS_PER_BODY
 
@@ -49,7 +44,6 @@ class Hypothesis(Short):
         looseness: Factor by which the inertial prior is widened.
         cv: The fits.
         effective: (nv,) effective number of samples.
-        released: Effects of the model whose parameters were let go.
     """
 
     dataset: Dataset
@@ -59,10 +53,6 @@ class Hypothesis(Short):
     looseness: float
     cv: CrossValidation
     effective: Array
-    released: tuple[Effect, ...] = ()
-    _stripped: dict[tuple[Effect, ...], Hypothesis] = field(
-        default_factory=dict, init=False, repr=False
-    )
 
     @property
     def held_out(self) -> HeldOut:
@@ -74,45 +64,10 @@ class Hypothesis(Short):
         """Held-out error over effort standard deviation, root mean square over joints."""
         return float(np.sqrt(np.mean(self.held_out.mse / self.dataset.effort_std**2)))
 
-    def _loss_of(self, held_out: HeldOut) -> float:
-        """Held-out squared error of all folds, each joint's over the variance of its effort."""
-        return float((held_out.sse / self.dataset.effort_std**2).sum())
-
     @property
     def has_fixed_bodies(self) -> bool:
         """Whether bodies stay as the model has them."""
         return self.looseness <= _ROUNDED * FIXED
-
-    @property
-    def inertial_penalty(self) -> float:
-        """How improbable the bodies are, as twice a log-likelihood.
-
-        The width of the inertial prior is not known well. So the squared distance q from the
-        model's bodies, by the assumed one, counts as by a t distribution: d log(1 + q / d).
-        """
-        q, d = self._assumed_distance, PARAMETERS_PER_BODY * len(self.dataset.bodies)
-        return float(d * np.log1p(q / d))
-
-    @property
-    def is_within_prior(self) -> bool:
-        """Whether the bodies are where they may well be, by what is known about them."""
-        d = PARAMETERS_PER_BODY * len(self.dataset.bodies)
-        return chi2_tail(self._assumed_distance, d) > IMPROBABLE
-
-    @property
-    def _assumed_distance(self) -> float:
-        """`squared_distance` by the assumed width of the prior."""
-        return self.looseness**2 * self.squared_distance()
-
-    def squared_distance(self, x: Array | None = None) -> float:
-        """How improbable the bodies are: their squared distance from the model's by the prior.
-
-        Args:
-            x: (p,) parameters of a fit, the inertial ones first; those of the hypothesis if None.
-        """
-        d = PARAMETERS_PER_BODY * len(self.dataset.bodies)
-        step = (self.cv.fit_all() if x is None else x)[:d] - self.unknowns.mean[:d]
-        return float(step @ self.unknowns.information[:d, :d] @ step)
 
     def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
         """This hypothesis and further effects, refitted."""
@@ -127,31 +82,6 @@ class Hypothesis(Short):
         """This hypothesis less some effects, refitted."""
         return settle(replace(self, unknowns=self._less(effects)))
 
-    def stripped(self, *gone: Effect) -> Hypothesis:
-        """This hypothesis less some of its effects, refitted with the weights of its fits.
-
-        The last one is kept, as several questions are asked of it.
-        """
-        if gone not in self._stripped:
-            self._stripped.clear()
-            unknowns, kept = self._less(gone), np.ones(len(self.unknowns.columns), bool)
-            for effect in gone:
-                kept[self.unknowns.span(effect)] = False
-            cv = self.cv.less(unknowns, np.flatnonzero(kept))
-            self._stripped[gone] = replace(self, unknowns=unknowns, cv=cv)
-        return self._stripped[gone]
-
-    def exchanged(self, gone: Sequence[Effect], come: Sequence[Effect]) -> Hypothesis:
-        """This hypothesis with effects in the place of others, refitted.
-
-        The weights begin with those of this hypothesis, so that both are compared fairly.
-
-        Args:
-            gone: Some of the effects.
-            come: Effects that replace them.
-        """
-        return replace(self, unknowns=self._less(gone)).with_effects(come)
-
     def _less(self, gone: Sequence[Effect]) -> Unknowns:
         unknowns = self.unknowns
         for effect in gone:
@@ -162,41 +92,6 @@ class Hypothesis(Short):
         """This hypothesis with the inertial prior `factor` times as wide, refitted."""
         unknowns = self.unknowns.loosened(factor, 10 * len(self.dataset.bodies))
         return settle(replace(self, unknowns=unknowns, looseness=self.looseness * factor))
-
-    def with_widths(self, widths: Sequence[float]) -> list[Hypothesis]:
-        """This hypothesis with other widths of the inertial prior, refitted.
-
-        Only those are returned that lower its errors in a quick fit: with the weights as they are,
-        and bodies that need not be physical.
-
-        Args:
-            widths: Widths as shares of the assumed one.
-        """
-        before, found = self.held_out, []
-        for factor in (width / self.looseness for width in widths if width != self.looseness):
-            unknowns = self.unknowns.loosened(factor, 10 * len(self.dataset.bodies))
-            quick = CrossValidation(
-                self.dataset, unknowns, self.weights, delay=self.delay, physical=False
-            ).held_out
-            gain = log_likelihood_gain(before.mse, quick.mse, self.effective).sum()
-            if gain > 0.0 or self._loss_of(before) > self._loss_of(quick):
-                found.append(self.loosened(factor))
-        return found
-
-    def release(self, effect: Effect) -> Hypothesis:
-        """This hypothesis with the parameters of an effect let go, refitted."""
-        _, information = effect_prior(self.dataset, effect)
-        unknowns = self.unknowns.released(effect, information)
-        return settle(replace(self, unknowns=unknowns, released=(*self.released, effect)))
-
-    def delayed(self, delay: Delay) -> Hypothesis:
-        """This hypothesis against the effort with another delay, of all joints or of each."""
-        return settle(replace(self, delay=self.dataset.delay_of_each(delay)))
-
-    def quick_gains(self, delays: Sequence[Delay]) -> list[float]:
-        """Twice the held-out log-likelihood ratio of other delays, the weights as they are."""
-        before, after = self.held_out.mse, [self.cv.at_delay(delay).mse for delay in delays]
-        return [float(log_likelihood_gain(before, mse, self.effective).sum()) for mse in after]
 
     def moved_columns(self, dataset: Dataset) -> Indices:
         """(p,) columns of the unknowns in another dataset of the same bodies and effects."""
@@ -293,13 +188,6 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
     """
     dataset, unknowns, delay = hypothesis.dataset, hypothesis.unknowns, hypothesis.delay
     weights, effective = hypothesis.weights, hypothesis.effective
-    # A search asks the same again and again, by other ways.
-    question = _fingerprint(unknowns, weights, effective), delay, iterations
-    if question in dataset.settled:
-        known = dataset.settled[question]
-        held_out = HeldOut(known.sse, dataset.samples, known.x)
-        cv = CrossValidation(dataset, unknowns, known.fitted, delay=delay, held_out=held_out)
-        return replace(hypothesis, weights=known.weights, cv=cv, effective=known.effective)
     samples = dataset.samples.sum(0)
     for _ in range(iterations):
         cv, weights = _refitted(hypothesis, weights, effective / samples)
@@ -314,8 +202,6 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
         cv = physical
         effective = effective_per_joint(dataset, unknowns.columns, cv.held_out, delay=delay)
         weights = _deserved_weights(dataset, cv.held_out, effective / samples)
-    sse, x = cv.held_out.sse, cv.held_out.x
-    dataset.settled[question] = Settled(cv.weights, sse, x, weights, effective)
     return replace(hypothesis, weights=weights, cv=cv, effective=effective)
 
 
@@ -325,22 +211,6 @@ def _physical(hypothesis: Hypothesis, cv: CrossValidation) -> CrossValidation:
     if len(was.held_out.x) == len(hypothesis.dataset.folds):
         start = hypothesis.unknowns.carried(was.unknowns, was.held_out.x)
     return cv.physical(start)
-
-
-def _fingerprint(unknowns: Unknowns, weights: Array, effective: Array) -> bytes:
-    """What a fit depends on, in a few bytes."""
-    digest = blake2b(digest_size=16)
-    for array in (
-        unknowns.columns,
-        unknowns.mean,
-        unknowns.information,
-        unknowns.lower,
-        unknowns.upper,
-        weights,
-        effective,
-    ):
-        digest.update(array.tobytes())
-    return digest.digest()
 
 
 def _refitted(
