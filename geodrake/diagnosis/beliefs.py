@@ -25,6 +25,7 @@ class Beliefs:
         delays: Delays among which they choose.
         widths: How well a model file knows its bodies, as geometric distances: each is tried.
         wrong: Widths above this one mean that the file is wrong.
+        fitted: Odds against a body of a model that was fitted before being another one since.
         free: Width of one body that is wrong while the others are right.
         payload: Deviation of a payload, in units of one of a tenth of the robot's mass.
         inner: Odds against a payload on a body that carries others.
@@ -42,6 +43,7 @@ class Beliefs:
     delays: float = 20.0
     widths: tuple[float, ...] = (0.003, 0.03, 0.1, 0.3, 1.0)
     wrong: float = 0.3
+    fitted: float = 100.0
     free: float = 3.0
     payload: float = 0.5
     inner: float = 30.0

@@ -141,7 +141,12 @@ def _fitted(model: LogModel, terms: Sequence[Term], width: float, delay: Delay, 
 
 
 def steps_of(
-    case: Case, found: Found, start: Hypothesis, stages: Sequence[StagedFinding], fit: ModelFit
+    case: Case,
+    found: Found,
+    start: Hypothesis,
+    stages: Sequence[StagedFinding],
+    fit: ModelFit,
+    end: ErrorTable,
 ) -> tuple[Step, ...]:
     """Steps from the model refitted within its prior to the final fit.
 
@@ -150,11 +155,12 @@ def steps_of(
         found: The search.
         start: What comes before the first step.
         stages: Findings in order.
-        fit: The final fit; the last step ends at its physically consistent held-out errors.
+        fit: The final fit.
+        end: Its physically consistent held-out errors, at which the last step ends.
     """
     hypotheses = [start, *(stage.validated for stage in stages)]
     errors = [*(h.held_out for h in hypotheses[:-1]), fit.held_out]
-    tables = [error_table(case.dataset, held_out) for held_out in errors]
+    tables = [*(error_table(case.dataset, held_out) for held_out in errors[:-1]), end]
     steps = []
     for i, stage in enumerate(stages):
         finding, before, after = stage.finding, tables[i], tables[i + 1]

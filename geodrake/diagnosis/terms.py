@@ -166,6 +166,7 @@ def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list
     """Every body being wrong while the others are right."""
     kind, metric = effect_of(Role.INERTIA), pullback_information(model.phi, beliefs.free)
     odds = 2.0 * (np.log(len(model.bodies)) + kind.complexity * np.log(beliefs.rarer))
+    odds += 0.0 if model.information is None else 2.0 * np.log(beliefs.fitted)
     terms = []
     for b, body in enumerate(model.bodies):
         columns = np.arange(b * PARAMETERS_PER_BODY, (b + 1) * PARAMETERS_PER_BODY)
