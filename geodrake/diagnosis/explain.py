@@ -181,7 +181,7 @@ def _holding(
         start, stages = staged(found, findings)
         after, fit = final_fit(case, found)
         end = error_table(after.dataset, fit.held_out)
-        steps = steps_of(case, found, start, stages, fit, end)
+        steps = steps_of(case, found, start, stages, fit=fit, end=end)
         if forced or not steps or steps[-1].error_after < steps[-1].error_before:
             return found, after, fit, start, steps
         findings = [stage.finding for stage in stages[:-1]]

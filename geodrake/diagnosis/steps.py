@@ -26,7 +26,7 @@ from geodrake.identification.logs.case import Case, error_table, series
 from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.evidence import fold_agreement
 from geodrake.identification.logs.hypothesis import Hypothesis
-from geodrake.identification.logs.model_errors import Series
+from geodrake.identification.logs.model_errors import ErrorTable, Series
 from geodrake.identification.logs.model_fit import ModelFit
 from geodrake.inertia import pullback_metric
 from geodrake.model.effort_signal import signal_of
@@ -145,6 +145,7 @@ def steps_of(
     found: Found,
     start: Hypothesis,
     stages: Sequence[StagedFinding],
+    *,
     fit: ModelFit,
     end: ErrorTable,
 ) -> tuple[Step, ...]:
