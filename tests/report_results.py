@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from geodrake.diagnosis.results import Candidate, Diagnosis, Explanation, Step
+from geodrake.diagnosis.results import Candidate, Diagnosis, Explanation, FittedRival, Step
 from geodrake.identification.logs.model_errors import (
     Comparison,
     ErrorTable,
