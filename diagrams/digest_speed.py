@@ -30,7 +30,7 @@ from geodrake.fleet import (
     merge,
     read_digest,
 )
-from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.case import open_case, reduced
 from geodrake.logs.motion import JointLog, Motion
 from geodrake.model import RobotModel, load_model
 from geodrake.report import style
@@ -164,15 +164,16 @@ def merged_difference(
         digests: Their digests.
     """
     settings, worst = digests[0].settings, 0.0
-    together = open_case(
+    case = open_case(
         model,
         logs,
         candidates=True,
         bandwidth=settings.bandwidth,
         motion_bandwidth=settings.motion_bandwidth,
         blocks=settings.blocks,
-    ).dataset
+    )
     merged = digest_dataset(merge(digests), model)
+    together = reduced(case, merged.effects)
     for own, other in zip(merged.data, together.data, strict=True):
         grams = other.grams
         size = np.sqrt(np.einsum("fii->fi", grams))

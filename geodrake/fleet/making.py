@@ -159,7 +159,10 @@ def make_settings(
         trajectory = prepare_for_model(own, [uniform])[0][0]
     peaks = peak_speeds([trajectory])
     peaks = np.where(peaks > 0.0, peaks, peaks.max())
-    effects = (*effects_of(own), *candidate_effects(own, [trajectory], wanted.extra, speeds=peaks))
+    offered = candidate_effects(own, [trajectory], wanted.extra, speeds=peaks)
+    # Shapes that a log's range or duration says are none of a robot's.
+    settled = [e for e in offered if e.proposer is None or e.places == "joint_pair"]
+    effects = (*effects_of(own), *settled)
     effects = tuple(effect for effect in dict.fromkeys(effects) if effect.parameters)
     widths = own.sign_widths(least_sign_widths(peaks, trajectory.speed_noise))
     layout = Layout.of(own, effects, widths, STILL_SPEED * peaks)

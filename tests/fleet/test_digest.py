@@ -28,7 +28,7 @@ from geodrake.fleet.digest_file import sealed
 from geodrake.fleet.log_dates import date_of_log, date_seconds
 from geodrake.fleet.model_hash import text_hash
 from geodrake.fleet.robot_logs import reduced_log
-from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.case import open_case, reduced
 from geodrake.identification.logs.hypothesis import first_hypothesis
 from geodrake.identification.logs.model_fit import fit_model, model_unknowns
 from geodrake.logs.files import read_log
@@ -74,7 +74,8 @@ def digests(model, logs, settings):
 def read_together(model, logs, settings):
     """The `Dataset` of logs that are read together: it knows nothing of digests."""
     how = {"bandwidth": settings.bandwidth, "motion_bandwidth": settings.motion_bandwidth}
-    return open_case(model, logs, candidates=True, blocks=settings.blocks, **how).dataset
+    case = open_case(model, logs, candidates=True, blocks=settings.blocks, **how)
+    return reduced(case, [each.made() for each in settings.effects])
 
 
 @pytest.fixture(scope="module")
