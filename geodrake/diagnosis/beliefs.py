@@ -27,7 +27,8 @@ class Beliefs:
         wrong: Widths above this one mean that the file is wrong.
         fitted: Odds against a body of a model that was fitted before being another one since.
         free: Width of one body that is wrong while the others are right.
-        payload: Deviation of a payload, in units of one of a tenth of the robot's mass.
+        payloads: Deviations of a light and of a heavy payload, in units of one of a tenth of the
+            robot's mass.
         inner: Odds against a payload on a body that carries others.
         unknown: As `size`, for each term of a function of the motion that no effect describes.
         reversal: As `size`, for what friction does at speeds that a log does not resolve.
@@ -45,7 +46,7 @@ class Beliefs:
     wrong: float = 0.3
     fitted: float = 100.0
     free: float = 3.0
-    payload: float = 0.5
+    payloads: tuple[float, ...] = (0.3, 2.0)
     inner: float = 30.0
     unknown: float = 0.3
     reversal: float = 0.3
@@ -53,7 +54,7 @@ class Beliefs:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if name == "widths":
+            if name in ("widths", "payloads"):
                 for width in value:
                     positive(width, "widths")
             else:

@@ -13,6 +13,7 @@ from geodrake.diagnosis.moves import neighbours
 Array = NDArray[np.float64]
 
 _MOST_STEPS = 40
+_MOST_COUNTS = 4
 _OPTIMISTIC = 0.3
 """On the way up, residuals are worth at least this share of their rows: what is missing still
 makes them look as if they were worth less."""
@@ -66,8 +67,17 @@ def settled(model: LogModel, fit: Fit) -> Fit:
         model: The Gaussian model.
         fit: Where climbing ended.
     """
+    for _ in range(_MOST_COUNTS):
+        better = _settled(model, _refitted(model, fit, model.shares(fit)))
+        if better.choice.key == fit.choice.key:
+            break
+        fit = better
+    return fit
+
+
+def _settled(model: LogModel, fit: Fit) -> Fit:
+    """The most probable explanation nearby, residuals counted as those of a fit throughout."""
     shares, seen = model.shares(fit), {fit.choice.key}
-    fit = _refitted(model, fit, shares)
     for _ in range(_MOST_STEPS):
         choices = [choice for choice in neighbours(model, fit) if choice.key not in seen]
         tried = _fitted(model, choices, fit.variance, shares)

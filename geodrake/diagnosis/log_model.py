@@ -50,6 +50,7 @@ _ALIKE = 0.02  # noise is settled if no logarithm of a variance changes by more
 _MOST_FITS = 8
 _SIMPLER = 0.5
 _USUAL_SHARE = 0.3
+_MOST_PINNED, _PINNED = 4, 1e15
 _PSEUDO = pseudo_inertia_basis()
 _DRAWS = np.random.default_rng(0).normal(size=(200, PARAMETERS_PER_BODY))
 
@@ -281,6 +282,33 @@ class LogModel:
             [np.arange(self._first_term), *(self.at[term] for term in choice.terms)]
         )
         prior, logarithm = self._prior(choice)
+        least, free = [at for at in self._positive(choice) if len(at)], np.ones(len(columns), bool)
+        for _ in range(_MOST_PINNED):
+            found = self._solved(
+                choice, columns, shares, variance=variance, prior=prior, logarithm=logarithm
+            )
+            below = np.array([k for at in least for k in at if free[k] and found.x[k] <= 0.0], int)
+            if not bounded or not len(below):
+                return found
+            free[below] = False
+            if any(not free[at].any() for at in least):
+                return None  # nothing of a term would be left
+            # Some parameters of a term stay at zero: as if it were without them.
+            logarithm += float(np.log1p(_PINNED / prior[below, below]).sum())
+            prior[below, below] += _PINNED
+        return None
+
+    def _solved(
+        self,
+        choice: Choice,
+        columns: Indices,
+        shares: Array,
+        *,
+        variance: Array | None,
+        prior: Array,
+        logarithm: float,
+    ) -> Fit:
+        """The fit with a prior Λ (n, n) and log |Λ|, wherever it is."""
         grams, moments, powers = self._normal(columns, choice.delay)
         mean = self.mean[columns]
         pull, rows = prior @ mean, self.rows
@@ -298,8 +326,6 @@ class LogModel:
             before, variance = variance, np.maximum(left / rows, self._floor)
             if np.all(np.abs(np.log(variance / before)) < _ALIKE):
                 break
-        if bounded and any(np.any(x[at] <= 0.0) for at in self._positive(choice)):
-            return None
         way = x - mean
         determinant = 2.0 * (np.log(np.diag(factor)).sum() - np.log(scale).sum())
         score = (
@@ -545,18 +571,21 @@ class Neighbourhood:
                 turned = np.swapaxes(rows, 1, 2)
                 schur = schur + turned @ (dropped.inverse @ rows)
                 pull = pull + turned @ (dropped.inverse @ dropped.x)
-            known, positive = np.zeros_like(schur), np.zeros(pull.shape, bool)
+            known, owner = np.zeros_like(schur), np.full(pull.shape, -1)
             logarithm = np.array([sum(t.log_information for t in p) for p in alike])
             for k, package in enumerate(alike):
                 start = 0
-                for term in package:
+                for place, term in enumerate(package):
                     end = start + len(term.columns)
                     known[k, start:end, start:end] = term.information
-                    positive[k, start + term.positive] = True
+                    owner[k, start + term.positive] = place
                     start = end
             schur = schur + known
             x = np.linalg.solve(schur, pull[..., None])[..., 0]
             gain = (pull * x).sum(axis=1) - np.linalg.slogdet(schur)[1] + logarithm
-            below = np.any(positive & (x <= 0.0), axis=1)
+            below = np.zeros(len(x), bool)
+            for place in range(int(owner.max()) + 1):
+                own = owner == place
+                below |= own.any(axis=1) & ~(own & (x > 0.0)).any(axis=1)
             found[chosen] = np.where(below, -np.inf, gain)
         return found

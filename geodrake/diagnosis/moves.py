@@ -245,7 +245,7 @@ class _Finder:
                 yield self._choice((*present, term))
 
     def _kinds_replaced(self) -> Iterator[Move]:
-        """One kind of effect in the place of another one at all of its joints."""
+        """One kind of effect, or one shared by joints, in the place of another one everywhere."""
         present = self.fit.terms
         for name in {term.name for term in present if term.joint is not None}:
             gone = [term for term in present if term.name == name]
@@ -266,6 +266,17 @@ class _Finder:
                 at = best.setdefault(term.name, {})
                 if np.isfinite(gain) and gain > at.get(term.where[0], (-np.inf, term))[0]:
                     at[term.where[0]] = gain, term
+            shared = [
+                (term,)
+                for term in self.model.terms
+                if term.joint is None
+                and term not in present
+                and self.model.are_compatible((*rest, term))
+            ]
+            others = self.around.gains(shared, dropped)
+            for k in np.argsort(-others)[:_MOST]:
+                if np.isfinite(others[k]):
+                    yield self._move((*rest, *shared[k]), dropped.loss + float(others[k]))
             for at in best.values():
                 if len(at) == len(joints):
                     terms = (*rest, *(term for _, term in at.values()))

@@ -24,8 +24,9 @@ _WAVES_BESIDE = 2.5
 With fewer, the two together fit any smooth function of the position.
 """
 _WHOLE = 0.25  # distance from a whole order within which that is tried, in the same units
-_WORTH_A_TRY = 0.01
-"""Largest probability that noise alone suggests as much: the search judges it."""
+_CHANCE, _NOTABLE = 0.01, 0.1
+"""What noise alone suggests with no more than this probability is tried, and what explains this
+share of a joint's squared error: the search judges it."""
 
 
 def proposed(case: Case, model: LogModel, fit: Fit) -> list[Effect]:
@@ -39,7 +40,8 @@ def proposed(case: Case, model: LogModel, fit: Fit) -> list[Effect]:
     joints, motion = joint_residuals(case, model.hypothesis(fit)), full_motion(case)
     known = [term.effect for term in fit.terms if term.effect is not None]
     proposals = [*coupled_joints(case, joints, motion), *_ripples(case, joints, known)]
-    return [e for each in proposals if each.alarm <= _WORTH_A_TRY for e in each.effects]
+    tried = [each for each in proposals if each.alarm <= _CHANCE or each.share >= _NOTABLE]
+    return [effect for each in tried for effect in each.effects]
 
 
 def _ripples(

@@ -111,32 +111,26 @@ def terms_of(
         places.setdefault(type(effect), set()).add(effect.where)
     sizes, terms = _column_sizes(dataset), list[Term]()
     load = dataset.payload * np.array([1.0, *(_REACH for _ in range(3)), *(_REACH**2,) * 6])
-    payload = pullback_information(load[None], beliefs.payload)
+    loads = [pullback_information(load[None], width) for width in beliefs.payloads]
     for effect in effects:
         columns, odds = dataset.effect_columns(effect), float(len(places[type(effect)]))
         if is_payload(effect):
             odds *= 1.0 if effect.where[0] in model.last_bodies else beliefs.inner
-            information = payload
+            odds *= len(loads)  # light or heavy
             held = any(fitted.effect == effect for fitted in model.effects)
             positive = [] if held else [0]  # what is held may have been put down
+            known = loads
         else:
-            information = _slab(effect, sizes[columns], beliefs)
+            known = [_slab(effect, sizes[columns], beliefs)]
             positive = [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
         first, again = _prices(effect, odds, beliefs)
-        terms.append(
-            Term(
-                effect.name,
-                effect.where,
-                effect,
-                columns,
-                information,
-                first,
-                again,
-                np.array(positive, np.intp),
-                frozenset((e.name, effect.where) for e in (type(effect), *effect.contains)),
-                tuple(frozenset((e.name, effect.where) for e in bases) for bases in effect.refines),
-            )
-        )
+        says = frozenset((e.name, effect.where) for e in (type(effect), *effect.contains))
+        needs = tuple(frozenset((e.name, effect.where) for e in bases) for bases in effect.refines)
+        least = np.array(positive, np.intp)
+        terms += [
+            Term(effect.name, effect.where, effect, columns, each, first, again, least, says, needs)
+            for each in known
+        ]
     return (*terms, *_wrong_bodies(model, dataset, beliefs))
 
 

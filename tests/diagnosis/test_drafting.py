@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from pydrake.systems.framework import DiagramBuilder
+from scipy.linalg import block_diag
 
 from geodrake import load_model
 from geodrake.control.systems import EffectForce
@@ -18,7 +19,7 @@ from geodrake.diagnosis.drafting.vocabulary import short_vocabulary, vocabulary
 from geodrake.diagnosis.explain import explain
 from geodrake.effects import load_effect_file
 from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.cross_validation import ExtraColumns
+from geodrake.identification.logs.cross_validation import CrossValidation
 from geodrake.identification.logs.hypothesis import first_hypothesis
 from geodrake.identification.logs.model_errors import ErrorTable, JointError
 from geodrake.identification.logs.model_fit import effects_of, model_unknowns
@@ -219,11 +220,17 @@ def test_screen_agrees_with_cross_validation():
     before, after = screen.next_terms(())
     j = JOINTS.index(YAW)
     np.testing.assert_allclose(before, hypothesis.held_out.sse[:, j], rtol=1e-5)
-    numbers = dataset.effect_columns(columns)
-    free = np.array([np.inf])
+    numbers, known = dataset.effect_columns(columns), hypothesis.unknowns
     for k in np.flatnonzero(np.isfinite(after).all(0)):
-        extra = ExtraColumns(numbers[[k]], np.zeros((1, 1)), -free, free)
-        (exact,) = hypothesis.cv.with_candidates([extra])
+        unknowns = replace(
+            known,
+            columns=np.append(known.columns, numbers[k]),
+            mean=np.append(known.mean, 0.0),
+            information=block_diag(known.information, 0.0),
+            lower=np.append(known.lower, -np.inf),
+            upper=np.append(known.upper, np.inf),
+        )
+        exact = CrossValidation(dataset, unknowns, hypothesis.cv.weights, physical=False).held_out
         np.testing.assert_allclose(after[:, k], exact.sse[:, j], rtol=1e-4)
 
 

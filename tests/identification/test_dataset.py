@@ -111,7 +111,7 @@ def dense_rows(model, trajectories, fold, joint):
     speeds = [np.abs(s[:].velocity).max(0) for t in trajectories for s in t.segments]
     peak = np.max(speeds, axis=0)
     noise = np.max([t.speed_noise for t in trajectories], axis=0)
-    width = np.maximum(0.002 * peak, 3.0 * noise)
+    width = np.maximum(0.002 * peak, 1.2 * noise)
     rows = []
     for block in fold.blocks:
         trajectory = trajectories[block.trajectory]

@@ -81,7 +81,8 @@ def random_problem(effects=EFFECTS, empty=(), dry=0.4, ball=0.0):
 
 def settled(model, *effects):
     """The fit with some effects whose noise is that of its residuals, to the last digit."""
-    terms = tuple(term for term in model.terms if term.effect in effects)
+    own = {term.effect: term for term in model.terms if term.effect in effects}
+    terms = tuple(own.values())
     assert len(terms) == len(effects)
     fit = None
     for _ in range(10):
