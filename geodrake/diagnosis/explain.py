@@ -17,7 +17,7 @@ from geodrake.diagnosis.results import Explanation, Step, Verdict
 from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.search_progress import Progress
 from geodrake.diagnosis.stated_mass import stated_mass_notes
-from geodrake.diagnosis.steps import Finding, findings_of, staged, steps_of
+from geodrake.diagnosis.steps import Finding, findings_of, holds, staged, steps_of
 from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
@@ -182,7 +182,10 @@ def _holding(
         after, fit = final_fit(case, found)
         end = error_table(after.dataset, fit.held_out)
         steps = steps_of(case, found, start, stages, fit=fit, end=end)
-        if forced or not steps or steps[-1].error_after < steps[-1].error_before:
+        if forced or not steps:
+            return found, after, fit, start, steps
+        before = (stages[-2].validated if len(stages) > 1 else start).held_out
+        if holds(found, stages[-1].finding, before, fit.held_out):
             return found, after, fit, start, steps
         findings = [stage.finding for stage in stages[:-1]]
         found = replace(found, fit=stages[-2].fit if len(stages) > 1 else found.start)

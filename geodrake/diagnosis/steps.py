@@ -221,6 +221,27 @@ def _agreement(before: HeldOut, after: HeldOut, joints: NDArray[np.bool_]) -> fl
     return fold_agreement(before.sse @ weight, after.sse @ weight)
 
 
+def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bool:
+    """Whether data that took no part in a fit agree with a finding.
+
+    The squared error of the joints that feel it must fall, in the mean over the folds, by more than
+    the standard error of that mean: what shows in one fold alone just does.
+
+    Args:
+        found: The search.
+        finding: The finding.
+        before: Held-out errors without it.
+        after: Held-out errors with it.
+    """
+    weight = _felt(found, finding) / np.maximum(before.mse, np.finfo(float).tiny)
+    fall = (before.sse - after.sse) @ weight
+    error = float(fall.std(ddof=1)) / np.sqrt(len(fall)) if len(fall) > 1 else 0.0
+    return bool(fall.mean() > (1.0 - _ROUNDING) * error)
+
+
+_ROUNDING = 1e-6
+
+
 def _series(hypothesis: Hypothesis) -> tuple[Series, ...]:
     return series(
         hypothesis.dataset, hypothesis.unknowns, hypothesis.held_out, delay=hypothesis.delay

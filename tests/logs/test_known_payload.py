@@ -24,7 +24,7 @@ from geodrake.control.rollout import roll_out
 from geodrake.diagnosis import compare, explain
 from geodrake.effects import EffortDelay, FittedEffect
 from geodrake.errors import ArgumentError
-from geodrake.identification.logs.case import at_bandwidth, open_case
+from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.signal_calibration import calibrated
 from geodrake.logs.files import write_log
 from geodrake.logs.known_payload import KnownPayload
@@ -169,8 +169,7 @@ class TestLoad:
         assert compare(model, [log]).errors.nrms < 1e-3
 
     def test_stays_at_another_bandwidth(self):
-        case = open_case(model_file(), two_logs(14), candidates=False)
-        other = at_bandwidth(case, 2.0, candidates=False, how="asked for")
+        other = open_case(model_file(), two_logs(14), candidates=False, bandwidth=2.0)
         assert [trajectory.payloads for trajectory in other.trajectories] == [(), (WEIGHT,)]
 
     def test_moves_with_the_robot_in_a_rollout(self):
