@@ -138,7 +138,7 @@ def _names(code: CodeType) -> frozenset[str]:
 
 
 def _is_own(status: os.stat_result) -> bool:
-    """Whether nobody but the user and root decides what a file or folder holds.
+    """Return whether only the user and root can change what a file or folder holds.
 
     What is kept is unpickled, which runs whatever it says. So it must be as trustworthy as the
     source itself, which root may have installed.
@@ -147,7 +147,7 @@ def _is_own(status: os.stat_result) -> bool:
 
 
 class _OwnFolder:
-    """A place for what was compiled, if it is a folder into which no other user can write."""
+    """Return a cache for compiled code, if no other user can write into the folder."""
 
     mode = 0o755
 
@@ -172,7 +172,7 @@ _UserWide: Any = caching.UserWideCacheLocator
 
 
 class _OwnAsAsked(_OwnFolder, _AsAsked):
-    """The folder of NUMBA_CACHE_DIR."""
+    """Return the folder of NUMBA_CACHE_DIR."""
 
 
 class _OwnInTree(_OwnFolder, _InTree):

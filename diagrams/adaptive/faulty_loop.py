@@ -48,7 +48,7 @@ def moments(
     seed: int = 0,
     period: float = 0.02,
 ) -> Iterator[Moment]:
-    """Simulates a loop, and tells of it now and then; nothing is logged.
+    """Simulates a loop, and reports now and then; nothing is logged.
 
     Args:
         controller: The controller, which says how often it acts.

@@ -10,7 +10,7 @@ _LARGEST_SHARE = 0.8  # of the memory that a command may take; the rest is for o
 
 
 def machine_memory() -> int:
-    """Bytes of memory of this machine, where its system tells; else more than anybody needs."""
+    """Return the bytes of memory of this machine; a huge number if the system does not say."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):

@@ -280,7 +280,7 @@ def _status(target: Path) -> os.stat_result | None:
 
 
 def _is_of_another_user(target: Path) -> bool:
-    """Whether a file is in a sticky folder, such as /tmp, and neither of them is the user's."""
+    """Return whether a file and its sticky folder, such as /tmp, both belong to other users."""
     folder = target.parent.stat()
     owners = (target.stat().st_uid, folder.st_uid)
     return bool(folder.st_mode & stat.S_ISVTX) and os.geteuid() not in owners

@@ -120,7 +120,7 @@ class ModelOptions:
 def read_model(
     path: Path, options: ModelOptions, told: Activity, extra: Sequence[type[Effect]] = ()
 ) -> RobotModel:
-    """The model of a command; what of its file is not believed is said at once.
+    """Read the model of a command, and report at once what was repaired in its file.
 
     Args:
         path: MODEL.
@@ -157,7 +157,7 @@ def tell_repairs(model: RobotModel, told: Activity) -> None:
 
 
 def repairs_in_short(repairs: Sequence[str]) -> tuple[str, ...]:
-    """The first of many repairs, and how many there are.
+    """Describe the first of many repairs, and count them.
 
     Args:
         repairs: What they say.

@@ -37,7 +37,7 @@ class PageServer(ThreadingHTTPServer):
         self._free = threading.Semaphore(_MOST_CONNECTIONS)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own, or hang up where there are too many."""
+        """Answer in a thread of its own, or hang up if there are too many clients."""
         if self._free.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
@@ -64,7 +64,7 @@ class _PageHandler(BaseHTTPRequestHandler):
     server: PageServer
 
     def do_GET(self) -> None:
-        """Answer with the page, or that there is nothing else."""
+        """Answer with the page, and with 404 to any other path."""
         self._answer()
 
     def do_HEAD(self) -> None:
@@ -85,7 +85,7 @@ class _PageHandler(BaseHTTPRequestHandler):
             self.wfile.write(body)
 
     def _is_asked_here(self) -> bool:
-        """Whether the one `Host` that is asked for is this machine."""
+        """Return whether the request names this machine as its only `Host`."""
         hosts = self.headers.get_all("Host", [])
         try:
             return [urlsplit(f"//{host}").hostname in _LOCAL for host in hosts] == [True]

@@ -106,7 +106,7 @@ def results_apart() -> Iterator[None]:
 
 
 def results() -> TextIO:
-    """The stream that results go to."""
+    """Return the stream that results go to."""
     return _RESULTS.get(None) or sys.stdout
 
 
@@ -150,7 +150,7 @@ def _open_streams() -> None:
 
 
 def _descriptor(stream: TextIO) -> int:
-    """Which of the process's files a stream writes to; -1 if it is none, as in tests."""
+    """Return the file descriptor that a stream writes to; -1 if it has none, as in tests."""
     try:
         return stream.fileno()
     except (OSError, ValueError):

@@ -101,7 +101,7 @@ def _is_unidentifiable(fitted: FittedEffect) -> bool:
 
 
 def _further(kind: type[Effect], case: Case, where: Sequence[str] | None) -> tuple[Effect, ...]:
-    """Effects of joints that do not follow each other, where they are asked for."""
+    """Return the wanted effects of joints that do not follow each other."""
     if kind.places != "joint_pair":
         return ()
     pairs = other_pairs(case.model, case.model.single_joints)
@@ -112,7 +112,7 @@ def _further(kind: type[Effect], case: Case, where: Sequence[str] | None) -> tup
 def _places(
     kind: type[Effect], case: Case, where: Sequence[str] | None
 ) -> tuple[tuple[str, ...], ...] | None:
-    """Places of the effect; None for all that there are, or the best one."""
+    """Return the places of the effect; None for all places, or the best one."""
     offered = {e.name for e in case.dataset.effects}
     if kind.needs_known_inertia and kind.name not in offered:
         raise ArgumentError(

@@ -51,7 +51,7 @@ def _of_explanation(found: Explanation) -> Iterator[tuple[list[Finding], list[Fi
 
 
 def _rivals_place(step: Step, name: str, model: RobotModel) -> Sequence[str] | None:
-    """Where a rival of a step was found in its place; None where no motion can be designed."""
+    """Return where a rival of a step was found; None where no motion can be designed."""
     effect, rival = _class(step.effect), _class(name)
     if effect is None or rival is None:
         return None

@@ -1,4 +1,4 @@
-"""What is believed of a robot before its logs are seen: every number that decides.
+"""Prior beliefs about a robot, before its logs are seen: every number that decides.
 
 A diagnosis weighs explanations by their probability, and these are the prior probabilities and
 widths. Nothing else in a search decides between two explanations.
@@ -56,6 +56,6 @@ class Beliefs:
         for name, value in vars(self).items():
             if name in ("widths", "payloads"):
                 for width in value:
-                    positive(width, "widths")
+                    positive(width, name)
             else:
                 number(value, name, lower=0.0)

@@ -33,7 +33,7 @@ def climb(
     pause: Callable[[Fit], bool] | None = None,
     joints: Collection[str] | None = None,
 ) -> Fit:
-    """The most probable explanation that steps to more probable neighbours lead to.
+    """Climb from neighbour to more probable neighbour.
 
     Args:
         model: The Gaussian model.
@@ -58,7 +58,7 @@ def climb(
 
 
 def settled(model: LogModel, fit: Fit) -> Fit:
-    """The most probable explanation where residuals count as those of the last one throughout.
+    """Climb until residuals count as those of the explanation that is reached.
 
     Probabilities are told by the samples that the residuals of the answer are worth. So nothing
     nearby may be more probable by them.
@@ -76,7 +76,7 @@ def settled(model: LogModel, fit: Fit) -> Fit:
 
 
 def _settled(model: LogModel, fit: Fit) -> Fit:
-    """The most probable explanation nearby, residuals counted as those of a fit throughout."""
+    """Climb with residuals counted as those of one fit throughout."""
     shares, seen = model.shares(fit), {fit.choice.key}
     for _ in range(_MOST_STEPS):
         choices = [choice for choice in neighbours(model, fit) if choice.key not in seen]
@@ -96,7 +96,7 @@ def _step(
     *,
     hopeful: bool,
 ) -> Fit | None:
-    """The best neighbour of a fit that was not seen yet, if it is more probable."""
+    """Return the best neighbour of a fit not seen yet, if it is more probable."""
     own = model.shares(fit)
     high = np.maximum(own, _OPTIMISTIC)
     fit = _refitted(model, fit, high if hopeful else own)
@@ -128,7 +128,7 @@ def _refitted(model: LogModel, fit: Fit, shares: Array) -> Fit:
 def gain_of(
     model: LogModel, fit: Fit, other: Fit, *, hopeful: bool = False
 ) -> tuple[float, Fit] | None:
-    """How much higher another fit scores, where residuals count alike, and that fit.
+    """Return how much higher another fit scores, residuals counted alike, and that fit.
 
     Residuals of either joint are worth as many samples as those of the fit that leaves less.
 

@@ -78,7 +78,7 @@ def diagnose(
 
 
 def _candidates(case: Case, found: Found, first: StagedFinding, before: float) -> list[Candidate]:
-    """The first step, its rivals, and what else improves the model alone."""
+    """Return the first step, its rivals, and what else improves the model alone."""
     finding, certainty = first.finding, first.finding.certainty
     if finding.name == INERTIA:
         wrong = {term.where[0] for term in finding.terms}
@@ -117,7 +117,7 @@ def _candidates(case: Case, found: Found, first: StagedFinding, before: float) -
 
 
 def _bare(model: LogModel, fit: Fit) -> Fit:
-    """The model with nothing new, its residuals counted as those of a fit."""
+    """Fit the model with nothing new, residuals counted as those of another fit."""
     shares = model.shares(fit)
     fits = [model.fit(model.nothing(width), shares) for width in model.widths]
     return max((each for each in fits if each is not None), key=lambda each: each.score)

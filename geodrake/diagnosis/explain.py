@@ -114,7 +114,7 @@ def explained(
     forced: bool = False,
     notes: Sequence[str] = (),
 ) -> Investigation:
-    """What a search found, fitted, and judged once by held-out data.
+    """Fit what a search found, and judge it once by held-out data.
 
     Args:
         case: The case that was opened.
@@ -153,7 +153,7 @@ def explained(
 
 
 def _without_unknown(found: Found) -> Found:
-    """What was found, less functions of the motion that no effect describes."""
+    """Return what was found without functions of the motion that no effect describes."""
     fit, model = found.fit, found.model
     kept = tuple(t for t in fit.terms if not isinstance(t.effect, UnknownFunction))
     if len(kept) == len(fit.terms):
@@ -164,7 +164,7 @@ def _without_unknown(found: Found) -> Found:
 
 
 def _unknown_notes(found: Found) -> list[str]:
-    """Where a function of the motion is left that no effect describes, in words."""
+    """Describe where a function of the motion remains that no effect describes."""
     joints = [t.where[0] for t in found.fit.terms if isinstance(t.effect, UnknownFunction)]
     return [
         f"what is left at {joint} goes with its position and speed in a way that no effect "
@@ -176,7 +176,7 @@ def _unknown_notes(found: Found) -> list[str]:
 def _holding(
     case: Case, found: Found, findings: Sequence[Finding], *, forced: bool
 ) -> tuple[Found, Case, ModelFit, Hypothesis, tuple[Step, ...]]:
-    """The final fit and its steps, less the last ones that do not lower the held-out error."""
+    """Return the final fit and its steps, less last ones that lower no held-out error."""
     while True:
         start, stages = staged(found, findings)
         after, fit = final_fit(case, found)
@@ -192,20 +192,20 @@ def _holding(
 
 
 def _left(found: Found) -> float:
-    """What a fit leaves over the noise where it is most, reversals that nobody resolves aside."""
+    """Return the largest ratio of residual to noise, unresolved reversals left aside."""
     noise = found.model.dataset.noise_floor
     left = np.sqrt(found.fit.variance)
     return float(np.max(left / np.where(noise > 0.0, noise, 1e-300)))
 
 
 def verdict_of(errors: ErrorTable, found: bool, *, left: float = np.inf) -> Verdict:
-    """What an end result amounts to.
+    """Return the verdict on an end result.
 
     Args:
         errors: Held-out errors at the end.
         found: Whether a step was taken.
-        left: What a fit leaves over the noise where it is most, reversals of joints that the logs
-            do not resolve left aside; what those add is no effect that is missing.
+        left: Largest ratio of a joint's residual to its noise, in a fit that allows for reversals
+            that the logs do not resolve, as those are no missing effect.
     """
     near = errors.shows_noise and errors.nrms <= MOST_OF_REVERSALS * errors.floor_nrms
     if not (errors.is_noise or (near and left <= JOINT_NOISE_MARGIN)):

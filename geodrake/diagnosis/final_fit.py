@@ -25,7 +25,7 @@ _MOST_ITERATIONS = 10
 
 
 def final_fit(case: Case, found: Found, *, companions: bool = True) -> tuple[Case, ModelFit]:
-    """The physically consistent fit of what was found, loads and delay brought up to date.
+    """Fit what was found, physically consistent, with loads and delay brought up to date.
 
     Args:
         case: The case that was opened.
@@ -64,7 +64,7 @@ def final_fit(case: Case, found: Found, *, companions: bool = True) -> tuple[Cas
 
 
 def freed(hypothesis: Hypothesis) -> Hypothesis:
-    """The hypothesis with inertias as free as those that are well known, where they are fixed.
+    """Return the hypothesis with fixed inertias as free as well-known ones.
 
     To hold the inertias, as a search may do, does not make them known.
     """
@@ -84,7 +84,7 @@ def _with_fitted_loads(
 
 
 def searched_model(model: RobotModel, found: Hypothesis) -> RobotModel:
-    """The model by all data of a hypothesis, as it is while a search lasts; delays left aside.
+    """Return the model that all data of a hypothesis give, without delays.
 
     Args:
         model: The model before.
@@ -97,7 +97,7 @@ def searched_model(model: RobotModel, found: Hypothesis) -> RobotModel:
 
 
 def with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
-    """The companions of effects, so that neither stands in for the other in a fit.
+    """Return the companions of effects, so that neither stands in for the other in a fit.
 
     Where dry friction was found and viscous friction was not worth a step, the viscous one is
     fitted along all the same: left out, it would bias the dry one by all that it may be.
@@ -120,7 +120,7 @@ def with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
 
 
 def companion_notes(found: Unknowns, fit: ModelFit) -> list[str]:
-    """What was fitted along without being a step, in words.
+    """Describe what was fitted along without being a step.
 
     Args:
         found: The unknowns of the search.

@@ -71,7 +71,7 @@ class Choice:
 
     @property
     def key(self) -> tuple[frozenset[Term], float, Delay]:
-        """What tells it from others."""
+        """Return what distinguishes it from other explanations."""
         return frozenset(self.terms), self.width, self.delay
 
 
@@ -99,7 +99,7 @@ class Fit:
 
     @property
     def terms(self) -> Terms:
-        """The terms of the explanation."""
+        """Return the terms of the explanation."""
         return self.choice.terms
 
 
@@ -158,7 +158,7 @@ class LogModel:
     # What there is to fit.
 
     def _assemble(self) -> None:
-        """Normal matrices over all columns: model, gains, reversals, terms."""
+        """Return the normal matrices over all columns: model, gains, reversals, terms."""
         data, nv = self.dataset, len(self.dataset.joints)
         self._reversals = [e for e in data.effects if isinstance(e, UnresolvedReversal)]
         sources = [self.unknowns.columns, np.full(nv, -1)]
@@ -197,7 +197,7 @@ class LogModel:
         self._floor = np.square(_LEAST_NOISE * np.maximum(data.effort_std, 1e-12))
 
     def _prior(self, choice: Choice) -> tuple[Array, float]:
-        """Λ (n, n) of an explanation and log |Λ|, but for a constant."""
+        """Return the prior information Λ (n, n) of an explanation and log |Λ|, up to a constant."""
         p, first = len(self.unknowns.columns), self._first_term
         sizes = [len(term.columns) for term in choice.terms]
         information = np.zeros((first + sum(sizes),) * 2)
@@ -215,11 +215,11 @@ class LogModel:
 
     @property
     def _spread(self) -> float:
-        """The width that the prior of the model's unknowns has."""
+        """Return the width of the prior of the model's unknowns."""
         return SPREAD if self.model.information is None else 1.0
 
     def odds_against(self, choice: Choice) -> float:
-        """Twice the logarithm of the prior odds against an explanation."""
+        """Return twice the logarithm of the prior odds against an explanation."""
         beliefs = self.beliefs
         late = {
             j
@@ -239,24 +239,24 @@ class LogModel:
         return float(total)
 
     def _seconds(self, delay: Delay) -> frozenset[float]:
-        """What joints are late by, s, beyond the model's delays."""
+        """Return the delays of the joints, s, beyond the model's own."""
         delays = self.dataset.delays
         late = delays[list(delay), np.arange(len(delay))]
         own = delays[list(self.on_time), np.arange(len(delay))]
         return frozenset(np.round(late - own, 9).tolist())
 
     def are_compatible(self, terms: Terms) -> bool:
-        """Whether terms may be together, beside what the model has."""
+        """Return whether terms may stand together, beside what the model has."""
         return are_compatible(terms, self.known)
 
     # Fits.
 
     def nothing(self, width: float) -> Choice:
-        """The model as it is, with bodies that may be so far from it."""
+        """Return the explanation that adds nothing, with bodies within a width of the model."""
         return Choice((), width, self.on_time)
 
     def choice(self, terms: Terms, width: float, delay: Delay) -> Choice:
-        """An explanation, its terms in the order of their columns."""
+        """Return an explanation, its terms in the order of their columns."""
         return Choice(tuple(sorted(terms, key=lambda t: self.at[t][0])), width, delay)
 
     def fit(
@@ -267,7 +267,7 @@ class LogModel:
         *,
         bounded: bool = True,
     ) -> Fit | None:
-        """The most probable parameters and noise of an explanation.
+        """Fit the most probable parameters and noise of an explanation.
 
         Args:
             choice: The explanation.
@@ -308,7 +308,7 @@ class LogModel:
         prior: Array,
         logarithm: float,
     ) -> Fit:
-        """The fit with a prior Λ (n, n) and log |Λ|, wherever it is."""
+        """Return the fit with a prior Λ (n, n) and log |Λ|, without regard to bounds."""
         grams, moments, powers = self._normal(columns, choice.delay)
         mean = self.mean[columns]
         pull, rows = prior @ mean, self.rows
@@ -339,7 +339,7 @@ class LogModel:
         return Fit(choice, columns, x, variance, weights, hessian, score)
 
     def refitted(self, fit: Fit) -> Fit:
-        """A fit of another model's terms to this one's columns, where bounds do not count."""
+        """Fit another model's terms to the columns of this one, without regard to bounds."""
         own = {term.effect: term for term in self.terms if term.effect is not None}
         wrong = {term.where: term for term in self.terms if term.effect is None}
         terms = [wrong[t.where] if t.effect is None else own[t.effect] for t in fit.terms]
@@ -358,7 +358,7 @@ class LogModel:
         return found
 
     def _physical(self, choice: Choice, x: Array, hessian: Array) -> float:
-        """Twice the logarithm of the probability that payloads are physical, as they are known."""
+        """Return twice the logarithm of the probability that the fitted payloads are physical."""
         at, total = self._first_term, 0.0
         for term in choice.terms:
             size = len(term.columns)
@@ -377,7 +377,7 @@ class LogModel:
         return total
 
     def _normal(self, columns: Indices, delay: Delay) -> tuple[Array, Array, Array]:
-        """AᵀA (nv, n, n), Aᵀb (nv, n) and bᵀb (nv,) of each joint."""
+        """Return AᵀA (nv, n, n), Aᵀb (nv, n) and bᵀb (nv,) of each joint."""
         n, nv = len(columns), len(self.rows)
         grams, moments, powers = np.empty((nv, n, n)), np.empty((nv, n)), np.empty(nv)
         for j, (gram, places) in enumerate(zip(self._grams, self._places, strict=True)):
@@ -387,7 +387,7 @@ class LogModel:
         return grams, moments, powers
 
     def shares(self, fit: Fit) -> Array:
-        """(nv,) independent samples over rows that the residuals of a fit are worth."""
+        """Return (nv,) how many independent samples each row of a fit's residuals is worth."""
         key = fit.choice.key
         if key not in self._shares:
             columns, x = self.dataset_parameters(fit)
@@ -402,14 +402,14 @@ class LogModel:
         return self._shares[key]
 
     def dataset_parameters(self, fit: Fit) -> tuple[Indices, Array]:
-        """Columns (p,) of the dataset and their parameters (p,), gains left aside."""
+        """Return columns (p,) of the dataset and their parameters (p,), without gains."""
         p, nv, data = len(self.unknowns.columns), len(self.rows), self.dataset
         columns = [self.unknowns.columns, *(data.effect_columns(e) for e in self._reversals)]
         columns += [term.columns for term in fit.terms]
         return np.concatenate(columns), np.delete(fit.x, np.arange(p, p + nv))
 
     def parameters(self, fit: Fit, term: Term) -> Array:
-        """(k,) parameters of a term of a fit."""
+        """Return the parameters (k,) of a term of a fit."""
         at = self._first_term
         for each in fit.terms:
             if each is term:
@@ -418,7 +418,7 @@ class LogModel:
         raise KeyError(term)
 
     def bodies(self, fit: Fit) -> Array:
-        """(nb, 10) bodies of a fit, wrong ones as they were found; payloads are beside them."""
+        """Return the bodies (nb, 10) of a fit, wrong ones as they were found, without payloads."""
         phi = fit.x[: self._bodies].reshape(-1, PARAMETERS_PER_BODY).copy()
         for term in fit.terms:
             if term.effect is None:
@@ -428,13 +428,13 @@ class LogModel:
     # What a fit changes to where terms come and go, at its noise.
 
     def around(self, fit: Fit) -> Neighbourhood:
-        """What is beside a fit."""
+        """Return the Schur complements of all columns beside a fit."""
         return Neighbourhood(self, fit)
 
     # For what needs fits fold by fold.
 
     def unknowns_of(self, choice: Choice) -> Unknowns:
-        """What a fit of an explanation may move, with its prior; nuisances are left aside."""
+        """Return the unknowns of an explanation with their prior, without nuisances."""
         unknowns = self.unknowns.loosened(choice.width / self._spread, self._bodies)
         wrong = [term for term in choice.terms if term.effect is None]
         if wrong:
@@ -451,7 +451,7 @@ class LogModel:
         return unknowns
 
     def hypothesis(self, fit: Fit) -> Hypothesis:
-        """A fit as it is, for what looks at its residuals: all folds have the same parameters."""
+        """Return a fit as a validated one whose folds all have the same parameters."""
         unknowns, data, choice = self.unknowns_of(fit.choice), self.dataset, fit.choice
         for effect in self._reversals:
             known = np.zeros((len(effect.parameters),) * 2)
@@ -474,7 +474,7 @@ class LogModel:
         return self._hypothesis(choice, unknowns, fit, held_out)
 
     def validated(self, fit: Fit) -> Hypothesis:
-        """A fit validated fold by fold, with the noise that it has."""
+        """Validate a fit fold by fold, with the noise that it has."""
         return self._hypothesis(fit.choice, self.unknowns_of(fit.choice), fit, None)
 
     def _hypothesis(
@@ -519,7 +519,7 @@ class Neighbourhood:
             first += len(term.columns)
 
     def delays(self) -> list[tuple[Delay, float]]:
-        """The best other delay of all joints, and of each joint alone, with what each gains."""
+        """Return the best other delay of all joints, and of each joint alone, with their gains."""
         model, was = self._model, self.fit.choice.delay
         columns, fit, joints = self.fit.columns, self.fit, range(len(was))
         every = [model._normal(columns, (k,) * len(was)) for k in range(len(model.dataset.delays))]
@@ -541,7 +541,7 @@ class Neighbourhood:
         return found
 
     def dropped(self, terms: Sequence[Term]) -> Dropped:
-        """What leaving some of the fit's terms out changes."""
+        """Return what leaving some of the fit's terms out changes."""
         at = np.concatenate([self._at[term] for term in terms])
         covariance, x = self._inverse[np.ix_(at, at)], self.fit.x[at]
         inverse = np.linalg.inv(covariance)
@@ -550,7 +550,7 @@ class Neighbourhood:
         return Dropped(float(loss), self._turned[at], inverse, x)
 
     def gains(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
-        """(m,) what each package of terms adds to the score, prior odds left aside.
+        """Return (m,) what each package of terms adds to the score, without prior odds.
 
         Args:
             packages: Terms that come together, none of which is in the fit, or only in `dropped`.

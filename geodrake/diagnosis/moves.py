@@ -36,7 +36,7 @@ class Move:
 def neighbours(
     model: LogModel, fit: Fit, *, most: int = _MOST, joints: Collection[str] | None = None
 ) -> list[Choice]:
-    """The neighbours of an explanation that promise most.
+    """Find the most promising neighbours of an explanation.
 
     Args:
         model: The Gaussian model.
@@ -67,7 +67,7 @@ def neighbours(
 
 
 def additions(model: LogModel, fit: Fit) -> list[Fit]:
-    """An explanation with terms of one name more, at every place where they gain, best first.
+    """Add terms of one name to an explanation at every place where they gain, best first.
 
     Args:
         model: The Gaussian model.
@@ -97,7 +97,7 @@ class _Finder:
                 self.by_joint.setdefault(term.joint, []).append(term)
 
     def moves(self) -> Iterator[Move]:
-        """All moves that promise something."""
+        """Return all moves that promise a gain."""
         yield from self.added()
         yield from self.rebuilt(self.by_joint)
         for term in self.fit.terms:
@@ -106,7 +106,7 @@ class _Finder:
         yield from self._kinds_replaced()
 
     def _move(self, terms: Iterable[Term], gain: float) -> Move:
-        """A move by its gain without prior odds."""
+        """Return a move by its gain without prior odds."""
         choice = self._choice(terms)
         return Move(choice, gain + self.base - self.model.odds_against(choice))
 
@@ -115,7 +115,7 @@ class _Finder:
         return self.model.choice(tuple(terms), was.width, was.delay)
 
     def added(self) -> Iterator[Move]:
-        """One term more, the best at every joint together, and one kind at all joints together."""
+        """Add one term, the best at every joint together, or one kind at all joints together."""
         present = self.fit.terms
         offered = [
             term
@@ -142,7 +142,7 @@ class _Finder:
                 yield Move(self._choice((*present, *terms)), sum(found))
 
     def rebuilt(self, joints: Collection[str]) -> Iterator[Move]:
-        """The own effects of some joints anew: alone, as pairs, and beside simple ones."""
+        """Choose the own effects of some joints anew: alone, as pairs, and beside simple ones."""
         present, every = self.fit.terms, list[tuple[Move, list[Term], Terms]]()
         for joint in joints:
             offered = self.by_joint.get(joint, [])
@@ -177,7 +177,7 @@ class _Finder:
     def _packages(
         self, offered: list[Term], here: list[Term], dropped: Dropped | None
     ) -> list[Terms]:
-        """What may stand at a joint in the place of what is there."""
+        """Return what may replace the effects at a joint."""
         gains = self.around.gains([(term,) for term in offered], dropped)
         best = [offered[k] for k in np.argsort(-gains)[:_POOL]]
         simple = [t for t in offered if _complexity(t) <= 1 and len(t.columns) == 1]
@@ -201,7 +201,7 @@ class _Finder:
         return [*unique.values()]
 
     def _replaced(self, term: Term) -> Iterator[Move]:
-        """Without one term, and with another one in its place that is no single joint's."""
+        """Drop one term, or replace it by one that does not belong to a single joint."""
         rest = tuple(other for other in self.fit.terms if other is not term)
         dropped = self.around.dropped([term])
         if self.model.are_compatible(rest):
@@ -223,7 +223,7 @@ class _Finder:
                     yield move
 
     def _without_kinds(self) -> Iterator[Move]:
-        """Without any effect of one name."""
+        """Drop all effects of one name."""
         for name in {term.name for term in self.fit.terms}:
             gone = [term for term in self.fit.terms if term.name == name]
             rest = tuple(term for term in self.fit.terms if term.name != name)
@@ -233,7 +233,7 @@ class _Finder:
                     yield move
 
     def sparing(self) -> Iterator[Choice]:
-        """One payload more, or another effect of the whole robot, which may spare bodies their way.
+        """Add a payload, or another effect of the whole robot, which may let bodies stay put.
 
         With bodies as free as they are it may promise nothing, and much with bodies that stay.
         """
@@ -245,7 +245,7 @@ class _Finder:
                 yield self._choice((*present, term))
 
     def _kinds_replaced(self) -> Iterator[Move]:
-        """One kind of effect, or one shared by joints, in the place of another one everywhere."""
+        """Replace one kind of effect, or one that joints share, by another one everywhere."""
         present = self.fit.terms
         for name in {term.name for term in present if term.joint is not None}:
             gone = [term for term in present if term.name == name]

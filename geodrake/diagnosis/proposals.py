@@ -30,7 +30,7 @@ share of a joint's squared error: the search judges it."""
 
 
 def proposed(case: Case, model: LogModel, fit: Fit) -> list[Effect]:
-    """Effects that the residual of a fit suggests, with the shapes to try.
+    """Return effects that the residual of a fit suggests, with the shapes to try.
 
     Args:
         case: The case.

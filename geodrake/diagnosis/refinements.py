@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.log_model import Choice, Fit, LogModel
-from geodrake.diagnosis.parabola import least_between
 from geodrake.diagnosis.terms import Term
 from geodrake.effects import FittedEffect
 from geodrake.effects.base import Effect
@@ -33,6 +32,39 @@ _OTHER_LOADS = 0.02
 """Columns are made anew if a load changes by more than this share of the effort's deviation."""
 
 
+@dataclass(frozen=True)
+class Least:
+    """The least error near a value of a parameter.
+
+    Attributes:
+        step: From that value to where the error is least, within what was tried.
+        gain: How much smaller the error is there.
+        deviation: Standard deviation of the step where errors are twice log-likelihoods; infinite
+            where there is no minimum.
+    """
+
+    step: float
+    gain: float
+    deviation: float
+
+
+def least_between(offsets: Array, errors: Array) -> Least:
+    """Return the minimum of the parabola through three errors; no step if it has none.
+
+    Args:
+        offsets: (3,) values of a parameter, in order, from the middle one on, which is zero.
+        errors: (3,) errors there.
+    """
+    (first, _, last), (low, middle, high) = offsets.tolist(), errors.tolist()
+    slopes = (low - middle) / first, (high - middle) / last
+    curvature = (slopes[1] - slopes[0]) / (last - first)
+    slope = slopes[0] - curvature * first
+    if curvature <= 0.0:
+        return Least(0.0, 0.0, float("inf"))
+    step = float(np.clip(-slope / (2.0 * curvature), offsets[0], offsets[-1]))
+    return Least(step, -(slope + curvature * step) * step, curvature**-0.5)
+
+
 # Delays.
 
 
@@ -50,7 +82,7 @@ class Delays:
 
 
 def delays_of(model: LogModel, fit: Fit) -> Delays:
-    """The delays near those of a fit at which it is most probable.
+    """Find the delays near those of a fit at which it is most probable.
 
     Args:
         model: The Gaussian model.
@@ -99,7 +131,7 @@ def _late_together(model: LogModel, choice: Choice) -> list[list[int]]:
 
 
 def with_delays(case: Case, found: Delays) -> Case:
-    """A case whose model has the delays that were found.
+    """Return a case whose model has the delays that were found.
 
     Args:
         case: The case.
@@ -111,7 +143,7 @@ def with_delays(case: Case, found: Delays) -> Case:
 
 
 def fitted_delays(delays: Array, joints: Sequence[str]) -> list[FittedEffect]:
-    """The effects of a fitted model that make delays (nv,), s, at its joints.
+    """Return the effects of a fitted model that make delays (nv,), s, at its joints.
 
     Args:
         delays: (nv,) delays, s.
@@ -147,7 +179,7 @@ _ZOOMS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)
 
 
 def free_shape(effect: Effect, grid: Sequence[Effect]) -> tuple[str, Array] | None:
-    """The shape parameter that a grid tries at several positive values, and these in order.
+    """Return the shape parameter that a grid tries at several positive values, and these in order.
 
     Args:
         effect: An effect.
@@ -184,7 +216,7 @@ def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]
 
 
 def expansions(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
-    """Effects whose columns are slopes about another place than their parameters say, and those.
+    """Return the effects whose columns are slopes, moved to the fitted point, by effect.
 
     Args:
         case: The case.
@@ -208,7 +240,7 @@ def expansions(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
 
 
 def fitted_loads(case: Case, model: LogModel, fit: Fit) -> Array | None:
-    """Bodies (nb, 10) of a fit with what they carry; None where loads change little by them.
+    """Return the bodies (nb, 10) of a fit with what they carry; None if loads barely change.
 
     Friction that grows with the load, gears that give way or have play: what they do is known at
     the right instants only if the load is.
@@ -249,7 +281,7 @@ def _change_of_load(dataset: Dataset, step: Array) -> float:
 
 
 def fading_speeds(case: Case, model: LogModel, fit: Fit) -> Array | None:
-    """Speeds (nv,) below which the dry friction of each joint fades, rad/s or m/s.
+    """Find the speeds (nv,) below which the dry friction of each joint fades, rad/s or m/s.
 
     Surfaces that touch give way a little before they slide, so that measured dry friction does not
     jump where a joint turns round.
@@ -303,7 +335,7 @@ _DOUBLINGS = 7
 
 
 def fading_notes(before: RobotModel, after: RobotModel) -> list[str]:
-    """At which speeds dry friction was found to fade, in words.
+    """Describe the speeds at which dry friction was found to fade.
 
     Args:
         before: The model as it came.

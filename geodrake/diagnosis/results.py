@@ -134,7 +134,7 @@ class Step(Short):
 
     @property
     def probability(self) -> float:
-        """How probable it is: the sum over all explanations that have it.
+        """Return its probability: the sum over all explanations that have it.
 
         With what stands in its place in others, and that nothing does, it adds up to one.
         """

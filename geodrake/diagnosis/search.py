@@ -65,7 +65,7 @@ class Found:
 def searched(
     case: Case, beliefs: Beliefs | None = None, *, progress: Progress | None = None
 ) -> Found:
-    """The most probable explanation of the logs of a case.
+    """Find the most probable explanation of the logs of a case.
 
     Args:
         case: The case, with columns for candidates.
@@ -84,7 +84,7 @@ def with_forced(
     places: tuple[tuple[str, ...], ...] | None,
     further: Sequence[Effect] = (),
 ) -> Found:
-    """The explanation with one effect, whatever the evidence for it.
+    """Return the explanation with one effect, whatever the evidence for it.
 
     Args:
         case: The case, with columns for candidates.

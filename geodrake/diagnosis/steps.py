@@ -54,7 +54,7 @@ class Finding:
 
 
 def findings_of(found: Found) -> list[Finding]:
-    """What a search found, each thing once.
+    """Return each finding of a search once.
 
     Args:
         found: The search.
@@ -99,7 +99,7 @@ class StagedFinding:
 
 
 def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[StagedFinding]]:
-    """The model before the first step, and findings in the order of what they gain.
+    """Return the model before the first step, and findings in the order of their gains.
 
     Args:
         found: The search.
@@ -149,7 +149,7 @@ def steps_of(
     fit: ModelFit,
     end: ErrorTable,
 ) -> tuple[Step, ...]:
-    """Steps from the model refitted within its prior to the final fit.
+    """Return the steps from the model refitted within its prior to the final fit.
 
     Args:
         case: The case that was opened.
@@ -279,7 +279,7 @@ def late_joints(found: Found) -> tuple[str, ...]:
 def moved_bodies(
     case: Case, phi: Array, wrong: set[str] | frozenset[str] = frozenset()
 ) -> Mapping[str, float]:
-    """Bodies that a fit (nb, 10) moved, with the geometric distance: the wrong ones, or farthest.
+    """Return the bodies that a fit (nb, 10) moved, and how far: the wrong ones, or the farthest.
 
     Args:
         case: The case, with the prior.

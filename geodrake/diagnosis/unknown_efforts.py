@@ -110,7 +110,7 @@ class UnknownFunction(JointEffect):
 def reversals(
     model: RobotModel, trajectories: Sequence[Trajectory]
 ) -> tuple[UnresolvedReversal, ...]:
-    """What is not known of reversals, at every joint that moves.
+    """Return an unresolved reversal for every joint that moves.
 
     Args:
         model: The robot.
@@ -147,7 +147,7 @@ def is_resolved(effect: Effect, unsure: Sequence[UnresolvedReversal]) -> bool:
 def unknown_functions(
     model: RobotModel, trajectories: Sequence[Trajectory]
 ) -> tuple[UnknownFunction, ...]:
-    """An unknown function of the motion at every joint that moves.
+    """Return an unknown function of the motion for every joint that moves.
 
     Args:
         model: The robot.

@@ -43,7 +43,7 @@ def typed(function: F) -> F:
 
 
 def _kinds(hint: Any) -> tuple[type, ...]:
-    """Classes that an annotation admits; none if it admits what no class says."""
+    """Return the classes that an annotation admits; none if classes cannot express it."""
     if get_origin(hint) in (Union, UnionType):
         each = [_kinds(part) for part in get_args(hint)]
         return tuple(kind for kinds in each for kind in kinds) if all(each) else ()

@@ -90,7 +90,7 @@ def one_or_each(
 
 
 def mask(value: Any, name: str, count: int | None = None) -> NDArray[np.bool_]:
-    """Booleans (n,), of a given number or any.
+    """Return booleans (n,), checked, of a given or any number.
 
     Raises:
         ArgumentError: They are something else, or not as many.

@@ -30,7 +30,7 @@ class JointScalars:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """() or (..., n), that of all fields together."""
+        """Return the shape () or (..., n) of all fields together."""
         return np.broadcast_shapes(*(value.shape for value in vars(self).values()))
 
 

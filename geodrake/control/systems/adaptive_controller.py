@@ -192,7 +192,7 @@ class AdaptiveController(LeafSystem):
         """V_t."""
 
     def _resting(self, seen: Seen, gains: Array) -> bool:
-        """Whether r = q̇ − q̇_d + Λ (q − q_d) is within the dead zone."""
+        """Return whether r = q̇ − q̇_d + Λ (q − q_d) is within the dead zone."""
         r = seen.qd - seen.v_d + gains[: self._nv] * (seen.q - seen.q_d)
         return bool((np.abs(r) < self._dead_zone).all())
 
@@ -289,7 +289,7 @@ class AdaptiveController(LeafSystem):
         return ControlResult(applied, result.sample, None if waits else result.covector)
 
     def _watched(self, context: Context) -> Array:
-        """What the watch remembers, (4 nv + 3,)."""
+        """Return the memory of the watch, (4 nv + 3,)."""
         return np.asarray(context.get_discrete_state(_WATCH).value())
 
     def _held(self, context: Context) -> Array:
@@ -315,7 +315,7 @@ class AdaptiveController(LeafSystem):
         seen: Seen,
         result: ControlResult | None,
     ) -> Array:
-        """The estimate (p,) after a time step; as it was where it cannot be moved."""
+        """Return the estimate (p,) after a time step; unchanged where it cannot move."""
         p = context.get_discrete_state(_PARAMETERS).value()
         memory = np.zeros(0)
         if (prediction := self._prediction) is not None:

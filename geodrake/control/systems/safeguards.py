@@ -144,14 +144,14 @@ class Watch:
     settling_time: float = 0.0
 
     def start(self) -> Array:
-        """The memory (4 n + 3,) before the first sample."""
+        """Return the memory (4 n + 3,) before the first sample."""
         never = np.finfo(float).max
         return np.concatenate(
             [np.full(3 * self.size, np.nan), np.zeros(self.size), [never, 0.0, never]]
         )
 
     def measure(self, memory: Array, state: Array) -> tuple[bool, bool]:
-        """Whether a state (2 n,) is believed, and whether it is new; puts it into the memory."""
+        """Return whether a state (2 n,) is trusted and whether it is new, and remember it."""
         return calc_measured(contiguous(state), (self.period, self.stale_time, self.drift), memory)
 
     def look(

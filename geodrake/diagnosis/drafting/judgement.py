@@ -52,42 +52,42 @@ class Judgement:
 
     @property
     def score(self) -> float:
-        """Gain less the penalty of the parameters."""
+        """Return the gain less the penalty of the parameters."""
         return self.gain - PENALTY * self.parameters
 
     @property
     def is_better(self) -> bool:
-        """Whether it gains more than its parameters must, or than one must if it has no more."""
+        """Return whether it gains more than the penalty of its parameters, at least of one."""
         return self.gain > PENALTY * max(self.parameters, 1)
 
     @property
     def alarm(self) -> float:
-        """Probability of a false alarm, all candidates counted."""
+        """Return the probability of a false alarm, all candidates counted."""
         return false_alarm_probability(self.gain, self.parameters, self.tried)
 
     @property
     def left(self) -> float:
-        """Share of the squared error that is left."""
+        """Return the share of the squared error that remains."""
         return float(self.after.sum() / self.before.sum())
 
     @property
     def reduction(self) -> float:
-        """Share of the squared error that is gone."""
+        """Return the share of the squared error that the hypothesis removes."""
         return 1.0 - self.left
 
     @property
     def agreement(self) -> float:
-        """Share of the folds in which the error fell."""
+        """Return the share of the folds in which the error fell."""
         return fold_agreement(self.before, self.after)
 
     @property
     def is_tie(self) -> bool:
-        """Whether the other one may do as well: never with several times the error."""
+        """Return whether the other one may do as well: never with several times the error."""
         return self.left > 1.0 / _SEVERAL and tie_probability(self.after, self.before) > TIE
 
     @property
     def convinces(self) -> bool:
-        """Whether it is something new: no chance, no small part, and not of a few folds only."""
+        """Return whether it is significant, large enough, and found in most folds."""
         return (
             self.alarm <= ALARM
             and self.reduction >= LEAST_REDUCTION
@@ -103,7 +103,7 @@ def judge(
     parameters: int | None = None,
     tried: int = 1,
 ) -> Judgement:
-    """What held-out errors say of a hypothesis against another one with the same bodies' prior.
+    """Compare a hypothesis with another one of the same prior of bodies by held-out errors.
 
     Args:
         before: The other hypothesis.
@@ -122,5 +122,5 @@ def judge(
 
 
 def _parameters(effects: Sequence[Effect]) -> int:
-    """Linear parameters of effects, and one for every shape that was tried on a grid."""
+    """Count linear parameters of effects, and one for every shape tried on a grid."""
     return sum(len(effect.parameters) + effect.free_shapes for effect in effects)
