@@ -49,7 +49,7 @@ What was kept does not depend on where the files are: a copy of them may bring i
 
 
 def compiled(function: F) -> F:
-    """A function of numbers, arrays and tuples of them, compiled when it is first called.
+    """Return a function of numbers, arrays and tuples of them, compiled when it is first called.
 
     What was compiled is kept beside the source, or in the user's folder for caches where that
     cannot be written or others can write. Where neither will do, every process compiles it anew.
@@ -61,7 +61,7 @@ def compiled(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """The same, as a part of what calls it.
+    """Return the same, as a part of what calls it.
 
     Args:
         function: A function as for `compiled`.
@@ -70,7 +70,7 @@ def inlined(function: F) -> F:
 
 
 def contiguous(x: ArrayLike) -> NDArray[np.float64]:
-    """An array as compiled code knows it: other layouts would be compiled once more.
+    """Return an array as compiled code knows it: other layouts would be compiled once more.
 
     Args:
         x: (...) numbers.
@@ -127,7 +127,7 @@ def _compiled(function: F, **options: Any) -> F:
 
 @cache
 def _source(path: str) -> str:
-    """What is in a file of compiled functions."""
+    """Return what is in a file of compiled functions."""
     return Path(path).read_text("utf-8")
 
 
@@ -196,7 +196,7 @@ class _Files(_DataFiles):
     """
 
     def load(self, key: object) -> Any:
-        """What was kept under a key, if it came from the same."""
+        """Return what was kept under a key, if it came from the same."""
         source, data = self._load_data(self._name(key))
         return data if source == self._source_stamp else None
 
@@ -205,7 +205,7 @@ class _Files(_DataFiles):
         self._save_data(self._name(key), (self._source_stamp, data))
 
     def _load_data(self, name: str) -> Any:
-        """What a file holds.
+        """Return what a file holds.
 
         Raises:
             OSError: It is not there, is a link, or others can write it.

@@ -261,7 +261,7 @@ def _refusing(path: Path) -> Iterator[None]:
 
 
 def _status(target: Path) -> os.stat_result | None:
-    """What is at a target now, None for nothing.
+    """Return what is at a target now, None for nothing.
 
     Raises:
         OSError: It is a folder, a device or anything else that cannot be replaced by a file.
@@ -287,7 +287,7 @@ def _is_of_another_user(target: Path) -> bool:
 
 
 def _stem(target: Path) -> str:
-    """What temporary names of a target begin with."""
+    """Return what temporary names of a target begin with."""
     name = os.fsencode(target.name)
     short = len(name) <= _MOST_BYTES
     return f".{target.name if short else hashlib.sha256(name).hexdigest()[:16]}."
@@ -299,7 +299,7 @@ def _free_name(target: Path) -> Path:
 
 
 def _new_file(target: Path) -> tuple[BinaryIO, Path]:
-    """A new file beside a target, locked."""
+    """Return a new file beside a target, locked."""
     while True:
         path = _free_name(target)
         try:

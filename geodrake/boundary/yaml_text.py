@@ -17,7 +17,7 @@ _MOST_NODES = 1_000_000  # with aliases unfolded
 
 
 def yaml_text(path: Path, what: str = "model file", error: type[GeodrakeError] = ModelError) -> str:
-    """The text of a YAML file.
+    """Return the text of a YAML file.
 
     Args:
         path: The file.
@@ -50,7 +50,7 @@ def yaml_text(path: Path, what: str = "model file", error: type[GeodrakeError] =
 
 
 def yaml_content(path: Path, what: str, error: type[GeodrakeError], *, advice: str) -> object:
-    """What a YAML file holds, each key of a table once.
+    """Return what a YAML file holds, each key of a table once.
 
     Args:
         path: The file.
@@ -75,7 +75,7 @@ def yaml_content(path: Path, what: str, error: type[GeodrakeError], *, advice: s
 def yaml_table(
     content: object, keys: Sequence[str] | None, what: str, *, advice: str, least: int = 1
 ) -> Mapping[Any, Any]:
-    """What a YAML file has in a place, if that is a table.
+    """Return what a YAML file has in a place, if that is a table.
 
     Args:
         content: What is there.

@@ -50,7 +50,7 @@ def run_check(options: CheckOptions) -> None:
 
 
 def check_dict(found: DynamicsCheck, notes: Sequence[str]) -> dict[str, Any]:
-    """A check as plain numbers, for JSON.
+    """Return a check as plain numbers, for JSON.
 
     Args:
         found: The check.
@@ -111,7 +111,7 @@ def show_check(console: Console, found: DynamicsCheck, notes: Sequence[str], *, 
 
 
 def check_verdict(found: DynamicsCheck) -> str:
-    """What a check amounts to, in a sentence.
+    """Return what a check amounts to, in a sentence.
 
     Args:
         found: The check.

@@ -112,7 +112,7 @@ def run_excite(options: ExciteOptions) -> None:
 
 
 def family_of(options: ExciteOptions) -> MotionFamily:
-    """The family of motions that options ask for.
+    """Return the family of motions that options ask for.
 
     Raises:
         ArgumentError: There is no such family, or it has no such option or value.
@@ -187,7 +187,7 @@ def _designed(
     family: MotionFamily,
     update: Activity,
 ) -> ExcitationResult:
-    """The design that options ask for."""
+    """Return the design that options ask for."""
     budget = Budget.of(options.seconds)
     limits = limits_of(options.limits, model)
     collisions, notes = _collisions(options, model)
@@ -218,7 +218,7 @@ def _designed(
 def _objective(
     options: ExciteOptions, model: RobotModel, limits: MotionLimits, effects: _Effects
 ) -> tuple[Objective, tuple[str, ...]]:
-    """What the motion is for, and what to say of that."""
+    """Return what the motion is for, and what to say of that."""
     if options.tell_apart is not None:
         noise, notes = noise_of(options.noise, model)
         separation, more = separation_of(
@@ -232,7 +232,7 @@ def _objective(
 def _target(
     options: ExciteOptions, model: RobotModel, effects: tuple[Effect, ...]
 ) -> tuple[Target, tuple[str, ...]]:
-    """What is unknown and how well it is measured, and what to say of that."""
+    """Return what is unknown and how well it is measured, and what to say of that."""
     known = [fitted for fitted in model.effects if not is_payload(fitted.effect)]
     noise, notes = noise_of(options.noise, model)
     if effects:
@@ -264,7 +264,7 @@ def noise_of(text: str | None, model: RobotModel) -> tuple[np.ndarray, tuple[str
 def _collisions(
     options: ExciteOptions, model: RobotModel
 ) -> tuple[CollisionWorld | None, tuple[str, ...]]:
-    """What the robot may not hit, and what to say where that is nothing.
+    """Return what the robot may not hit, and what to say where that is nothing.
 
     Raises:
         ModelError: The file has collision geometry that cannot be read.

@@ -75,7 +75,7 @@ def _stop(message: str, code: int) -> None:
 
 
 def _line_of_user(error: Exception, effect_files: Sequence[Path]) -> str | None:
-    """The innermost line of a user's file that an error came through."""
+    """Return the innermost line of a user's file that an error came through."""
     files = {path.resolve(): path for path in effect_files}
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename).resolve()

@@ -75,7 +75,7 @@ class ModelOptions:
 
     @property
     def given(self) -> Given:
-        """How the file is to be read.
+        """Return how the file is to be read.
 
         Raises:
             GeodrakeError: An option cannot be read, or a folder is not there.
@@ -88,7 +88,7 @@ class ModelOptions:
 
     @property
     def transmission_files(self) -> list[Path]:
-        """The transmission file that is named, which no output may replace."""
+        """Return the transmission file that is named, which no output may replace."""
         words = self.transmission
         return [Path(words)] if words is not None and Path(words).is_file() else []
 

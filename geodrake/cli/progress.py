@@ -182,7 +182,7 @@ def progress(words: str, *, quiet: bool = False) -> Iterator[Activity]:
 
 
 def step_teller(activity: Activity) -> Callable[[FoundStep], None]:
-    """What tells of the steps of a search, each as a line that stays."""
+    """Return what tells of the steps of a search, each as a line that stays."""
     count = 0
 
     def tell(step: FoundStep) -> None:

@@ -80,7 +80,7 @@ def run_rollout(options: RolloutOptions) -> None:
 
 
 def other_model(path: Path, given: Input) -> RobotModel:
-    """A model of the same robot, with the same joints held.
+    """Return a model of the same robot, with the same joints held.
 
     Args:
         path: The model file.

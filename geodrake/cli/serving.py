@@ -106,7 +106,7 @@ def _hang_up(request: socket.socket) -> None:
 
 
 def page_server(port: int) -> PageServer:
-    """A server that has its port, and serves nothing yet.
+    """Return a server that has its port, and serves nothing yet.
 
     Args:
         port: The port; 0 for any that is free.

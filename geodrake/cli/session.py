@@ -154,7 +154,7 @@ def _run(command: Command[R], options: LogOptions) -> None:
 
 
 def _checked_targets(command: Command[R], options: LogOptions) -> tuple[Targets, list[Path]]:
-    """Where the results go, and the files that are read, none of which is overwritten."""
+    """Return where the results go, and the files that are read, none of which is overwritten."""
     more = {**command.more, "series": options.series_target}
     targets = Targets(options.model_target, options.json, options.report, more)
     files = [part for log in options.logs for part in parts_of(log)]
@@ -174,7 +174,7 @@ def _read(
     inputs: Sequence[Path],
     update: Activity,
 ) -> Input:
-    """The model, the logs and what is known of them."""
+    """Return the model, the logs and what is known of them."""
     extra = own_effects(options.effects or ())
     model = read_model(options.model, options, update, extra)
     targets.check([*inputs, model.path])  # a saved model reads another one

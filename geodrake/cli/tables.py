@@ -237,7 +237,7 @@ def show_table(console: Console, table: Table) -> None:
 
 
 def _lines(console: Console, cell: Cell) -> Text:
-    """An entry of a table, which may have several lines."""
+    """Return an entry of a table, which may have several lines."""
     lines = (cell.typed or cell.text).split("\n")
     return Text("\n").join(console.render_str(line) for line in lines)
 

@@ -77,12 +77,12 @@ class Posterior:
         self._weights = weights / weights.sum()
 
     def of_terms(self, terms: Sequence[Term]) -> Certainty:
-        """How probable some terms of the explanation are together."""
+        """Return how probable some terms of the explanation are together."""
         keys = {term.key for term in terms}
         return self._certainty([keys <= _keys(fit) for fit in self._fits], keys)
 
     def of_delay(self) -> Certainty:
-        """How probable it is that efforts are late as they are found to be."""
+        """Return how probable it is that efforts are late as they are found to be."""
         late = self._model.on_time
         has = [fit.choice.delay != late for fit in self._fits]
         if not any(has):  # the model has the delays by now
@@ -91,7 +91,7 @@ class Posterior:
         return self._certainty(has, set())
 
     def of_bodies(self) -> Certainty:
-        """How probable it is that bodies are farther from the file than it may be wrong."""
+        """Return how probable it is that bodies are farther from the file than it may be wrong."""
         least = self._model.widths[0]
         return self._certainty([fit.choice.width > least for fit in self._fits], set())
 

@@ -86,7 +86,7 @@ class FittedRival:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of its effects."""
+        """Return the names of its effects."""
         return tuple(self.effect.split(" + "))
 
 
@@ -143,7 +143,7 @@ class Step(Short):
 
     @property
     def probabilities_of_rivals(self) -> tuple[float, ...]:
-        """How probable each of `rivals` is."""
+        """Return how probable each of `rivals` is."""
         return tuple(rival.odds * self.probability for rival in self.rivals)
 
 

@@ -152,7 +152,7 @@ class _Search:
         places: tuple[tuple[str, ...], ...] | None,
         further: Sequence[Effect],
     ) -> Found:
-        """The explanation with one effect; see `with_forced`."""
+        """Return the explanation with one effect; see `with_forced`."""
         if kind.role is Role.EPISODE or kind.proposer is Proposer.WAVES:
             further = [e for e in self._suggested() if isinstance(e, kind)] or further
             if kind.role is Role.EPISODE and not further:
@@ -200,7 +200,7 @@ class _Search:
         return self._best([model.choice(together, w, was.choice.delay) for w in known], was)
 
     def _latest(self, was: Fit, places: tuple[tuple[str, ...], ...] | None) -> Fit:
-        """The best delay of all efforts, or of those of each of some joints."""
+        """Return the best delay of all efforts, or of those of each of some joints."""
         joints, fit = range(len(was.choice.delay)), was
         every = [tuple(joints)]
         if places is not None:
@@ -219,7 +219,7 @@ class _Search:
         return fit
 
     def _best(self, choices: Sequence[Choice], was: Fit) -> Fit:
-        """The most probable of some explanations, even where it is not physical."""
+        """Return the most probable of some explanations, even where it is not physical."""
         shares = np.full(len(self.model.rows), _FORCED_SHARE)
         for bounded in (True, False):
             fits = [self.model.fit(c, shares, was.variance, bounded=bounded) for c in choices]
@@ -229,7 +229,7 @@ class _Search:
         raise RuntimeError("a fit without bounds was refused")
 
     def _suggested(self) -> list[Effect]:
-        """What the residual suggests: shared actuators, ripples, contacts."""
+        """Return what the residual suggests: shared actuators, ripples, contacts."""
         found = proposed(self.case, self.model, self.fit)
         contacts = find_episodes(self.case, self.model.hypothesis(self.fit))
         if contacts:
@@ -240,7 +240,7 @@ class _Search:
         return [e for e in (*found, *contacts) if e not in self._effects]
 
     def _start(self) -> Fit:
-        """The model with nothing new, its bodies as near to the file as the logs say."""
+        """Return the model with nothing new, its bodies as near to the file as the logs say."""
         shares = np.full(len(self.model.rows), _FIRST_SHARE)
         fits = [self.model.fit(self.model.nothing(w), shares) for w in self.model.widths]
         return max((fit for fit in fits if fit is not None), key=lambda fit: fit.score)
@@ -263,7 +263,7 @@ class _Search:
                 self.fit = climb(self.model, self.fit, hopeful=hopeful, joints=shaped)
 
     def _is_inexact(self, fit: Fit) -> bool:
-        """Whether what was found is to be made exact before anything else is looked for.
+        """Return whether what was found is to be made exact before anything else is looked for.
 
         A delay or a slope about another place leaves an error that looks like further effects.
         """
@@ -275,7 +275,7 @@ class _Search:
         return bool(finer_shapes(fit.terms, self._grid, self._zooms))
 
     def _made(self) -> LogModel:
-        """The Gaussian model of the case with columns for all that is tried."""
+        """Return the Gaussian model of the case with columns for all that is tried."""
         model, logs = self.case.model, self.case.trajectories
         unsure = reversals(model, logs)
         own = effects_of(model)
@@ -340,7 +340,7 @@ class _Search:
         return False
 
     def _refined(self) -> bool:
-        """Whether delays, shapes, slopes or loads were made anew."""
+        """Return whether delays, shapes, slopes or loads were made anew."""
         retimed = self._retimed()
         changed = retimed
         near = [
@@ -378,7 +378,7 @@ class _Search:
         return True
 
     def _needs_loads(self) -> bool:
-        """Whether something in the explanation depends on the load."""
+        """Return whether something in the explanation depends on the load."""
         effects = [term.effect for term in self.fit.terms if not term.is_body]
         return any(effect is not None and "load" in effect.depends_on for effect in effects)
 

@@ -52,7 +52,7 @@ Progress = Callable[[FoundStep], None]
 
 
 def progress_of(model: LogModel, before: Fit, after: Fit) -> FoundStep:
-    """The step from one explanation to another.
+    """Return the step from one explanation to another.
 
     Args:
         model: The Gaussian model.

@@ -77,7 +77,7 @@ def findings_of(found: Found) -> list[Finding]:
 
 
 def _late(found: Found) -> bool:
-    """Whether the efforts of a joint are late by another time than the model said."""
+    """Return whether the efforts of a joint are late by another time than the model said."""
     return found.case.dataset is not None and bool(
         np.any(found.fit.choice.delay != np.array(found.model.on_time))
     )
@@ -120,7 +120,7 @@ def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[
 
 
 def _with(model: LogModel, fit: Fit, finding: Finding, end: Fit) -> Fit:
-    """An explanation and one finding more."""
+    """Return an explanation and one finding more."""
     was, width, delay = fit.choice, fit.choice.width, fit.choice.delay
     if finding.name == DELAY:
         delay = end.choice.delay
@@ -222,7 +222,7 @@ def _agreement(before: HeldOut, after: HeldOut, joints: NDArray[np.bool_]) -> fl
 
 
 def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bool:
-    """Whether data that took no part in a fit agree with a finding.
+    """Return whether data that took no part in a fit agree with a finding.
 
     The squared error of the joints that feel it must fall, in the mean over the folds, by more than
     the standard error of that mean: what shows in one fold alone just does.
@@ -249,7 +249,7 @@ def _series(hypothesis: Hypothesis) -> tuple[Series, ...]:
 
 
 def _model(case: Case, found: Found, after: Hypothesis, fit: ModelFit) -> RobotModel:
-    """The model after a step, efforts as late as they are in the end."""
+    """Return the model after a step, efforts as late as they are in the end."""
     late = tuple(each for each in fit.model.effects if each.effect.role is Role.DELAY)
     model = searched_model(case.model, after)
     return replace(model, effects=(*model.effects, *late))
@@ -321,7 +321,7 @@ def _values(case: Case, found: Found, finding: Finding, fit: ModelFit) -> tuple[
 
 
 def _systematic(case: Case, finding: Finding, fit: ModelFit) -> Values:
-    """What gains of efforts and what is unexplained add to deviations of parameters."""
+    """Return what gains of efforts and what is unexplained add to deviations of parameters."""
     values, effects = Values(), {term.effect for term in finding.terms}
     for fitted in fit.model.effects:
         if fitted.effect in effects:

@@ -75,7 +75,7 @@ class Term:
 
     @cached_property
     def is_body(self) -> bool:
-        """Whether it moves ten inertial parameters: a payload, or a body that is wrong."""
+        """Return whether it moves ten inertial parameters: a payload, or a body that is wrong."""
         return self.effect is None or is_payload(self.effect)
 
     @cached_property
@@ -85,7 +85,7 @@ class Term:
 
     @cached_property
     def joint(self) -> str | None:
-        """The joint whose own motion it is a function of; None for all others."""
+        """Return the joint whose own motion it is a function of; None for all others."""
         own = self.effect is not None and self.effect.places == "joint"
         return self.where[0] if own else None
 
@@ -98,7 +98,7 @@ class Term:
 def terms_of(
     model: RobotModel, dataset: Dataset, effects: Sequence[Effect], beliefs: Beliefs
 ) -> tuple[Term, ...]:
-    """What a model may lack: some effects, and every body being wrong.
+    """Return what a model may lack: some effects, and every body being wrong.
 
     Args:
         model: The model.
@@ -189,7 +189,7 @@ Terms = tuple[Term, ...]
 
 
 def are_compatible(terms: Terms, known: frozenset[Key]) -> bool:
-    """Whether terms may be together: each place once, and with what it needs.
+    """Return whether terms may be together: each place once, and with what it needs.
 
     Args:
         terms: The terms.

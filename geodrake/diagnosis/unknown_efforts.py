@@ -132,7 +132,7 @@ def reversals(
 
 
 def is_resolved(effect: Effect, unsure: Sequence[UnresolvedReversal]) -> bool:
-    """Whether a shape of an effect that is a speed is one at which logs tell the direction.
+    """Return whether a shape of an effect that is a speed is one at which logs tell the direction.
 
     Args:
         effect: The effect.

@@ -90,7 +90,7 @@ class AerodynamicDrag(BodyEffect):
         return {motion.joints[dof]: columns[:, k] for k, dof in enumerate(body.dofs)}
 
     def formula_rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """The same, along the Jacobian of P."""
+        """Return the same, along the Jacobian of P."""
         bodies = motion.body_motions(self.name)
         body = bodies.motion(self.body)
         J = body.jacobian_at(self.center(bodies.mass_center(self.body)))

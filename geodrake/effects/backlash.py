@@ -75,13 +75,13 @@ class Backlash(DeflectionEffect):
         return {"half_width": width} if width > 0.0 else {}
 
     def with_rollout_values(self, values: Values, deviations: Values) -> FittedEffect:
-        """A gap as wide as its shape says."""
+        """Return a gap as wide as its shape says."""
         width = values["half_width"]
         share = np.array([deviations["half_width"] / width])
         return FittedEffect(replace(self, half_width=width), np.ones(1), share)
 
     def lag(self, acceleration: Array, time: Array) -> Array:
-        """The lag s (N,) of a link.
+        """Return the lag s (N,) of a link.
 
         Args:
             acceleration: (N,) τ_j / M_jj, with which it falls behind when it is loose, rad/s².

@@ -135,7 +135,7 @@ class Effect(CheckedFields, abc.ABC):
 
     @property
     def place(self) -> str:
-        """Where it acts, in words."""
+        """Return where it acts, in words."""
         return " & ".join(self.where) or "base"
 
     @property
@@ -161,7 +161,7 @@ class Effect(CheckedFields, abc.ABC):
         return self.rows(motion)
 
     def regressor(self, motion: RobotMotion) -> Array:
-        """The dense regressor Y_e, (N, nv, k)."""
+        """Return the dense regressor Y_e, (N, nv, k)."""
         dense = np.zeros((len(motion.v), len(motion.joints), len(self.parameters)))
         for joint, columns in rows_of(self, motion).items():
             dense[:, motion.index(joint)] = columns
@@ -204,19 +204,19 @@ class Effect(CheckedFields, abc.ABC):
 
     @property
     def manifold(self) -> Manifold:
-        """The barrier-Hessian manifold that the linear parameters live on."""
+        """Return the barrier-Hessian manifold that the linear parameters live on."""
         every = self.parameters
         return Interval(tuple(p.lower for p in every), tuple(p.upper for p in every))
 
     @property
     def shape(self) -> dict[str, Any]:
-        """The fields that are not the place: the shape parameters by name."""
+        """Return the fields that are not the place: the shape parameters by name."""
         place = {"joint", "joints", "body"}
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in place}  # type: ignore[arg-type]
 
     @property
     def reported_shape(self) -> dict[str, float]:
-        """The shape parameters that results report: those that are numbers."""
+        """Return the shape parameters that results report: those that are numbers."""
         shape = self.shape.items()
         return {name: float(value) for name, value in shape if isinstance(value, Real)}
 
@@ -240,7 +240,7 @@ class Effect(CheckedFields, abc.ABC):
 
     @property
     def free_shapes(self) -> int:
-        """How many shape parameters the data choose, beside the linear ones."""
+        """Return how many shape parameters the data choose, beside the linear ones."""
         return sum(isinstance(value, float) for value in self.shape.values())
 
     @property
@@ -253,7 +253,7 @@ class Effect(CheckedFields, abc.ABC):
         return ()
 
     def expanded_about(self, parameters: Array, bodies: RobotBodies) -> Effect:
-        """The effect with columns exact near some values of its parameters, if `expandable`.
+        """Return the effect with columns exact near some values of its parameters, if `expandable`.
 
         Args:
             parameters: (k,) values.
@@ -343,7 +343,7 @@ class JointEffect(Effect):
 
     @property
     def where(self) -> tuple[str, ...]:
-        """The joint."""
+        """Return the joint."""
         return (self.joint,)
 
     @abc.abstractmethod
@@ -351,7 +351,7 @@ class JointEffect(Effect):
         """One column per parameter, (N,) or a number, from the motion of the joint."""
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """The columns at the joint itself.
+        """Return the columns at the joint itself.
 
         Raises:
             ArgumentError: There is no such joint, or `columns` gave something unusable.
@@ -360,7 +360,7 @@ class JointEffect(Effect):
         return {self.joint: stacked(self, columns, self.joint, len(motion.v))}
 
     def formula_rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """The columns at the joint itself; see `Effect.formula_rows`."""
+        """Return the columns at the joint itself; see `Effect.formula_rows`."""
         if type(self).rows is not JointEffect.rows and not self.depends_on & BEYOND_MOTION:
             return self.rows(motion)
         columns = self.columns(motion.joint(self.joint))
@@ -408,7 +408,7 @@ class JointPairEffect(Effect):
 
     @property
     def where(self) -> tuple[str, ...]:
-        """The two joints."""
+        """Return the two joints."""
         return self.joints
 
     @classmethod
@@ -427,7 +427,7 @@ class BodyEffect(Effect):
 
     @property
     def where(self) -> tuple[str, ...]:
-        """The body."""
+        """Return the body."""
         return (self.body,)
 
     @classmethod

@@ -115,7 +115,7 @@ def _is_ours(kind: type) -> bool:
 
 
 def _is_code(value: Any) -> bool:
-    """Whether what a class has is a method, a property or another class."""
+    """Return whether what a class has is a method, a property or another class."""
     return callable(value) or hasattr(value, "__get__")
 
 
@@ -160,5 +160,5 @@ def _of_class(effect: type[Effect], has: str, wanted: str) -> ArgumentError:
 
 
 def field_names(effect: type[Effect]) -> list[str]:
-    """The fields of an effect: where it is, and its shape parameters."""
+    """Return the fields of an effect: where it is, and its shape parameters."""
     return [field.name for field in fields(effect)]  # type: ignore[arg-type]

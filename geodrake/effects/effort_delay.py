@@ -55,7 +55,7 @@ class EffortDelay(Effect):
 
     @property
     def where(self) -> tuple[str, ...]:
-        """The joint, or nothing for the whole log."""
+        """Return the joint, or nothing for the whole log."""
         return () if self.joint is None else (self.joint,)
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
@@ -64,7 +64,7 @@ class EffortDelay(Effect):
         return {}
 
     def delayed(self, signal: ArrayLike, period: float, *, spline: BSpline | None = None) -> Array:
-        """The signal as it was δ ago, by quintic spline interpolation.
+        """Return the signal as it was δ ago, by quintic spline interpolation.
 
         Args:
             signal: (N, ...) samples at a uniform rate.

@@ -72,7 +72,7 @@ class Hysteresis(JointEffect):
         return {self.joint: self.states_along(motion)}
 
     def states_along(self, motion: RobotMotion) -> Array:
-        """The bend z (N, 1) along the motion, and along what was before it."""
+        """Return the bend z (N, 1) along the motion, and along what was before it."""
         at = motion.index(self.joint)
         before = motion.q[:0] if motion.before is None else motion.before
         q = np.concatenate([before[:, at], motion.q[:, at]])
@@ -88,7 +88,7 @@ class Hysteresis(JointEffect):
         return np.asarray((v - np.abs(v) * state) / self.breakaway_angle)
 
     def bend(self, q: Array, start: float = 0.0) -> Array:
-        """The bristles' bend z along positions, exact between reversals.
+        """Return the bristles' bend z along positions, exact between reversals.
 
         Args:
             q: (N,) positions one after another, rad or m.
@@ -110,5 +110,5 @@ class Hysteresis(JointEffect):
         return z
 
     def course(self, along: Array) -> Array:
-        """The bristles' bend z along positions (N,), from no bend on."""
+        """Return the bristles' bend z along positions (N,), from no bend on."""
         return self.bend(along)

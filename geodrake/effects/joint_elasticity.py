@@ -53,11 +53,11 @@ class JointElasticity(DeflectionEffect):
         return 0
 
     def deflection(self, motion: RobotMotion) -> Deflection:
-        """The load of the joint, as a spring of unit stiffness gives way to it."""
+        """Return the load of the joint, as a spring of unit stiffness gives way to it."""
         return Deflection.along(motion.load[:, motion.index(self.joint)], motion.time)
 
     def give(self, parameters: Array) -> Give:
-        """A spring of the compliance."""
+        """Return a spring of the compliance."""
         return Give(compliance=max(parameters[0], 0.0), damping=self.damping)
 
     def rollout_values(self, parameters: Array) -> Values:
@@ -71,7 +71,7 @@ class JointElasticity(DeflectionEffect):
         }
 
     def with_rollout_values(self, values: Values, deviations: Values) -> FittedEffect:
-        """A spring of this compliance and damping."""
+        """Return a spring of this compliance and damping."""
         effect = replace(self, damping=values.get("damping", self.damping))
         return FittedEffect(
             effect, np.array([values["compliance"]]), np.array([deviations["compliance"]])

@@ -78,7 +78,7 @@ class RobotMotion(Short):
     temperature: Array | None = None
 
     def joint(self, name: str) -> JointMotion:
-        """The motion of one joint.
+        """Return the motion of one joint.
 
         Raises:
             ArgumentError: There is no such joint.
@@ -90,7 +90,7 @@ class RobotMotion(Short):
         )
 
     def index(self, name: str) -> int:
-        """The column of a joint; ArgumentError if there is no such joint."""
+        """Return the column of a joint; ArgumentError if there is no such joint."""
         if name not in self.joints:
             raise ArgumentError(
                 f"There is no joint {name!r}.", advice=f"Joints are: {', '.join(self.joints)}."
@@ -113,7 +113,7 @@ class RobotMotion(Short):
         return np.asarray(np.where(unknown, reference, own) - reference)
 
     def body_motions(self, effect: str) -> RobotBodies:
-        """The bodies' poses and Jacobians.
+        """Return the bodies' poses and Jacobians.
 
         Args:
             effect: Name of the effect that needs them, for the message.
@@ -160,5 +160,5 @@ def smoothed_sign(width: Array) -> Callable[[Array], Array]:
 
 
 def log_number(name: str) -> int:
-    """A number that tells a log from others, by its name."""
+    """Return a number that tells a log from others, by its name."""
     return zlib.crc32(name.encode(errors="surrogatepass")) or 1

@@ -41,7 +41,7 @@ def replace_stl(root: Element, packages: PackageMap, model: Path, folder: Path) 
 
 
 def in_memory(shape: Shape, label: str) -> Shape:
-    """A shape that needs no file: of a mesh, its convex hull.
+    """Return a shape that needs no file: of a mesh, its convex hull.
 
     Args:
         shape: A shape of Drake's.
@@ -64,7 +64,7 @@ def _unusable(place: str | Path, reason: str) -> ModelError:
 
 
 def _readable(place: str, packages: PackageMap, model: Path, replacement: Path) -> str:
-    """The URL of a mesh, or of what is written in the place of an STL file."""
+    """Return the URL of a mesh, or of what is written in the place of an STL file."""
     place = place.strip()
     if "://" not in place:
         # Drake does not know where a text is from, and takes no bare paths in it.

@@ -102,7 +102,7 @@ class CollisionWorld:
         return found, tuple(names)
 
     def constraint(self, q: Array) -> tuple[Array, Array]:
-        """A smooth number that is at most one where the clearance is kept, and its gradient.
+        """Return a smooth number that is at most one where the clearance is kept, and its gradient.
 
         Args:
             q: (N, nq) positions of the model.

@@ -60,7 +60,7 @@ class Criterion:
             integer(self.kept, "kept", lower=1)
 
     def value(self, eigenvalues: ArrayLike) -> float:
-        """The criterion itself, as in the table; infinite for a singular matrix.
+        """Return the criterion itself, as in the table; infinite for a singular matrix.
 
         Args:
             eigenvalues: (n,) eigenvalues, none negative.
@@ -82,7 +82,7 @@ class Criterion:
                 return float(np.sqrt(kept.max() / kept.min()))
 
     def objective(self, log_eigenvalues: ArrayLike) -> tuple[float, Array]:
-        """What a solver minimizes, and its gradient, as functions of log λ.
+        """Return what a solver minimizes, and its gradient, as functions of log λ.
 
         Args:
             log_eigenvalues: (n,) finite logarithms of the eigenvalues.
@@ -115,7 +115,7 @@ class Criterion:
         return value, gradient
 
     def _largest(self, eigenvalues: Array) -> Array:
-        """The r greatest eigenvalues."""
+        """Return the r greatest eigenvalues."""
         count = len(eigenvalues) if self.kept is None else self.kept
         if count > len(eigenvalues) or not len(eigenvalues):
             raise ArgumentError(

@@ -57,7 +57,7 @@ def design_excitation(
     seeds: int | Sequence[int] = 3,
     progress: Callable[[DesignProgress], None] | None = None,
 ) -> ExcitationResult:
-    """The motion within limits from which a robot's parameters are identified best.
+    """Return the motion within limits from which a robot's parameters are identified best.
 
     Args:
         what: A robot, of which all inertias and the model's effects are to be identified from
@@ -96,7 +96,7 @@ def design_objective(
     seeds: int | Sequence[int] = 3,
     progress: Callable[[DesignProgress], None] | None = None,
 ) -> ExcitationResult:
-    """The motion within limits that is best by an objective.
+    """Return the motion within limits that is best by an objective.
 
     Args:
         objective: Function of the motion, such as a normalized criterion of a target.
@@ -163,7 +163,7 @@ def design_objective(
 
 
 def _time_notes(problem: DesignProblem, run: _Run, left_out: int, stride: int) -> tuple[str, ...]:
-    """What there was no time for."""
+    """Return what there was no time for."""
     why = "it was interrupted" if run.is_stopped else "time was up"
     notes = [_STOPPED] if run.is_stopped else []
     if left_out:
@@ -175,7 +175,7 @@ def _time_notes(problem: DesignProblem, run: _Run, left_out: int, stride: int) -
 
 
 def _asked(seeds: int | Sequence[int]) -> Sequence[int]:
-    """The seeds of random starts, from their number or as given."""
+    """Return the seeds of random starts, from their number or as given."""
     if isinstance(seeds, int | np.integer):
         return range(integer(seeds, "seeds"))
     return integers(seeds, "seeds", lower=0)
@@ -187,7 +187,7 @@ def make_problem(
     family: MotionFamily,
     options: DesignOptions,
 ) -> DesignProblem:
-    """The design problem of options.
+    """Return the design problem of options.
 
     Args:
         objective: What the motion shall make small.
@@ -238,7 +238,7 @@ class _Run:
     is_stopped: bool = False
 
     def from_seeds(self, seeds: Sequence[int], budget: Budget) -> list[tuple[Array, SeedOutcome]]:
-        """The best motions (f, nv) from random ones, and from the guess if there is one.
+        """Return the best motions (f, nv) from random ones, and from the guess if there is one.
 
         A start has half of the time that is left, the last one all of it; those that it does not
         reach are left out.
@@ -278,7 +278,7 @@ class _Run:
         return ends
 
     def _random(self, seed: int | None, budget: Budget) -> Array:
-        """A random motion within the limits; a moment for it there is always."""
+        """Return a random motion within the limits; a moment for it there is always."""
         least = Budget.of(max(budget.left, _A_MOMENT))
         return random_guess(self.problem, self.postures, np.random.default_rng(seed), least)
 
@@ -299,7 +299,7 @@ class _Run:
     def _from(
         self, number: int, seed: int | None, guess: Array, budget: Budget
     ) -> tuple[Array, SeedOutcome]:
-        """The best motion from one, and how it was found."""
+        """Return the best motion from one, and how it was found."""
         begin, before = time.monotonic(), self.evaluations
         random_value = self._value(guess)
         found, status = guess, "not solved"
@@ -326,7 +326,7 @@ class _Run:
     def _improved(
         self, number: int, stage: Criterion, guess: Array, budget: Budget
     ) -> tuple[Array, str]:
-        """The better of a motion and what a stage makes of it, and what the solver said."""
+        """Return the better of a motion and what a stage makes of it, and what the solver said."""
         problem = replace(self.problem, objective=replace(self.problem.objective, criterion=stage))
         reached, status = solve(
             problem,
@@ -355,7 +355,7 @@ class _Run:
                 self.progress(now)
 
     def _stages(self) -> list[Criterion]:
-        """The criterion, ever less smoothed if it is."""
+        """Return the criterion, ever less smoothed if it is."""
         criterion = self.problem.objective.criterion
         if criterion.name in ("a_optimality", "d_optimality"):
             return [criterion]

@@ -154,7 +154,7 @@ class FourierMotion(MotionFamily):
 
     @property
     def length(self) -> float:
-        """The duration, s."""
+        """Return the duration, s."""
         return self.duration
 
     @property
@@ -212,12 +212,12 @@ class SplineMotion(MotionFamily):
 
     @property
     def count(self) -> int:
-        """The control points."""
+        """Return the control points."""
         return self.points
 
     @property
     def length(self) -> float:
-        """The duration, s."""
+        """Return the duration, s."""
         return self.duration
 
     @property
@@ -298,7 +298,7 @@ class FreeSamples(MotionFamily):
 
 
 def _is_new(row: Array, rows: list[Array]) -> bool:
-    """Whether a row is independent of others."""
+    """Return whether a row is independent of others."""
     if not rows:
         return bool(row.any())
     units = np.array([r / np.linalg.norm(r) for r in rows]).T

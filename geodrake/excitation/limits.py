@@ -101,7 +101,7 @@ class MotionLimits(Short):
         return 0.5 * (self.upper - self.lower)
 
     def scaled(self, share: float) -> MotionLimits:
-        """The same with a share of everything; positions shrink towards the middle.
+        """Return the same with a share of everything; positions shrink towards the middle.
 
         Raises:
             ArgumentError: The share is not positive.
@@ -126,7 +126,7 @@ def motion_limits(
     effort: ByJoint = None,
     signal: Mapping[str, float] | None = None,
 ) -> MotionLimits:
-    """The limits of a robot's model file, and others in their place.
+    """Return the limits of a robot's model file, and others in their place.
 
     Efforts are no more than the model knows its motors to give (`EffortSignal.limit`). A turning
     joint whose position is not limited may go half a turn to either side.

@@ -125,7 +125,7 @@ class Separation(Objective):
         return np.sort(self.separations(motion))
 
     def value_and_gradient(self, motion: Motion) -> tuple[float, MotionGradient]:
-        """What a solver minimizes, and its gradient by the motion.
+        """Return what a solver minimizes, and its gradient by the motion.
 
         Raises:
             ArgumentError: The motion distinguishes some pair not at all, whatever the noise.

@@ -138,7 +138,7 @@ def body_spread(
 
 
 def column_spreads(names: Sequence[str], columns: Sequence[int], count: int) -> tuple[Spread, ...]:
-    """A spread for each of some columns alone, in its own unit or share.
+    """Return a spread for each of some columns alone, in its own unit or share.
 
     Args:
         names: Name of each column.

@@ -43,7 +43,7 @@ DAMAGED = (
 
 
 def digest_content(digest: Digest) -> bytes:
-    """What the file of a digest holds: the same for the same digest, wherever it is made.
+    """Return what the file of a digest holds: the same for the same digest, wherever it is made.
 
     An NPZ archive of `header` and `settings`, which are JSON in bytes, and of the arrays of every
     joint k, such as `k.samples`. Of triangular factors, the upper triangles are there, row by row.
@@ -69,7 +69,7 @@ def digest_content(digest: Digest) -> bytes:
 
 
 def sealed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """An NPZ archive that ends in the SHA-256 of all that is before it.
+    """Return an NPZ archive that ends in the SHA-256 of all that is before it.
 
     Args:
         arrays: What it holds, by name.
@@ -162,7 +162,7 @@ def _text(arrays: Mapping[str, NDArray[Any]], name: str) -> str:
 
 
 def _said_of_log(log: DigestedLog) -> dict[str, Any]:
-    """A log as JSON has it; null where there is no temperature."""
+    """Return a log as JSON has it; null where there is no temperature."""
     said = {f.name: getattr(log, f.name) for f in fields(log)}
     for name in _NUMBERS:
         known = said[name].astype(object)
@@ -205,7 +205,7 @@ def _digest(
 def _joint(
     name: str, arrays: Mapping[str, NDArray[Any]], settings: DigestSettings, blocks: int
 ) -> JointDigest:
-    """A joint of a digest, its arrays of the shapes that they must have."""
+    """Return a joint of a digest, its arrays of the shapes that they must have."""
     columns = np.asarray(arrays["columns"], np.intp).ravel()
     p = len(columns)
     size = p + len(settings.delays)

@@ -69,7 +69,7 @@ class DigestRow(Short):
 
     @classmethod
     def of(cls, file: Path, status: str, path: Path, digest: Digest, reason: str = "") -> DigestRow:
-        """The row of a log that has a digest.
+        """Return the row of a log that has a digest.
 
         Args:
             file: The log's file.
@@ -100,7 +100,7 @@ class DigestRun(Short):
     repairs: tuple[str, ...] = ()
 
     def count(self, status: str) -> int:
-        """How many logs have a status."""
+        """Return how many logs have a status."""
         return sum(row.status == status for row in self.rows)
 
 
@@ -115,7 +115,7 @@ class _Folder:
     chosen: bool = False
 
     def add(self, log: Path, facts: LogFacts) -> DigestRow:
-        """The digest of a log, made unless it is there.
+        """Return the digest of a log, made unless it is there.
 
         Raises:
             GeodrakeError: The log cannot be read or used.
@@ -238,7 +238,7 @@ def _checked_payloads(
 
 
 def digest_files(folder: str | Path) -> tuple[Path, ...]:
-    """The files of digests in a folder, by name.
+    """Return the files of digests in a folder, by name.
 
     Raises:
         DigestError: There is no such folder.
@@ -255,7 +255,7 @@ def digest_files(folder: str | Path) -> tuple[Path, ...]:
 def _row(
     folder: _Folder, log: Path, date: float | None, payloads: tuple[KnownPayload, ...]
 ) -> DigestRow:
-    """What becomes of a log, whatever is wrong with it."""
+    """Return what becomes of a log, whatever is wrong with it."""
     try:
         files = parts_of(log)
         for file in files:
@@ -272,7 +272,7 @@ def _row(
 
 
 def _said_otherwise(row: DigestRow, date: float | None) -> DigestRow:
-    """The row, with what is said of a date that a digest that is there has otherwise."""
+    """Return the row, with what is said of a date that a digest that is there has otherwise."""
     about = row.about
     if about is None or row.status != THERE or about.date_from == "stamps":
         return row

@@ -140,7 +140,7 @@ class RobotResult(Short):
 
     @property
     def farthest(self) -> OwnParameter | None:
-        """The parameter that is farthest from those of others."""
+        """Return the parameter that is farthest from those of others."""
         return max(self.own, key=lambda each: abs(each.apart), default=None)
 
 
@@ -183,5 +183,5 @@ class FleetResult(Short):
         return tuple(finding for robot in self.robots for finding in robot.findings)
 
     def count(self, state: str) -> int:
-        """How many robots are in a state."""
+        """Return how many robots are in a state."""
         return sum(robot.state == state for robot in self.robots)

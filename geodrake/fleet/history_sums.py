@@ -41,7 +41,7 @@ class JointGrams(Short):
     grams: Array
 
     def over(self, columns: Indices, times: int) -> JointGrams:
-        """The same of more times, over more columns.
+        """Return the same of more times, over more columns.
 
         Args:
             columns: (M,) which, ascending; all that are here are among them.
@@ -142,7 +142,7 @@ class HistorySums:
         return np.sqrt(squares / np.maximum(samples, 1.0))
 
     def history(self, robot: str, columns: int) -> RobotHistory:
-        """The robot's history in the order of time; there must be a log.
+        """Return the robot's history in the order of time; there must be a log.
 
         Args:
             robot: Its name.
@@ -184,7 +184,7 @@ def _save(arrays: dict[str, NDArray[Any]], file: Any) -> None:
 
 
 def read_sums(path: Path, key: str) -> HistorySums | None:
-    """The sums of a file; None if there is none, or it is damaged or of something else.
+    """Return the sums of a file; None if there is none, or it is damaged or of something else.
 
     Args:
         path: The file.

@@ -51,7 +51,7 @@ class LogRecord:
 
 
 def record_file(folder: Path, robot: str, address: str) -> Path:
-    """Where the record of a log is.
+    """Return where the record of a log is.
 
     Args:
         folder: Folder of the robot's type.
@@ -62,7 +62,7 @@ def record_file(folder: Path, robot: str, address: str) -> Path:
 
 
 def robot_folder(folder: Path, robot: str) -> Path:
-    """Where the records of a robot's logs are: a name that any file system takes.
+    """Return where the records of a robot's logs are: a name that any file system takes.
 
     Args:
         folder: Folder of the robot's type.

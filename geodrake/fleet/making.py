@@ -112,7 +112,7 @@ class LogFacts:
             integer(self.episode, "episode", lower=0)
 
     def key(self, settings: DigestSettings) -> str:
-        """What the digest of the log by some settings is called."""
+        """Return what the digest of the log by some settings is called."""
         said = (settings.hash, self.content, self.payloads, self.episode)
         return text_hash(said)[:_KEY]
 
@@ -131,7 +131,7 @@ def said_of_reading(reading: Reading) -> dict[str, Any]:
 def make_settings(
     model: RobotModel, log: JointLog, *, wanted: Wanted | None = None
 ) -> DigestSettings:
-    """The settings of all digests of a robot's logs, chosen by its model and one of them.
+    """Return the settings of all digests of a robot's logs, chosen by its model and one of them.
 
     The bandwidth is that asked for, or else that of the model's last fit, or else chosen from the
     log, as are the speeds below which joints rest. A joint that stands still in this log is thought
@@ -199,7 +199,7 @@ def make_digest(
     *,
     extra: Sequence[type[Effect]] = (),
 ) -> Digest:
-    """The digest of a log.
+    """Return the digest of a log.
 
     Args:
         model: The model as it was given when the settings were made.
@@ -261,7 +261,7 @@ def _check_held(log: JointLog, settings: DigestSettings) -> None:
 
 
 def _in_efforts(log: JointLog, model: RobotModel) -> JointLog:
-    """The log with efforts in the place of signals whose gains the model knows.
+    """Return the log with efforts in the place of signals whose gains the model knows.
 
     Raises:
         LogError: There are others, which no log alone says.
@@ -282,7 +282,7 @@ def _in_efforts(log: JointLog, model: RobotModel) -> JointLog:
 
 
 def _prepared(log: JointLog, settings: DigestSettings) -> Trajectory:
-    """The log at the bandwidths of the settings.
+    """Return the log at the bandwidths of the settings.
 
     Raises:
         LogError: It is sampled too rarely for them, is too short, or still throughout.
@@ -366,5 +366,5 @@ def _joint(name: str, data: JointData, settings: DigestSettings) -> JointDigest:
 
 
 def _upright(factor: Array) -> Array:
-    """A triangular factor with a diagonal that is not negative."""
+    """Return a triangular factor with a diagonal that is not negative."""
     return np.where(np.diagonal(factor) < 0.0, -1.0, 1.0)[:, None] * factor

@@ -80,7 +80,7 @@ def file_hash(paths: Iterable[Path]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON can hold, different for whatever differs."""
+    """Return what JSON can hold, different for whatever differs."""
     plain: Any
     if isinstance(value, Enum):
         plain = [type(value).__name__, value.name]
@@ -106,7 +106,7 @@ def _plain(value: Any) -> Any:
 
 
 def _values_of(transmission: Transmission) -> list[str]:
-    """What a transmission does at some positions: functions that it has cannot be hashed."""
+    """Return what a transmission does at some positions: functions that it has cannot be hashed."""
     size = (_POSITIONS, transmission.num_actuators)
     found = []
     for q in np.random.default_rng(0).uniform(-_REACH, _REACH, size):

@@ -39,7 +39,7 @@ _FLAT = 1e-9  # share of information that is none
 
 
 def reduced_log(digest: Digest, kept: Indices) -> ReducedLog:
-    """A log as weighted normal matrices over some columns.
+    """Return a log as weighted normal matrices over some columns.
 
     What a row is worth is the share of its samples that are independent, over the variance of what
     the columns leave of the log itself: that of the sensors' noise at least, as a log of few rows
@@ -107,12 +107,12 @@ class HistoryTask(Short):
 
     @property
     def file(self) -> Path:
-        """Where the sums of its logs are kept."""
+        """Return where the sums of its logs are kept."""
         return robot_folder(self.folder, self.robot) / _HISTORY
 
     @property
     def key(self) -> str:
-        """What these sums are of, beside logs."""
+        """Return what these sums are of, beside logs."""
         return text_hash((self.settings.hash, self.kept.tolist(), MOST_TIMES))
 
 
@@ -138,11 +138,11 @@ class KeptHistory(Short):
 
     @property
     def robot(self) -> str:
-        """The robot's name."""
+        """Return the robot's name."""
         return self.task.robot
 
     def read(self) -> RobotHistory:
-        """The history; its logs are summed up again if another run has replaced the file.
+        """Return the history; its logs are summed up again if another run has replaced the file.
 
         Raises:
             FleetError: Their digests are not what they were.
@@ -173,7 +173,7 @@ class ReadHistory(Short):
 
 
 def read_history(task: HistoryTask) -> ReadHistory:
-    """A robot's history from its digests, wherever this runs.
+    """Return a robot's history from its digests, wherever this runs.
 
     Args:
         task: The robot.

@@ -99,7 +99,7 @@ class DigestEffect:
 
     @classmethod
     def of(cls, effect: Effect) -> DigestEffect:
-        """An effect in words and numbers."""
+        """Return an effect in words and numbers."""
         return cls(
             effect.name,
             tuple(effect.where),
@@ -111,7 +111,7 @@ class DigestEffect:
         )
 
     def made(self, extra: Sequence[type[Effect]] = ()) -> Effect:
-        """The effect itself.
+        """Return the effect itself.
 
         Args:
             extra: Effect classes of the user's own.
@@ -188,12 +188,12 @@ class DigestSettings(Short):
 
     @property
     def base(self) -> BaseParameters:
-        """The base parameters, without the singular values that they were found by."""
+        """Return the base parameters, without the singular values that they were found by."""
         return BaseParameters(self.base_matrix, self.independent, np.zeros(0), 0.0)
 
     @cached_property
     def columns(self) -> tuple[DigestColumn, ...]:
-        """What the p columns are of: n_B base parameters, then the effects' parameters."""
+        """Return what the p columns are of: n_B base parameters, then the effects' parameters."""
         places = [divmod(int(at), PARAMETERS_PER_BODY) for at in self.independent]
         of_bodies = [
             DigestColumn("body", label, (self.bodies[body],), PARAMETER_NAMES[k], _UNITS[k])
@@ -218,7 +218,7 @@ class DigestSettings(Short):
         ]
 
     def text(self) -> str:
-        """What the settings file holds, and `settings_of` reads."""
+        """Return what the settings file holds, and `settings_of` reads."""
         lines = [
             f"{json.dumps(name)}: {json.dumps(value)}" for name, value in _numbers(self).items()
         ]
@@ -257,7 +257,7 @@ def settings_of(text: str, source: str | Path) -> DigestSettings:
 
 
 def read_settings(folder: str | Path) -> DigestSettings | None:
-    """The settings of a folder of digests; None if it has none yet.
+    """Return the settings of a folder of digests; None if it has none yet.
 
     Raises:
         DigestError: The file cannot be read, is damaged, of another version, or not there while
@@ -362,7 +362,7 @@ def _floats(values: Any, shape: tuple[int, ...]) -> Array:
 
 
 def _shown(value: Any) -> str:
-    """A value in a few letters."""
+    """Return a value in a few letters."""
     text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
     return text if len(text) <= _MOST_LETTERS else f"{text[:_MOST_LETTERS]}…"
 

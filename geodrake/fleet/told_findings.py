@@ -42,7 +42,7 @@ class ToldFinding:
         return cls(finding.robot, finding.effect, finding.where, *finding.interval)
 
     def is_of(self, finding: FleetFinding) -> bool:
-        """Whether a finding is the same, seen with other logs."""
+        """Return whether a finding is the same, seen with other logs."""
         same = (self.robot, self.effect, self.where)
         low, high = finding.interval
         near = low <= self.latest + _NEAR and self.earliest <= high + _NEAR

@@ -40,7 +40,7 @@ def learn_type(
     start: TypeModel | None = None,
     rounds: int = 12,
 ) -> TypeModel:
-    """What robots of a type share, and how they differ, by the logs of all.
+    """Return what robots of a type share, and how they differ, by the logs of all.
 
     Args:
         logs: Those of each robot, over the columns of the type.
@@ -163,7 +163,7 @@ class _RobotTells:
 
 
 def _told(piece: tuple[TypeModel, EquationSource, Array | None]) -> _RobotTells:
-    """What one robot tells, where the model of its type has that of it alone."""
+    """Return what one robot tells, where the model of its type has that of it alone."""
     model, logs, changes = piece
     fit, scale = model.fit(0, logs.equations(), changes), model.scale(0)
     links, common, columns = fit.solve(fit.seen), fit.common.shape[1], model.columns
@@ -264,7 +264,7 @@ def _scatter_ratio(model: TypeModel, told: Sequence[_RobotTells]) -> Array:
 
 
 def least_squares(information: Array, right: Array) -> Array:
-    """The shortest (p,) solution of normal equations, in units of the columns' own sizes.
+    """Return the shortest (p,) solution of normal equations, in units of the columns' own sizes.
 
     Args:
         information: (p, p) normal matrix.

@@ -71,7 +71,7 @@ class FitResult(Short):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What solved it, where that was not the usual, and what certifies it, in words."""
+        """Return what solved it, where that was not the usual, and what certifies it, in words."""
         certificate = self.certificate
         return tuple(filter(None, [self.note, certificate.words if certificate else ""]))
 
@@ -124,7 +124,7 @@ def solve_fit(
 
 
 def _in_closed_form(problem: FitProblem) -> FitResult | None:
-    """The fit by least squares alone; None where that does not solve the problem."""
+    """Return the fit by least squares alone; None where that does not solve the problem."""
     begin = time.perf_counter()
     coordinates = Coordinates.of(problem)
     x, name = _without_solver(coordinates)
@@ -274,7 +274,7 @@ def prior_weight_of(fit: FitProgram, solution: MathematicalProgramResult, x: Arr
 def fit_result(
     coordinates: Coordinates, x: Array, prior_weight: float, solver: str, elapsed: float
 ) -> FitResult:
-    """The result at parameters x (p,), with the information there.
+    """Return the result at parameters x (p,), with the information there.
 
     Args:
         coordinates: Of the problem.

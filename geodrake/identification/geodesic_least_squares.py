@@ -134,7 +134,7 @@ def geodesic_least_squares(
 
 
 def _result(point: _GeodesicPoint, rows: Array, iterations: int) -> GeodesicLeastSquaresResult:
-    """What was found.
+    """Return what was found.
 
     Raises:
         ConvergenceError: It is no minimum.
@@ -185,7 +185,7 @@ class _GeodesicProblem:
         return cls(root, X, rows[:, -1], weights, gamma)
 
     def start(self, prior: Array, rows: Array) -> _GeodesicPoint:
-        """The entropic fit to the rows that have projections there, and these rows.
+        """Return the entropic fit to the rows that have projections there, and these rows.
 
         Raises:
             ArgumentError: No row has a projection at the prior.
@@ -252,7 +252,7 @@ class _GeodesicPoint:
 
     @cached_property
     def cost(self) -> float:
-        """The cost over the rows in use."""
+        """Return the cost over the rows in use."""
         data = self.weights @ self.projections.half_squared_distances
         return float(data + 0.5 * self.problem.gamma * np.square(self.to_prior[0]).sum())
 
@@ -293,17 +293,17 @@ class _GeodesicPoint:
 
     @property
     def promise(self) -> float:
-        """What the slope promises of Newton's step."""
+        """Return what the slope promises of Newton's step."""
         return float(self.step @ self.downhill)
 
     @property
     def rounding(self) -> float:
-        """What the cost is not known better than."""
+        """Return what the cost is not known better than."""
         total = self.weights.sum() + self.problem.gamma
         return float(rounding_of_squares(self.cost, total))
 
     def is_settled(self, before: float) -> bool:
-        """Whether rounding hides the rest of the way.
+        """Return whether rounding hides the rest of the way.
 
         Args:
             before: What the last step promised.
@@ -322,7 +322,7 @@ class _GeodesicPoint:
         return self.problem.at(self.root @ turned, self.used).with_projections()
 
     def with_projections(self) -> _GeodesicPoint:
-        """The same without the rows that have no projection."""
+        """Return the same without the rows that have no projection."""
         exists, used = self.projections.exists, self.used.copy()
         used[used] = exists
         return replace(self, used=used, projections=self.projections.of(exists))
@@ -358,7 +358,7 @@ class _GeodesicPoint:
         )
 
     def mean(self) -> _GeodesicPoint:
-        """The Karcher mean of all projections and the prior ([Lee2019] Eq. (3.4.42)).
+        """Return the Karcher mean of all projections and the prior ([Lee2019] Eq. (3.4.42)).
 
         Raises:
             ConvergenceError: It is not found.

@@ -56,7 +56,7 @@ class IdentificationResult(Short):
 
     @property
     def solver(self) -> str:
-        """What solved it: "closed form", "interior point", … or a conic solver's name."""
+        """Return what solved it: "closed form", "interior point", … or a conic solver's name."""
         return self.fit.solver
 
     @property
@@ -66,7 +66,7 @@ class IdentificationResult(Short):
 
     @property
     def certificate(self) -> Certificate | None:
-        """What the MathematicalProgram of the fit says; None if it was not asked.
+        """Return what the MathematicalProgram of the fit says; None if it was not asked.
 
         Point masses have none: their solution is that of a MathematicalProgram itself.
         """
@@ -213,7 +213,7 @@ def regularizer_of(regularizer: str | Regularizer) -> Regularizer:
 
 
 def physical_prior(prior: ArrayLike) -> Array:
-    """A prior (nb, 10) of bodies that can exist.
+    """Return a prior (nb, 10) of bodies that can exist.
 
     Raises:
         ArgumentError: There are no bodies, or some cannot exist; its evidence then has `bodies`
@@ -237,7 +237,7 @@ def physical_prior(prior: ArrayLike) -> Array:
 
 
 def nearest_prior(prior: Array) -> Array:
-    """A prior (nb, 10) with the smallest possible bodies in the place of impossible ones.
+    """Return a prior (nb, 10) with the smallest possible bodies in the place of impossible ones.
 
     They keep their mass and centre of mass; those without a mass get a thousandth of all mass.
     """
@@ -250,7 +250,7 @@ def nearest_prior(prior: Array) -> Array:
 
 
 def _merged(constraints: BodyConstraints | None, **given: Any) -> BodyConstraints:
-    """The constraints together with those given one by one."""
+    """Return the constraints together with those given one by one."""
     given_constraints = BodyConstraints() if constraints is None else constraints
     constraints = instance(given_constraints, "constraints", BodyConstraints)
     for field in fields(constraints):
@@ -267,7 +267,7 @@ def build_problem(
     extra_bounds: ArrayLike | None = None,
     extra_prior: ArrayLike | None = None,
 ) -> FitProblem:
-    """The fit of bodies and extra parameters to data, without a regularizer.
+    """Return the fit of bodies and extra parameters to data, without a regularizer.
 
     Args:
         factor: (k, 10·nb + extra + 1) factor of the data, as of `whitened_factor`.

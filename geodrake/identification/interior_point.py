@@ -66,7 +66,7 @@ class Region:
 
     @classmethod
     def of(cls, equality: Array, matrix: Array, lower: Array) -> Region:
-        """The region of equality rows E (k, p), inequality rows C (m, p) and lower bounds c.
+        """Return the region of equality rows E (k, p), inequality rows C (m, p) and lower bounds c.
 
         Args:
             equality: (k, p) rows E; k may be 0.
@@ -103,7 +103,7 @@ class LocalMinimum:
 def minimize(
     objective: SmoothCost, region: Region, start: Array, *, barrier: float = 1e-2
 ) -> LocalMinimum:
-    """The local minimum that a start leads to.
+    """Return the local minimum that a start leads to.
 
     Args:
         objective: The function f.

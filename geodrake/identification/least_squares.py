@@ -155,7 +155,7 @@ def _undetermined(directions: Array, bodies: int) -> IdentificationError:
 
 
 def _described(direction: Array, bodies: int) -> str:
-    """The greatest parts of a direction, by name."""
+    """Return the greatest parts of a direction, by name."""
     order = np.argsort(-np.abs(direction), kind="stable")
     parts = [i for i in order if abs(direction[i]) > 1e-6]
     text = " ".join(f"{direction[i]:+.2g} {_name(int(i), bodies)}" for i in parts[:_MOST_PARTS])

@@ -16,7 +16,7 @@ columns that say the same (a friction and its asymmetric form) from making them 
 
 
 def cholesky(matrix: Array, ridge: float = RIDGE) -> Array:
-    """The lower Cholesky factor of a symmetric matrix of unit diagonal; see `choleskies`.
+    """Return the lower Cholesky factor of a symmetric matrix of unit diagonal; see `choleskies`.
 
     Args:
         matrix: (n, n) matrix.
@@ -26,7 +26,7 @@ def cholesky(matrix: Array, ridge: float = RIDGE) -> Array:
 
 
 def choleskies(matrices: Array, ridge: float = RIDGE) -> list[Array]:
-    """The lower Cholesky factor of each of F symmetric matrices, with a ridge.
+    """Return the lower Cholesky factor of each of F symmetric matrices, with a ridge.
 
     LAPACK is called as it is: such matrices are small, and there are thousands of them.
 

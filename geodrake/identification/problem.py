@@ -34,7 +34,7 @@ def whitened_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = Non
 
 
 def whitened(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> Array:
-    """The rows [A | b]/σ, (m, p + 1); see `whitened_factor` for arguments and errors."""
+    """Return the rows [A | b]/σ, (m, p + 1); see `whitened_factor` for arguments and errors."""
     A = checked("A", A, (None, None))
     b = checked("b", b, (len(A),))
     data = np.column_stack([A, b])
@@ -150,7 +150,7 @@ class FitProblem(Short):
 
 
 def checked(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """The values as finite floats of a shape, where None stands for any length.
+    """Return the values as finite floats of a shape, where None stands for any length.
 
     Args:
         name: What messages call the values.

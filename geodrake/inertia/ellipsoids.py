@@ -79,12 +79,12 @@ class Ellipsoid(Short):
         return Q
 
     def scaled(self, factor: float) -> Ellipsoid:
-        """The same ellipsoid with semi-axes `factor` times as long."""
+        """Return the same ellipsoid with semi-axes `factor` times as long."""
         factor = positive(factor, "factor")
         return Ellipsoid(self.center, factor * self.semi_axes, self.rotation)
 
     def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Whether points (..., 3), m, are inside."""
+        """Return whether points (..., 3), m, are inside."""
         points = real_array(points, "points", ("...", 3), {"...": self.center.shape[:-1]})
         local = np.einsum("...ji,...j->...i", self.rotation, points - self.center)
         return np.asarray(((local / self.semi_axes) ** 2).sum(-1) <= 1.0)
@@ -115,7 +115,7 @@ class Ellipsoid(Short):
 
 
 def _checked_size(size: tuple[int, ...], leading: tuple[int, ...]) -> tuple[int, ...]:
-    """A shape of points whose last axes are those of the ellipsoids."""
+    """Return a shape of points whose last axes are those of the ellipsoids."""
     size = integers(size, "size")
     if min(size, default=0) < 0 or len(size) < len(leading) or not _broadcast(size, leading):
         raise ArgumentError(
@@ -129,7 +129,7 @@ def _broadcast(size: tuple[int, ...], leading: tuple[int, ...]) -> bool:
 
 
 def equivalent_ellipsoid(phi: ArrayLike, *, least_semi_axis: float = 0.0) -> Ellipsoid:
-    """The uniform ellipsoids that have the inertial parameters of bodies.
+    """Return the uniform ellipsoids that have the inertial parameters of bodies.
 
     Args:
         phi: (..., 10) physical inertial parameters.
@@ -158,7 +158,7 @@ def equivalent_ellipsoid(phi: ArrayLike, *, least_semi_axis: float = 0.0) -> Ell
 
 
 def ellipsoid_of_quadric(Q: ArrayLike) -> Ellipsoid:
-    """The ellipsoids [x;1]ᵀ Q [x;1] ≥ 0.
+    """Return the ellipsoids [x;1]ᵀ Q [x;1] ≥ 0.
 
     Args:
         Q: (..., 4, 4) symmetric matrices.
@@ -189,7 +189,7 @@ def ellipsoid_of_quadric(Q: ArrayLike) -> Ellipsoid:
 
 
 def realizability(phi: ArrayLike, Q: ArrayLike) -> Array:
-    """How far inside of an ellipsoid mass is on the average, tr(P(φ) Q) / m.
+    """Return how far inside of an ellipsoid mass is on the average, tr(P(φ) Q) / m.
 
     Args:
         phi: (..., 10) inertial parameters of mass above zero.
@@ -209,7 +209,7 @@ def realizability(phi: ArrayLike, Q: ArrayLike) -> Array:
 
 
 def is_realizable(phi: ArrayLike, Q: ArrayLike) -> NDArray[np.bool_]:
-    """Whether mass inside of an ellipsoid can have these inertial parameters.
+    """Return whether mass inside of an ellipsoid can have these inertial parameters.
 
     Args:
         phi: (..., 10) inertial parameters.
@@ -237,7 +237,7 @@ def realizability_row(Q: ArrayLike) -> Array:
 
 
 def bounding_ellipsoid(points: ArrayLike, *, tolerance: float = 1e-6) -> Ellipsoid:
-    """The smallest ellipsoid around points, by Khachiyan's algorithm.
+    """Return the smallest ellipsoid around points, by Khachiyan's algorithm.
 
     Args:
         points: (k, 3) points in B, m.

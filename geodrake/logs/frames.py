@@ -25,7 +25,7 @@ def log_of_frame(
     name: str = "frame",
     reading: Reading | None = None,
 ) -> JointLog:
-    """The log in a data frame, or in arrays by name.
+    """Return the log in a data frame, or in arrays by name.
 
     Args:
         frame: A DataFrame of pandas or polars, a table of Arrow, a structured array, or a mapping
@@ -76,7 +76,7 @@ def _arrays(frame: Any, called: str) -> dict[str, Any]:
 
 
 def _array(column: Any) -> Any:
-    """The array of a column; lists of polars as nested lists."""
+    """Return the array of a column; lists of polars as nested lists."""
     if hasattr(column, "to_numpy"):
         return column.to_numpy()
     return np.asanyarray(column)  # a mask says where nothing was measured

@@ -46,7 +46,7 @@ def check_commands(log: JointLog) -> None:
 
 
 def _is_copy(command: Array, position: Array, late: int) -> bool:
-    """Whether positions are commands of some rows before, up to rounding."""
+    """Return whether positions are commands of some rows before, up to rounding."""
     command, position = command[: len(command) - late], position[late:]
     known = np.isfinite(command) & np.isfinite(position)
     if not known.any():

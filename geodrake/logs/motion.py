@@ -145,7 +145,7 @@ class JointLog(Short):
         return len(self.time)
 
     def columns(self) -> dict[str, Array]:
-        """What was measured, (N,) each, by the names that log files have for it.
+        """Return what was measured, (N,) each, by the names that log files have for it.
 
         Efforts of joints that have commands in their place are left out, as are commands and
         temperatures where there are none.
@@ -163,7 +163,7 @@ class JointLog(Short):
         return columns
 
     def to_dataframe(self) -> Any:
-        """A DataFrame of pandas with the columns of a log file, `time` first.
+        """Return a DataFrame of pandas with the columns of a log file, `time` first.
 
         Raises:
             LogError: pandas is not installed.
@@ -289,7 +289,7 @@ class Trajectory:
 
     @property
     def output_counts(self) -> tuple[int, ...]:
-        """How many filtered and decimated samples each segment gives."""
+        """Return how many filtered and decimated samples each segment gives."""
         return tuple(self.filter.output_count(len(segment)) for segment in self.segments)
 
     def temperature(self, time: Array) -> Array | None:
@@ -299,7 +299,7 @@ class Trajectory:
 
 
 def match_joints(log: JointLog, model_joints: Sequence[str]) -> JointLog:
-    """The log with its joints in the model's order.
+    """Return the log with its joints in the model's order.
 
     Args:
         log: A log of exactly the model's joints, in any order.

@@ -15,7 +15,7 @@ _ROWS = 100_000  # of a log that are looked at together
 
 
 def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
-    """A sentence for the user if efforts look like another unit than N·m or N; else None.
+    """Return a sentence for the user if efforts look like another unit than N·m or N; else None.
 
     Args:
         log: The log.
@@ -45,7 +45,7 @@ def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
 
 
 def position_unit_hint(log: JointLog) -> str | None:
-    """A sentence for the user if joint positions look like degrees; else None."""
+    """Return a sentence for the user if joint positions look like degrees; else None."""
     peaks = _peaks(log.position)
     worst = int(np.argmax(peaks))
     if peaks[worst] > 4.0 * np.pi and np.mean(peaks > 10.0) > 0.5:

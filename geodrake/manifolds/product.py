@@ -54,17 +54,17 @@ class _FactorGroup:
         return (k, n), (k * n,)
 
     def part(self, x: Array) -> Array:
-        """The coordinates (..., k, n) among those of the product (..., N)."""
+        """Return the coordinates (..., k, n) among those of the product (..., N)."""
         if self._span is None:
             return x[..., self.places]
         return x[..., self._span].reshape(x.shape[:-1] + self._shapes[0])
 
     def light(self, covectors: Array) -> Array:
-        """What acts on the barrier, divided by its weight."""
+        """Return what acts on the barrier, divided by its weight."""
         return covectors if self.weight == 1.0 else covectors / self.weight
 
     def heavy(self, covectors: Array) -> Array:
-        """What acts on the barrier, times its weight."""
+        """Return what acts on the barrier, times its weight."""
         return covectors if self.weight == 1.0 else covectors * self.weight
 
     def put(self, values: Array, x: Array) -> None:
@@ -122,7 +122,7 @@ class Product(Manifold):
 
     @cached_property
     def least_weight(self) -> float:
-        """The least weight of a factor; 1 if there is none below."""
+        """Return the least weight of a factor; 1 if there is none below."""
         return min((1.0, *(weight for _, weight, _ in self._factors)))
 
     @cached_property
@@ -160,7 +160,7 @@ class Product(Manifold):
         return filled
 
     def calc_contains(self, x: Array) -> NDArray[np.bool_]:
-        """Whether x is inside every factor (...)."""
+        """Return whether x is inside every factor (...)."""
         robot = self.robot if x.ndim == 1 else None
         if robot is not None and calc_clearly_inside(contiguous(x), robot):
             return np.asarray(True)
@@ -172,7 +172,7 @@ class Product(Manifold):
         return _sum(g.weight * g.manifold.calc_barrier(g.part(x)).sum(-1) for g in self._groups)
 
     def calc_gradient(self, x: Array) -> Array:
-        """The factors' gradients times their weights, (..., n)."""
+        """Return the factors' gradients times their weights, (..., n)."""
         gradient = np.empty(x.shape)
         for group in self._groups:
             group.put(group.heavy(group.manifold.calc_gradient(group.part(x))), gradient)
@@ -199,7 +199,7 @@ class Product(Manifold):
         )
 
     def calc_longest_step(self, x: Array, v: Array) -> Array:
-        """The least of the factors' times (...)."""
+        """Return the least of the factors' times (...)."""
         times = [g.manifold.calc_longest_step(g.part(x), g.part(v)).min(-1) for g in self._groups]
         return np.minimum.reduce(times)
 
@@ -222,7 +222,7 @@ class Product(Manifold):
         return joined(lines, x)
 
     def lift(self) -> Lift | None:
-        """The lifts of the factors side by side, if there are any."""
+        """Return the lifts of the factors side by side, if there are any."""
         own = [factor.lift() for factor in self.manifolds]
         if not any(own):
             return None

@@ -94,7 +94,7 @@ def put_congruence(A: Array, B: Array, room: Array, out: Array) -> None:
 
 @inlined
 def frobenius_norm(Z: Array) -> float:
-    """The root of the sum of squares of a matrix (4, 4)."""
+    """Return the root of the sum of squares of a matrix (4, 4)."""
     total = 0.0
     for i in range(4):
         for j in range(4):
@@ -215,7 +215,7 @@ def calc_natural_steps(x: Array, b: Array, factors: Factors, time: float, out: A
 
 @inlined
 def grown(x: Array, b: Array, others: tuple[Places, Array, Array], out: Array) -> bool:
-    """The steps of `calc_natural_steps` of those with lower bounds, each with its time."""
+    """Return the steps of `calc_natural_steps` of those with lower bounds, each with its time."""
     (places, lower, times), length, size = others, 0.0, 0.0
     for k in range(len(places)):
         at = places[k]
@@ -231,7 +231,7 @@ def grown(x: Array, b: Array, others: tuple[Places, Array, Array], out: Array) -
 
 @compiled
 def calc_clearly_inside(x: Array, factors: Factors) -> bool:
-    """Whether all is inside by more than rounding.
+    """Return whether all is inside by more than rounding.
 
     Args:
         x: (n,) point.
@@ -359,7 +359,7 @@ def calc_spanned(
 
 
 def robot_span(x: Array, rows: Array, factors: Factors) -> MirrorSpan:
-    """The mirror span of a robot's parameters.
+    """Return the mirror span of a robot's parameters.
 
     Args:
         x: (..., n) points, all coordinates one after the other.

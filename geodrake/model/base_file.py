@@ -31,7 +31,7 @@ def existing_base(path: Path) -> Path:
 
 
 def find_base(path: Path, relative: str, absolute: str, sha256: str) -> Path:
-    """The model file that a saved model is based on, wherever both are now.
+    """Return the model file that a saved model is based on, wherever both are now.
 
     Both may have moved together, or into one folder, or the model file stayed where it was. Where
     there are several files, it is the one that is as it was when the model was saved.
@@ -64,7 +64,7 @@ def find_base(path: Path, relative: str, absolute: str, sha256: str) -> Path:
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is a file; no name that no file can have is an error."""
+    """Return whether there is a file; no name that no file can have is an error."""
     try:
         return path.is_file()
     except (OSError, ValueError):

@@ -54,12 +54,12 @@ class Agreement(Short):
 
     @property
     def relative(self) -> float:
-        """The difference as a share of the size."""
+        """Return the difference as a share of the size."""
         return self.difference / self.size if self.size else float(np.sign(self.difference))
 
     @property
     def holds(self) -> bool:
-        """Whether the difference is rounding."""
+        """Return whether the difference is rounding."""
         return self.relative <= TOLERANCE  # false of what is no number
 
 
@@ -85,17 +85,17 @@ class DynamicsCheck(Short):
 
     @property
     def worst(self) -> Agreement:
-        """The quantity of the largest relative difference."""
+        """Return the quantity of the largest relative difference."""
         return max(self.agreements, key=lambda a: (not a.holds, a.relative))
 
     @property
     def is_rounding(self) -> bool:
-        """Whether all differences are rounding."""
+        """Return whether all differences are rounding."""
         return all(agreement.holds for agreement in self.agreements)
 
     @property
     def holds(self) -> bool:
-        """Whether all differences are rounding, and the model is that of its file."""
+        """Return whether all differences are rounding, and the model is that of its file."""
         return self.is_rounding and not self.repairs
 
 
@@ -176,7 +176,7 @@ def _by_recursion(model: RobotModel, states: States, phi: Array, others: Array) 
 
 
 def _by_drake(model: RobotModel, states: States, others: Array) -> Quantities:
-    """The same by MultibodyPlant, whose joints move with their leaders and actuators."""
+    """Return the same by MultibodyPlant, whose joints move with their leaders and actuators."""
     plant = model.plant
     jacobians, rates = plant_jacobians(model.tree, model.coordinates, *states[:2])
     q, v = model.plant_positions(states[0]), model.plant_velocities(*states[:2])
@@ -206,7 +206,7 @@ def _by_drake(model: RobotModel, states: States, others: Array) -> Quantities:
 
 
 def _agreement(name: str, error: Array, size: float, joints: Sequence[str]) -> Agreement:
-    """The largest entry of differences (N, nv) or (N, nv, nv), and where it is."""
+    """Return the largest entry of differences (N, nv) or (N, nv, nv), and where it is."""
     worst = np.abs(error).max(axis=0, initial=0.0)
     at = np.unravel_index(int(np.argmax(worst)), worst.shape) if worst.size else ()
     where = tuple(dict.fromkeys(joints[int(k)] for k in at))

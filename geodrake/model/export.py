@@ -97,7 +97,7 @@ _FORMATS = {"urdf": "a URDF", "sdf": "an SDF", "xml": "an MJCF"}
 
 
 def export_model(model: RobotModel) -> Export:
-    """A copy of a model's file with the model's inertias; only numbers of `inertial` differ.
+    """Return a copy of a model's file with the model's inertias; only numbers of `inertial` differ.
 
     Links that are welded together are one body to identification. Of those the heaviest takes
     what the others leave of the identified body, if that is something that a body can be;
@@ -148,7 +148,7 @@ def export_bodies(model: RobotModel) -> Export:
 
 
 def repair_comments(model: RobotModel) -> list[str]:
-    """What a file that is made of a model says of inertias that its own file states in vain.
+    """Return what a file that is made of a model says of inertias that its own file states in vain.
 
     Args:
         model: The model.
@@ -157,7 +157,7 @@ def repair_comments(model: RobotModel) -> list[str]:
 
 
 def distributed(body: LumpedBody, stated: Array, phi: Array) -> tuple[Array, str]:
-    """An identified body shared among the links that make it up.
+    """Return an identified body shared among the links that make it up.
 
     Args:
         body: The links.
@@ -219,7 +219,7 @@ def _into_frame(phi: Array, R_RB: Array, p_RoBo_R: Array) -> Array:
 
 
 def _stated_inertias(model: RobotModel) -> Mapping[str, Array]:
-    """What a model's file says of every link (10,), possible or not, by scoped name."""
+    """Return what a model's file says of every link (10,), possible or not, by scoped name."""
     with drake_messages():
         description = read_description(model.path, model.given)
         plant = MultibodyPlant(time_step=0.0)
@@ -252,7 +252,7 @@ def _check(content: bytes, path: Path, written: Mapping[str, Array]) -> None:
 
 
 def _left_out(model: RobotModel) -> list[str]:
-    """A note on what a file of inertias cannot carry."""
+    """Return a note on what a file of inertias cannot carry."""
     names = dict.fromkeys(f.effect.name for f in model.effects if f.effect.role is not Role.BODY)
     if not names:
         return []
@@ -297,7 +297,7 @@ def _file_notes(data: bytes, model: RobotModel) -> list[str]:
 
 
 def file_kind(model: RobotModel) -> str:
-    """The format of a model's file: urdf, sdf, or xml for MJCF.
+    """Return the format of a model's file: urdf, sdf, or xml for MJCF.
 
     Raises:
         ModelError: The model is put together from several files.

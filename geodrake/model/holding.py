@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 def holding(
     model: RobotModel, held: Mapping[str, float], *, why: str = "so that they do not move"
 ) -> RobotModel:
-    """The model with joints held where they stand: they are none of its joints any more.
+    """Return the model with joints held where they stand: they are none of its joints any more.
 
     Inertias and payloads of bodies that they moved go to the bodies that carry them. Other effects
     at these joints and bodies are left out, which a note says.

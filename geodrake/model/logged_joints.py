@@ -67,7 +67,7 @@ def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
 
 
 def _with_followers(log: JointLog, model: RobotModel) -> JointLog:
-    """The log with τ_q = Jᵀ τ_θ at the joints that lead others, where both were logged."""
+    """Return the log with τ_q = Jᵀ τ_θ at the joints that lead others, where both were logged."""
     efforts, notes = log.effort, list(log.notes)
     for joint, (leader, ratio) in model.led.items():
         if joint in log.joints and leader in log.joints:
@@ -94,7 +94,7 @@ def _check_sides(model: RobotModel, logs: Sequence[JointLog], silent: Sequence[s
 
 
 def _says(log: JointLog, joint: str) -> bool:
-    """Whether a log says something of a joint's effort."""
+    """Return whether a log says something of a joint's effort."""
     if joint not in log.joints:
         return False
     at = log.joints.index(joint)
@@ -109,7 +109,7 @@ def _says(log: JointLog, joint: str) -> bool:
 
 
 def _place(model: RobotModel, logs: Sequence[JointLog], joint: str) -> float:
-    """Where a joint stands in the logs, or else by default."""
+    """Return where a joint stands in the logs, or else by default."""
     places = {}
     for log in logs:
         if joint in log.standing:

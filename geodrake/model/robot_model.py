@@ -129,24 +129,24 @@ class RobotModel(Short):
 
     @cached_property
     def tree(self) -> RobotTree:
-        """The plant's kinematics for the model's motion, read once."""
+        """Return the plant's kinematics for the model's motion, read once."""
         if self.actuation is None:
             return self.joint_tree
         return DrivenTree(self.joint_tree, self.actuation)
 
     @cached_property
     def joint_tree(self) -> KinematicTree:
-        """The plant's kinematics for the motion of its joints, without the transmission."""
+        """Return the plant's kinematics for the motion of its joints, without the transmission."""
         return KinematicTree.from_plant(self.plant, self.followers)
 
     @cached_property
     def coordinates(self) -> OwnCoordinates:
-        """Which positions and velocities of the plant are those of `joint_tree`."""
+        """Return which positions and velocities of the plant are those of `joint_tree`."""
         return OwnCoordinates(self.plant, self.followers)
 
     @cached_property
     def actuation(self) -> Actuation | None:
-        """How those follow from the model's, if there is a transmission.
+        """Return how those follow from the model's, if there is a transmission.
 
         Raises:
             ModelError: It does not fit the robot.
@@ -189,7 +189,7 @@ class RobotModel(Short):
         log: str | None = None,
         temperatures: Temperatures | None = None,
     ) -> Driving | None:
-        """How a plant of the model moves, if that has other coordinates than the model.
+        """Return how a plant of the model moves, if that has other coordinates than the model.
 
         Args:
             sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
@@ -369,7 +369,7 @@ class RobotModel(Short):
     def motion(
         self, motion: Motion, *, sign_width: ArrayLike = 0.0, load: Array | None = None
     ) -> RobotMotion:
-        """A motion as effects see it: by joint, with the rigid bodies' effort as load.
+        """Return a motion as effects see it: by joint, with the rigid bodies' effort as load.
 
         Args:
             motion: (N, ·) positions, velocities and accelerations in Drake's order.
@@ -468,7 +468,7 @@ class RobotModel(Short):
         return found
 
     def default_position(self, joint: str) -> float:
-        """Where the model file puts a joint of one degree of freedom, rad or m."""
+        """Return where the model file puts a joint of one degree of freedom, rad or m."""
         q = self.plant.GetPositions(self.plant.CreateDefaultContext())
         own = q[self.coordinates.own_positions]
         if self.actuation is not None:
@@ -476,12 +476,12 @@ class RobotModel(Short):
         return float(own[self._at(joint)])
 
     def limits_of(self, joint: str) -> tuple[float, float]:
-        """The positions between which a joint of one degree of freedom stays, rad or m."""
+        """Return the positions between which a joint of one degree of freedom stays, rad or m."""
         lower, upper = self.position_limits
         return float(lower[self._at(joint)]), float(upper[self._at(joint)])
 
     def _at(self, joint: str) -> int:
-        """Where the position of a joint of one degree of freedom is in q."""
+        """Return where the position of a joint of one degree of freedom is in q."""
         at_velocity, at_position = self.single_places
         return at_position[at_velocity.index(self.joints.index(joint))]
 
@@ -509,14 +509,14 @@ class RobotModel(Short):
 
     @cached_property
     def single_places(self) -> tuple[list[int], list[int]]:
-        """Where the joints of one degree of freedom are in v and in q."""
+        """Return where the joints of one degree of freedom are in v and in q."""
         if self.actuation is not None:
             return self.actuation.single_places(dict(zip(*self._single_of_tree, strict=True)))
         return self._single_of_tree
 
     @cached_property
     def _single_of_tree(self) -> tuple[list[int], list[int]]:
-        """The same in the velocities and positions of `joint_tree`."""
+        """Return the same in the velocities and positions of `joint_tree`."""
         coordinates = self.coordinates
         single = [
             (coordinates.velocity_of(j), coordinates.position_of(j))
@@ -639,11 +639,11 @@ class RobotModel(Short):
 
     @property
     def _sees_world(self) -> bool:
-        """Whether an effect depends on how the base is turned about the vertical."""
+        """Return whether an effect depends on how the base is turned about the vertical."""
         return any(isinstance(fitted.effect, RobotEffect) for fitted in self.effects)
 
     def _as_fitted(self) -> FittedRobot:
-        """What a diagram needs to know."""
+        """Return what a diagram needs to know."""
         return FittedRobot(
             self.path,
             self.floating,
@@ -662,7 +662,7 @@ class RobotModel(Short):
         information: Array,
         effort_noise: Array,
     ) -> RobotModel:
-        """The model with fitted parameters in place of its own.
+        """Return the model with fitted parameters in place of its own.
 
         Args:
             phi: (nb, 10) inertial parameters without payloads.
@@ -692,7 +692,7 @@ class RobotModel(Short):
 def from_loaded_plant(
     loaded: LoadedPlant, *, floating: bool, transmission: Sequence[Drive] = ()
 ) -> RobotModel:
-    """The model of a plant: damping, friction and rotor inertia of the file become effects.
+    """Return the model of a plant: damping, friction and rotor inertia of the file become effects.
 
     Args:
         loaded: The plant of a model file, and what the file says of friction, damping and rotors.
@@ -765,7 +765,7 @@ def load_description(
     given: Given | None = None,
     transmission: Sequence[Drive] = (),
 ) -> RobotModel:
-    """The model of a URDF, SDF, MJCF or Drake directives file.
+    """Return the model of a URDF, SDF, MJCF or Drake directives file.
 
     Args:
         path: The file.

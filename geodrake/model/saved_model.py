@@ -184,7 +184,7 @@ def load_model(
 def _transmission(
     path: Path, given: str | Path | Sequence[Drive] | None, how: Given
 ) -> tuple[tuple[Drive, ...], list[str]]:
-    """The drives that a model file is to have, and notes on where they come from."""
+    """Return the drives that a model file is to have, and notes on where they come from."""
     if given == OF_FILE:
         parts = read_description(path, how).motors()
         if not parts:
@@ -208,7 +208,7 @@ def _transmission(
 
 
 def is_saved_model(path: Path) -> bool:
-    """Whether a file is one that `save_model` wrote, of whatever version."""
+    """Return whether a file is one that `save_model` wrote, of whatever version."""
     try:
         with open_regular(path, "model file", ModelError) as file:
             return path.suffix in {".yaml", ".yml"} and _HEAD.search(file.read(1000)) is not None
@@ -232,7 +232,7 @@ def save_model(model: RobotModel, path: str | Path) -> None:
 
 
 def saved_text(model: RobotModel, path: str | Path) -> str:
-    """What `save_model` writes.
+    """Return what `save_model` writes.
 
     Args:
         model: The model.
@@ -336,7 +336,7 @@ def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel
 
 
 def _fields(text: str) -> SavedModel:
-    """What a saved model states; its information apart, if that is the last of it.
+    """Return what a saved model states; its information apart, if that is the last of it.
 
     That is nearly all of the text, and Drake's reader, in Python, takes its time.
     """
@@ -387,7 +387,7 @@ def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]])
 
 
 def _how_to_give(path: Path, effect: SavedEffect) -> str:
-    """How to give the file of an effect of the user's own."""
+    """Return how to give the file of an effect of the user's own."""
     if not effect.file:
         return "If it is one of your own, give its file: --effects FILE.py"
     file = path.parent / effect.file
@@ -397,7 +397,7 @@ def _how_to_give(path: Path, effect: SavedEffect) -> str:
 
 
 def _odd_field(text: str) -> str:
-    """The first field that is not of its type; nothing if that cannot be told."""
+    """Return the first field that is not of its type; nothing if that cannot be told."""
     with suppress(Exception):
         for name, value in yaml_load(data=text).items():
             try:
@@ -408,7 +408,7 @@ def _odd_field(text: str) -> str:
 
 
 def _base_of_saved(path: Path, saved: SavedModel) -> Path:
-    """The model file that a saved model is based on, wherever it is now."""
+    """Return the model file that a saved model is based on, wherever it is now."""
     if not _DIGEST.fullmatch(saved.base_sha256):
         raise ModelError(
             f"{path} has base_sha256 = {saved.base_sha256[:80]!r}, which is no SHA-256 digest.",
@@ -508,7 +508,7 @@ def _of_joints(
 
 
 def _ordered(field: str, values: dict[str, T], names: Sequence[str]) -> dict[str, T]:
-    """The values in the order of some names, when there is one for each and no other."""
+    """Return the values in the order of some names, when there is one for each and no other."""
     odd = [name for name in values if name not in names]
     missing = [name for name in names if name not in values]
     if odd or missing:

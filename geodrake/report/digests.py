@@ -56,7 +56,7 @@ def failures(run: DigestRun) -> list[str]:
 
 
 def digest_notes(run: DigestRun) -> list[str]:
-    """Where settings are from, and what is to say of digests.
+    """Return where settings are from, and what is to say of digests.
 
     Args:
         run: What became of the logs.
@@ -79,7 +79,7 @@ def digest_notes(run: DigestRun) -> list[str]:
 
 
 def digests_verdict(run: DigestRun) -> str:
-    """How many logs have digests, in a sentence.
+    """Return how many logs have digests, in a sentence.
 
     Args:
         run: What became of the logs.
@@ -92,7 +92,7 @@ def digests_verdict(run: DigestRun) -> str:
 
 
 def digests_dict(run: DigestRun) -> dict[str, Any]:
-    """What became of logs, as plain numbers for JSON.
+    """Return what became of logs, as plain numbers for JSON.
 
     Args:
         run: What became of the logs.

@@ -38,7 +38,7 @@ def render_drafted(
     log_names: Sequence[str],
     links: Mapping[str, str] | None = None,
 ) -> str:
-    """The report of an explanation and of the formulas for its rest.
+    """Return the report of an explanation and of the formulas for its rest.
 
     Args:
         found: What `geodrake.diagnosis.drafting.draft_effects` gives.
@@ -60,7 +60,7 @@ def render_drafted(
 
 
 def draft_section(draft: Draft, units: Units) -> Section:
-    """The formulas found and what the rest goes with, with the figure.
+    """Return the formulas found and what the rest goes with, with the figure.
 
     Args:
         draft: The formulas found.
@@ -83,7 +83,7 @@ def draft_section(draft: Draft, units: Units) -> Section:
 @style.own_look()
 @typed
 def draft_figure(draft: Draft, *, units: Units | None = None) -> Figure:
-    """What formulas explain: over time, and against what everything else leaves.
+    """Return what formulas explain: over time, and against what everything else leaves.
 
     Args:
         draft: A draft with an effect at least.

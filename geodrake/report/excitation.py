@@ -55,7 +55,7 @@ def render_excitation(
     model_name: str,
     links: Mapping[str, str] | None = None,
 ) -> str:
-    """The report of a designed motion.
+    """Return the report of a designed motion.
 
     Args:
         result: The design.
@@ -182,7 +182,7 @@ def _bounds(limits: MotionLimits, j: int, name: str) -> tuple[float, float]:
 
 
 def _reach(values: Array) -> float:
-    """How far away a limit may be to be drawn."""
+    """Return how far away a limit may be to be drawn."""
     return 2.5 * max(float(np.abs(values).max()), 1e-9)
 
 

@@ -24,7 +24,7 @@ def render_explained(
     log_names: Sequence[str],
     links: Mapping[str, str] | None = None,
 ) -> str:
-    """The report of an explanation and of what its rest goes with; see `render_drafted`.
+    """Return the report of an explanation and of what its rest goes with; see `render_drafted`.
 
     Args:
         found: An explanation, what `geodrake.diagnosis.drafting.rest_correlates` gives, and
@@ -49,7 +49,7 @@ def render_explained(
 
 
 def motions_section(motions: Sequence[Rollout] | None, units: Units) -> Section:
-    """How far the robot departs from its motion under commands; empty without commands.
+    """Return how far the robot departs from its motion under commands; empty without commands.
 
     Args:
         motions: Rollouts before, after the steps, and after the last.
@@ -67,7 +67,7 @@ def motions_section(motions: Sequence[Rollout] | None, units: Units) -> Section:
 
 
 def rest_section(correlates: Sequence[Correlate]) -> Section:
-    """What an error goes with that nothing explains; empty if nothing is known."""
+    """Return what an error goes with that nothing explains; empty if nothing is known."""
     text = ("Shares of the error left at a joint that go with simple signals, on held-out data.",)
     items = tuple(map(correlate_words, correlates))
     return Section("What the rest goes with", text if items else (), items=items)

@@ -38,7 +38,7 @@ def render_export(
     log_names: Sequence[str],
     units: Units | None = None,
 ) -> str:
-    """The report of an export.
+    """Return the report of an export.
 
     Args:
         found: The export.

@@ -93,7 +93,7 @@ def step_stages(explanation: Explanation) -> list[tuple[str, list[float]]]:
 @style.own_look()
 @typed
 def step_figure(explanation: Explanation) -> Figure:
-    """How the held-out nrms falls with each step, with the noise floor.
+    """Return how the held-out nrms falls with each step, with the noise floor.
 
     Returns:
         One axes with a line for the model as it stands, one for its own parameters refitted, and

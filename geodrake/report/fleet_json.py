@@ -38,7 +38,7 @@ _NOT_SAID = "the model does not say it"
 
 
 def rounded(value: float, deviation: float = 0.0) -> float:
-    """A value to six digits of itself or of its deviation, whichever is larger.
+    """Return a value to six digits of itself or of its deviation, whichever is larger.
 
     Args:
         value: The value.
@@ -70,7 +70,7 @@ def fleet_dict(result: FleetResult) -> dict[str, Any]:
 
 
 def finding_dict(finding: FleetFinding) -> dict[str, Any]:
-    """A finding.
+    """Return a finding.
 
     Args:
         finding: What was found.
@@ -102,7 +102,7 @@ def finding_dict(finding: FleetFinding) -> dict[str, Any]:
 
 
 def finding_line(finding: FleetFinding) -> str:
-    """A finding as one line of JSON.
+    """Return a finding as one line of JSON.
 
     Args:
         finding: What was found.
@@ -202,7 +202,7 @@ _UNUSED = ("robot", "log", "reason")
 
 
 def _finding_rows(result: FleetResult) -> list[dict[str, Any]]:
-    """A row for each parameter of each finding."""
+    """Return a row for each parameter of each finding."""
     return [
         {
             "robot": finding.robot,
@@ -228,7 +228,7 @@ def _finding_rows(result: FleetResult) -> list[dict[str, Any]]:
 
 
 def _parameter_rows(result: FleetResult) -> list[dict[str, Any]]:
-    """A row for each parameter of effects and each time of each robot."""
+    """Return a row for each parameter of effects and each time of each robot."""
     return [
         {
             "robot": robot.robot,

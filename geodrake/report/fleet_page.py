@@ -59,7 +59,7 @@ _ROBOT = (
 
 
 def render_fleet(result: FleetResult, *, title: str) -> str:
-    """The report of a fleet.
+    """Return the report of a fleet.
 
     Args:
         result: What was found.
@@ -145,7 +145,7 @@ def _glance_tables(robots: Sequence[RobotResult]) -> tuple[Table, ...]:
 
 
 def _place_cell(robot: RobotResult, place: str) -> Cell:
-    """How far a robot is from others at a joint, and what changed there."""
+    """Return how far a robot is from others at a joint, and what changed there."""
     apart = max(
         (abs(each.apart) for each in robot.own if each.parameter.where == place), default=0.0
     )
@@ -155,7 +155,7 @@ def _place_cell(robot: RobotResult, place: str) -> Cell:
 
 
 def _body_cell(robot: RobotResult, places: Sequence[str]) -> Cell:
-    """What changed at bodies."""
+    """Return what changed at bodies."""
     found = [f"{change_label(f)} of {f.where}" for f in robot.findings if f.where not in places]
     return Cell(", ".join(found))
 
@@ -183,7 +183,7 @@ def _robot_section(robot: RobotResult, at: int) -> Section:
 
 
 def _chart(robot: RobotResult, at: int) -> Chart:
-    """The joints of a robot over time."""
+    """Return the joints of a robot over time."""
     days = (robot.dates - robot.dates[0]) / DAY
     places = list(dict.fromkeys(each.parameter.where for each in robot.histories))
     changed = {finding.where for finding in robot.findings}

@@ -47,7 +47,7 @@ def render_identifiable(
     units: Units | None = None,
     links: Mapping[str, str] | None = None,
 ) -> str:
-    """The report of what is identifiable from logs.
+    """Return the report of what is identifiable from logs.
 
     Args:
         found: The result of `geodrake.excitation.log_identifiability`.

@@ -34,7 +34,7 @@ def render_identification(
     units: Units | None = None,
     links: Mapping[str, str] | None = None,
 ) -> str:
-    """The report of an identification; arguments as for `render_comparison`.
+    """Return the report of an identification; arguments as for `render_comparison`.
 
     Args:
         found: The result of `geodrake.identification.models.identify.identify_model`.

@@ -206,7 +206,7 @@ def levels(playback: Playback, played: PlayedModel) -> np.ndarray[Any, np.dtype[
 def _data(
     playback: Playback, copies: Sequence[_RobotCopy], units: Units, speed: float
 ) -> dict[str, Any]:
-    """What the page's script reads."""
+    """Return what the page's script reads."""
     return {
         "rate": FRAMES,
         "frames": len(playback.q),

@@ -74,7 +74,7 @@ def rollout_replay_page(model: RobotModel, after: Rollout, before: Rollout | Non
 def _replayed(
     model: RobotModel, times: Array, motions: Mapping[str, Array], colors: Mapping[str, Rgba]
 ) -> str:
-    """A page with one robot for each motion, all at one place."""
+    """Return a page with one robot for each motion, all at one place."""
     with drake_messages():
         meshcat, shapes = calm_meshcat(), robot_shapes(model.path, model.given)
         scenes = [

@@ -28,7 +28,7 @@ def render_comparison(
     units: Units | None = None,
     links: Mapping[str, str] | None = None,
 ) -> str:
-    """The report of a comparison.
+    """Return the report of a comparison.
 
     Args:
         comparison: The result of `geodrake.identification.logs.compare.compare`.
@@ -82,7 +82,7 @@ def render_diagnosis(
     units: Units | None = None,
     links: Mapping[str, str] | None = None,
 ) -> str:
-    """The report of a diagnosis; arguments as for `render_comparison`.
+    """Return the report of a diagnosis; arguments as for `render_comparison`.
 
     Args:
         diagnosis: The result of `geodrake.diagnosis.diagnose`.
@@ -140,7 +140,7 @@ def render_explanation(
     advice: Sequence[str] = (),
     links: Mapping[str, str] | None = None,
 ) -> str:
-    """The report of an explanation; arguments as for `render_comparison`.
+    """Return the report of an explanation; arguments as for `render_comparison`.
 
     Units are those of the explanation's own model; `advice` are paragraphs that end the verdict.
 
@@ -206,7 +206,7 @@ def _explanation_tiles(explanation: Explanation) -> tuple[Tile, ...]:
 
 
 def with_bars(section: Section, bars: Bars) -> Section:
-    """A section with one figure of bars more.
+    """Return a section with one figure of bars more.
 
     Args:
         section: The section without it.
@@ -216,7 +216,7 @@ def with_bars(section: Section, bars: Bars) -> Section:
 
 
 def subject(model_name: str, log_names: Sequence[str]) -> str:
-    """What was compared with what, in words.
+    """Return what was compared with what, in words.
 
     Args:
         model_name: What the model is called.

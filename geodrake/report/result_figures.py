@@ -25,7 +25,7 @@ from geodrake.report.series_figures import effort_figure, residual_figure
 
 @typed
 def comparison_figures(comparison: Comparison, *, units: Units | None = None) -> dict[str, Figure]:
-    """The figures of a comparison's report, by name.
+    """Return the figures of a comparison's report, by name.
 
     Args:
         comparison: The comparison.
@@ -40,7 +40,7 @@ def comparison_figures(comparison: Comparison, *, units: Units | None = None) ->
 
 @typed
 def diagnosis_figures(diagnosis: Diagnosis, *, units: Units | None = None) -> dict[str, Figure]:
-    """The figures of a diagnosis' report, by name.
+    """Return the figures of a diagnosis' report, by name.
 
     Args:
         diagnosis: The diagnosis.
@@ -54,7 +54,7 @@ def diagnosis_figures(diagnosis: Diagnosis, *, units: Units | None = None) -> di
 
 @typed
 def report_figures(explanation: Explanation) -> dict[str, Figure]:
-    """The figures of an explanation's report, by name."""
+    """Return the figures of an explanation's report, by name."""
     units = Units.of(explanation.model)
     before, after = explanation.before, explanation.after
     if not explanation.steps:

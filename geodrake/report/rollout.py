@@ -44,7 +44,7 @@ def render_rollout(
     units: Units | None = None,
     links: Mapping[str, str] | None = None,
 ) -> str:
-    """The report of a rollout.
+    """Return the report of a rollout.
 
     Args:
         found: The rollout, and that of the model before, if there is one.
@@ -127,7 +127,7 @@ def _joined(parts: Sequence[Array | Sequence[Array]]) -> Array:
 
 
 def _shown(panels: Sequence[Panel], rollout: Rollout) -> tuple[Panel, ...]:
-    """The panels, those that depart most shown at first, and the worst one marked."""
+    """Return the panels, those that depart most shown at first, and the worst one marked."""
     order = np.argsort([-joint.relative for joint in rollout.joints], kind="stable").tolist()
     seen, badge = order[:MOST_JOINTS], "departs most" if len(panels) > 1 else ""
     return tuple(

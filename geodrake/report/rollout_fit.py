@@ -24,7 +24,7 @@ def render_rollout_fit(
     units: Units | None = None,
     links: Mapping[str, str] | None = None,
 ) -> str:
-    """The report of a fit of rollouts.
+    """Return the report of a fit of rollouts.
 
     Args:
         found: The fit.
@@ -70,6 +70,6 @@ def render_rollout_fit(
 
 
 def _fitted(found: RolloutFit) -> str:
-    """What was free."""
+    """Return what was free."""
     servos = any(value.effect == SERVO for value in found.values)
     return "Soft joints, play, their servos and motors" if servos else "Soft joints and play"

@@ -28,7 +28,7 @@ NOTHING_FOUND = "No effect takes away enough of the error on held-out data to be
 
 
 def noise_tile(errors: ErrorTable) -> Tile:
-    """What sensor noise alone would make, if the logs show any.
+    """Return what sensor noise alone would make, if the logs show any.
 
     Args:
         errors: Errors of a model, with the noise.
@@ -39,7 +39,7 @@ def noise_tile(errors: ErrorTable) -> Tile:
 
 
 def removable_tiles(errors: ErrorTable, of: str) -> tuple[Tile, ...]:
-    """What a better model could remove; none where no noise is seen, as it is unknown then.
+    """Return what a better model could remove; none where no noise is seen, as it is unknown then.
 
     Args:
         errors: Errors of a model, with the noise.
@@ -76,7 +76,7 @@ def steps_section(explanation: Explanation, units: Units) -> Section:
 
 
 def parameters_section(explanation: Explanation, units: Units) -> Section:
-    """The parameters that were found, with their standard deviations and units.
+    """Return the parameters that were found, with their standard deviations and units.
 
     Args:
         explanation: The explanation.
@@ -95,7 +95,7 @@ def parameters_section(explanation: Explanation, units: Units) -> Section:
 
 
 def _has_noticed(step: Step) -> bool:
-    """Whether a second deviation is shown of one of a step's parameters."""
+    """Return whether a second deviation is shown of one of a step's parameters."""
     return any(
         is_noticed(step.deviations[place][name], systematic)
         for place, own in step.systematic.items()
@@ -165,7 +165,7 @@ def joints_section(stages: Mapping[str, ErrorTable], units: Units) -> Section:
 
 
 def candidates_section(diagnosis: Diagnosis, units: Units) -> Section:
-    """The candidates that convince, the chosen one first.
+    """Return the candidates that convince, the chosen one first.
 
     Args:
         diagnosis: The diagnosis.
@@ -201,7 +201,7 @@ def failing_section(
     charts: Sequence[Chart] = (),
     alone: Stage = BEFORE,
 ) -> Section:
-    """Where the error is concentrated, at first and in the end, in words and over time.
+    """Return where the error is concentrated, at first and in the end, in words and over time.
 
     Args:
         before: The model as it stands.
@@ -230,7 +230,7 @@ def dependence_section(models: Mapping[Stage, Comparison], units: Units) -> Sect
 
 
 def worst_tile(before: ErrorTable, after: ErrorTable | None = None) -> Tile:
-    """The joint that errs most, of the final model if there is one.
+    """Return the joint that errs most, of the final model if there is one.
 
     Args:
         before: Errors of the model as it stands.
@@ -244,7 +244,7 @@ def worst_tile(before: ErrorTable, after: ErrorTable | None = None) -> Tile:
 
 
 def method_section(comparison: Comparison, *, refitted: bool) -> Section:
-    """How the errors were measured.
+    """Return how the errors were measured.
 
     Args:
         comparison: The comparison whose series name the folds.
@@ -271,5 +271,5 @@ def method_section(comparison: Comparison, *, refitted: bool) -> Section:
 
 
 def notes_section(notes: Sequence[str]) -> Section:
-    """What was done to the logs and noticed about the model."""
+    """Return what was done to the logs and noticed about the model."""
     return Section("Notes on logs and model", items=tuple(notes))

@@ -211,7 +211,7 @@ def _peak(values: Array) -> float:
 
 
 def _change(before: Comparison, after: Comparison | None, joint: str, unit: str) -> str:
-    """How a joint's RMS changes, in words."""
+    """Return how a joint's RMS changes, in words."""
     words = f"RMS {number(before.errors.by_joint()[joint])}"
     if after is not None:
         words += f" → {number(after.errors.by_joint()[joint])}"

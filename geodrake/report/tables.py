@@ -72,7 +72,7 @@ class Table:
 
 
 def cells(*texts: str | Cell) -> tuple[Cell, ...]:
-    """A row of a table."""
+    """Return a row of a table."""
     return tuple(text if isinstance(text, Cell) else Cell(text) for text in texts)
 
 
@@ -111,13 +111,13 @@ def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
 
 
 def error_stages(explanation: Explanation) -> dict[str, ErrorTable]:
-    """The errors of an explanation from the start to the end, by title."""
+    """Return the errors of an explanation from the start to the end, by title."""
     start, refitted, end = explanation.start, explanation.refitted, explanation.end
     return {"start": start, "refitted": refitted, "end": end}
 
 
 def candidates_table(diagnosis: Diagnosis, units: Units) -> Table:
-    """The candidates that convince, the chosen one first; = marks those that are as good.
+    """Return the candidates that convince, the chosen one first; = marks those that are as good.
 
     Args:
         diagnosis: The diagnosis.
@@ -141,7 +141,7 @@ def candidates_table(diagnosis: Diagnosis, units: Units) -> Table:
 
 
 def steps_table(explanation: Explanation, units: Units) -> Table:
-    """The steps: effect, where, rivals, errors before and after, how sure it is.
+    """Return the steps: effect, where, rivals, errors before and after, how sure it is.
 
     Args:
         explanation: The explanation.
@@ -172,7 +172,7 @@ def steps_table(explanation: Explanation, units: Units) -> Table:
 
 
 def short_steps_table(explanation: Explanation, units: Units, *, details: bool = True) -> Table:
-    """The steps with what was found, narrow enough for a terminal.
+    """Return the steps with what was found, narrow enough for a terminal.
 
     Args:
         explanation: The explanation.
@@ -247,7 +247,7 @@ def parameters_table(step: Step, units: Units) -> Table:
 
 
 def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
-    """What makes efforts of the currents, voltages and commands of logs.
+    """Return what makes efforts of the currents, voltages and commands of logs.
 
     Args:
         signals: Those of a model, without those of motors that are asked for efforts.
@@ -278,7 +278,7 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
 
 
 def limits_table(signals: Sequence[EffortSignal], units: Units) -> Table:
-    """What motors give of the efforts that they are asked for.
+    """Return what motors give of the efforts that they are asked for.
 
     Args:
         signals: Those of such motors.
@@ -289,7 +289,7 @@ def limits_table(signals: Sequence[EffortSignal], units: Units) -> Table:
 
 
 def _limit(signal: EffortSignal, units: Units) -> str:
-    """The largest effort of a joint, and the speed at which there is none."""
+    """Return the largest effort of a joint, and the speed at which there is none."""
     if signal.limit == math.inf:
         return UNKNOWN
     most = f"{number(signal.limit)} {units.at(signal.joint, 'N·m')}"
@@ -318,7 +318,7 @@ def formulas_table(draft: Draft) -> Table:
 def departures_table(
     after: Rollout, before: Rollout | None, units: Units, between: Sequence[Rollout] = ()
 ) -> Table:
-    """How far every joint departs from its measured motion.
+    """Return how far every joint departs from its measured motion.
 
     Args:
         after: The rollout.
@@ -346,7 +346,7 @@ def departures_table(
 
 
 def rollout_values_table(found: RolloutFit, units: Units) -> Table:
-    """What a fit of rollouts found, before and after.
+    """Return what a fit of rollouts found, before and after.
 
     Args:
         found: The fit.
@@ -397,7 +397,7 @@ def _share(share: float) -> Cell:
 
 
 def effect_cell(name: str, units: Units) -> Cell:
-    """An effect, or two that were found together, by name.
+    """Return an effect, or two that were found together, by name.
 
     Args:
         name: Name of the effect, or two joined by " + ".

@@ -46,7 +46,7 @@ def listed(names: Sequence[str], last: str = "and") -> str:
 
 
 def effect_label(name: str) -> str:
-    """The name of an effect or a parameter in words, such as "Coulomb friction"."""
+    """Return the name of an effect or a parameter in words, such as "Coulomb friction"."""
     labels = {effect.name: effect.label for effect in catalogue() if effect.label}
     return " + ".join(labels.get(part) or _spaced(part) for part in name.split(" + "))
 
@@ -68,7 +68,7 @@ def effect_signature(effect: str, units: Units) -> str:
 
 
 def places_label(where: Sequence[str], joints: Collection[str], *, most: int | None = None) -> str:
-    """Where an effect acts, in words.
+    """Return where an effect acts, in words.
 
     Args:
         where: Names of joints or bodies; none for the whole robot.
@@ -88,7 +88,7 @@ def places_label(where: Sequence[str], joints: Collection[str], *, most: int | N
 
 
 def parameter_value(step: Step, place: str, name: str, units: Units) -> str:
-    """A parameter of a step with its standard deviation, in the unit in which it is shown.
+    """Return a parameter of a step with its standard deviation, in the unit in which it is shown.
 
     Args:
         step: The step.
@@ -105,13 +105,13 @@ def parameter_value(step: Step, place: str, name: str, units: Units) -> str:
 
 
 def ordered_places(step: Step) -> list[str]:
-    """The places of a step's parameters, in the order in which it acts there."""
+    """Return the places of a step's parameters, in the order in which it acts there."""
     rank = {place: i for i, place in enumerate(step.where)}
     return sorted(step.parameters, key=lambda place: rank.get(place, len(rank)))
 
 
 def step_parameters(step: Step, units: Units) -> tuple[str, ...]:
-    """The parameters of a step, a line each: values at few places, or their range.
+    """Return the parameters of a step, a line each: values at few places, or their range.
 
     Args:
         step: The step.
@@ -143,7 +143,7 @@ def finding(step: Step, units: Units) -> str:
 
 
 def found_words(step: FoundStep) -> str:
-    """A step of a search as it is taken: `payload on flange: nrms 0.703 -> 0.266`."""
+    """Return a step of a search as it is taken: `payload on flange: nrms 0.703 -> 0.266`."""
     names, more = step.where[:_MOST_PLACES], len(step.where) - _MOST_PLACES
     where = listed([*names, f"{more} more"]) if more > 0 else places_label(names, ())
     what = f"{step.effect or 'without ' + listed(step.instead_of)}"
@@ -155,12 +155,12 @@ def found_words(step: FoundStep) -> str:
 
 
 def lowers_error(step: Step) -> bool:
-    """Whether a step lowers the held-out error; an effect that was asked for need not."""
+    """Return whether a step lowers the held-out error; an effect that was asked for need not."""
     return step.error_after < step.error_before
 
 
 def rivals(step: Step, label: bool = False) -> list[str]:
-    """What stands in a step's place in other explanations: `viscous_friction 3 % (0.0312)`.
+    """Return what stands in a step's place in other explanations: `viscous_friction 3 % (0.0312)`.
 
     Their probability, and in brackets the nrms that is left with it.
 
@@ -177,19 +177,19 @@ def rivals(step: Step, label: bool = False) -> list[str]:
 
 
 def short_rivals(step: Step) -> str:
-    """What may stand in a step's place, in few words: `viscous_friction 3 %`."""
+    """Return what may stand in a step's place, in few words: `viscous_friction 3 %`."""
     pairs = zip(step.rivals, step.probabilities_of_rivals, strict=True)
     likely = (f"{r.effect} {percent(share)}" for r, share in pairs if share >= _LIKELY)
     return ", ".join(likely)
 
 
 def is_summarized(step: Step) -> bool:
-    """Whether `step_parameters` gives ranges over places, not the value at each."""
+    """Return whether `step_parameters` gives ranges over places, not the value at each."""
     return any(len(values) > _MOST_VALUES for values in _by_name(step).values())
 
 
 def worst_words(start: ErrorTable, end: ErrorTable | None = None, *, unit: str = "N·m") -> str:
-    """Which joint errs most for its effort, at first and at last, in a sentence.
+    """Return which joint errs most for its effort, at first and at last, in a sentence.
 
     Args:
         start: Errors of the model as it stands.
@@ -207,7 +207,7 @@ def _worst_joint(errors: ErrorTable, unit: str) -> str:
 
 
 def explanation_verdict(explanation: Explanation, units: Units) -> str:
-    """What an explanation amounts to, in a few sentences.
+    """Return what an explanation amounts to, in a few sentences.
 
     Args:
         explanation: The explanation.
@@ -232,7 +232,7 @@ def explanation_verdict(explanation: Explanation, units: Units) -> str:
 
 
 def draft_advice(explanation: Explanation) -> str:
-    """What to do where an error is left that nothing explains; else nothing."""
+    """Return what to do where an error is left that nothing explains; else nothing."""
     if explanation.verdict != "unexplained":
         return ""
     return (
@@ -242,7 +242,7 @@ def draft_advice(explanation: Explanation) -> str:
 
 
 def addition_verdict(explanation: Explanation, units: Units) -> str:
-    """What adding an effect changed, and what is left.
+    """Return what adding an effect changed, and what is left.
 
     Args:
         explanation: The result of `add`.
@@ -256,7 +256,7 @@ def addition_verdict(explanation: Explanation, units: Units) -> str:
 
 
 def diagnosis_verdict(diagnosis: Diagnosis, units: Units) -> str:
-    """What a diagnosis amounts to, in a few sentences.
+    """Return what a diagnosis amounts to, in a few sentences.
 
     Args:
         diagnosis: The diagnosis.
@@ -280,7 +280,7 @@ def diagnosis_verdict(diagnosis: Diagnosis, units: Units) -> str:
 
 
 def comparison_verdict(comparison: Comparison) -> str:
-    """What a comparison amounts to, in a sentence."""
+    """Return what a comparison amounts to, in a sentence."""
     errors = comparison.errors
     if not errors.shows_noise:
         return f"{_against_noise(errors)}."
@@ -291,7 +291,7 @@ def comparison_verdict(comparison: Comparison) -> str:
 
 
 def failing_words(case: Failing) -> str:
-    """Where a joint errs most, in a sentence."""
+    """Return where a joint errs most, in a sentence."""
     return (
         f"{case.joint} errs most {case.circumstance}: RMS {number(case.rms)} {case.unit} "
         f"there, {number(case.elsewhere)} otherwise ({in_words(case.share)} of its squared error "
@@ -318,7 +318,7 @@ def worst_joint(errors: ErrorTable) -> JointError:
 
 
 def correlate_words(found: Correlate) -> str:
-    """What the error that is left at a joint goes with, in a sentence."""
+    """Return what the error that is left at a joint goes with, in a sentence."""
     return f"{found.joint}: {in_words(found.share)} of what is left goes with {found.words}."
 
 
@@ -343,12 +343,12 @@ def removable_share(errors: ErrorTable) -> float:
 
 
 def in_words(share: float) -> str:
-    """A share as it stands in a sentence."""
+    """Return a share as it stands in a sentence."""
     return percent(share).replace(">", "more than").replace("<", "less than")
 
 
 def explanation_mark(explanation: Explanation) -> str:
-    """The verdict of an explanation in a word or three."""
+    """Return the verdict of an explanation in a word or three."""
     if explanation.steps and not any(map(lowers_error, explanation.steps)):
         return "added"
     partly = explanation.verdict == "unexplained" and explanation.steps
@@ -356,7 +356,7 @@ def explanation_mark(explanation: Explanation) -> str:
 
 
 def explanation_headline(explanation: Explanation) -> str:
-    """The answer of an explanation in a sentence."""
+    """Return the answer of an explanation in a sentence."""
     if explanation.verdict == "adequate":
         return "The model is adequate: nothing worth adding is missing."
     if not explanation.steps:
@@ -371,7 +371,7 @@ def explanation_headline(explanation: Explanation) -> str:
 
 
 def explanation_lead(explanation: Explanation) -> tuple[str, ...]:
-    """What an explanation means, in paragraphs."""
+    """Return what an explanation means, in paragraphs."""
     start, end = explanation.start, explanation.end
     first = _as_it_stands(start)
     if explanation.steps:
@@ -385,7 +385,7 @@ def explanation_lead(explanation: Explanation) -> tuple[str, ...]:
 
 
 def diagnosis_headline(diagnosis: Diagnosis) -> str:
-    """The answer of a diagnosis in a sentence."""
+    """Return the answer of a diagnosis in a sentence."""
     if diagnosis.candidates:
         best = diagnosis.candidates[0]
         joints = [joint.joint for joint in diagnosis.start.joints]
@@ -397,7 +397,7 @@ def diagnosis_headline(diagnosis: Diagnosis) -> str:
 
 
 def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
-    """What a diagnosis means, in paragraphs."""
+    """Return what a diagnosis means, in paragraphs."""
     first = _as_it_stands(diagnosis.start)
     if not diagnosis.candidates:
         if diagnosis.verdict == "adequate":
@@ -416,7 +416,7 @@ def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
 
 
 def comparison_headline(comparison: Comparison) -> str:
-    """The answer of a comparison in a sentence."""
+    """Return the answer of a comparison in a sentence."""
     errors = comparison.errors
     words = f"The model errs by {in_words(errors.nrms)} of the efforts' standard deviation"
     if not errors.shows_noise:
@@ -425,7 +425,7 @@ def comparison_headline(comparison: Comparison) -> str:
 
 
 def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
-    """What a comparison means, in paragraphs."""
+    """Return what a comparison means, in paragraphs."""
     errors, worst = comparison.errors, worst_joint(comparison.errors)
     first = (
         f"The error is largest at {worst.joint}: {in_words(worst.nrms)} of the standard deviation "
@@ -443,20 +443,20 @@ def convincing(step: Step) -> bool:
 
 
 def removed_share(step: Step) -> str:
-    """What a step removes of the squared error: "94 %", or that it removes nothing."""
+    """Return what a step removes of the squared error: "94 %", or that it removes nothing."""
     share = explained_share(step.error_before, step.error_after)
     return percent(share) if share > 0 else f"none ({percent(share)})"
 
 
 def departure(share: float) -> str:
-    """How far a simulation departs from the measured motion, as a share of that."""
+    """Return how far a simulation departs from the measured motion, as a share of that."""
     if not np.isfinite(share):
         return "more than can be simulated"
     return percent(share) if share < 10 else f"{number(share)} times the whole"
 
 
 def rollout_fit_words(found: RolloutFit) -> str:
-    """What a fit of rollouts comes to, in a sentence."""
+    """Return what a fit of rollouts comes to, in a sentence."""
     before, after = found.held_out
     shares = f"from {departure(before.relative)} to {departure(after.relative)} of the motion"
     if found.taken:
@@ -504,7 +504,7 @@ def _by_name(step: Step) -> Mapping[str, Mapping[str, float]]:
 
 
 def _against_noise(errors: ErrorTable) -> str:
-    """How an error compares with the noise floor."""
+    """Return how an error compares with the noise floor."""
     nrms, floor = errors.nrms, errors.floor_nrms
     if not errors.shows_noise:
         return f"nrms {number(nrms)}, without measurable sensor noise"
@@ -526,7 +526,7 @@ def _noise_alone(errors: ErrorTable) -> str:
 
 
 def _worst(explanation: Explanation) -> str:
-    """Where the final model errs most, as a sentence after a space."""
+    """Return where the final model errs most, as a sentence after a space."""
     failing = explanation.after.failing
     return f" {failing_words(failing[0])}" if failing else ""
 
@@ -545,7 +545,7 @@ def _as_it_stands(start: ErrorTable) -> str:
 
 
 def _rest(explanation: Explanation) -> str:
-    """What is left at the end of an explanation."""
+    """Return what is left at the end of an explanation."""
     if explanation.verdict == "adequate":
         return f"What is left is sensor noise.{_noise_level(explanation.end)}"
     if explanation.verdict == "explained":
@@ -555,7 +555,7 @@ def _rest(explanation: Explanation) -> str:
 
 
 def _of_motion(explanation: Explanation) -> str:
-    """How much of what is left goes with the motion, as a sentence after a space."""
+    """Return how much of what is left goes with the motion, as a sentence after a space."""
     shares = sorted(explanation.of_motion.items(), key=lambda joint: -joint[1])
     if not shares:
         return ""

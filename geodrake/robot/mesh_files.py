@@ -36,7 +36,7 @@ _GRIDS = (256, 180, 128, 90, 64, 45, 32, 22, 16)  # cells along the longest side
 
 
 def wavefront(path: Path, most: int = MOST_TRIANGLES) -> str:
-    """A mesh file as Wavefront's text, with no more triangles than asked for.
+    """Return a mesh file as Wavefront's text, with no more triangles than asked for.
 
     Args:
         path: An STL or COLLADA file.
@@ -118,7 +118,7 @@ def _normals(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
 
 
 def simplified(surface: Surface, most: int) -> Surface:
-    """A surface of few triangles: vertices in one cell of a grid become one of them.
+    """Return a surface of few triangles: vertices in one cell of a grid become one of them.
 
     Args:
         surface: Vertices and triangles.

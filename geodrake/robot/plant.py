@@ -185,7 +185,7 @@ def _geared(description: ModelDescription) -> tuple[str, ...]:
 def _draft(
     description: ModelDescription, *, floating: bool, held: Mapping[str, float], given: Given
 ) -> tuple[_Built, Arrangement]:
-    """The plant before repairs, of the robot asked for, with its joints held."""
+    """Return the plant before repairs, of the robot asked for, with its joints held."""
     arrangement = Arrangement(floating)
     draft = _build(description, arrangement)
     if given.robot is not None:
@@ -223,7 +223,7 @@ def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:
 
 
 def _follower_notes(description: ModelDescription, arrangement: Arrangement) -> list[str]:
-    """Which joints follow others, and which cannot, in words."""
+    """Return which joints follow others, and which cannot, in words."""
     following = {f.joint: f.leader for f in arrangement.followers}
     pairs = ", ".join(f"{_last(a)} follows {_last(b)}" for a, b in following.items())
     notes = [f"{pairs}, and is no joint of its own."] if pairs else []
@@ -371,7 +371,7 @@ def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:
 
 
 def free_roots(plant: MultibodyPlant) -> list[RigidBody]:
-    """The root of each tree that no joint connects to the world."""
+    """Return the root of each tree that no joint connects to the world."""
     tree = list(range(plant.num_bodies()))
     children = set()
     for joint in _joints(plant):
@@ -416,7 +416,7 @@ def _take_rotor_inertia(plant: MultibodyPlant, description: ModelDescription) ->
 
 
 def _relevant(messages: list[str]) -> list[str]:
-    """What Drake says about masses and inertias that it replaced on its own."""
+    """Return what Drake says about masses and inertias that it replaced on its own."""
     lines = [message.partition("\n")[0].rpartition("warning: ")[2] for message in messages]
     return [f"Drake: {line}" for line in lines if "inertia" in line or "mass" in line]
 

@@ -465,7 +465,7 @@ def add_generalized_force(
 
 
 def _selected(builder: DiagramBuilder, port: OutputPort, places: NDArray[np.intp]) -> OutputPort:
-    """The values of a port at some places."""
+    """Return the values of a port at some places."""
     if np.array_equal(places, np.arange(port.size())):
         return port
     gain = builder.AddSystem(MatrixGain(np.eye(port.size())[places]))
@@ -474,7 +474,7 @@ def _selected(builder: DiagramBuilder, port: OutputPort, places: NDArray[np.intp
 
 
 def _places(wanted: NDArray[np.intp], there: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Where each of some numbers is among others."""
+    """Return where each of some numbers is among others."""
     at = {int(number): place for place, number in enumerate(there)}
     return np.array([at[int(number)] for number in wanted], int)
 

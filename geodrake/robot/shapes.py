@@ -82,7 +82,7 @@ class _Lost:
 
 
 def robot_shapes(path: Path, given: Given) -> RobotShapes:
-    """The visual shapes of a model's file; of links that have none, their collision shapes.
+    """Return the visual shapes of a model's file; of links that have none, their collision shapes.
 
     STL and COLLADA meshes are read too. A file whose shapes nobody can read gives none, and a note.
 
@@ -155,7 +155,7 @@ def _prepare(root: Element, packages: PackageMap, model: Path, folder: Path, los
 def _is_readable(
     shape: Element, packages: PackageMap, model: Path, folder: Path, lost: _Lost
 ) -> bool:
-    """Whether a shape can be shown; where its mesh is, is then written as Drake takes it."""
+    """Return whether a shape can be shown; where its mesh is, is then written as Drake takes it."""
     for mesh in shape.iter("mesh"):
         uri = mesh.find("uri")
         place = (mesh.get("filename", "") if uri is None else uri.text or "").strip()
@@ -185,7 +185,7 @@ def _is_readable(
 
 
 def _in_memory(shape: Shape, folder: Path) -> Shape:
-    """The shape, which needs no file of the folder any more."""
+    """Return the shape, which needs no file of the folder any more."""
     if isinstance(shape, Mesh) and shape.source().is_path():
         path = Path(shape.source().path())
         if path.parent == folder.resolve():

@@ -20,6 +20,7 @@ from geodrake.diagnosis.climbing import gain_of
 from geodrake.diagnosis.log_model import Choice, LogModel
 from geodrake.diagnosis.search import searched
 from geodrake.effects import CoulombFriction, EffortOffset, GravityCompensator, Payload
+from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.dataset import Dataset, JointData
 from geodrake.identification.logs.unknowns import pullback_information
@@ -299,3 +300,9 @@ def test_a_tool_beside_friction_and_rotors_is_named_with_its_mass():
     (values,), (deviations,) = step.parameters.values(), step.deviations.values()
     assert values["mass"] == pytest.approx(mass, abs=2.0 * deviations["mass"])
     assert deviations["mass"] < 0.15 * mass
+
+
+@pytest.mark.parametrize("name", ["widths", "payloads"])
+def test_invalid_widths_of_beliefs_are_named(name):
+    with pytest.raises(ArgumentError, match=f"{name} must be a finite number above 0; it is -1"):
+        Beliefs(**{name: (0.1, -1.0)})

@@ -31,7 +31,7 @@ def real_array(
     *,
     finite: bool = True,
 ) -> Array:
-    """An array of real numbers of a shape.
+    """Return an array of real numbers of a shape.
 
     Args:
         value: What the caller passed.
@@ -106,7 +106,7 @@ def mask(value: Any, name: str, count: int | None = None) -> NDArray[np.bool_]:
 
 
 def positive_definite(value: Any, name: str, shape: Shape, sizes: Sizes | None = None) -> Array:
-    """A symmetric positive-definite matrix, in whatever units its rows are.
+    """Return a symmetric positive-definite matrix, in whatever units its rows are.
 
     Args:
         value: What the caller passed.
@@ -160,7 +160,7 @@ def _numbers(value: Any, name: str, shape: Shape | None) -> Array:
 
 
 def _fits(found: tuple[int, ...], shape: Shape, sizes: Sizes | None) -> bool:
-    """Whether a shape is the wanted one; binds its symbols if it is."""
+    """Return whether a shape is the wanted one; binds its symbols if it is."""
     open_ended = shape[:1] == ("...",)
     ends = shape[1:] if open_ended else shape
     start = len(found) - len(ends)
@@ -194,7 +194,7 @@ def _within(array: Array) -> bool:
 def _wrong(
     name: str, shape: Shape | None, sizes: Sizes | None, but: str, **evidence: Any
 ) -> ArgumentError:
-    """The error of an array that is not what it must be."""
+    """Return the error of an array that is not what it must be."""
     if shape == ():
         return ArgumentError(f"{name} must be a finite real number; {but}.", name=name, **evidence)
     comma = "," if shape is not None and len(shape) == 1 else ""

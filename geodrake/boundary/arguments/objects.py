@@ -15,7 +15,7 @@ Kinds = type | tuple[type, ...]
 
 
 def instance(value: Kind, name: str, kind: Kinds) -> Kind:
-    """An object of a class.
+    """Return an object of a class.
 
     Args:
         value: What the caller passed.
@@ -67,7 +67,7 @@ def function(value: Kind, name: str) -> Kind:
 
 
 def file_path(value: str | os.PathLike[str], name: str = "path") -> Path:
-    """The path of a file.
+    """Return the path of a file.
 
     Args:
         value: What the caller passed.

@@ -45,7 +45,7 @@ class UpdateLaw(abc.ABC):
         return 1.0
 
     def with_slowness(self, gamma: float) -> UpdateLaw:
-        """The same law with another γ.
+        """Return the same law with another γ.
 
         Raises:
             ArgumentError: It has none.
@@ -53,7 +53,7 @@ class UpdateLaw(abc.ABC):
         raise ArgumentError(f"{type(self).__name__} has no γ; {gamma} would change nothing.")
 
     def contains(self, parameters: ArrayLike) -> bool:
-        """Whether an estimate is one that the law can move.
+        """Return whether an estimate is one that the law can move.
 
         Args:
             parameters: (n,) estimate.
@@ -74,7 +74,7 @@ class UpdateLaw(abc.ABC):
 
     @abc.abstractmethod
     def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
-        """The rate of the estimate (n,), for a continuous integrator.
+        """Return the rate of the estimate (n,), for a continuous integrator.
 
         Args:
             parameters: (n,) estimate p̂.
@@ -83,7 +83,7 @@ class UpdateLaw(abc.ABC):
 
     @abc.abstractmethod
     def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
-        """The estimate (n,) after b has acted for dt seconds.
+        """Return the estimate (n,) after b has acted for dt seconds.
 
         Args:
             parameters: (n,) estimate.
@@ -148,7 +148,7 @@ class AdaptationLaw(UpdateLaw):
         return self.gamma
 
     def with_slowness(self, gamma: float) -> AdaptationLaw:
-        """The same law with another γ."""
+        """Return the same law with another γ."""
         return replace(self, gamma=gamma)
 
     @property
@@ -157,7 +157,7 @@ class AdaptationLaw(UpdateLaw):
         return self.manifold.dimension
 
     def contains(self, parameters: ArrayLike) -> bool:
-        """Whether an estimate (n,) is inside of the manifold."""
+        """Return whether an estimate (n,) is inside of the manifold."""
         return bool(self.manifold.contains(parameters))
 
     def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
@@ -193,7 +193,7 @@ class AdaptationLaw(UpdateLaw):
 
 
 def _finite(b: ArrayLike) -> Array:
-    """A covector, or nothing in place of one that a faulty sensor spoiled."""
+    """Return a covector, or nothing in place of one that a faulty sensor spoiled."""
     b = np.asarray(b, float)
     # (The sum of squares is the cheaper test, and may overflow where no part is infinite.)
     return b if isfinite(np.vdot(b, b)) or np.isfinite(b).all() else np.zeros_like(b)
@@ -202,7 +202,7 @@ def _finite(b: ArrayLike) -> Array:
 def natural_adaptation(
     manifold: Manifold, gamma: float = 1.0, *, integrator: Integrator = "geodesic"
 ) -> AdaptationLaw:
-    """The natural law, [Lee2019] Eq. (5.4.51): estimates stay physical and no unit matters.
+    """Return the natural law, [Lee2019] Eq. (5.4.51): estimates stay physical and no unit matters.
 
     Args:
         manifold: Such as `parameter_manifold(model)`.
@@ -213,7 +213,7 @@ def natural_adaptation(
 
 
 def pullback_adaptation(manifold: Manifold, at: ArrayLike, gamma: float = 1.0) -> AdaptationLaw:
-    """The law with the constant gain Γ = γ g(p̂₀), [Lee2019] §5.5.
+    """Return the law with the constant gain Γ = γ g(p̂₀), [Lee2019] §5.5.
 
     Args:
         manifold: The manifold whose metric is taken.
@@ -231,7 +231,7 @@ def pullback_adaptation(manifold: Manifold, at: ArrayLike, gamma: float = 1.0) -
 
 
 def euclidean_adaptation(dimension: int, gamma: float = 1.0) -> AdaptationLaw:
-    """The law with the gain Γ = γ 𝟙, [Lee2019] Eq. (5.4.48).
+    """Return the law with the gain Γ = γ 𝟙, [Lee2019] Eq. (5.4.48).
 
     Units matter, and nothing keeps the estimate physical.
 

@@ -55,7 +55,7 @@ class PartialLaw(UpdateLaw, Short):
         return self.law.slowness
 
     def with_slowness(self, gamma: float) -> PartialLaw:
-        """The same law with another γ."""
+        """Return the same law with another γ."""
         return replace(self, law=self.law.with_slowness(gamma))
 
     @property
@@ -64,7 +64,7 @@ class PartialLaw(UpdateLaw, Short):
         return len(self.adapted)
 
     def contains(self, parameters: ArrayLike) -> bool:
-        """Whether what is adapted of an estimate (n,) is one that its law can move."""
+        """Return whether what is adapted of an estimate (n,) is one that its law can move."""
         finite = np.isfinite(np.asarray(parameters, float)).all()
         return bool(finite) and self.law.contains(self._own(parameters))
 
@@ -73,13 +73,13 @@ class PartialLaw(UpdateLaw, Short):
         return self.law.reach(self._own(parameters), self._own(rows))
 
     def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
-        """The rate (n,), zero for what is held."""
+        """Return the rate (n,), zero for what is held."""
         rate = np.zeros(len(self.adapted))
         rate[self._places] = self.law.rate(self._own(parameters), self._own(b))
         return rate
 
     def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
-        """The estimate (n,) after dt seconds, what is held as it was."""
+        """Return the estimate (n,) after dt seconds, what is held as it was."""
         following = np.array(parameters, float)
         following[self._places] = self.law.step(self._own(parameters), self._own(b), dt)
         return following

@@ -66,7 +66,7 @@ class ProjectedLaw(UpdateLaw):
         return self.law.slowness
 
     def with_slowness(self, gamma: float) -> ProjectedLaw:
-        """The same law with another γ."""
+        """Return the same law with another γ."""
         return replace(self, law=self.law.with_slowness(gamma))
 
     @property
@@ -75,7 +75,7 @@ class ProjectedLaw(UpdateLaw):
         return self.law.dimension
 
     def contains(self, parameters: ArrayLike) -> bool:
-        """Whether an estimate (n,) is inside of the manifold; it may begin outside of C."""
+        """Return whether an estimate (n,) is inside of the manifold; it may begin outside of C."""
         return self.law.contains(parameters)
 
     def reach(self, parameters: ArrayLike, rows: ArrayLike) -> float:
@@ -112,7 +112,7 @@ class ProjectedLaw(UpdateLaw):
         return v - _least_push(a @ w.T, a @ v) @ w
 
     def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
-        """The estimate after dt seconds, projected onto C ([Lee2019] Eq. (5.4.59)).
+        """Return the estimate after dt seconds, projected onto C ([Lee2019] Eq. (5.4.59)).
 
         Steps may be of any length. Only where the end of one is so near to the edge of the manifold
         that rounding hides its projection, it is shortened to eight, and then to two in the
@@ -141,7 +141,7 @@ class ProjectedLaw(UpdateLaw):
         return self.project(parameters)
 
     def project(self, parameters: ArrayLike) -> Array:
-        """The Bregman projection of an estimate (n,) onto C; itself if it is in C.
+        """Return the Bregman projection of an estimate (n,) onto C; itself if it is in C.
 
         Raises:
             ConvergenceError: C does not meet the manifold.
@@ -171,7 +171,7 @@ class _LimitedPart:
     limits: LinearSet
 
     def project(self, x: Array) -> Array:
-        """The Bregman projection of x (n,) onto the limits."""
+        """Return the Bregman projection of x (n,) onto the limits."""
         values, normals = self.limits.values(x), self.limits.gradients(x)
         sizes = _ROUNDING * np.abs(normals)
         outside = np.flatnonzero(values > sizes @ np.abs(x))

@@ -23,7 +23,7 @@ def parameter_manifold(
     weights: Mapping[str, float] | None = None,
     bodies: Mapping[str, Manifold] | None = None,
 ) -> Product:
-    """The manifold of a parameter vector [φ, μ], as `ControlModel` has it.
+    """Return the manifold of a parameter vector [φ, μ], as `ControlModel` has it.
 
     Args:
         model: The robot.
@@ -59,7 +59,7 @@ def parameter_manifold(
 
 
 def adapted_parameters(model: RobotModel, names: Sequence[str]) -> NDArray[np.bool_]:
-    """Which of a robot's parameters [φ, μ] are those of some bodies and effects.
+    """Return which of a robot's parameters [φ, μ] are those of some bodies and effects.
 
     Args:
         model: The robot.

@@ -180,7 +180,7 @@ def _windows(
 def better_model(
     model: RobotModel, values: Sequence[RolloutValue], found: Array, deviations: Array
 ) -> RobotModel:
-    """The model with what was found, and with what is known of it.
+    """Return the model with what was found, and with what is known of it.
 
     What else the model knows is as for values that are given: the efforts that led to it took its
     former ones for what they are not.
@@ -243,13 +243,13 @@ def _chance(search: MotionSearch, x: Array, after: Sequence[Array]) -> float:
 
 
 def _departs_more(before: Rollout, after: Rollout, tested: Mask) -> bool:
-    """Whether the held-out windows depart by a larger share of the motion than before."""
+    """Return whether the held-out windows depart by a larger share of the motion than before."""
     parts = [rollout.part(tested.tolist()) for rollout in (before, after)]
     return bool(parts[1].relative > parts[0].relative) or parts[1].broken > parts[0].broken
 
 
 def _named(name: str, progress: Progress | None) -> Progress | None:
-    """A progress that says what is simulated."""
+    """Return a progress that says what is simulated."""
     if progress is None:
         return None
     return lambda words, share: progress(f"{name}: {words}", share)

@@ -148,7 +148,7 @@ def case_rollout(
     commands: bool = False,
     progress: Progress | None = None,
 ) -> Rollout:
-    """The rollout of the model of a case, whose logs are prepared.
+    """Return the rollout of the model of a case, whose logs are prepared.
 
     Args:
         case: Model and logs.
@@ -182,7 +182,7 @@ def case_rollout(
 
 
 def _unheard(case: Case) -> list[str]:
-    """A note on delays of efforts that servos make themselves."""
+    """Return a note on delays of efforts that servos make themselves."""
     model = case.model
     told = np.any([told_joints(model, log) for log in case.asked.logs], axis=0)
     late = [model.joints[j] for j in np.flatnonzero(model.delays * told)]

@@ -82,7 +82,7 @@ class Scene:
     lcm_buses: LcmBuses = field(repr=False)
 
     def context(self) -> Context:
-        """A Context at the start: robots as their models, at the start of their motions.
+        """Return a Context at the start: robots as their models, at the start of their motions.
 
         Links of soft joints are where a steady load has them.
         """
@@ -143,7 +143,7 @@ def build_scene(*, scenario: Scenario, meshcat: Meshcat | None = None) -> Scene:
 
 
 def _add_plant(builder: DiagramBuilder, scenario: Scenario) -> tuple[MultibodyPlant, SceneGraph]:
-    """The finalized plant of the directives."""
+    """Return the finalized plant of the directives."""
     advice = "Correct the scenario."
     with drake_messages():
         with drake_errors(Path("plant_config"), advice=advice):
@@ -204,7 +204,7 @@ class _RobotMaker:
     lcm: DrakeLcmInterface | None
 
     def added(self, rng: np.random.Generator) -> RobotInScene:
-        """The robot, with its controller if it has one."""
+        """Return the robot, with its controller if it has one."""
         spec, place, builder = self.spec, self.place, self.builder
         own = load_model(spec.model) if spec.model else None
         known, controller = self._controller(own, rng)
@@ -239,7 +239,7 @@ class _RobotMaker:
     def _controller(
         self, own: RobotModel | None, rng: np.random.Generator
     ) -> tuple[RobotModel | None, AdaptiveController | None]:
-        """The controller, and the model that it begins with."""
+        """Return the controller, and the model that it begins with."""
         spec = self.spec.controller
         if spec is None:
             return None, None
@@ -253,7 +253,7 @@ class _RobotMaker:
             return known, controller
 
     def _gravity_model(self) -> RobotModel | None:
-        """The model whose gravity the driver compensates."""
+        """Return the model whose gravity the driver compensates."""
         messages = self.spec.messages
         if messages is None or not messages.gravity_model:
             return None
@@ -271,7 +271,7 @@ class _RobotMaker:
     def _loop(
         self, ports: RobotPorts, controller: AdaptiveController, known: RobotModel
     ) -> tuple[AdaptiveLoop, PiecewisePolynomial]:
-        """The loop that follows the motion, and the motion."""
+        """Return the loop that follows the motion, and the motion."""
         if self.spec.motion is None:
             raise ArgumentError("The controller has no motion.")
         with within("motion"):

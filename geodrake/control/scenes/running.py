@@ -59,7 +59,7 @@ class RobotRun:
         return float(np.sqrt(np.mean(known**2))) if len(known) else None
 
     def log(self, name: str) -> JointLog | None:
-        """The run as a log of measurements; None without efforts."""
+        """Return the run as a log of measurements; None without efforts."""
         if self.effort is None:
             return None
         n = len(self.joints)
@@ -125,7 +125,7 @@ def run(
 
 
 def _ran(robot: RobotInScene, context: Context) -> RobotRun | None:
-    """What was logged of a robot; None of one that nothing is asked of."""
+    """Return what was logged of a robot; None of one that nothing is asked of."""
     sinks = {name: sink.FindLog(context) for name, sink in robot.logs.items()}
     own = {name: np.array(log.data().T) for name, log in sinks.items()}
     loop = dict[str, Array]()

@@ -185,7 +185,7 @@ class AdaptiveController(LeafSystem):
 
     @abc.abstractmethod
     def _result_at(self, p: Array, seen: Seen, gains: Array) -> ControlResult:
-        """The result without regard to limits."""
+        """Return the result without regard to limits."""
 
     @abc.abstractmethod
     def _tracking_energy(self, truth: Array, seen: Seen, gains: Array) -> float:
@@ -202,7 +202,7 @@ class AdaptiveController(LeafSystem):
         return self._time_step
 
     def parameters(self, context: Context) -> Array:
-        """The estimate (p,) in a Context."""
+        """Return the estimate (p,) in a Context."""
         if self._time_step > 0:
             return np.array(context.get_discrete_state(_PARAMETERS).value())
         return np.array(context.get_continuous_state_vector().CopyToVector())
@@ -246,11 +246,11 @@ class AdaptiveController(LeafSystem):
         context.get_mutable_numeric_parameter(_GAINS).SetFromVector(gains)
 
     def _gains(self, context: Context) -> Array:
-        """The gains (n,) in a Context."""
+        """Return the gains (n,) in a Context."""
         return np.asarray(context.get_numeric_parameter(_GAINS).CopyToVector())
 
     def _law_in(self, context: Context) -> UpdateLaw | None:
-        """The law with the γ of a Context."""
+        """Return the law with the γ of a Context."""
         gamma = float(context.get_numeric_parameter(_GAMMA).value()[0])
         law = self.law
         if law is None or law.slowness == gamma:
@@ -268,7 +268,7 @@ class AdaptiveController(LeafSystem):
         )
 
     def _controlled(self, p: Array, seen: Seen, gains: Array) -> ControlResult | None:
-        """The result at what was seen; None if the effort is not a number."""
+        """Return the result at what was seen; None if the effort is not a number."""
         if not seen.known:
             return None
         try:
@@ -293,7 +293,7 @@ class AdaptiveController(LeafSystem):
         return np.asarray(context.get_discrete_state(_WATCH).value())
 
     def _held(self, context: Context) -> Array:
-        """The actuation (nv,) since the last update."""
+        """Return the actuation (nv,) since the last update."""
         return np.asarray(context.get_discrete_state(_ACTUATION).value())
 
     @_QUIETLY
@@ -333,7 +333,7 @@ class AdaptiveController(LeafSystem):
     def _filtered(
         self, context: Context, prediction: Prediction, seen: Seen, result: ControlResult | None
     ) -> Array:
-        """The memory of the filter after a sample."""
+        """Return the memory of the filter after a sample."""
         memory = context.get_discrete_state(self._memory).value()
         if not (seen.trusted or seen.repeated) or result is None:
             return prediction.filtered.skipped(memory)
@@ -363,7 +363,7 @@ class AdaptiveController(LeafSystem):
 
     @_QUIETLY
     def _rate_of(self, p: Array, context: Context) -> Array:
-        """The rate of an estimate (p,); zero where it cannot be moved."""
+        """Return the rate of an estimate (p,); zero where it cannot be moved."""
         result, law = self._result.Eval(context), self._law_in(context)
         if law is None:
             return np.zeros(len(p))

@@ -167,7 +167,7 @@ class BregmanProjectionEstimator(LeafSystem):
         self.DeclareStateOutputPort("projection_error", self._error)
 
     def parameters(self, context: Context) -> Array:
-        """The estimate (p,) in a Context."""
+        """Return the estimate (p,) in a Context."""
         return np.array(context.get_discrete_state(self._estimate).value())
 
     def set_parameters(self, context: Context, parameters: ArrayLike | None) -> None:

@@ -66,7 +66,7 @@ class _DcMotor(JointSystem):
             self.DeclareVectorOutputPort(name, self._vector(n), calc, known)
 
     def constants(self, context: Context) -> MotorConstants:
-        """The constants in a Context.
+        """Return the constants in a Context.
 
         Args:
             context: Context of this system.

@@ -61,7 +61,7 @@ class _PositionServo(JointSystem):
         self.DeclareVectorOutputPort("actuation", self._vector(n), self._calc_actuation, known)
 
     def gains(self, context: Context) -> ServoGains:
-        """The gains in a Context.
+        """Return the gains in a Context.
 
         Args:
             context: Context of this system.
@@ -191,7 +191,7 @@ class PositionServo(_PositionServo, LeafSystem):
 
     @staticmethod
     def of(model: RobotModel) -> PositionServo:
-        """The servos that a model's `effort_signals` state, of all its joints.
+        """Return the servos that a model's `effort_signals` state, of all its joints.
 
         Joints that have none are without gains, and pass feedforward on.
 

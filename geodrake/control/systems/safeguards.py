@@ -64,7 +64,7 @@ class Safeguards(Short):
 
     @classmethod
     def of_plant(cls, plant: MultibodyPlant, *, stale_time: float = 0.05) -> Safeguards:
-        """The effort limits of a plant's actuators, which must be at single-degree joints.
+        """Return the effort limits of a plant's actuators, which must be at single-degree joints.
 
         Args:
             plant: A finalized plant.
@@ -157,7 +157,7 @@ class Watch:
     def look(
         self, memory: Array, state: Array, desired: Array, acceleration: Array
     ) -> tuple[Seen, Array]:
-        """What to go by, and the memory after the sample.
+        """Return what to go by, and the memory after the sample.
 
         Args:
             memory: (4 n + 3,) of the last sample.
@@ -224,5 +224,5 @@ def calc_measured(
 
 
 def usable(x: Array) -> bool:
-    """Whether all of x (n,) are numbers, and not absurdly large ones."""
+    """Return whether all of x (n,) are numbers, and not absurdly large ones."""
     return math.isfinite(x @ x)

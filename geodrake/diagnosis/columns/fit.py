@@ -193,7 +193,7 @@ class ColumnJudge:
     def quick(
         self, assignment: Assignment, base: ColumnFit, wide: Collection[int] = ()
     ) -> ColumnFit:
-        """A fit with errors of the data that it was fitted to.
+        """Return a fit with errors of the data that it was fitted to.
 
         Args:
             assignment: The assignment.
@@ -210,7 +210,7 @@ class ColumnJudge:
         *,
         wide: Collection[int] = (),
     ) -> ColumnFit:
-        """The fit by an assignment, whose residuals say how many samples are independent.
+        """Return the fit by an assignment, whose residuals say how many samples are independent.
 
         Args:
             assignment: The assignment.
@@ -438,7 +438,7 @@ class _System:
         return H, b
 
     def prior_cost(self, x: Array) -> float:
-        """What parameters pay that go far."""
+        """Return what parameters pay that go far."""
         far = x - self.mean
         ratio = _turned(self._prior_whitening, self._bodies(x))
         values = np.maximum(np.linalg.eigvalsh(ratio), 1e-300)
@@ -488,7 +488,7 @@ class _System:
         held_out: bool = True,
         start: Array | None = None,
     ) -> ColumnFit:
-        """The fit.
+        """Return the fit.
 
         Args:
             effective: (n,) independent samples of the columns of efforts.

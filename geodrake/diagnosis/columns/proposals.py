@@ -55,7 +55,7 @@ class ColumnMistake:
 
     @property
     def sizes(self) -> int:
-        """How many numbers are found in the data."""
+        """Return how many numbers are found in the data."""
         return len(self.free) + bool(self.times) + self.numbers
 
 
@@ -299,7 +299,7 @@ def own_gains(judge: ColumnJudge, base: ColumnFit) -> Array:
 
 
 def common_gain(judge: ColumnJudge, base: ColumnFit) -> float:
-    """The one factor of all efforts by which they are nearest to what the bodies need.
+    """Return the one factor of all efforts by which they are nearest to what the bodies need.
 
     Args:
         judge: The fits' samples.

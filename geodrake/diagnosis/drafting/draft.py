@@ -75,7 +75,7 @@ def draft_effects(
 
 @typed
 def rest_correlates(investigation: Investigation) -> tuple[Correlate, ...]:
-    """What the error that an investigation left goes with, without a search for formulas.
+    """Return what the error that an investigation left goes with, without a search for formulas.
 
     Args:
         investigation: What was found so far.
@@ -168,13 +168,13 @@ def _worst_first(hypothesis: Hypothesis) -> list[str]:
 
 
 def _left(hypothesis: Hypothesis, joint: str) -> bool:
-    """Whether a joint has more error than noise, so that a formula of it is searched."""
+    """Return whether a joint has more error than noise, so that a formula of it is searched."""
     j = hypothesis.dataset.joints.index(joint)
     return bool(hypothesis.held_out.rms[j] > NOISE_MARGIN * hypothesis.dataset.noise_floor[j])
 
 
 def _drafted(found: FoundFormula, end: Hypothesis) -> DraftedEffect:
-    """What was found, with the coefficients of the fit to all logs."""
+    """Return what was found, with the coefficients of the fit to all logs."""
     formula, span = found.columns.formula, end.unknowns.span(found.columns)
     j = end.dataset.joints.index(formula.joint)
     coefficients = end.cv.fit_all()[span]

@@ -88,7 +88,7 @@ class Factor:
 
     @property
     def turns(self) -> bool:
-        """Whether there is a constant at which it turns."""
+        """Return whether there is a constant at which it turns."""
         return self.function in ("above", "below")
 
     def values(self, motion: JointMotion) -> Array:
@@ -96,7 +96,7 @@ class Factor:
         return FUNCTIONS[self.function].evaluate(getattr(motion, self.signal), self.constant)
 
     def code(self, variable: str) -> str:
-        """The values in Python, where `variable` is the `JointMotion`."""
+        """Return the values in Python, where `variable` is the `JointMotion`."""
         x = f"{variable}.{self.signal}"
         return FUNCTIONS[self.function].code.format(x=x, c=f"{self.constant:.6g}")
 
@@ -109,7 +109,7 @@ class Factor:
 
     @property
     def unit(self) -> str:
-        """The unit, such as "rad" or "(rad)²"; empty for a number."""
+        """Return the unit, such as "rad" or "(rad)²"; empty for a number."""
         unit, power = _SIGNALS[self.signal][1], FUNCTIONS[self.function].power
         if not unit or power == 0:
             return ""
@@ -150,7 +150,7 @@ class FormulaTerm:
 
     @property
     def unit(self) -> str:
-        """The unit of a coefficient that makes an effort of it."""
+        """Return the unit of a coefficient that makes an effort of it."""
         units = [factor.unit for factor in self.factors if factor.unit]
         if not units:
             return "N·m"
@@ -164,7 +164,7 @@ class FormulaTerm:
         return " times ".join(f.words(own) for f in self.factors) or "a constant"
 
     def turned(self, place: int, constant: float) -> FormulaTerm:
-        """The term with another constant in one of its factors.
+        """Return the term with another constant in one of its factors.
 
         Args:
             place: Index of the factor.
@@ -176,7 +176,7 @@ class FormulaTerm:
 
     @property
     def kind(self) -> FormulaTerm:
-        """The term with all constants forgotten."""
+        """Return the term with all constants forgotten."""
         return FormulaTerm(tuple(replace(factor, constant=0.0) for factor in self.factors))
 
     @property

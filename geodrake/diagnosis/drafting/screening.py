@@ -77,7 +77,7 @@ class Screen:
 
     @classmethod
     def of(cls, hypothesis: Hypothesis, dataset: Dataset, columns: TermColumns) -> Screen:
-        """What a dataset that has columns for terms adds to a hypothesis that has none.
+        """Return what a dataset that has columns for terms adds to a hypothesis that has none.
 
         Args:
             hypothesis: What is known to be there.

@@ -68,13 +68,13 @@ class JointSearch:
     joint: str
 
     def screened(self) -> Screen:
-        """The screen of the whole vocabulary."""
+        """Return the screen of the whole vocabulary."""
         joints = self.case.model.single_joints
         terms = vocabulary(self.joint, joints, {joint: self._reach(joint) for joint in joints})
         return self._screen(terms)
 
     def correlates(self, screen: Screen) -> list[Correlate]:
-        """What the error goes with, each set of signals once.
+        """Return what the error goes with, each set of signals once.
 
         Args:
             screen: That of the vocabulary.
@@ -106,7 +106,7 @@ class JointSearch:
         return [self._sharpened(terms) for terms in finalists]
 
     def judged(self, formulas: Sequence[Formula], tried: int) -> FoundFormula | None:
-        """The simplest of those that are as good as the best; None if it does not convince.
+        """Return the simplest of those that are as good as the best; None if it does not convince.
 
         Args:
             formulas: The formulas.
@@ -143,7 +143,7 @@ class JointSearch:
         return FoundFormula(chosen, before, after, found.alarm, tuple(rivals))
 
     def _with_columns(self, formulas: Sequence[Formula]) -> tuple[Dataset, list[TermColumns]]:
-        """A dataset that has columns for formulas beside those of the hypothesis."""
+        """Return a dataset that has columns for formulas beside those of the hypothesis."""
         columns = [TermColumns(formula) for formula in dict.fromkeys(formulas)]
         dataset = reduce_logs(
             self.case.model,
@@ -158,7 +158,7 @@ class JointSearch:
         return Screen.of(self.hypothesis, dataset, columns)
 
     def _sharpened(self, terms: list[FormulaTerm]) -> Formula:
-        """A formula of terms, the constants at which its functions turn found by trial."""
+        """Return a formula of terms, the constants at which its functions turn found by trial."""
         turning = [(i, place) for i, term in enumerate(terms) for place in term.turning]
         spacing = TURNS[1] - TURNS[0]
         for _ in range(_ROUNDS if turning else 0):

@@ -62,7 +62,7 @@ class {title}(Effect):
 
 @typed
 def source_of(draft: Draft) -> str:
-    """The drafted effects as a Python file that `geodrake.effects.load_effect_file` reads.
+    """Return the drafted effects as a Python file that `geodrake.effects.load_effect_file` reads.
 
     Args:
         draft: A draft with an effect at least.
@@ -127,5 +127,5 @@ def _codes(formula: Formula, variables: dict[str, str]) -> list[str]:
 
 
 def _bracketed(code: str) -> str:
-    """A factor that may stand in a product."""
+    """Return a factor that may stand in a product."""
     return f"({code})" if " * np" in code else code

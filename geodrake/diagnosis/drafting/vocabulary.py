@@ -64,7 +64,7 @@ def vocabulary(
 
 
 def short_vocabulary(joint: str, joints: Sequence[str]) -> list[FormulaTerm]:
-    """The commonest of all terms: enough to see what an error goes with, and quickly so.
+    """Return the commonest of all terms: enough to see what an error goes with, and quickly so.
 
     Args:
         joint: The joint.

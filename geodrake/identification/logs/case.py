@@ -120,7 +120,7 @@ class Case(Short):
 
     @property
     def load_model(self) -> RobotModel:
-        """The model that gives the load of every joint."""
+        """Return the model that gives the load of every joint."""
         return self.model if self.loads is None else replace(self.model, phi=self.loads)
 
     @property
@@ -244,7 +244,7 @@ def prepared_as_measured(
 
 
 def reopen(case: Case, model: RobotModel) -> Case:
-    """The case with a model fitted to it, whose effects alone get columns.
+    """Return the case with a model fitted to it, whose effects alone get columns.
 
     Args:
         case: Prepared logs.
@@ -264,7 +264,7 @@ def reopen(case: Case, model: RobotModel) -> Case:
 def reduced(
     case: Case, effects: Sequence[Effect], *, delays: Sequence[ArrayLike] | None = None
 ) -> Dataset:
-    """The logs of a case with columns for other effects.
+    """Return the logs of a case with columns for other effects.
 
     Args:
         case: The case.

@@ -228,7 +228,7 @@ class CrossValidation:
 
 
 def _within(x: Array, rhs: Array, scaled: tuple[Array, Array], unknowns: Unknowns) -> Array:
-    """The minimizer (p,) within the bounds of unknowns, from that without them.
+    """Return the minimizer (p,) within the bounds of unknowns, from that without them.
 
     Args:
         x: (p,) the minimizer without bounds.

@@ -36,7 +36,7 @@ def effective_samples(blocks: Sequence[Array]) -> float:
 
 
 def effective_samples_of_each(series: Sequence[Sequence[Array]]) -> Array:
-    """How many independent samples each of several coloured residuals is worth.
+    """Return how many independent samples each of several coloured residuals is worth.
 
     Blocks are stretches without gaps.
 
@@ -54,7 +54,7 @@ def effective_samples_of_each(series: Sequence[Sequence[Array]]) -> Array:
 
 
 def effective_by_covariance(covariance: Array, samples: ArrayLike) -> Array:
-    """How many independent samples n of some autocovariance are worth: n / (1 + 2 Σ ρ_k).
+    """Return how many independent samples n of some autocovariance are worth: n / (1 + 2 Σ ρ_k).
 
     The autocorrelation ρ is summed up to its first value below 0.02.
 

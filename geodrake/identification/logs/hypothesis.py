@@ -66,7 +66,7 @@ class Hypothesis(Short):
 
     @property
     def has_fixed_bodies(self) -> bool:
-        """Whether bodies stay as the model has them."""
+        """Return whether bodies stay as the model has them."""
         return self.looseness <= _ROUNDED * FIXED
 
     def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
@@ -249,7 +249,7 @@ def _alike(weights: Array, before: Array) -> bool:
 
 
 def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: Delay = 0) -> Hypothesis:
-    """The model as it came, its parameters refitted within their prior.
+    """Return the model as it came, its parameters refitted within their prior.
 
     Args:
         dataset: The reduced logs.

@@ -113,7 +113,7 @@ def reduced_joints(
     advance: Sequence[Array],
     shared: SharedRows | None = None,
 ) -> tuple[JointData, ...]:
-    """What logs say about every joint, over the columns of a layout.
+    """Return what logs say about every joint, over the columns of a layout.
 
     Args:
         layout: The columns, and below which speeds joints rest. A joint may rest all the time.
@@ -249,7 +249,7 @@ class _Box:
             self.factor, self.pending = self.whole_factor(), []
 
     def whole_factor(self) -> Array:
-        """The factor of all rows: they themselves where they are fewer than the columns."""
+        """Return the factor of all rows: they themselves where they are fewer than the columns."""
         blocks = [*([] if self.factor is None else [self.factor]), *self.pending]
         few = sum(map(len, blocks)) <= self.width
         return (

@@ -36,7 +36,7 @@ USUAL = tuple(effect.name for effect in catalogue() if effect.usual)
 
 
 def body_changes(fits: LogFits, result: IdentificationResult) -> tuple[BodyChange, ...]:
-    """What became of every body, payloads after them.
+    """Return what became of every body, payloads after them.
 
     Args:
         fits: The logs, with the prior of every body.
@@ -48,7 +48,7 @@ def body_changes(fits: LogFits, result: IdentificationResult) -> tuple[BodyChang
 
 
 def changed_bodies(model: RobotModel, fit: ModelFit) -> tuple[BodyChange, ...]:
-    """What a fit made of the bodies of a model, the farthest change first.
+    """Return what a fit made of the bodies of a model, the farthest change first.
 
     Args:
         model: The model before.
@@ -109,7 +109,7 @@ def _boundary_blocks(fit: FitResult) -> set[int]:
 
 
 def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
-    """What to know of a fitted model: no friction, masses far from the prior.
+    """Return what to know of a fitted model: no friction, masses far from the prior.
 
     Args:
         model: The fitted model.

@@ -26,7 +26,7 @@ def karcher_mean(
     tolerance: float = 1e-10,
     max_iterations: int = 50,
 ) -> Array:
-    """The matrix with the least weighted sum of squared distances Σ wₖ d(S, Pₖ)².
+    """Return the matrix with the least weighted sum of squared distances Σ wₖ d(S, Pₖ)².
 
     Newton's method on the manifold: the Hessian of ½ d² is at least the metric, so that the
     minimum is unique, and the norm of the gradient bounds the distance that is left.

@@ -52,7 +52,7 @@ class Reader(Protocol):
     def __call__(
         self, path: Path, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
     ) -> tuple[JointLog, Columns]:
-        """The log in a file, and what its columns were taken for."""
+        """Return the log in a file, and what its columns were taken for."""
 
 
 _TEXT = (".csv", ".txt", ".dat", ".tsv", ".log")
@@ -99,7 +99,7 @@ def understand(
     partial: bool = False,
     reading: Reading | None = None,
 ) -> tuple[JointLog, Columns]:
-    """A log, and what its columns were taken for; see `read_log`."""
+    """Return a log, and what its columns were taken for; see `read_log`."""
     path = file_path(path)
     joints = None if joints is None else instances(joints, "joints", str)
     reading = Reading() if reading is None else instance(reading, "reading", Reading)
@@ -130,7 +130,7 @@ def _read(
     *,
     partial: bool,
 ) -> tuple[JointLog, Columns]:
-    """The log in a file, or in several, and what its columns were taken for."""
+    """Return the log in a file, or in several, and what its columns were taken for."""
     try:
         if len(parts) > 1:
             table = joined_table(parts, reading)  # whose time is in s
@@ -154,7 +154,7 @@ def _read(
 
 
 def _unused(path: Path, reading: Reading) -> list[str]:
-    """What was said of topics and episodes, which a table has none of, in words."""
+    """Return what was said of topics and episodes, which a table has none of, in words."""
     said = {"topic": ", ".join(reading.topics) or None, "episode": reading.episode}
     return [
         f"{path.name} has no {name}s, so that {value!r} chooses nothing in it"
@@ -171,7 +171,7 @@ def log_of(
     partial: bool = False,
     reading: Reading | None = None,
 ) -> JointLog:
-    """The log that a table of columns is, whatever they are called; see `read_log`.
+    """Return the log that a table of columns is, whatever they are called; see `read_log`.
 
     Args:
         table: The columns.

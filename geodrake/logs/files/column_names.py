@@ -79,7 +79,7 @@ class Columns:
         return {joint: kind for joint, kind in found.items() if kind != "effort"}
 
     def has(self, joint: str, quantity: str) -> bool:
-        """Whether there is a column of a quantity of a joint.
+        """Return whether there is a column of a quantity of a joint.
 
         Args:
             joint: The joint.
@@ -156,11 +156,11 @@ def check_once(path: Path, names: Sequence[str]) -> None:
 
 
 def is_used(name: str) -> bool:
-    """Whether a column is one of the format's."""
+    """Return whether a column is one of the format's."""
     words = (*QUANTITIES, *EFFORT_KINDS)
     return name == "time" or ("." in name and name.rsplit(".", 1)[1] in words)
 
 
 def listed(names: Sequence[str]) -> str:
-    """The first few names."""
+    """Return the first few names."""
     return f"{', '.join(names[:8]) or 'none'}{' …' if len(names) > 8 else ''}"

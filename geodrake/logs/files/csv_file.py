@@ -63,7 +63,7 @@ def read_csv(
 
 
 def csv_table(path: Path, reading: Reading) -> LogTable:
-    """The columns of a table of text as they are, those of text left out.
+    """Return the columns of a table of text as they are, those of text left out.
 
     Args:
         path: The file.
@@ -173,7 +173,7 @@ def _check_count(path: Path, layout: CsvLayout, cells: Sequence[str], row: int, 
 
 
 def _value(cell: str, path: Path, row: int, layout: CsvLayout, place: int) -> float:
-    """The number in a cell, or the seconds since the first date in its column."""
+    """Return the number in a cell, or the seconds since the first date in its column."""
     column = layout.names[place]
     origin = layout.origins.get(column)
     if origin is None or not cell.strip():

@@ -72,7 +72,7 @@ def read_table(path: str | Path, reading: Reading | None = None) -> LogTable:
 
 
 def reader_of(path: Path) -> Reader | None:
-    """What reads a file or folder that is there; None if none of these formats is it."""
+    """Return what reads a file or folder that is there; None if none of these formats is it."""
     if path.is_dir():
         return next((reader for mark, reader in FOLDERS.items() if any(path.glob(mark))), None)
     if path.suffix.lower() in SUFFIXES:
@@ -91,7 +91,7 @@ def _is_folder(path: Path) -> bool:
 
 @typed
 def check_log(path: Path) -> Path:
-    """The path of a log that can be opened: a file, or the folder of a format that is one.
+    """Return the path of a log that can be opened: a file, or the folder of a format that is one.
 
     Raises:
         LogError: It is neither, or is empty.

@@ -27,7 +27,7 @@ def parts_of(path: Path) -> tuple[Path, ...]:
 
 
 def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
-    """The columns of several files, at the time stamps of the one with the fewest a second.
+    """Return the columns of several files, at the time stamps of the one with the fewest a second.
 
     Args:
         paths: Files of any format. The name of a file may say the quantity of its columns, as
@@ -43,7 +43,7 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
 
 
 def _table(path: Path, reading: Reading) -> LogTable:
-    """The columns of one file; bare names of joints get the quantity of the file's name."""
+    """Return the columns of one file; bare names of joints get the quantity of the file's name."""
     kind = path.suffix.lower()
     read = csv_table if kind in _TEXT else npz_table if kind == ".npz" else read_table
     table = read(path, reading)

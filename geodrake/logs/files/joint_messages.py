@@ -197,7 +197,7 @@ class MessageRows:
 
     @property
     def quantities(self) -> frozenset[str]:
-        """What some joint has in one message."""
+        """Return what some joint has in one message."""
         best = max((q for _, q in self._groups), key=_completeness, default=())
         return frozenset(best)
 
@@ -208,7 +208,7 @@ class MessageRows:
 
     @property
     def all_stamped(self) -> bool:
-        """Whether every message says when it was measured."""
+        """Return whether every message says when it was measured."""
         return all(min(group.stamps) > 0 for group in self._groups.values())
 
     @property
@@ -222,7 +222,7 @@ class MessageRows:
         return stamps, received
 
     def series(self) -> list[JointSeries]:
-        """What was measured, by groups of joints that came together, each in order."""
+        """Return what was measured, by groups of joints that came together, each in order."""
         stamped = self.all_stamped
         return [
             JointSeries.of(
@@ -249,7 +249,7 @@ def _completeness(quantities: Sequence[str]) -> tuple[bool, int]:
 
 
 def _at(message: Any, path: Sequence[str]) -> Any:
-    """What a message has at a place, None for nothing; a list of one is what is in it."""
+    """Return what a message has at a place, None for nothing; a list of one is what is in it."""
     for name in path:
         if isinstance(message, list):
             message = message[0] if len(message) == 1 else None

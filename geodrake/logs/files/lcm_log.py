@@ -32,7 +32,7 @@ _FINGERPRINT = 8  # bytes of the type at the beginning of a message
 
 
 def read_lcm(path: Path, reading: Reading) -> LogTable:
-    """The columns of an LCM log; see `read_bag` for arguments.
+    """Return the columns of an LCM log; see `read_bag` for arguments.
 
     Channels are known by the types of their messages, whatever their names.
     """

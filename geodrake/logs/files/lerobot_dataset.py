@@ -42,7 +42,7 @@ _SAY_EFFORTS = (*EFFORT_KINDS, "command")
 
 
 def read_lerobot(path: Path, reading: Reading) -> LogTable:
-    """The columns of a LeRobot dataset; see `read_bag` for arguments.
+    """Return the columns of a LeRobot dataset; see `read_bag` for arguments.
 
     Without a chosen episode all are read, one after the other, with a gap between two.
     """

@@ -180,12 +180,12 @@ def _filled(name: str | None) -> str:
 
 
 def _word(text: str) -> str:
-    """A text as one scalar of YAML, also within braces."""
+    """Return a text as one scalar of YAML, also within braces."""
     return str(yaml.safe_dump([text], default_flow_style=True, width=1e9).strip()[1:-1])
 
 
 def with_proposal(error: LogError, path: Path, proposal: str | None) -> LogError:
-    """The error of a failed reading with a proposed mapping as evidence, where there is one.
+    """Return the error of a failed reading with a proposed mapping as evidence, where there is one.
 
     Args:
         error: What went wrong.

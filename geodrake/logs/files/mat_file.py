@@ -25,7 +25,7 @@ _ADVICE = "Save arrays or structs of them: save('log.mat', 'time', 'q', 'tau', '
 
 
 def read_mat(path: Path, reading: Reading) -> LogTable:
-    """The columns of a MATLAB file; see `read_bag` for arguments."""
+    """Return the columns of a MATLAB file; see `read_bag` for arguments."""
     with readable(path, "MATLAB file", _ADVICE):
         variables = _of_hdf5(path) if _is_hdf5(path) else loadmat(path, simplify_cells=True)
     own = {name: value for name, value in variables.items() if not name.startswith(("__", "#"))}
@@ -96,6 +96,6 @@ def _flattened(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[st
 
 
 def _upright(array: Any, rows: int) -> Any:
-    """An array with its rows first."""
+    """Return an array with its rows first."""
     squeezed = np.squeeze(array)
     return squeezed.T if squeezed.ndim == 2 and squeezed.shape[0] != rows else squeezed

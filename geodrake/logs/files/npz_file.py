@@ -126,7 +126,7 @@ def _origins(archive: zipfile.ZipFile, places: Sequence[_Place]) -> dict[str, in
 
 
 def _places(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> list[_Place]:
-    """The columns of a member: those of a matrix (N, n) are `q[0]`, `q[1]` and so on."""
+    """Return the columns of a member: those of a matrix (N, n) are `q[0]`, `q[1]` and so on."""
     name = entry.filename.removesuffix(".npy").strip()
     shape: tuple[int, ...] = ()
     if not is_used(name) and meaning_of(name) is not None:
@@ -154,7 +154,7 @@ def _archive(path: Path) -> Iterator[zipfile.ZipFile]:
 
 
 def _length(path: Path, archive: zipfile.ZipFile, name: str, place: _Place) -> int:
-    """How many rows a member has, by its header and by its declared size."""
+    """Return how many rows a member has, by its header and by its declared size."""
     shape, dtype = _declared(path, archive, name, place.entry)
     if len(shape) != (1 if place.column is None else 2):
         raise LogError(
@@ -189,7 +189,7 @@ def _declared(
 
 
 def _common(path: Path, lengths: Mapping[str, int]) -> int:
-    """The length that all arrays have."""
+    """Return the length that all arrays have."""
     first, rows = next(iter(lengths.items()))
     for name, length in lengths.items():
         if length != rows:

@@ -22,7 +22,7 @@ _NOTHING = ("", "NaT", "nan", "None", "null", "<NA>")
 
 
 def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
-    """A table of numbers, wider arrays as columns `name[0]`, `name[1]` and so on.
+    """Return a table of numbers, wider arrays as columns `name[0]`, `name[1]` and so on.
 
     Args:
         path: What the arrays are from.
@@ -50,7 +50,7 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
 
 
 def _what_else(values: Any, rows: int) -> str:
-    """What is in an array that has no numbers, in words."""
+    """Return what is in an array that has no numbers, in words."""
     if np.ndim(values) == 0:
         return f"is {str(values)[:_LONGEST_TEXT]!r} alone"
     if len(values) != rows:
@@ -77,7 +77,7 @@ def spread(name: str, values: Array) -> Iterator[tuple[str, Array]]:
 
 
 def numbers(values: Any) -> tuple[Array | None, int | None]:
-    """An array of floats, NaN where nothing is; None for what has no numbers.
+    """Return an array of floats, NaN where nothing is; None for what has no numbers.
 
     Of dates, the seconds from the first on, and the first, ns since 1970.
     """
@@ -123,7 +123,7 @@ def _date(value: Any) -> int | None:
 
 
 def _number(value: Any) -> float:
-    """A number, NaN for None and other words for nothing."""
+    """Return a number, NaN for None and other words for nothing."""
     if _is_nothing(value):
         return np.nan
     if isinstance(value, str) and "_" in value:  # which Python takes in its own numbers

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 def read_parquet(path: Path, reading: Reading) -> LogTable:
-    """The columns of a Parquet file; see `read_bag` for arguments."""
+    """Return the columns of a Parquet file; see `read_bag` for arguments."""
     parquet = optional_package("pyarrow.parquet", "parquet", "Parquet files", LogError)
     with readable(path, "Parquet file"):
         file = parquet.ParquetFile(path)
@@ -31,14 +31,14 @@ def read_parquet(path: Path, reading: Reading) -> LogTable:
 
 
 def read_feather(path: Path, reading: Reading) -> LogTable:
-    """The columns of a Feather or Arrow file; see `read_bag` for arguments."""
+    """Return the columns of a Feather or Arrow file; see `read_bag` for arguments."""
     feather = optional_package("pyarrow.feather", "parquet", "Feather files", LogError)
     with readable(path, "Feather file"):
         return arrow_table(path, feather.read_table(path))
 
 
 def arrow_table(path: Path, table: Any) -> LogTable:
-    """The columns of a table of Arrow: structs by `<struct>.<field>`, lists by `<list>[0]`.
+    """Return the columns of a table of Arrow: structs by `<struct>.<field>`, lists by `<list>[0]`.
 
     Args:
         path: Its file.
@@ -52,7 +52,7 @@ def arrow_table(path: Path, table: Any) -> LogTable:
 
 
 def arrow_numbers(column: Any) -> Any:
-    """The values of a column of Arrow, lists of one length as (N, n)."""
+    """Return the values of a column of Arrow, lists of one length as (N, n)."""
     if not hasattr(column.type, "value_type") or not hasattr(column.type, "value_field"):
         return column.to_numpy()
     values = column.combine_chunks()

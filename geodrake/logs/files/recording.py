@@ -79,7 +79,7 @@ class Recording:
         return values if source.factor == 1.0 else source.factor * values
 
     def log(self, rows: int) -> JointLog:
-        """The log of the first so many rows.
+        """Return the log of the first so many rows.
 
         Raises:
             LogError: They are too few, or some are bad.
@@ -116,7 +116,7 @@ class Recording:
         )
 
     def _place(self, joint: str, rows: int) -> float:
-        """Where a joint stands whose effort is not there; NaN if it moves."""
+        """Return where a joint stands whose effort is not there; NaN if it moves."""
         numbers = self._standing[joint][:rows]
         numbers = numbers[np.isfinite(numbers)]
         if not len(numbers) or numbers.max() - _STILL > numbers.min():

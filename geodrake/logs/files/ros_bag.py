@@ -63,7 +63,7 @@ _INTERFACES = (
 
 
 def read_bag(path: Path, reading: Reading) -> LogTable:
-    """The columns of a ROS bag.
+    """Return the columns of a ROS bag.
 
     Args:
         path: Its file or folder.
@@ -124,7 +124,7 @@ class _Source:
     decode: Callable[[bytes, str], Any] | None
 
     def read(self, reader: Any, most: int | None = None) -> Topic:
-        """The topic with what its messages say, or the first of them."""
+        """Return the topic with what its messages say, or the first of them."""
         if self.decode is None:
             return self.topic
         rows = None
@@ -140,7 +140,7 @@ class _Source:
 
 
 def _probed(reader: Any, connections: Sequence[Any], method: str) -> _Source:
-    """A topic by its first messages."""
+    """Return a topic by its first messages."""
     name, kind, definition = (getattr(connections[0], x) for x in ("topic", "msgtype", "msgdef"))
     is_state = kind == _JOINT_STATE
     is_wanted = bool(_WANTED.search(name))
@@ -157,7 +157,7 @@ def _probed(reader: Any, connections: Sequence[Any], method: str) -> _Source:
 
 
 def _definitions(kind: str, definition: Any) -> tuple[str, ...]:
-    """What the messages of a type may be, if it can be about joints at all."""
+    """Return what the messages of a type may be, if it can be about joints at all."""
     if len(definition.data) > _LONGEST_DEFINITION or _LONG_ARRAY.search(definition.data):
         return ()  # no message about joints has such a one
     numbers = kind == _DYNAMIC_STATE or _NUMBERS.fullmatch(kind)
@@ -169,7 +169,7 @@ def _definitions(kind: str, definition: Any) -> tuple[str, ...]:
 
 
 def _store(kind: str, definition: str, form: str) -> Any:
-    """What decodes messages: by the bag's own definition, else with the types of ROS 2."""
+    """Return what decodes messages: by the bag's own definition, else with the types of ROS 2."""
     typesys = importlib.import_module("rosbags.typesys")
     stores = typesys.Stores
     store = typesys.get_typestore(stores.LATEST if form == "NONE" else stores.EMPTY)

@@ -23,7 +23,7 @@ SUFFIXES = {"urdf": ".urdf", "sdf": ".sdf", "xml": ".xml"}
 
 
 def written_anew(model: RobotModel, kind: str, gravity: Array) -> bytes:
-    """A robot's bodies and joints, without geometry.
+    """Return a robot's bodies and joints, without geometry.
 
     Args:
         model: The model, of effects that the format holds.

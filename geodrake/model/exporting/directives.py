@@ -22,7 +22,7 @@ KINDS = ("sdf", "urdf")
 
 
 def drake_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
-    """A robot's file, the directives that add and weld it, and the package that they are.
+    """Return a robot's file, the directives that add and weld it, and the package that they are.
 
     A tilted base is welded as it stands.
 

@@ -24,7 +24,7 @@ _NOTE = (
 
 
 def isaac_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
-    """A robot's URDF, and the values that Isaac Lab's actuators take.
+    """Return a robot's URDF, and the values that Isaac Lab's actuators take.
 
     Viscous friction is `viscous_friction`, since `damping` is a gain; static `friction` is what
     Stribeck friction makes of the dynamic one at rest. Stiffness and damping are those of servos,

@@ -100,12 +100,12 @@ class _EffectForce(ScalarSystem):
 
     @property
     def implicit(self) -> bool:
-        """Whether some effects depend on the plant's acceleration, or its load."""
+        """Return whether some effects depend on the plant's acceleration, or its load."""
         return self.law.implicit
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """The effects, in the order of their parameters."""
+        """Return the effects, in the order of their parameters."""
         return self.law.effects
 
     @property
@@ -115,7 +115,7 @@ class _EffectForce(ScalarSystem):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was assumed."""
+        """Return what was assumed."""
         return self.law.notes
 
     def effect_parameters(self, context: Context, effect: Effect) -> Scalars:

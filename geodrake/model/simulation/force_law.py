@@ -88,7 +88,7 @@ class Side:
 
     @property
     def all(self) -> tuple[Terms, ...]:
-        """The three of them."""
+        """Return the three of them."""
         return self.direct, self.accelerated, self.loaded
 
     def inertial(self, at: Sample, accelerations: Array, parameters: Parameters) -> tuple[Any, Any]:
@@ -104,7 +104,7 @@ class Side:
     def under_load(
         self, at: Sample, accelerations: Array, load: Any, parameters: Parameters
     ) -> tuple[Any, Any]:
-        """The same of the effort that depends on the load.
+        """Return the same of the effort that depends on the load.
 
         Args:
             at: The state.
@@ -234,7 +234,7 @@ class ForceLaw:
         at: NDArray[np.intp],
         damping: float,
     ) -> SoftJoints:
-        """The soft joints, whose motors may need some inertia."""
+        """Return the soft joints, whose motors may need some inertia."""
         if not soft:
             none = np.zeros(0)
             return SoftJoints((), at, at, (), none, none, none, damping)
@@ -276,18 +276,18 @@ class ForceLaw:
 
     @cached_property
     def timed(self) -> bool:
-        """Whether the time must be known."""
+        """Return whether the time must be known."""
         return any(terms.timed for side in (self.motors, self.links) for terms in side.all)
 
     @cached_property
     def implicit(self) -> bool:
-        """Whether accelerations must be known."""
+        """Return whether accelerations must be known."""
         sides = (self.motors, self.links)
         return bool(self.soft) or any(bool(s.accelerated or s.loaded) for s in sides)
 
     @cached_property
     def coupled(self) -> bool:
-        """Whether the applied effort must be known."""
+        """Return whether the applied effort must be known."""
         return self.implicit or any(effect.role is Role.SCALE for effect in self.effects)
 
     def applied(self, u: Any, mu: Any) -> Any:
@@ -320,7 +320,7 @@ class ForceLaw:
         return q, v
 
     def response(self, state: PlantState, u: Any, parameters: Parameters) -> Response:
-        """What effects need, and how motors of soft joints accelerate.
+        """Return what effects need, and how motors of soft joints accelerate.
 
         Args:
             state: Of plant, motors and effects.
@@ -438,7 +438,7 @@ class _Equations:
         )
 
     def response(self, u: Any, torque: Any, direct: tuple[Any, Any]) -> Response:
-        """What effects need.
+        """Return what effects need.
 
         Args:
             u: (nv,) efforts that act on motors.
@@ -484,7 +484,7 @@ class _Equations:
         )
 
     def _solved(self, u: Any, at_soft: Any, forces: tuple[Any, Any, Any, Any]) -> Any:
-        """The accelerations x, for efforts at motors and bodies and their changes with x."""
+        """Return the accelerations x, for efforts at motors and bodies and their changes with x."""
         f_m, BA, f_l, M_l = forces
         law, (M, drift, _) = self.law, self.dynamics
         A, L = law.of_motors, law.of_links

@@ -42,12 +42,12 @@ class EffortFormula:
 
 @typed
 def is_written(effect: Effect) -> bool:
-    """Whether a formula of q, v and v̇ has an effect as it is."""
+    """Return whether a formula of q, v and v̇ has an effect as it is."""
     return effect.role not in _NOT_INCLUDED and not effect.depends_on & BEYOND_MOTION
 
 
 def effort_formula(model: RobotModel, sign_width: ArrayLike) -> EffortFormula:
-    """The effort that a model needs for a motion.
+    """Return the effort that a model needs for a motion.
 
     Args:
         model: The model.

@@ -107,7 +107,7 @@ _KINDS = {
 
 
 def python_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
-    """A Python module with a function effort(q, v, vd); it imports `math` alone.
+    """Return a Python module with a function effort(q, v, vd); it imports `math` alone.
 
     The function has the rigid bodies, payloads and effects of the model. What needs the history of
     the motion is named in the comment at its head.
@@ -152,7 +152,7 @@ class EffortSource:
 
 
 def effort_source(model: RobotModel, language: str, *, sign_width: ArrayLike = 0.0) -> EffortSource:
-    """A model's effort as a file in a language.
+    """Return a model's effort as a file in a language.
 
     Args:
         model: The model.
@@ -183,7 +183,7 @@ def _statements(line: StraightLine, kind: _Kind) -> str:
 
 
 def _bare(expression: str) -> str:
-    """An expression without brackets around all of it."""
+    """Return an expression without brackets around all of it."""
     depth = 0
     for place, letter in enumerate(expression):
         depth += (letter == "(") - (letter == ")")
@@ -193,13 +193,13 @@ def _bare(expression: str) -> str:
 
 
 def _name(model: RobotModel) -> str:
-    """An ASCII identifier for the robot, of its file's name."""
+    """Return an ASCII identifier for the robot, of its file's name."""
     plain = "".join(c if c.isascii() else " " for c in model.path.name.partition(".")[0])
     return identifier(plain)
 
 
 def _comment(model: RobotModel, formula: EffortFormula, mark: str) -> str:
-    """What the file is, line by line; names are quoted, as they may hold anything."""
+    """Return what the file is, line by line; names are quoted, as they may hold anything."""
     paragraphs = [
         f"Effort that {quoted(model.path.name)} needs for a motion, written by geodrake.",
         f"Rigid bodies, payloads included, and: {'; '.join(formula.included) or 'no effect'}.",
@@ -211,5 +211,5 @@ def _comment(model: RobotModel, formula: EffortFormula, mark: str) -> str:
 
 
 def _ended(line: str) -> str:
-    """What ends a line of a comment, as C++ goes on in the next one after a backslash."""
+    """Return what ends a line of a comment, as C++ goes on in the next one after a backslash."""
     return "." if line.endswith("\\") else ""

@@ -59,7 +59,7 @@ class ModelDescription:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was taken out of the texts and matters."""
+        """Return what was taken out of the texts and matters."""
         return tuple(note for text in self.texts for note in text.notes)
 
     @property
@@ -83,7 +83,7 @@ class ModelDescription:
         return tuple(part for text in self.texts for part in text.bent)
 
     def motors(self) -> tuple[Statement, ...]:
-        """What the texts state of motors behind transmissions.
+        """Return what the texts state of motors behind transmissions.
 
         Raises:
             ModelError: It cannot be read.
@@ -269,7 +269,7 @@ def drake_errors(
 
 
 def _place(message: str, places: Sequence[Sequence[str]]) -> str:
-    """Where the line is from that a message of Drake is about."""
+    """Return where the line is from that a message of Drake is about."""
     found = _LINE.match(message)
     if not found:
         return ""

@@ -37,7 +37,7 @@ class Includes:
         self._count = self._elements = 0
 
     def resolve(self, url: str, folder: Path) -> Path:
-        """Where a URL, or a path relative to a folder, leads; a file need not be there.
+        """Return where a URL, or a path relative to a folder, leads; a file need not be there.
 
         Args:
             url: A `package://`, `model://` or `file://` URL, or a path.
@@ -64,7 +64,7 @@ class Includes:
         )
 
     def checked(self, file: Path) -> Path:
-        """A file that can be read.
+        """Return a file that can be read.
 
         Raises:
             ModelError: It cannot.
@@ -73,7 +73,7 @@ class Includes:
         return regular_file(file, what, ModelError, largest=LARGEST_FILE)
 
     def enter(self, chain: tuple[Path, ...], file: Path) -> tuple[Path, ...]:
-        """The files that led to a file, and the file.
+        """Return the files that led to a file, and the file.
 
         Args:
             chain: The files that led there, all resolved, the model file first.
@@ -159,7 +159,7 @@ class Includes:
 
 
 def _models_of(place: Path, by_url: bool) -> list[Path]:
-    """The files that an include of a file or a folder may stand for."""
+    """Return the files that an include of a file or a folder may stand for."""
     try:
         if not place.is_dir():
             return [place]

@@ -89,7 +89,7 @@ class MjcfText(ModelText):
 
     @property
     def actuator_defaults(self) -> bool:
-        """Whether actuators without a class have defaults other than MuJoCo's."""
+        """Return whether actuators without a class have defaults other than MuJoCo's."""
         mains = self._motors.findall("default")
         return any(child.tag in _ACTUATORS for main in mains for child in main)
 
@@ -185,12 +185,12 @@ class MjcfText(ModelText):
             self.rest[f"{scope}::{name}"] = np.deg2rad(rest[name]) if turned else rest[name]
 
     def _joint_values(self, attribute: str) -> dict[str, float]:
-        """An attribute of all joints as a number, with the default classes applied."""
+        """Return an attribute of all joints as a number, with the default classes applied."""
         words = self._joint_words(attribute, "0").items()
         return {name: numbers(text, 1)[0] for name, text in words}
 
     def _joint_words(self, attribute: str, usual: str) -> dict[str, str]:
-        """An attribute of all joints, with the default classes applied."""
+        """Return an attribute of all joints, with the default classes applied."""
         classes = {"main": usual}
 
         def read_class(default: Element, inherited: str) -> None:
@@ -246,6 +246,6 @@ class MjcfText(ModelText):
 
 
 def turns_in_degrees(root: Element) -> bool:
-    """Whether angles in an MJCF file are in degrees, as they are if it does not say."""
+    """Return whether angles in an MJCF file are in degrees, as they are if it does not say."""
     compilers = [compiler.get("angle") for compiler in root.findall("compiler")]
     return next((angle for angle in reversed(compilers) if angle), "degree") == "degree"

@@ -60,7 +60,7 @@ def add_packages(
 
 
 def folder_of_package(name: str, path: Path, folders: Mapping[str, Path]) -> Path:
-    """The folder of a package that a file names.
+    """Return the folder of a package that a file names.
 
     Args:
         name: Name of the package.
@@ -106,7 +106,7 @@ def _packages_below(entry: str) -> Iterator[Path]:
 
 
 def _package_name(folder: Path) -> str | None:
-    """What a folder's manifest calls the package; None if there is none that can be read."""
+    """Return what a folder's manifest calls the package; None if there is none that can be read."""
     manifest = folder / "package.xml"
     with suppress(ModelError):
         data = read_regular(manifest, "manifest", ModelError, largest=_LARGEST_MANIFEST)

@@ -44,7 +44,7 @@ class SourceElement:
     text: str = ""
 
     def find(self, tag: str) -> SourceElement | None:
-        """The first child with a tag."""
+        """Return the first child with a tag."""
         return next(self.all(tag), None)
 
     def all(self, tag: str) -> Iterator[SourceElement]:
@@ -160,7 +160,7 @@ class SourceText:
         self._edit(at, at, "".join(before + line for line in lines))
 
     def edited(self) -> bytes:
-        """The bytes with all edits made."""
+        """Return the bytes with all edits made."""
         data = self.data
         for low, high, _, text in sorted(self._edits, reverse=True):
             data = data[:low] + text + data[high:]
@@ -212,7 +212,7 @@ class SourceText:
 
 
 def with_comments(data: bytes, path: Path, sentences: Sequence[str]) -> bytes:
-    """An XML file with comments before all else in it.
+    """Return an XML file with comments before all else in it.
 
     Args:
         data: The bytes of the file.
@@ -227,7 +227,7 @@ def with_comments(data: bytes, path: Path, sentences: Sequence[str]) -> bytes:
 
 
 def comment_words(sentence: str) -> str:
-    """A sentence as an XML comment may have it, which has no two hyphens in a row.
+    """Return a sentence as an XML comment may have it, which has no two hyphens in a row.
 
     Args:
         sentence: What it says, names of a file included.
@@ -236,7 +236,7 @@ def comment_words(sentence: str) -> str:
 
 
 def _named(element: SourceElement) -> int:
-    """Where the tag of an element ends."""
+    """Return where the tag of an element ends."""
     return element.start + 1 + len(element.tag.encode())
 
 

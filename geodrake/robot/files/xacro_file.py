@@ -40,7 +40,7 @@ _ENDS: Mapping[int, str] = {
 
 
 def is_xacro(path: Path) -> bool:
-    """Whether a model file has elements of xacro.
+    """Return whether a model file has elements of xacro.
 
     Raises:
         ModelError: It cannot be read.
@@ -115,11 +115,11 @@ class _Expansion:
                 process.kill()
 
     def is_still(self, asked: Sequence[tuple[str, Any, bytes]]) -> bool:
-        """Whether what was asked for once is answered as it was."""
+        """Return whether what was asked for once is answered as it was."""
         return all(_checksum(self._answer(kind, value)) == known for kind, value, known in asked)
 
     def _folders(self) -> list[Path]:
-        """Where the packages are that the process imports."""
+        """Return where the packages are that the process imports."""
         found = [importlib.util.find_spec(name) for name in _PACKAGES]
         places = [Path(spec.origin) for spec in found if spec is not None and spec.origin]
         if len(places) < len(_PACKAGES):

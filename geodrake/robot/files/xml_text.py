@@ -31,12 +31,12 @@ class LocatedElement(Element):
 
 
 def place_of(element: Element) -> str:
-    """The file and line where an element was read."""
+    """Return the file and line where an element was read."""
     return f"{element.path}, line {element.line}" if isinstance(element, LocatedElement) else ""
 
 
 def parse_xml(path: Path) -> Element:
-    """The root element of a file.
+    """Return the root element of a file.
 
     Raises:
         ModelError: The file is not XML, or no file at all.
@@ -46,7 +46,7 @@ def parse_xml(path: Path) -> Element:
 
 
 def parse_xml_bytes(data: bytes, path: Path) -> Element:
-    """The root element of what is, or will be, in a file.
+    """Return the root element of what is, or will be, in a file.
 
     Args:
         data: Bytes of the file.
@@ -125,7 +125,7 @@ class _Reader:
 
 
 def numbered_text(root: Element) -> tuple[str, list[str]]:
-    """A description as text, and for each of its lines where that was read (`place_of`)."""
+    """Return a description as text, and for each of its lines where that was read (`place_of`)."""
     lines: list[str] = []
     places: list[str] = []
     for line, element in _lines(root):

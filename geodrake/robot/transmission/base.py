@@ -61,14 +61,14 @@ class Transmission(abc.ABC):
         return None
 
     def joint_motion(self, motion: Motion) -> Motion:
-        """The joints' motion, of a motion of the actuators."""
+        """Return the joints' motion, of a motion of the actuators."""
         q, v, vd = self._motion(motion, self.num_actuators)
         J = self.jacobian(q)
         acceleration = times(J, vd) + times(self.jacobian_rate(q, v), v)
         return Motion(self.joint_positions(q), times(J, v), acceleration, motion.time)
 
     def actuator_motion(self, motion: Motion, *, start: ArrayLike = 0.0) -> Motion:
-        """The actuators' motion, of a motion of the joints that fits the transmission.
+        """Return the actuators' motion, of a motion of the joints that fits the transmission.
 
         Velocities and accelerations that do not fit are taken in the sense of least squares.
 
