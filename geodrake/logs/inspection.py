@@ -15,7 +15,7 @@ from geodrake.logs.files import Reading, understand
 from geodrake.logs.files.column_names import Columns
 from geodrake.logs.motion import JointLog
 from geodrake.logs.sensor_faults import without_faults
-from geodrake.logs.unit_hints import position_unit_hint
+from geodrake.logs.unit_hints import position_unit_hint, row_order_hint
 
 Array = NDArray[np.float64]
 
@@ -115,7 +115,7 @@ def inspect_log(
     missing = [joint for joint in joints or () if joint not in log.joints]
     notes += [f"nothing is measured of the model's {', '.join(missing)}"] if missing else []
     converted = any(s.unit for n, s in columns.sources.items() if n.endswith(".position"))
-    hint = None if converted else position_unit_hint(log)
+    hints = [row_order_hint(log), None if converted else position_unit_hint(log)]
     return LogInspection(
         log,
         columns.sources["time"].column if "time" in columns.sources else "",
@@ -124,7 +124,7 @@ def inspect_log(
         float(steps[~gap].std()) if (~gap).any() else 0.0,
         tuple((float(_known(log.time)[k]), float(steps[k])) for k in np.flatnonzero(gap).tolist()),
         tuple(_rests(log, period)),
-        (*log.notes, *notes, *([hint] if hint else [])),
+        (*log.notes, *notes, *filter(None, hints)),
     )
 
 

@@ -14,6 +14,7 @@ from geodrake.logs.effort_steps import step_notes
 from geodrake.logs.motion import JointLog
 from geodrake.logs.sensor_faults import without_faults
 from geodrake.logs.smoothing import Piece
+from geodrake.logs.unit_hints import row_order_hint
 
 Array = NDArray[np.float64]
 
@@ -86,10 +87,16 @@ def make_uniform(log: JointLog) -> UniformLog:
     """Split a log at gaps and empty cells, and find its period, its noise and what moves.
 
     Raises:
-        LogError: If the log is still throughout, is sampled too rarely, as one with time in
-            milliseconds seems to be, or too often, has time stamps of too few digits, no rows in a
-            row, or a sensor that failed for good.
+        LogError: If rows are not in the order of time, the log is still throughout, is sampled
+            too rarely, as one with time in milliseconds seems to be, or too often, has time stamps
+            of too few digits, no rows in a row, or a sensor that failed for good.
     """
+    if (hint := row_order_hint(log)) is not None:
+        raise LogError(
+            hint,
+            advice="Sort the rows by time, and log the time. If they are in order, the log is "
+            "sampled too rarely: record 20 rows or more in each swing of a joint.",
+        )
     log = without_faults(log)
     notes = [*log.notes, *step_notes(log)]
     if log.acceleration is not None:

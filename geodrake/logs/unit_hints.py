@@ -1,4 +1,4 @@
-"""Do a log's numbers look like other units than rad, m, N·m and N?"""
+"""Do a log's numbers look like other units than rad, m, N·m and N, or like no series in time?"""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from geodrake.logs.motion import JointLog
 
 Array = NDArray[np.float64]
 
+_NO_NOISE = 0.3  # rad or m: no position's noise reaches so far
+_LIKE_NOISE = 0.5  # mean squared step between rows, over twice the variance: 1 of random order
 _LARGEST = 1e100  # of efforts that are compared with limits
 _LEAST_LIMIT = 1e-9  # N·m or N: no motor is that weak
 _ROWS = 100_000  # of a log that are looked at together
@@ -55,6 +57,24 @@ def position_unit_hint(log: JointLog) -> str | None:
             "--units position=deg converts them."
         )
     return None
+
+
+def row_order_hint(log: JointLog) -> str | None:
+    """Return a sentence for the user if rows are not in the order of time; else None."""
+    rows = log.position[np.isfinite(log.position).all(axis=1)][:_ROWS]
+    if len(rows) < 3:
+        return None
+    reach, steps = np.ptp(rows, axis=0), np.diff(rows, axis=0)
+    ratio = np.mean(steps**2, axis=0) / np.maximum(2.0 * rows.var(axis=0), 1e-300)
+    far = reach > _NO_NOISE
+    if not far.any() or ratio[far].min() < _LIKE_NOISE:
+        return None
+    most = int(np.argmax(reach))
+    return (
+        f"The rows of log {log.name!r} are not in the order of time: {log.joints[most]} jumps by "
+        f"{np.median(np.abs(steps[:, most])):.3g} rad (m) from row to row, within a range of "
+        f"{reach[most]:.3g}."
+    )
 
 
 def _peaks(values: Array) -> Array:

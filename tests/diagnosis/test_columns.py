@@ -11,17 +11,13 @@ import numpy as np
 import pytest
 from measurements import DATA, REFERENCE
 from pinocchio_logs import without_effects
-from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
 from geodrake import load_model
 from geodrake.diagnosis import ColumnFinding, check_columns, corrected
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.design import Parameters, joint_designs, joint_motion
-from geodrake.diagnosis.columns.fit import bounded, held_next
-from geodrake.diagnosis.columns.proposals import ColumnMistake
 from geodrake.diagnosis.columns.samples import column_samples
-from geodrake.diagnosis.columns.search import Judged, MistakeFound, with_step
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import prepared_as_measured
 from geodrake.logs.files import read_log
@@ -77,18 +73,6 @@ MISTAKES = {
 }
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_steps_within_bounds_settle_at_the_least(seed):
-    rng = np.random.default_rng(seed)
-    X, y, lower = rng.normal(size=(30, 12)), rng.normal(size=30), rng.normal(size=12)
-    A, b, held = X.T @ X, X.T @ y, np.zeros(12, bool)
-    for _ in range(12):
-        x = bounded(A, b, lower, held)
-        held = held_next(A, b, x, lower, held)
-    expected = lower + nnls(X, y - X @ lower)[0]
-    np.testing.assert_allclose(x, expected, atol=1e-9)
-
-
 def test_nothing_is_found_in_right_columns(pendulum, right):
     assert check_columns(pendulum, [right]) == ()
 
@@ -113,6 +97,23 @@ def test_mistakes_are_named_and_corrected(pendulum, right, kind):
         np.testing.assert_allclose(
             getattr(after, name) / scale, getattr(right, name) / scale, atol=off
         )
+
+
+def test_magnitudes_of_efforts_are_said_to_be_magnitudes(pendulum, right):
+    (found,) = check_columns(pendulum, [replace(right, effort=np.abs(right.effort))])
+    assert (found.kind, found.joints) == ("effort_magnitude", JOINTS)
+    assert not found.is_correctable
+    assert "never change their sign" in str(found)
+
+
+def test_efforts_without_the_motion_in_them_are_no_mistake_of_a_kind(pendulum, right):
+    """A passive joint's sensor noise, and efforts of some other motion."""
+    rng = np.random.default_rng(4)
+    noise = right.effort.copy()
+    noise[:, 1] = 0.02 * rng.normal(size=len(noise))
+    for effort in (noise, right.effort[::-1]):
+        for found in check_columns(pendulum, [replace(right, effort=effort)]):
+            assert found.probability < 0.9
 
 
 @pytest.mark.parametrize("velocity", ["in degrees", "in radians", "none"])
@@ -168,7 +169,7 @@ def test_designs_of_a_leaning_base_are_efforts_under_its_gravity(pendulum, right
         engine.set_gravity(np.array(gravity))
         q, v, vd = joint_motion(samples, assignment)
         efforts, phi = engine.efforts(q, v, vd), pendulum.phi.ravel()
-        for j, design in enumerate(joint_designs(samples, parameters, assignment, {}, slopes=True)):
+        for j, design in enumerate(joint_designs(samples, parameters, assignment, {})):
             own = design.columns < phi.size
             found = design.X[:, : len(own)][:, own] @ phi[design.columns[own]]
             np.testing.assert_allclose(found, efforts[design.rows, j], atol=1e-9)
@@ -191,23 +192,6 @@ def test_two_mistakes_are_found_one_after_the_other(pendulum, right):
     after = corrected(wrong, found)
     np.testing.assert_allclose(after.effort, right.effort)
     np.testing.assert_allclose(after.velocity, right.velocity, rtol=0.01)
-
-
-def steps_of(kinds):
-    """Kinds of steps that are taken one after the other."""
-    steps = []
-    for kind in kinds:
-        best = Judged(ColumnMistake(kind, (0,), None), None, 1.0, 1.0)
-        steps = with_step(steps, MistakeFound(None, best, ()))
-    return [step.best.mistake.kind for step in steps]
-
-
-def test_gains_that_are_found_again_are_one_step_unless_something_is_by_the_former():
-    each, again = "effort_gains", "effort_gain"
-    assert steps_of([each, "position_sign", again, again]) == [each, "position_sign"]
-    for between in ("effort_limit", "swapped_efforts", "swapped_joints"):
-        assert steps_of([each, between, again]) == [each, between, again]
-        assert steps_of([between, each, again]) == [between, each]
 
 
 class TestCorrected:

@@ -140,6 +140,14 @@ def test_still_throughout():
     assert "back and forth" in caught.value.advice
 
 
+def test_rows_out_of_order():
+    """Shuffled rows, as of benchmarks of regression, have no velocities."""
+    order = np.random.default_rng(0).permutation(1000)
+    swings = np.sin(np.outer(_uniform(10.0), [2.0, 3.0]))
+    with pytest.raises(LogError, match="not in the order of time"):
+        prepare_log(_make_log(_uniform(10.0), position=swings[order]))
+
+
 def test_too_short():
     with pytest.raises(LogError, match=r"its 3 s give .* samples at a bandwidth of 4") as caught:
         prepare_log(_make_log(_uniform(3.0)), bandwidth=4.0)

@@ -38,7 +38,9 @@ class Assignment:
         carrying: Indices of bodies that hold a payload, or are otherwise not as in the model.
         tilted: Whether the base may stand on a slope.
         gravity: (3,) by which it does, in the world frame, m/s²; None for the model's.
-        apart: Indices of joints whose efforts have nothing to do with what the bodies need.
+        unknown: Indices of joints whose efforts have an unknown function of their motion in them.
+        apart: Those of which the efforts have nothing to do with what the bodies need.
+        signs: By columns of efforts that are magnitudes, the signs (N,) of their samples.
         limits: By some columns of efforts, what the motor can give of them, in their own unit:
             what is found of gains and swaps later is true of limits, too.
     """
@@ -55,7 +57,9 @@ class Assignment:
     carrying: frozenset[int] = frozenset()
     tilted: bool = False
     gravity: tuple[float, ...] | None = None
+    unknown: frozenset[int] = frozenset()
     apart: frozenset[int] = frozenset()
+    signs: Mapping[int, Array] = field(default_factory=dict)
     limits: Mapping[int, MotorLimit] = field(default_factory=dict)
 
     @classmethod
@@ -69,17 +73,6 @@ class Assignment:
         """What the motion of the joints depends on."""
         columns = self.position.tobytes(), self.scale.tobytes(), self.zero.tobytes()
         return (*columns, self.time, self.level, self.gravity)
-
-    @property
-    def effort_key(self) -> tuple[object, ...]:
-        """What the fit of the efforts depends on."""
-        columns = self.effort.tobytes(), self.gain.tobytes()
-        beside = self.without, self.carrying, self.tilted, self.apart
-        return (*self.motion_key, *columns, *beside, *self.limits.items())
-
-    def limit_key(self, joint: int) -> tuple[object, ...]:
-        """What the efforts that a joint's motor gives depend on, beside the motion."""
-        return joint, int(self.effort[joint]), float(self.gain[joint]), self.limit_of(joint)
 
     def limit_of(self, joint: int) -> MotorLimit:
         """What the motor can give of one of the `limited_joints`."""

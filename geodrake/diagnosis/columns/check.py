@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.columns.assignment import Assignment
+from geodrake.diagnosis.columns.evidence import ColumnFit, ColumnModel
 from geodrake.diagnosis.columns.finding import ColumnFinding
-from geodrake.diagnosis.columns.fit import ColumnFit
 from geodrake.diagnosis.columns.samples import column_samples
 from geodrake.diagnosis.columns.search import ColumnSearch, Judged, MistakeFound
 from geodrake.diagnosis.columns.words import mistake_advice, mistake_words
@@ -55,45 +56,42 @@ def check_columns(
     samples = column_samples(model, *prepared)
     if not (samples.effort.std(axis=0) > _LEAST_EFFORT).all():
         return ()  # which whoever fits them says
-    search = ColumnSearch(samples)
-    return tuple(
-        _finding(model, search, found) for found in search.found() if found.best.mistake.kind
-    )
+    gaussian = ColumnModel(samples, Beliefs())
+    found = ColumnSearch(gaussian).found()
+    return tuple(_finding(gaussian, step) for step in found if step.best.mistake.kind)
 
 
-def _finding(model: RobotModel, search: ColumnSearch, found: MistakeFound) -> ColumnFinding:
-    joints, best = model.joints, found.best
+def _finding(gaussian: ColumnModel, found: MistakeFound) -> ColumnFinding:
+    joints, best = gaussian.parameters.model.joints, found.best
     mistake = best.mistake
     at = mistake.joints or tuple(range(len(joints)))
     names = tuple(joints[j] for j in at)
     values = _values(found.before.assignment, best)
     words = mistake_words(mistake.kind, names, values, all_joints=not mistake.joints)
-    chances = _probabilities([best.gain, *(rival.gain for rival in found.rivals)])
     rivals = [
-        (_rival_words(model, found.before, rival), chance)
-        for rival, chance in zip(found.rivals, chances[1:], strict=True)
+        (_rival_words(joints, found.before, rival), chance)
+        for rival, chance in found.rivals
         if chance >= _WORTH_NAMING
     ]
-    before, after = (search.nrms(fit) for fit in (found.before, best.fit))
     return ColumnFinding(
         mistake.kind,
         names,
         values,
-        best.gain,
-        chances[0],
+        found.gain,
+        found.probability,
         tuple(rivals),
-        before,
-        after,
+        gaussian.nrms(found.before),
+        gaussian.nrms(best.fit),
         words[0].upper() + words[1:],
         mistake_advice(mistake.kind, names, values),
     )
 
 
-def _rival_words(model: RobotModel, before: ColumnFit, rival: Judged) -> str:
-    joints, mistake = model.joints, rival.mistake
+def _rival_words(joints: Sequence[str], before: ColumnFit, rival: Judged) -> str:
+    mistake = rival.mistake
     if not mistake.kind:
         if mistake.joints:
-            return f"the model says nothing of the efforts of {joints[mistake.joints[0]]}"
+            return f"the efforts of {joints[mistake.joints[0]]} have something unknown in them"
         tilted = rival.fit.assignment.tilted and not before.assignment.tilted
         return "a base on a slope" if tilted else "a payload that the model lacks"
     names = [joints[j] for j in mistake.joints or range(len(joints))]
@@ -104,7 +102,7 @@ def _rival_words(model: RobotModel, before: ColumnFit, rival: Judged) -> str:
 def _values(before: Assignment, best: Judged) -> tuple[float, ...]:
     """What corrects a mistake, at each of its joints."""
     kind, after = best.mistake.kind, best.fit.assignment
-    if kind.startswith(("swapped", "without")):
+    if kind.startswith(("swapped", "without", "effort_magnitude")):
         return ()
     if kind == "time":
         return (after.time / before.time,)
@@ -117,10 +115,3 @@ def _values(before: Assignment, best: Judged) -> tuple[float, ...]:
         return tuple((after.zero - before.zero)[at].tolist())
     quantity = {"effort": "gain", "position": "scale", "velocity": "rate"}[kind.split("_")[0]]
     return tuple((getattr(after, quantity) / getattr(before, quantity))[at].tolist())
-
-
-def _probabilities(gains: Iterable[float]) -> list[float]:
-    """Of mistakes with such gains, among them and none."""
-    odds = 0.5 * np.array([0.0, *gains])
-    shares = np.exp(odds - odds.max())
-    return [float(share) for share in (shares / shares.sum())[1:]]

@@ -1,4 +1,4 @@
-"""The linear fit of Eq. (1) of the design for one motion of the joints, as normal matrices."""
+"""The linear model of the efforts for one motion of the joints, as normal matrices."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from geodrake.effects import catalogue
 from geodrake.effects.base import Effect
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.role import Role
-from geodrake.identification.logs.criteria import LARGEST, SPREAD
+from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.log_slices import INERTIA, Layout
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.logs.motion import Motion
@@ -37,19 +37,22 @@ USUAL_ZERO = 0.02
 USUAL_REST = 0.1
 """Of friction and rotors that drives take out, so much may be left, or be taken out twice."""
 
+UNKNOWN = 11
+"""Columns of an unknown function of a joint's motion."""
+
 EffectRows = dict[Hashable, Mapping[int, Array]]
 """Columns (N, ·) of effects, by the effect and what they depend on, and by joint."""
 
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """What fits may move: bodies, effects, tilt, and small errors of zeros and gains.
+    """What fits may move: bodies, effects, tilt, small errors of zeros and gains, functions.
 
     Attributes:
         model: The model.
         layout: Columns of bodies and effects at each joint.
         mean: (p,) prior mean.
-        information: (p, p) prior information.
+        information: (p, p) prior information; that of what the model lacks depends on efforts.
         lower: (p,) lower bounds.
     """
 
@@ -61,7 +64,7 @@ class Parameters:
 
     @classmethod
     def of(cls, samples: ColumnSamples) -> Parameters:
-        """The parameters of a model and of what any joint may have beside it."""
+        """Return the parameters of a model and of what any joint may have beside it."""
         model, n = samples.model, len(samples.model.joints)
         own = [f for f in model.effects if _is_seen(f.effect)]
         said = {(f.effect.name, f.effect.where) for f in own}
@@ -76,40 +79,27 @@ class Parameters:
         effects = (*(f.effect for f in own), *more)
         layout = Layout.of(model, effects, samples.width, samples.width)
         known = _information(model)
-        further = sum(len(effect.parameters) for effect in more)
-        p = len(known) + further + 2 + 2 * n
-        information = np.zeros((p, p))
+        first = len(known) + sum(len(effect.parameters) for effect in more)
+        p = first + 2 + n * (2 + UNKNOWN)
+        information, mean, lower = np.zeros((p, p)), np.zeros(p), np.full(p, -np.inf)
         information[: len(known), : len(known)] = known
-        mean = np.zeros(p)
         mean[: len(known)] = np.concatenate([model.total_phi.ravel(), *(f.parameters for f in own)])
-        at = p - 2 - 2 * n
-        usual = np.concatenate(
-            [
-                np.full(2, USUAL_TILT),
-                np.full(n, USUAL_ZERO),
-                np.maximum(samples.gain_deviations, 1e-3),
-            ]
-        )
-        information[range(at, p), range(at, p)] = usual**-2.0
-        lower = np.full(p, -np.inf)
-        bounds = [q.lower for effect in effects for q in effect.parameters]
-        lower[model.phi.size : at] = bounds
+        gains = np.maximum(samples.gain_deviations, 1e-3)
+        usual = np.concatenate([np.full(2, USUAL_TILT), np.full(n, USUAL_ZERO), gains]) ** -2.0
+        errors = np.arange(first, first + 2 + 2 * n)
+        information[errors, errors] = usual
+        lower[model.phi.size : first] = [q.lower for effect in effects for q in effect.parameters]
         return cls(model, layout, mean, information, lower)
 
     @property
-    def nuisance(self) -> slice:
-        """Those of effects that the model lacks."""
-        n, further = len(self.model.joints), len(self._known)
-        return slice(further, len(self.mean) - 2 - 2 * n)
+    def shared(self) -> int:
+        """Number of the parameters of bodies and effects."""
+        return len(self.mean) - 2 - (2 + UNKNOWN) * len(self.model.joints)
 
     @cached_property
-    def _known(self) -> Array:
-        return _information(self.model)
-
-    @property
-    def shared(self) -> int:
-        """Number of the parameters that are not small errors."""
-        return len(self.mean) - 2 - 2 * len(self.model.joints)
+    def lacking(self) -> slice:
+        """Those of effects that the model lacks."""
+        return slice(len(_information(self.model)), self.shared)
 
     def tilt(self) -> Indices:
         """(2,) those of the base's tilt."""
@@ -120,8 +110,12 @@ class Parameters:
         return self.shared + 2 + np.arange(len(self.model.joints))
 
     def gains(self) -> Indices:
-        """(n,) errors of the efforts' gains."""
-        return self.shared + 2 + len(self.model.joints) + np.arange(len(self.model.joints))
+        """(n,) logarithms of the errors of the efforts' gains."""
+        return self.zeros() + len(self.model.joints)
+
+    def unknown(self, joint: int) -> Indices:
+        """(11,) those of the unknown function of a joint's motion."""
+        return self.gains()[-1] + 1 + UNKNOWN * joint + np.arange(UNKNOWN)
 
     def taken_out(self, names: frozenset[str]) -> Indices:
         """Parameters of the effects of some names of `Effect.taken_out_as`."""
@@ -132,11 +126,6 @@ class Parameters:
             at += len(effect.parameters)
         return np.array(found, int)
 
-    def stated(self, name: str) -> Indices:
-        """Parameters of effects that the model states, of a name of `Effect.taken_out_as`."""
-        gone = self.taken_out(frozenset({name}))
-        return gone[gone < self.nuisance.start]
-
     @property
     def can_be_taken_out(self) -> tuple[str, ...]:
         """Names of `Effect.taken_out_as` of which the model states something."""
@@ -145,7 +134,7 @@ class Parameters:
 
 
 def _is_seen(effect: Effect) -> bool:
-    """Whether columns of an effect can be had from samples that do not follow each other."""
+    """Return whether an effect's columns need no samples that follow each other."""
     apart = "history" in effect.depends_on or effect.state_count > 0 or effect.places == "log"
     return bool(effect.parameters) and effect.role is not Role.BODY and not apart
 
@@ -176,8 +165,8 @@ class JointDesign:
     Attributes:
         columns: (m,) parameters that matter, without the joint's gain.
         rows: (K,) samples.
-        X: (K, m) their columns; at the end known payloads' efforts and all columns of efforts.
-        grams: (F, m + 1 + n, m + 1 + n) normal matrices of X, fold by fold.
+        X: (K, m + 1 + n) their columns, known payloads' efforts, and all columns of efforts.
+        gram: (m + 1 + n, m + 1 + n) normal matrix of X.
         peak: (m,) largest entry of each column.
         beyond: Share of the samples in which more effort was asked for than the motor gives, and
             the mean square of what was too much.
@@ -186,48 +175,39 @@ class JointDesign:
     columns: Indices
     rows: Indices
     X: Array
-    grams: Array
+    gram: Array
     peak: Array
     beyond: tuple[float, float] = (0.0, 1.0)
-
-    @cached_property
-    def total(self) -> Array:
-        """Normal matrix of all folds."""
-        return np.asarray(self.grams.sum(axis=0))
-
-    @property
-    def summary(self) -> JointDesign:
-        """What a fit to all folds needs: one normal matrix, and no samples."""
-        return replace(self, X=self.X[:0], grams=self.total[None])
 
     def asked(
         self, samples: ColumnSamples, assignment: Assignment, joint: int
     ) -> tuple[Array, Array]:
-        """Efforts (K,) of the log at the joint, and velocities (K,).
-
-        Args:
-            samples: The samples.
-            assignment: What the columns are.
-            joint: The joint.
-        """
+        """Return efforts (K,) of the log at the joint, and velocities (K,)."""
         velocity = samples.v[self.rows, assignment.position[joint]] * assignment.scale[joint]
-        effort = samples.effort[self.rows, assignment.effort[joint]]
+        effort = self.X[:, len(self.columns) + 1 + assignment.effort[joint]]
         return assignment.gain[joint] * effort, velocity / assignment.time
 
-    def limited(self, samples: ColumnSamples, assignment: Assignment, joint: int) -> JointDesign:
-        """With no more effort than the joint's motor gives.
+    def read_as(self, samples: ColumnSamples, assignment: Assignment, joint: int) -> JointDesign:
+        """Return the design with the joint's efforts signed, or kept to what its motor gives."""
+        source, found = int(assignment.effort[joint]), self
+        if source in assignment.signs:
+            effort = samples.effort[self.rows, source] * assignment.signs[source][self.rows]
+            found = found._with_effort(source, effort)
+        if source in assignment.limits:
+            (asked, velocity), limit = (
+                found.asked(samples, assignment, joint),
+                assignment.limit_of(joint),
+            )
+            given = limit.given(asked, velocity) / assignment.gain[joint]
+            found = replace(found._with_effort(source, given), beyond=limit.beyond(asked, velocity))
+        return found
 
-        Args:
-            samples: The samples.
-            assignment: An assignment that says what it gives.
-            joint: The joint.
-        """
-        asked, velocity = self.asked(samples, assignment, joint)
-        limit, X = assignment.limit_of(joint), self.X.copy()
-        column = len(self.columns) + 1 + assignment.effort[joint]
-        X[:, column] = limit.given(asked, velocity) / assignment.gain[joint]
-        grams = _grams(X, samples.fold[self.rows], samples.folds)
-        return replace(self, X=X, grams=grams, beyond=limit.beyond(asked, velocity))
+    def _with_effort(self, source: int, effort: Array) -> JointDesign:
+        X, column = self.X.copy(), len(self.columns) + 1 + source
+        X[:, column] = effort
+        gram, changed = self.gram.copy(), X.T @ effort
+        gram[column], gram[:, column] = changed, changed
+        return replace(self, X=X, gram=gram)
 
 
 def joint_motion(samples: ColumnSamples, assignment: Assignment) -> tuple[Array, Array, Array]:
@@ -243,40 +223,52 @@ def joint_motion(samples: ColumnSamples, assignment: Assignment) -> tuple[Array,
 
 
 def joint_designs(
-    samples: ColumnSamples,
-    parameters: Parameters,
-    assignment: Assignment,
-    known: EffectRows,
-    *,
-    slopes: bool,
+    samples: ColumnSamples, parameters: Parameters, assignment: Assignment, known: EffectRows
 ) -> tuple[JointDesign, ...]:
-    """The designs of all joints for one motion.
+    """Return the designs of all joints for one motion.
 
     Args:
         samples: The samples.
         parameters: What fits may move.
         assignment: What the columns are.
         known: Columns of effects that were computed before; used and filled.
-        slopes: Whether errors of zeros have columns other than zeros.
     """
-    model, n = parameters.model, len(parameters.model.joints)
+    model = parameters.model
     width = parameters.layout.sign_width[assignment.position]
     width = width * np.abs(assignment.scale) / assignment.time
     layout = replace(parameters.layout, sign_width=width)
     inertial, held, others = _columns_of(samples, layout, assignment, known)
-    tilts, turned = _errors_of(samples, model, assignment, slopes=slopes)
+    tilts, turned = _errors_of(samples, model, assignment)
     more = _further_weight(samples, model, assignment)
+    q, v, _ = joint_motion(samples, assignment)
     further = np.concatenate([parameters.tilt(), parameters.zeros()])
     designs = []
-    for j in range(n):
+    for j in range(len(model.joints)):
         columns, own = layout.columns[j], inertial[j]
         if more is not None:
             own = own + more[:, j, columns[columns < model.phi.size]]
         effects = [part[j] for part in others if j in part]
-        X = np.column_stack([own, *effects, tilts[:, j], turned[:, j], held[:, j], samples.effort])
-        own_columns = np.concatenate([columns, further])
-        designs.append(_reduced(samples, own_columns, X, assignment.position[j]))
+        rows = np.flatnonzero(samples.used[:, assignment.position[j]])
+        unknown = _unknown_function(q[rows, j], v[rows, j], width[j])
+        parts = (own, *effects, tilts[:, j], turned[:, j])
+        after = held[rows, j], samples.effort[rows]
+        X = np.column_stack([*(part[rows] for part in parts), unknown, *after])
+        columns = np.concatenate([columns, further, parameters.unknown(j)])
+        peak = np.abs(X[:, : len(columns)]).max(axis=0)
+        designs.append(JointDesign(columns, rows, X, X.T @ X, peak))
     return tuple(designs)
+
+
+def _unknown_function(q: Array, v: Array, width: float) -> Array:
+    """(K, 11) columns of a smooth function of a joint's motion, none larger than about one."""
+    middle = 0.5 * (q.max() + q.min())
+    q = (q - middle) / max(0.5 * float(np.ptp(q)), 1e-300)
+    direction = np.tanh(v / max(float(width), 1e-300))
+    v = v / max(float(np.abs(v).max()), 1e-300)
+    even = q * q - 1.0 / 3.0
+    position = [np.ones_like(q), q, even, q**3 - 0.6 * q]
+    speed = [v, np.abs(v) * v, v**3, v * v - 1.0 / 3.0]
+    return np.column_stack([*position, *speed, q * v, even * v, direction * q])
 
 
 def _further_weight(
@@ -337,63 +329,22 @@ def _key(effect: Effect, layout: Layout, assignment: Assignment) -> Hashable | N
 
 
 def _errors_of(
-    samples: ColumnSamples, model: RobotModel, assignment: Assignment, *, slopes: bool
+    samples: ColumnSamples, model: RobotModel, assignment: Assignment
 ) -> tuple[Array, Array]:
     """Slopes (N, n, 2) of the efforts with a tilt of the base, and (N, n, n) with the zeros."""
     q, v, vd = joint_motion(samples, assignment)
-    at, still = model.positions(q), np.zeros_like(v)
-    turned = np.zeros((*v.shape, v.shape[1]))
-    tree = model.tree
+    at, still, tree = model.positions(q), np.zeros_like(v), model.tree
     if assignment.gravity is not None:
         tree = with_gravity(tree, np.array(assignment.gravity))
-    if slopes:
-        turned = np.nan_to_num(effort_slopes(tree, at, v, vd, model.total_phi).position)
-    if not assignment.level:
-        bodies = RobotBodies(tree, at, model.total_phi)
-        return bodies.gravity_efforts(np.cross(bodies.gravity, np.eye(3)[:2]).T), turned
-    if slopes:
+    turned = np.nan_to_num(effort_slopes(tree, at, v, vd, model.total_phi).position)
+    if assignment.level:
         held = effort_slopes(tree, at, still, still, model.total_phi).position
-        turned = turned - np.nan_to_num(held)
-    return np.zeros((*v.shape, 2)), turned
+        return np.zeros((*v.shape, 2)), turned - np.nan_to_num(held)
+    bodies = RobotBodies(tree, at, model.total_phi)
+    return bodies.gravity_efforts(np.cross(bodies.gravity, np.eye(3)[:2]).T), turned
 
 
 def _local(model: RobotModel, layout: Layout, joint: int) -> Array:
     """The inertial parameters that a joint has columns of."""
     columns = layout.columns[joint]
     return model.total_phi.ravel()[columns[columns < model.phi.size]]
-
-
-def _reduced(samples: ColumnSamples, columns: Indices, X: Array, position: int) -> JointDesign:
-    rows = np.flatnonzero(samples.used[:, position])
-    X = X[rows]
-    peak = np.abs(X[:, : len(columns)]).max(axis=0)
-    return JointDesign(columns, rows, X, _grams(X, samples.fold[rows], samples.folds), peak)
-
-
-def _grams(X: Array, fold: Indices, folds: int) -> Array:
-    """(F, m, m) normal matrices of rows (K, m) of F folds."""
-    parts = [X[fold == f] for f in range(folds)]
-    return np.stack([part.T @ part for part in parts])
-
-
-def nuisance_information(
-    parameters: Parameters, designs: tuple[JointDesign, ...], sizes: Array
-) -> Array:
-    """(p,) information of effects that the model lacks: none needs more than `LARGEST` efforts.
-
-    Args:
-        parameters: What fits may move.
-        designs: Of all joints.
-        sizes: (n,) deviations of the efforts.
-    """
-    information = np.zeros(len(parameters.mean))
-    for design, size in zip(designs, sizes, strict=True):
-        at = np.searchsorted(
-            design.columns, np.arange(parameters.nuisance.start, parameters.nuisance.stop)
-        )
-        for place, column in zip(
-            at.tolist(), range(parameters.nuisance.start, parameters.nuisance.stop), strict=True
-        ):
-            if place < len(design.columns) and design.columns[place] == column:
-                information[column] += (design.peak[place] / (LARGEST * size)) ** 2
-    return information

@@ -46,6 +46,7 @@ class ColumnSamples:
         block: (N,) block of time without gaps that it is in.
         log: (N,) index of its trajectory.
         trajectories: The prepared logs.
+        keeps_sign: (n,) whether a column of efforts is never of one of the signs.
     """
 
     model: RobotModel
@@ -60,6 +61,7 @@ class ColumnSamples:
     block: NDArray[np.intp]
     log: NDArray[np.intp]
     trajectories: tuple[Trajectory, ...]
+    keeps_sign: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.q)
@@ -124,7 +126,16 @@ def column_samples(
         np.repeat(np.arange(len(blocks)), counts),
         np.repeat([b.trajectory for _, b in blocks], counts),
         trajectories,
+        _keeps_sign(trajectories),
     )
+
+
+def _keeps_sign(trajectories: Sequence[Trajectory]) -> NDArray[np.bool_]:
+    """(n,) whether efforts, as they were logged, are never of one of the signs."""
+    pieces = [segment.piece.piece.effort for t in trajectories for segment in t.segments]
+    least = np.min([np.nanmin(own, axis=0) for own in pieces], axis=0)
+    most = np.max([np.nanmax(own, axis=0) for own in pieces], axis=0)
+    return np.asarray((least >= 0.0) | (most <= 0.0))
 
 
 def _block(

@@ -2,67 +2,45 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.columns.assignment import Assignment
-from geodrake.diagnosis.columns.design import Parameters
-from geodrake.diagnosis.columns.fit import ColumnFit, ColumnJudge
+from geodrake.diagnosis.columns.evidence import ColumnFit, ColumnModel
 from geodrake.diagnosis.columns.limits import nearest_limit
-from geodrake.diagnosis.columns.proposals import ColumnMistake, mistakes
-from geodrake.diagnosis.columns.samples import ColumnSamples
-from geodrake.identification.logs.criteria import PENALTY
+from geodrake.diagnosis.columns.mistakes import Mistake, Mistakes
+from geodrake.diagnosis.columns.screen import Screen
 from geodrake.model.motor_limit import MotorLimit
 
 Array = NDArray[np.float64]
-Entry = tuple[ColumnMistake, float]  # a mistake, and what its prior and its parameters cost
-Fitter = Callable[[Assignment, ColumnFit, Collection[int]], ColumnFit]
 
 ODDS = 0.01
 """Prior odds that a log has a mistake in its columns; all kinds and places share them."""
 
-SIZES = 300.0
-"""A factor or a zero that is to be found may have so many sizes that are usually told apart.
+UNKNOWN_ODDS = 0.2
+"""Prior odds that some joint's efforts have something unknown in them."""
 
-Zeros are usually within 0.02 rad (`USUAL_ZERO`) of a turn, gains within 5 % of six decades.
-"""
-
-OTHER_SIZES = 92.0
-"""Gains of other joints than the first: motors of one robot are within a decade of each other."""
-
-_EACH, _GAIN = "effort_gains", "effort_gain"  # of each joint its own, of one or all
-_OF_EACH = (_EACH, _GAIN, "effort_sign", "effort_unit")
-_AS_GAINED = ("effort_limit", "swapped_efforts", "swapped_joints")  # of efforts by gains so far
+_GAINS = ("effort_gains", "effort_gain", "effort_unit", "effort_sign")
 _MOST = 6  # mistakes of a log
-_SCREENED, _FINALISTS = 24, 6  # that are fitted with physical bodies, and to the end
-_HOPELESS = -20.0  # gain, at most, of what is fitted no further, unless its size is to be found
-_UNSEEN = 1.0  # of twice a log-likelihood: data that gain no more say nothing of a size
-_FAR, _SHARE = 50.0, 0.5  # less than the best, and of it: what gains less is not fitted to the end
-_STEPS = 8  # of a fit of a mistake's size
-_OWN_STEPS = 24  # of one of each joint's gain
+_SCREENED, _FINALISTS = 24, 8  # of motion and of efforts, that are fitted, and to the end
+_HOPELESS = -12.0  # score beside that of no mistake: less is not fitted to the end
+_PROMISING = 4  # joints whose gains, zeros or unknown efforts are looked for
+_STEPS = 8  # of a fit of a mistake's sizes
+_TIE = 1e-6  # less is rounding
 _CLOSE = 1e-3  # rad or share: a step that ends it
 _LONGEST = 0.7  # rad, or of a logarithm, of a step
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A mistake and what it gains.
+    """A mistake, the fit without it, and its score less what its rarity costs."""
 
-    Attributes:
-        mistake: The mistake.
-        fit: The fit without it.
-        gain: Twice the log-likelihood that it gains, less its cost.
-        cost: What its parameters and its prior cost.
-    """
-
-    mistake: ColumnMistake
+    mistake: Mistake
     fit: ColumnFit
-    gain: float
-    cost: float
+    score: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,245 +50,235 @@ class MistakeFound:
     Attributes:
         before: The fit with the mistake.
         best: The mistake.
-        rivals: Others, the best first, that are not the same of another size.
+        gain: Twice the logarithm of its odds against none.
+        probability: That of the mistake, among it, none and all others.
+        rivals: Others with their probabilities, the likeliest first.
     """
 
     before: ColumnFit
     best: Judged
-    rivals: tuple[Judged, ...]
+    gain: float
+    probability: float
+    rivals: tuple[tuple[Judged, float], ...]
 
 
 class ColumnSearch:
-    """A search on the samples of logs."""
+    """A search on the samples of logs.
 
-    def __init__(self, samples: ColumnSamples) -> None:
-        """Takes the samples."""
-        self.judge = ColumnJudge(samples, Parameters.of(samples))
-        rows = [np.arange(len(samples))] * samples.v.shape[1]
-        self._of_rates = samples.effective(list(samples.v.T), rows)
+    Args:
+        model: The Gaussian model.
+    """
 
-    def found(self) -> tuple[MistakeFound, ...]:
-        """Mistakes, one after the other; those without a kind are none of columns."""
-        base = self.settled(Assignment.as_named(len(self._of_rates)))
-        steps, base = self._grown([], base)
-        together = self._together(steps, base)
-        if together is not None:
-            steps, _ = self._grown(*together)
-        return tuple(steps)
+    def __init__(self, model: ColumnModel) -> None:
+        self.model = model
+        self._screen = Screen(model)
 
-    def _grown(
-        self, steps: list[MistakeFound], base: ColumnFit
-    ) -> tuple[list[MistakeFound], ColumnFit]:
-        """Steps and those that follow, and the fit with all of them."""
-        for _ in range(_MOST - len(steps)):
-            ranked = self.ranked(base)
-            if not ranked or ranked[0].gain <= 0.0:
+    def found(self) -> list[MistakeFound]:
+        """Return mistakes, one after the other; those without a kind are none of columns."""
+        model, steps = self.model, list[MistakeFound]()
+        base = model.fit(Assignment.as_named(len(model.parameters.model.joints)), model.hopeful())
+        for _ in range(_MOST):
+            step = self._step(base)
+            if step is None:
                 break
-            best = ranked[0]
-            own = best.mistake.kind, best.mistake.joints
-            others = [r for r in ranked[1:] if (r.mistake.kind, r.mistake.joints) != own]
-            steps = with_step(steps, MistakeFound(base, best, tuple(others)))
-            base = self.settled(best.fit.assignment, best.fit)
-        return steps, base
+            _take(steps, step)
+            base = step.best.fit
+        return steps
 
-    def _together(
-        self, steps: Sequence[MistakeFound], base: ColumnFit
-    ) -> tuple[list[MistakeFound], ColumnFit] | None:
-        """Gains that were found one by one as one mistake, that each joint has its own.
-
-        At first one number for all may explain more than it costs, and gains of single joints then.
-
-        Args:
-            steps: What was found.
-            base: The fit with all of it.
-
-        Returns:
-            Steps and the fit with them; None if such gains explain no more than they cost.
-        """
-        gains = [step for step in steps if step.best.mistake.kind == _GAIN]
-        rivals = gains[0].rivals if gains else ()
-        each = next((rival for rival in rivals if rival.mistake.kind == _EACH), None)
-        if each is None or _found_as_gained(steps[steps.index(gains[0]) :]):
+    def _step(self, base: ColumnFit) -> MistakeFound | None:
+        """Return the most probable mistake beside those of a fit; None if none is."""
+        model, worth = self.model, self.model.hopeful()
+        mistakes = Mistakes(model, base).all()
+        prices = dict(zip(mistakes, _prices(mistakes), strict=True))
+        first = [self._judged(m, base, worth, prices[m]) for m in self._promising(mistakes, base)]
+        first += [self._moved(each, worth, prices) for each in first if each.mistake.free]
+        places = dict[Hashable, Judged]()
+        for each in sorted(first, key=_score, reverse=True):
+            places.setdefault(_place(each), each)
+        plain = model.fit(base.assignment, worth, base)
+        least = plain.score + _HOPELESS
+        mistaken = [each for each in places.values() if each.mistake.kind and each.score > least]
+        last = [self._refined(each, base, worth, prices) for each in mistaken[:_FINALISTS]]
+        if not any(each.score > plain.score for each in last):
             return None
-        mistake, fit = self._refined(replace(each.mistake, assignment=base.assignment), base)
-        spared = sum(step.best.cost for step in gains) - each.cost
-        more = fit.gain_over(base, self._of_rates) + spared
-        if more <= 0.0:
+        # With few independent samples, what is no mistake may be likelier than it looks at first.
+        others = [each for each in places.values() if not each.mistake.kind]
+        last += [self._refined(each, base, worth, prices) for each in others]
+        # Probabilities are told by the samples that the residuals of the answer are worth.
+        best, of_base = max(last, key=_score), model.worth(base)
+        for _ in range(2):
+            told = best
+            worth = np.where(best.fit.mse < plain.mse, model.worth(best.fit), of_base)
+            last = [self._again(each, worth, prices[each.mistake]) for each in last]
+            best, plain = max(last, key=_score), model.fit(base.assignment, worth, base)
+            if _place(best) == _place(told):
+                break
+        if best.score <= plain.score + _TIE:
             return None
-        gain = sum(step.best.gain for step in gains) + more
-        one = replace(gains[0], best=replace(each, mistake=mistake, fit=fit, gain=gain))
-        kept = [one if step is gains[0] else step for step in steps if step not in gains[1:]]
-        return kept, self.settled(fit.assignment, fit)
+        weights = np.exp(0.5 * np.array([min(each.score - best.score, 0.0) for each in last]))
+        total = weights.sum() + np.exp(0.5 * (plain.score - best.score))
+        chances = dict(zip(last, (weights / total).tolist(), strict=True))
+        same = [each for each in last if _place(each) == _place(best)]
+        others = sorted((each for each in last if each not in same), key=lambda each: -each.score)
+        return MistakeFound(
+            base,
+            best,
+            best.score - plain.score,
+            sum(chances[each] for each in same),
+            tuple((each, chances[each]) for each in others),
+        )
 
-    def nrms(self, fit: ColumnFit) -> float:
-        """Root mean square over joints of errors over the deviations of efforts."""
-        return float(np.sqrt(np.mean(fit.mse / self.judge.samples.effort.var(axis=0))))
+    def _promising(self, mistakes: list[Mistake], base: ColumnFit) -> list[Mistake]:
+        """Return the mistakes that are worth a fit."""
+        worth, is_likely = self.model.hopeful(), self._likely(base)
+        found, motion = [m for m in mistakes if not m.is_seen and is_likely(m)], base.assignment
+        seen = [mistake for mistake in mistakes if mistake.is_seen]
+        seen.sort(key=lambda each: -self._screen.score(each.assignment, worth))
+        moved = [m for m in seen if m.assignment.motion_key != motion.motion_key]
+        others = [m for m in seen if m not in moved and is_likely(m)]
+        return [*found, *moved[:_SCREENED], *others[:_SCREENED]]
 
-    def settled(self, assignment: Assignment, near: ColumnFit | None = None) -> ColumnFit:
-        """The fit by an assignment that others are then judged against.
+    def _likely(self, base: ColumnFit) -> Callable[[Mistake], bool]:
+        """Tell what the errors of a fit make likely."""
+        parameters = self.model.parameters
+        far = np.abs(base.x) * np.sqrt(np.diag(parameters.information))
+        ends = (parameters.zeros(), parameters.gains())
+        sizes = {k for at in ends for k in at[np.argsort(-far[at])[:_PROMISING]].tolist()}
+        errors = (base.mse / np.maximum(self.model.noise, 1e-300) ** 2)[base.assignment.effort]
+        joints = set(np.argsort(-errors)[:_PROMISING].tolist())
 
-        Args:
-            assignment: The assignment.
-            near: A fit whose errors are about as large, if there is one.
-        """
-        self.judge.keep(assignment)
-        return self.judge.fit(assignment, self.judge.fit(assignment, near))
+        def is_likely(mistake: Mistake) -> bool:
+            if len(mistake.free) == 1:
+                return mistake.free[0] in sizes
+            return not mistake.joints or not joints.isdisjoint(mistake.joints)
 
-    def ranked(self, base: ColumnFit) -> list[Judged]:
-        """The best mistakes beside what an assignment corrects, fitted to the end; best first.
+        return is_likely
 
-        Args:
-            base: The fit by that assignment.
-        """
-        tried = mistakes(self.judge, base)
-        entries = list(zip(tried, _costs(tried), strict=True))
-        entries, _ = self._promising(self.judge.screened, base, entries, _SCREENED)
-        entries, gains = self._promising(self.judge.quick, base, entries, _FINALISTS)
-        best = max(gains, default=0.0)
-        ranked = []
-        for (mistake, cost), first in zip(entries, gains, strict=True):
-            if mistake.kind != _EACH and first < min(best - _FAR, _SHARE * best):
-                continue
-            refined, fit = self._refined(mistake, base)
-            gain = fit.gain_over(base, self._of_rates) - cost
-            ranked.append(Judged(refined, fit, gain, cost))
-        return sorted(ranked, key=lambda each: -each.gain)
+    def _judged(
+        self, mistake: Mistake, near: ColumnFit | None, worth: Array, price: float
+    ) -> Judged:
+        moved = mistake.moved if len(mistake.moved) else None
+        fit = self.model.fit(mistake.assignment, worth, near, wide=mistake.free, moved=moved)
+        return Judged(mistake, fit, fit.score - price)
 
-    def _promising(
-        self, fitted: Fitter, base: ColumnFit, entries: Sequence[Entry], most: int
-    ) -> tuple[list[Entry], list[float]]:
-        """Mistakes, with what they cost, that are worth another fit, and what they gain in this.
+    def _again(self, judged: Judged, worth: Array, price: float) -> Judged:
+        """Return a mistake by other samples, of fits that begin in two ways the better one."""
+        starts = judged.fit, None
+        return max(
+            (self._judged(judged.mistake, near, worth, price) for near in starts), key=_score
+        )
 
-        What many sizes gain shows only when they are found: such mistakes are always among them.
-        """
-        plain, gains = fitted(base.assignment, base, ()), []
-        for mistake, cost in entries:
-            fit = fitted(mistake.assignment, base, mistake.free)
-            gains.append(fit.gain_over(plain, self._of_rates) - cost)
-        many = [mistake.kind == _EACH for mistake, _ in entries]
-        order = sorted(range(len(entries)), key=lambda k: (not many[k], -gains[k]))[:most]
-        kept = [k for k in order if many[k] or _is_promising(entries[k], gains[k])]
-        return [entries[k] for k in kept], [gains[k] for k in kept]
-
-    def _refined(self, mistake: ColumnMistake, base: ColumnFit) -> tuple[ColumnMistake, ColumnFit]:
-        """A mistake of the size that fits best, and the fit."""
+    def _refined(
+        self, judged: Judged, base: ColumnFit, worth: Array, prices: dict[Mistake, float]
+    ) -> Judged:
+        """Return a mistake of the sizes that fit best."""
+        mistake = judged.mistake
+        price = prices[mistake]
         if mistake.kind == "effort_limit":
-            return self._of_nearest_limit(mistake, base)
-        if mistake.kind == _EACH:
-            return self._of_own_gains(mistake, base)
-        parameters, assignment = self.judge.parameters, mistake.assignment
-        zeros, gains, tilt = parameters.zeros(), parameters.gains(), parameters.tilt()
-        for _ in range(_STEPS if mistake.free else 0):
-            step = self._step(assignment, mistake, base)
-            zero = assignment.zero + step[zeros]
-            assignment = replace(assignment, zero=zero, gain=assignment.gain / np.exp(step[gains]))
-            if step[tilt].any():
-                assignment = assignment.leaning(parameters.model.tree.gravity, step[tilt])
+            mistake = self._of_nearest_limit(mistake, base, worth)
+        elif mistake.kind == "effort_magnitude":
+            mistake = self._of_likely_signs(judged, worth)
+        elif mistake.free:
+            mistake = self._of_nearest_sizes(judged, worth)
+        prices[mistake] = price
+        return self._judged(mistake, base, worth, price)
+
+    def _of_nearest_sizes(self, judged: Judged, worth: Array) -> Mistake:
+        """Return the mistake moved to where the errors of its sizes vanish."""
+        best, step = judged, self._way(judged)
+        for _ in range(_STEPS):
             if np.abs(step).max() < _CLOSE:
                 break
-        return replace(mistake, assignment=assignment), self.judge.fit(assignment, base)
-
-    def _step(self, assignment: Assignment, mistake: ColumnMistake, base: ColumnFit) -> Array:
-        """(p,) step of Newton's method in the sizes of a mistake."""
-        free, fit = list(mistake.free), self.judge.quick(assignment, base, mistake.free)
-        step = np.zeros(len(fit.x))
-        step[free] = np.clip(fit.x[free], -_LONGEST, _LONGEST)
-        return step
-
-    def _of_own_gains(
-        self, mistake: ColumnMistake, base: ColumnFit
-    ) -> tuple[ColumnMistake, ColumnFit]:
-        """The gains with which the bodies explain most, and the fit by them.
-
-        Of several gains each hides the others': a step that explains less is halved.
-        """
-        at = self.judge.parameters.gains()
-
-        def explained(assignment: Assignment) -> float:
-            return self.judge.quick(assignment, base).gain_over(base, self._of_rates)
-
-        assignment = mistake.assignment
-        most, step = explained(assignment), self._step(assignment, mistake, base)[at]
-        for _ in range(_OWN_STEPS):
-            if np.abs(step).max() < _CLOSE:
-                break
-            tried = replace(assignment, gain=assignment.gain / np.exp(step))
-            more = explained(tried)
-            if more > most:
-                assignment, most = tried, more
-                step = self._step(assignment, mistake, base)[at]
+            tried = self._judged(self._by(best.mistake, step), best.fit, worth, 0.0)
+            if tried.fit.score > best.fit.score:
+                best, step = tried, self._way(tried)
             else:
                 step = 0.5 * step
-        return replace(mistake, assignment=assignment), self.judge.fit(assignment, base)
+        return best.mistake
 
-    def _of_nearest_limit(
-        self, mistake: ColumnMistake, base: ColumnFit
-    ) -> tuple[ColumnMistake, ColumnFit]:
-        """The limit of its kind with which the bodies explain most, and the fit by it."""
+    def _moved(self, judged: Judged, worth: Array, prices: dict[Mistake, float]) -> Judged:
+        """Return a mistake moved by one step: what it explains may show only there."""
+        mistake, price = self._by(judged.mistake, self._way(judged)), prices[judged.mistake]
+        prices[mistake] = price
+        return self._judged(mistake, judged.fit, worth, price)
+
+    def _way(self, judged: Judged) -> Array:
+        """(p,) step of Newton's method in the sizes of a mistake."""
+        free, x = list(judged.mistake.free), judged.fit.x
+        step = np.zeros(len(x))
+        step[free] = np.clip(x[free], -_LONGEST, _LONGEST)
+        return step
+
+    def _by(self, mistake: Mistake, step: Array) -> Mistake:
+        """Return a mistake whose sizes are moved by a step (p,)."""
+        parameters, start = self.model.parameters, mistake.assignment
+        zeros, gains, tilt = parameters.zeros(), parameters.gains(), parameters.tilt()
+        moved = replace(start, zero=start.zero + step[zeros], gain=start.gain / np.exp(step[gains]))
+        if step[tilt].any():
+            moved = moved.leaning(parameters.model.tree.gravity, step[tilt])
+        return replace(mistake, assignment=moved, moved=mistake.moved + step)
+
+    def _of_likely_signs(self, judged: Judged, worth: Array) -> Mistake:
+        """Return the mistake with the signs that bodies and effects need."""
+        model, mistake, fit = self.model, judged.mistake, judged.fit
+        for _ in range(_STEPS):
+            start = mistake.assignment
+            signs, needed = {**start.signs}, model.needed(fit)
+            for j in mistake.joints:
+                source = int(start.effort[j])
+                signs[source] = signs[source].copy()
+                signs[source][model.designs(start)[j].rows] = np.where(needed[j] < 0.0, -1.0, 1.0)
+            mistake = replace(mistake, assignment=replace(start, signs=signs))
+            fit = model.fit(mistake.assignment, worth, fit)
+        return mistake
+
+    def _of_nearest_limit(self, mistake: Mistake, base: ColumnFit, worth: Array) -> Mistake:
+        """Return the limit of its kind with the most evidence."""
         (j,), start = mistake.joints, mistake.assignment
 
         def cost(limit: MotorLimit) -> float:
-            fit = self.judge.quick(start.limited(j, limit), base)
-            return -fit.gain_over(base, self._of_rates)
+            return -self.model.fit(start.limited(j, limit), worth, base).score
 
-        assignment = start.limited(j, nearest_limit(start.limit_of(j), cost))
-        return replace(mistake, assignment=assignment), self.judge.fit(assignment, base)
+        return replace(mistake, assignment=start.limited(j, nearest_limit(start.limit_of(j), cost)))
 
 
-def with_step(steps: Sequence[MistakeFound], step: MistakeFound) -> list[MistakeFound]:
-    """Steps with one more; what corrects the gain of a joint again is no other mistake.
+def _take(steps: list[MistakeFound], step: MistakeFound) -> None:
+    """Add a step; gains that are corrected again are one mistake with the former."""
+    at = [k for k, each in enumerate(steps) if each.best.mistake.kind == "effort_gains"]
+    if not at or step.best.mistake.kind not in _GAINS:
+        steps.append(step)
+        return
+    former = steps[at[0]]
+    best = replace(former.best, fit=step.best.fit)
+    steps[at[0]] = replace(former, best=best, gain=former.gain + step.gain)
 
-    It is one where a limit, or whose efforts they are, was found in between, by the gains so far.
 
-    Args:
-        steps: Those before.
-        step: The next one.
+def _score(judged: Judged) -> float:
+    return judged.score
+
+
+def _place(judged: Judged) -> Hashable:
+    """Tell hypotheses apart that are not the same of another size."""
+    mistake, fitted = judged.mistake, judged.fit.assignment
+    if mistake.kind:
+        return mistake.kind, mistake.joints
+    return fitted.carrying, fitted.tilted, fitted.unknown, fitted.apart
+
+
+def _prices(mistakes: Iterable[Mistake]) -> list[float]:
+    """Twice the logarithms of prior odds: kinds are as likely, and so are the places of each.
+
+    What is none of columns is as likely as not, but for what is unknown.
     """
-    kinds = [each.best.mistake.kind for each in steps]
-    at = kinds.index(_EACH) if _EACH in kinds else len(kinds)
-    if step.best.mistake.kind not in _OF_EACH or at == len(kinds) or _found_as_gained(steps[at:]):
-        return [*steps, step]
-    first, found = steps[at], step.best
-    gain = first.best.gain + found.gain
-    better = replace(first.best, fit=found.fit, gain=gain)
-    return [*steps[:at], replace(first, best=better), *steps[at + 1 :]]
-
-
-def _found_as_gained(steps: Sequence[MistakeFound]) -> bool:
-    """Whether something was found that is true of efforts by the gains so far."""
-    return any(step.best.mistake.kind in _AS_GAINED for step in steps)
-
-
-def _is_promising(entry: Entry, gain: float) -> bool:
-    """Whether a mistake may prove right when it is fitted to the end.
-
-    What data gain from a size grows as it is found.
-
-    Args:
-        entry: The mistake, and what it costs.
-        gain: What it gains by a first fit, less its cost.
-    """
-    mistake, cost = entry
-    return gain > _HOPELESS or (mistake.sizes > 0 and gain + cost > _UNSEEN)
-
-
-def _cost_of_sizes(mistake: ColumnMistake) -> float:
-    """What the numbers cost that are found in the data."""
-    others = max(mistake.sizes - 1, 0) if mistake.kind == _EACH else 0
-    return 2.0 * float((mistake.sizes - others) * np.log(SIZES) + others * np.log(OTHER_SIZES))
-
-
-def _costs(tried: Sequence[ColumnMistake]) -> list[float]:
-    """What the prior and the parameters of mistakes cost: kinds are as likely, places too.
-
-    What is none of columns is as likely as not.
-    """
-    counts = Counter(mistake.kind for mistake in tried if mistake.kind)
-    return [
-        _cost_of_sizes(mistake)
-        - mistake.spared
-        - 2.0 * np.log(ODDS / (len(counts) * counts[mistake.kind]))
-        if mistake.kind
-        else PENALTY * mistake.price
-        for mistake in tried
-    ]
+    places = dict[str, set[tuple[int, ...]]]()
+    for mistake in mistakes:
+        places.setdefault(mistake.kind, set()).add(mistake.joints)
+    kinds = len(places.keys() - {""})
+    joints = max(1, len(places.get("", {()})) - 1)
+    found = []
+    for mistake in mistakes:
+        odds = ODDS / (kinds * len(places[mistake.kind]))
+        if not mistake.kind:
+            odds = UNKNOWN_ODDS / joints if mistake.joints else 1.0
+        found.append(2.0 * (np.log(mistake.sizes) - np.log(odds)))
+    return found

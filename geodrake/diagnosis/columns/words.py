@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-_SWAPPED = {
-    "swapped_efforts": "efforts",
-    "swapped_positions": "positions and velocities",
-    "swapped_joints": "columns",
+_SAID = {
+    "swapped_efforts": "the efforts of {} are swapped",
+    "swapped_positions": "the positions and velocities of {} are swapped",
+    "swapped_joints": "the columns of {} are swapped",
+    "without_gravity": "gravity has been taken out of the efforts already",
+    "without_friction": "friction has been taken out of the efforts already",
+    "without_rotor_inertia": "the rotors' inertia has been taken out of the efforts already",
+    "effort_magnitude": (
+        "the efforts of {} never change their sign, though the motion needs both: they are "
+        "magnitudes"
+    ),
 }
-_TAKEN_OUT = {
-    "without_gravity": "gravity",
-    "without_friction": "friction",
-    "without_rotor_inertia": "the rotors' inertia",
-}
-
-
 _GEARED = 5.0  # all gains beyond it are those of gears and of motor constants
 
 
@@ -32,10 +32,8 @@ def mistake_words(
         all_joints: Whether it is in the columns of all joints.
     """
     where = "all joints" if all_joints else " and ".join(joints)
-    if kind in _SWAPPED:
-        return f"the {_SWAPPED[kind]} of {where} are swapped"
-    if kind in _TAKEN_OUT:
-        return f"{_TAKEN_OUT[kind]} has been taken out of the efforts already"
+    if kind in _SAID:
+        return _SAID[kind].format(where)
     factor = values[0]
     if kind.startswith("effort"):
         return _effort_words(kind, where, values, all_joints=all_joints)
@@ -87,6 +85,8 @@ def mistake_advice(kind: str, joints: Sequence[str], values: Sequence[float]) ->
         joints: Names of the joints.
         values: What corrects it.
     """
+    if kind == "effort_magnitude":
+        return "Log them with their sign: no other column can give it back."
     if kind == "effort_limit":
         return (
             "Log what the motor gives, or let --correct-columns keep the efforts to the limit, "
@@ -96,9 +96,9 @@ def mistake_advice(kind: str, joints: Sequence[str], values: Sequence[float]) ->
         each = zip(joints, values, strict=True)
         found = " ".join(f"--gain {joint}={value:.4g}" for joint, value in each)
         return f"Correct it by {found}."
-    if kind in _SWAPPED:
+    if kind.startswith("swapped"):
         return "Swap them in the mapping (--mapping), or name the columns so."
-    if kind in _TAKEN_OUT:
+    if kind.startswith("without"):
         return "Log the efforts before that, or use a model without it."
     return _motion_advice(kind, values[0])
 
