@@ -32,6 +32,9 @@ class Beliefs:
         inner: Odds against a payload on a body that carries others.
         unknown: As `size`, for each term of a function of the motion that no effect describes.
         reversal: As `size`, for what friction does at speeds that a log does not resolve.
+        columns: Odds of a mistake in the columns of a log; all kinds and places share them.
+        odd_joint: Odds of efforts at some joint that have nothing to do with its motion, or have
+            something unknown in them.
         discrepancy: What is more than sensor noise in a residual is worth so many samples, however
             long logs are: it goes with the motion in a way that no effect describes.
     """
@@ -50,6 +53,8 @@ class Beliefs:
     inner: float = 30.0
     unknown: float = 0.3
     reversal: float = 0.3
+    columns: float = 0.01
+    odd_joint: float = 0.2
     discrepancy: float = 100.0
 
     def __post_init__(self) -> None:

@@ -34,9 +34,9 @@ def check_columns(
 ) -> tuple[ColumnFinding, ...]:
     """Mistakes in the columns of logs: wrong signs, units, gains, zeros, times, swapped joints.
 
-    One score judges all: how well the model predicts held-out efforts with the columns corrected,
-    its bodies near those that it has, with friction, offsets and rotors free. A mistake is as
-    improbable before as `geodrake.diagnosis.columns.search.ODDS` says.
+    Every mistake is another assignment of columns to joints, and one Gaussian evidence weighs them:
+    bodies near the model's, friction, offsets and rotors free. Its rivals are a payload, a slope,
+    and efforts that have something unknown in them; `Beliefs` has the prior odds.
 
     Args:
         model: The model as it stands.

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.evidence import ColumnFit, ColumnModel
 from geodrake.diagnosis.columns.limits import nearest_limit
@@ -16,12 +17,6 @@ from geodrake.diagnosis.columns.screen import Screen
 from geodrake.model.motor_limit import MotorLimit
 
 Array = NDArray[np.float64]
-
-ODDS = 0.01
-"""Prior odds that a log has a mistake in its columns; all kinds and places share them."""
-
-UNKNOWN_ODDS = 0.2
-"""Prior odds that some joint's efforts have something unknown in them."""
 
 _GAINS = ("effort_gains", "effort_gain", "effort_unit", "effort_sign")
 _MOST = 6  # mistakes of a log
@@ -89,7 +84,7 @@ class ColumnSearch:
         """Return the most probable mistake beside those of a fit; None if none is."""
         model, worth = self.model, self.model.hopeful()
         mistakes = Mistakes(model, base).all()
-        prices = dict(zip(mistakes, _prices(mistakes), strict=True))
+        prices = dict(zip(mistakes, _prices(mistakes, model.beliefs), strict=True))
         first = [self._judged(m, base, worth, prices[m]) for m in self._promising(mistakes, base)]
         first += [self._moved(each, worth, prices) for each in first if each.mistake.free]
         places = dict[Hashable, Judged]()
@@ -265,7 +260,7 @@ def _place(judged: Judged) -> Hashable:
     return fitted.carrying, fitted.tilted, fitted.unknown, fitted.apart
 
 
-def _prices(mistakes: Iterable[Mistake]) -> list[float]:
+def _prices(mistakes: Iterable[Mistake], beliefs: Beliefs) -> list[float]:
     """Twice the logarithms of prior odds: kinds are as likely, and so are the places of each.
 
     What is none of columns is as likely as not, but for what is unknown.
@@ -277,8 +272,8 @@ def _prices(mistakes: Iterable[Mistake]) -> list[float]:
     joints = max(1, len(places.get("", {()})) - 1)
     found = []
     for mistake in mistakes:
-        odds = ODDS / (kinds * len(places[mistake.kind]))
+        odds = beliefs.columns / (kinds * len(places[mistake.kind]))
         if not mistake.kind:
-            odds = UNKNOWN_ODDS / joints if mistake.joints else 1.0
+            odds = beliefs.odd_joint / joints if mistake.joints else 1.0
         found.append(2.0 * (np.log(mistake.sizes) - np.log(odds)))
     return found
