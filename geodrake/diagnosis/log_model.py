@@ -408,6 +408,13 @@ class LogModel:
         columns += [term.columns for term in fit.terms]
         return np.concatenate(columns), np.delete(fit.x, np.arange(p, p + nv))
 
+    def gain_moments(self, fit: Fit) -> Array:
+        """Return (nv, nv) second moments of the gains' errors, as prior and data have them."""
+        first = len(self.unknowns.columns)
+        at = np.arange(first, first + len(self.rows))
+        mean = fit.x[at]
+        return np.linalg.inv(fit.hessian)[np.ix_(at, at)] + np.outer(mean, mean)
+
     def parameters(self, fit: Fit, term: Term) -> Array:
         """Return the parameters (k,) of a term of a fit."""
         at = self._first_term

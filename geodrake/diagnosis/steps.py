@@ -184,7 +184,7 @@ def steps_of(
                 before.by_joint(),
                 after.by_joint(),
                 rivals,
-                _systematic(case, finding, fit),
+                _systematic(found, finding, fit),
                 () if last else _series(stage.validated),
                 None if last else _model(case, found, stage.validated, fit),
             )
@@ -320,7 +320,7 @@ def _values(case: Case, found: Found, finding: Finding, fit: ModelFit) -> tuple[
     return values, deviations
 
 
-def _systematic(case: Case, finding: Finding, fit: ModelFit) -> Values:
+def _systematic(found: Found, finding: Finding, fit: ModelFit) -> Values:
     """Return what gains of efforts and what is unexplained add to deviations of parameters."""
     values, effects = Values(), {term.effect for term in finding.terms}
     for fitted in fit.model.effects:
@@ -328,12 +328,13 @@ def _systematic(case: Case, finding: Finding, fit: ModelFit) -> Values:
             span = fit.unknowns.span(fitted.effect)
             shifts = [factor_of(fit.unexplained_covariance[span, span])]
             if fitted.effect.role is not Role.SCALE:
-                shifts.append(case.gain_deviations[:, None] * fit.gain_shifts[:, span])
+                gains = factor_of(found.model.gain_moments(found.fit))
+                shifts.append(gains @ fit.gain_shifts[:, span])
             if fitted.effect.damps:
-                shifts.append(_servo_damping(case, fitted.effect.where[0]))
+                shifts.append(_servo_damping(found.case, fitted.effect.where[0]))
             if any(each.any() for each in shifts):
-                found = systematic_parameters(fitted, np.concatenate(shifts))
-                values.setdefault(fitted.effect.place, {}).update(found)
+                own = systematic_parameters(fitted, np.concatenate(shifts))
+                values.setdefault(fitted.effect.place, {}).update(own)
     return values
 
 

@@ -108,11 +108,6 @@ class Case(Short):
     loads: Array | None = None
 
     @property
-    def gain_deviations(self) -> Array:
-        """(nv,) how well the gains of the efforts are known, in the log in which they are least."""
-        return np.asarray(np.max([log.gain_deviations for log in self.asked.logs], axis=0))
-
-    @property
     def bandwidths(self) -> dict[str, tuple[float, float]]:
         """Fingerprint -> bandwidths, Hz: of the logs of the model's fits, and of these logs."""
         own = dict.fromkeys(self.fingerprints, self.trajectories[0].bandwidths)
