@@ -39,6 +39,7 @@ def run_identify(options: IdentifyOptions) -> None:
         compare=options.compare,
         bandwidth=options.bandwidth,
         blocks=options.blocks,
+        hold_resting=options.holds_resting,
     )
 
     def identified(given: Input) -> ModelIdentification:

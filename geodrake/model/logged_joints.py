@@ -1,4 +1,4 @@
-"""Joints of a model and joints of logs: what was not logged is held."""
+"""Joints of a model and joints of logs: what was not logged is held, and what hardly moves."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ import numpy as np
 from geodrake.boundary.arguments import instance, instances
 from geodrake.errors import LogError
 from geodrake.logs.motion import JointLog, match_joints
+from geodrake.logs.resting import logged_ranges, resting
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
 
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 
 
-def model_of_logs(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
+def model_of_logs(
+    model: RobotModel, logs: Sequence[JointLog], *, hold_resting: bool = True
+) -> RobotModel:
     """The model with those joints held that no log says anything of; itself if there are none.
 
     They are held where they stand, if their positions were logged, and else where the model file
@@ -26,6 +29,7 @@ def model_of_logs(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
     Args:
         model: The model.
         logs: All logs, of joints of the model; see `read_log` with `partial`.
+        hold_resting: Whether joints that hardly move are held, too; see `holding_resting`.
 
     Raises:
         LogError: Such a joint does not stand in one place, or no joint is left.
@@ -34,10 +38,56 @@ def model_of_logs(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
     logs = instances(logs, "logs", JointLog)
     silent = [j for j in model.single_joints if not any(_says(log, j) for log in logs)]
     _check_sides(model, logs, silent)
-    if not silent or len(silent) == len(model.joints):
+    if len(silent) == len(model.joints):
         return model
-    places = {joint: _place(model, logs, joint) for joint in silent}
-    return holding(model, places, why="as no log has their efforts (--lock JOINT=VALUE says where)")
+    if silent:
+        places = {joint: _place(model, logs, joint) for joint in silent}
+        why = "as no log has their efforts (--lock JOINT=VALUE says where)"
+        model = holding(model, places, why=why)
+    return holding_resting(model, logs) if hold_resting else model
+
+
+def holding_resting(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
+    """Return the model with those joints held that hardly move; itself if there are none.
+
+    At rest dry friction may be anything up to breakaway, so that the effort of such a joint says
+    nothing that a model could be held to. Samples at which a joint that moves stands still are left
+    out for the same reason. A joint is held if it rests in all logs, at one place; a model that was
+    fitted to one of the logs keeps the joints that it was fitted with.
+
+    Args:
+        model: The model.
+        logs: All logs, of joints of the model.
+    """
+    places = _resting_places(model, logs)
+    if not places or any(log_of_model(log, model).fingerprint in model.fitted_to for log in logs):
+        return model
+    return holding(
+        model,
+        places,
+        why="in a model that is saved too, as they hardly move in any log and dry friction at rest "
+        "may be anything (--no-auto-lock, hold_resting=False: no joint is)",
+    )
+
+
+def _resting_places(model: RobotModel, logs: Sequence[JointLog]) -> dict[str, float]:
+    """Joint -> where it rests in all logs; empty where no joint would be left that moves."""
+    joints = [j for j in model.single_joints if all(j in log.joints for log in logs)]
+    if not joints:
+        return {}
+    low, high, noise = logged_ranges([log.select(joints).position for log in logs])
+    sliding = np.isin(joints, model.sliding_joints)
+    rests = {j for j, at in zip(joints, resting(low, high, sliding, noise), strict=True) if at}
+    for drive in model.transmission:  # whose actuators can only be held together
+        if not rests.issuperset(drive.actuators):
+            rests.difference_update(drive.actuators)
+    places = {}
+    for joint in filter(rests.__contains__, joints):
+        positions = [log.position[:, log.joints.index(joint)] for log in logs]
+        place, limits = float(np.mean([*map(np.nanmean, positions)])), model.limits_of(joint)
+        if limits[0] - _STILL <= place <= limits[1] + _STILL:
+            places[joint] = float(np.clip(place, *limits))
+    return {} if len(places) == len(model.joints) else places
 
 
 def log_of_model(log: JointLog, model: RobotModel) -> JointLog:

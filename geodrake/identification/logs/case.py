@@ -37,7 +37,7 @@ from geodrake.logs.smoothing import Segment
 from geodrake.logs.uniform_log import make_uniform
 from geodrake.logs.unit_hints import effort_unit_hint, position_unit_hint
 from geodrake.model.carried_payloads import joints_with_known_gain, payload_notes
-from geodrake.model.logged_joints import log_of_model
+from geodrake.model.logged_joints import holding_resting, log_of_model
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -139,6 +139,7 @@ def open_case(
     blocks: int | None = None,
     motion_bandwidth: float | None = None,
     how: str = "as asked for",
+    hold_resting: bool = False,
 ) -> Case:
     """Prepare and reduce logs for a model.
 
@@ -153,6 +154,8 @@ def open_case(
             are four or more, and about eight blocks otherwise.
         motion_bandwidth: As in `prepare_logs`, for a given bandwidth.
         how: Where a given bandwidth comes from, for the notes.
+        hold_resting: Whether joints that hardly move in any log are held; see
+            `holding_resting`.
 
     Raises:
         ArgumentError: A log has a known payload of a body that there is not.
@@ -161,7 +164,10 @@ def open_case(
     """
     asked = checked_logs(model, logs, extra, bandwidth, blocks)
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
-    model, matched, gain_notes = with_efforts(model, _matched(model, asked))
+    matched = _matched(model, asked)
+    if hold_resting and (held := holding_resting(model, matched)) is not model:
+        model, matched = held, [log_of_model(log, held) for log in matched]
+    model, matched, gain_notes = with_efforts(model, matched)
     _check_efforts(matched)
     uniform = [make_uniform(log) for log in matched]
     hints = [hint for each in uniform for hint in _hints(each.log, model.effort_limits)]

@@ -30,6 +30,7 @@ def compare(
     *,
     bandwidth: float | None = None,
     blocks: int | None = None,
+    hold_resting: bool = True,
 ) -> Comparison:
     """Compare a model as it stands with measurements that it was not fitted to.
 
@@ -39,11 +40,20 @@ def compare(
         bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
             or chosen from the data.
         blocks: Blocks into which every log is cut.
+        hold_resting: Whether joints that hardly move in any log are held; see
+            `geodrake.model.logged_joints.holding_resting`.
 
     Returns:
         Errors per joint, where they are concentrated, and the series behind them.
     """
-    case = open_case(model, logs, candidates=False, bandwidth=bandwidth, blocks=blocks)
+    case = open_case(
+        model,
+        logs,
+        candidates=False,
+        bandwidth=bandwidth,
+        blocks=blocks,
+        hold_resting=hold_resting,
+    )
     return comparison(case)
 
 
