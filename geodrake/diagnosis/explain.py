@@ -221,4 +221,6 @@ def verdict_of(errors: ErrorTable, found: bool, *, left: float = np.inf) -> Verd
     near = errors.shows_noise and errors.nrms <= MOST_OF_REVERSALS * errors.floor_nrms
     if not (errors.is_noise or (near and left <= JOINT_NOISE_MARGIN)):
         return "unexplained"
+    if not errors.knows_noise:
+        return "undecided"
     return "explained" if found else "adequate"

@@ -17,7 +17,7 @@ _STEPS = 3.5  # of an encoder, between which a position at rest may change
 
 
 def logged_ranges(positions: Sequence[Array]) -> tuple[Array, Array, Array]:
-    """Return the least and the largest position of joints over all logs, and what noise makes of it.
+    """Return the least and the largest positions of joints over all logs, and what noise makes.
 
     Velocities are left aside, as their noise is no motion.
 

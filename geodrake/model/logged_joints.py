@@ -66,7 +66,7 @@ def holding_resting(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
         model,
         places,
         why="in a model that is saved too, as they hardly move in any log and dry friction at rest "
-        "may be anything (--no-auto-lock, hold_resting=False: no joint is)",
+        "may be anything (--no-auto-lock keeps them, hold_resting=False in Python)",
     )
 
 

@@ -138,7 +138,6 @@ def open_case(
     bandwidth: float | None = None,
     blocks: int | None = None,
     motion_bandwidth: float | None = None,
-    how: str = "as asked for",
     hold_resting: bool = False,
 ) -> Case:
     """Prepare and reduce logs for a model.
@@ -153,7 +152,6 @@ def open_case(
         blocks: Blocks into which every log is cut for validation; by default whole logs if there
             are four or more, and about eight blocks otherwise.
         motion_bandwidth: As in `prepare_logs`, for a given bandwidth.
-        how: Where a given bandwidth comes from, for the notes.
         hold_resting: Whether joints that hardly move in any log are held; see
             `holding_resting`.
 
@@ -184,7 +182,7 @@ def open_case(
             hints += [changed] if changed else []
         else:
             trajectories = prepare_logs(
-                uniform, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth, how=how
+                uniform, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth
             )
         folds = validation_blocks(trajectories, blocks=blocks)
     effects = effects_of(model)
@@ -284,7 +282,7 @@ def reduced(
         case.folds,
         effects=effects,
         delays=[*case.dataset.delays] if delays is None else delays,
-        floor=case.dataset.noise_floor if delays is None else None,
+        noise=(case.dataset.noise_floor, case.dataset.noise_known) if delays is None else None,
         shared=case.shared,
     )
 
@@ -296,12 +294,9 @@ def error_table(dataset: Dataset, held_out: HeldOut) -> ErrorTable:
         dataset: The reduced logs.
         held_out: Held-out errors on them.
     """
-    columns = (dataset.joints, held_out.rms, dataset.effort_std, dataset.noise_floor)
-    return ErrorTable(
-        tuple(
-            JointError(j, float(r), float(s), float(f)) for j, r, s, f in zip(*columns, strict=True)
-        )
-    )
+    known = np.broadcast_to(dataset.noise_known, len(dataset.joints))
+    columns = (held_out.rms, dataset.effort_std, dataset.noise_floor, known)
+    return ErrorTable(tuple(map(JointError, dataset.joints, *(c.tolist() for c in columns))))
 
 
 def series(
