@@ -13,6 +13,7 @@ _SHARE = 0.01  # of what the joint of its kind moves that moves most: less is re
 _FAR = 1.0  # rad or m; that a wheel turns a hundred times makes no joint of an arm rest
 _STILL = 2e-3  # rad or m, where no joint of its kind moves
 _WIDTH = 9.0  # deviations of noise between the least and the largest of very many samples
+_WALK = 4.0  # deviations of a random walk's end, beyond which next to none gets
 _STEPS = 3.5  # of an encoder, between which a position at rest may change
 
 
@@ -60,10 +61,28 @@ def resting(
     return np.asarray(reach <= limit)  # NaN is no rest
 
 
+def travels(velocity: Array, period: float, least: float) -> bool:
+    """Return whether measured velocities lead away by more than a way, which their noise does not.
+
+    White noise adds up to a random walk.
+
+    Args:
+        velocity: (N,) measured velocities, rad/s or m/s.
+        period: Time between them, s.
+        least: The way, rad or m.
+    """
+    walk = _WALK * _white_noise(velocity) * np.sqrt(len(velocity)) * period
+    return bool(np.ptp(np.cumsum(velocity)) * period > max(least, walk))
+
+
 def _width(position: Array) -> float:
     """Return the width of the range that noise and steps of an encoder make at rest."""
     changes = np.abs(np.diff(position))
     step = float(changes.min(initial=np.inf, where=changes > 0.0))
-    bends = np.abs(np.diff(position, 4))  # in which next to nothing of a motion is left
-    noise = float(np.median(bends)) / (0.6745 * np.sqrt(70.0)) if len(bends) else 0.0
-    return max(_WIDTH * noise, _STEPS * step if np.isfinite(step) else 0.0)
+    return max(_WIDTH * _white_noise(position), _STEPS * step if np.isfinite(step) else 0.0)
+
+
+def _white_noise(signal: Array) -> float:
+    """Return the deviation of the white noise of a signal."""
+    bends = np.abs(np.diff(signal, 4))  # in which next to nothing of a motion is left
+    return float(np.median(bends)) / (0.6745 * np.sqrt(70.0)) if len(bends) else 0.0

@@ -10,10 +10,11 @@ import numpy as np
 from geodrake.boundary.arguments import instance, instances
 from geodrake.errors import LogError
 from geodrake.logs.motion import JointLog, match_joints
-from geodrake.logs.resting import logged_ranges, resting
+from geodrake.logs.resting import logged_ranges, resting, travels
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
 
+_FAR = 0.05  # rad or m, that a joint which rests does not go by its velocities, less their mean
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 
 
@@ -83,6 +84,8 @@ def _resting_places(model: RobotModel, logs: Sequence[JointLog]) -> dict[str, fl
             rests.difference_update(drive.actuators)
     places = {}
     for joint in filter(rests.__contains__, joints):
+        if any(_travels(log, joint) for log in logs):
+            continue
         positions = [log.position[:, log.joints.index(joint)] for log in logs]
         place, limits = float(np.mean([*map(np.nanmean, positions)])), model.limits_of(joint)
         if limits[0] - _STILL <= place <= limits[1] + _STILL:
@@ -126,6 +129,16 @@ def _with_followers(log: JointLog, model: RobotModel) -> JointLog:
             efforts[:, own] += ratio * np.nan_to_num(log.effort[:, at])
             notes.append(f"the effort of {joint} is added to that of {leader}, which it follows")
     return log if efforts is log.effort else replace(log, effort=efforts, notes=tuple(notes))
+
+
+def _travels(log: JointLog, joint: str) -> bool:
+    """Return whether velocities say that a joint moves, whose position may be stuck."""
+    if log.velocity is None or len(log) < 2:
+        return False
+    velocity = log.velocity[:, log.joints.index(joint)]
+    velocity = velocity[np.isfinite(velocity)]
+    period = float(np.nanmedian(np.diff(log.time)))
+    return len(velocity) > 1 and travels(velocity - velocity.mean(), period, _FAR)
 
 
 def _check_sides(model: RobotModel, logs: Sequence[JointLog], silent: Sequence[str]) -> None:
