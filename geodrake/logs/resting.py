@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 _SHARE = 0.01  # of what the joint of its kind moves that moves most: less is rest
 _FAR = 1.0  # rad or m; that a wheel turns a hundred times makes no joint of an arm rest
 _STILL = 2e-3  # rad or m, where no joint of its kind moves
+_SAMPLES = 100_000  # of a log, by which its noise is judged
 _WIDTH = 9.0  # deviations of noise between the least and the largest of very many samples
 _WALK = 4.0  # deviations of a random walk's end, beyond which next to none gets
 _STEPS = 3.5  # of an encoder, between which a position at rest may change
@@ -37,7 +38,7 @@ def logged_ranges(positions: Sequence[Array]) -> tuple[Array, Array, Array]:
             if len(here):
                 low[j] = np.fmin(low[j], here.min())
                 high[j] = np.fmax(high[j], here.max())
-                wide[j] = max(wide[j], _width(here))
+                wide[j] = max(wide[j], _width(here[:_SAMPLES]))
     return low, high, wide
 
 

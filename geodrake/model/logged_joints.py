@@ -74,7 +74,7 @@ def holding_resting(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
 def _resting_places(model: RobotModel, logs: Sequence[JointLog]) -> dict[str, float]:
     """Joint -> where it rests in all logs; empty where no joint would be left that moves."""
     joints = [j for j in model.single_joints if all(j in log.joints for log in logs)]
-    if not joints:
+    if not logs or not joints:
         return {}
     low, high, noise = logged_ranges([log.select(joints).position for log in logs])
     sliding = np.isin(joints, model.sliding_joints)
