@@ -18,6 +18,7 @@ from geodrake.effects.user_code import candidates_of
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import Case, open_case
 from geodrake.logs.motion import JointLog
+from geodrake.model.holding import why_no_place
 from geodrake.model.robot_model import RobotModel
 
 
@@ -70,6 +71,7 @@ def add(
         blocks=blocks,
         hold_resting=hold_resting,
     )
+    _refuse_what_cannot_be(kind, case.model, where)
     found = with_forced(case, kind, _places(kind, case, where), _further(kind, case, where))
     findings = [finding for finding in findings_of(found) if finding.name == kind.name]
     result = explained(case, found, findings, forced=True).explanation
@@ -92,7 +94,7 @@ def _refuse_what_cannot_be(
         if name not in known:
             raise ArgumentError(
                 f"There is no joint {'' if late else 'or body '}{name!r}.",
-                advice=f"There are: {', '.join(known)}.",
+                advice=f"{why_no_place(model, name)}There are: {', '.join(known)}.",
             )
 
 

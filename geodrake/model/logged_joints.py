@@ -60,8 +60,8 @@ def holding_resting(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
         model: The model.
         logs: All logs, of joints of the model.
     """
-    places = _resting_places(model, logs)
-    if not places or any(log_of_model(log, model).fingerprint in model.fitted_to for log in logs):
+    places, known = _resting_places(model, logs), model.fitted_to
+    if not places or (known and any(log_of_model(log, model).fingerprint in known for log in logs)):
         return model
     return holding(
         model,
@@ -78,18 +78,17 @@ def _resting_places(model: RobotModel, logs: Sequence[JointLog]) -> dict[str, fl
         return {}
     low, high, noise = logged_ranges([log.select(joints).position for log in logs])
     sliding = np.isin(joints, model.sliding_joints)
-    rests = {j for j, at in zip(joints, resting(low, high, sliding, noise), strict=True) if at}
-    for drive in model.transmission:  # whose actuators can only be held together
-        if not rests.issuperset(drive.actuators):
-            rests.difference_update(drive.actuators)
     places = {}
-    for joint in filter(rests.__contains__, joints):
-        if any(_travels(log, joint) for log in logs):
+    for joint, rests in zip(joints, resting(low, high, sliding, noise).tolist(), strict=True):
+        if not rests or any(_travels(log, joint) for log in logs):
             continue
         positions = [log.position[:, log.joints.index(joint)] for log in logs]
         place, limits = float(np.mean([*map(np.nanmean, positions)])), model.limits_of(joint)
         if limits[0] - _STILL <= place <= limits[1] + _STILL:
             places[joint] = float(np.clip(place, *limits))
+    for drive in model.transmission:  # whose actuators can only be held together
+        if not set(places).issuperset(drive.actuators):
+            places = {joint: at for joint, at in places.items() if joint not in drive.actuators}
     return {} if len(places) == len(model.joints) else places
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from geodrake import load_model
-from geodrake.diagnosis import explain
+from geodrake.diagnosis import add, explain
+from geodrake.errors import ArgumentError
 from geodrake.identification.logs.compare import compare
 from geodrake.identification.models import identify_model
 from geodrake.identification.models.results import IdentificationSettings
@@ -75,6 +76,18 @@ def test_identification_holds_the_same_joints(model):
     assert found.model.joints == found.prior.joints == ("joint_2", "joint_4")
     weighed = IdentificationSettings(gamma=100.0, total_mass=float(model.phi[:, 0].sum()))
     assert identify_model(model, [braked_log(1)], weighed).model.joints == model.joints
+
+
+@pytest.mark.parametrize(
+    ("effect", "place", "words"),
+    [
+        ("payload", "link_7", "link_7 is a part of link_4, as nothing moves between them"),
+        ("coulomb_friction", "joint_5", "joint_5 is held, .* hardly moves"),
+    ],
+)
+def test_nothing_is_added_where_nothing_moves(model, effect, place, words):
+    with pytest.raises(ArgumentError, match=words):
+        add(effect, model, [braked_log(3, seconds=20.0)], where=[place])
 
 
 def test_a_joint_at_rest_counts_by_what_gravity_holds(model):
