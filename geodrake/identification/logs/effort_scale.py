@@ -51,13 +51,13 @@ def effort_scale(
 
 def _at_rest(model: RobotModel, data: Sequence[JointData]) -> NDArray[np.bool_]:
     """(nv,) which joints of one degree of freedom hardly move."""
-    ends = np.full((2, len(data)), np.nan)
+    low, high = np.full((2, len(data)), np.nan)
     for joint in model.single_joints:
         j = model.joints.index(joint)
         own = [rows.motion[:, 0] for fold in data[j].rows for rows in fold if len(rows.motion)]
         if own:
-            ends[:, j] = min(q.min() for q in own), max(q.max() for q in own)
-    return resting(*ends, np.isin(model.joints, model.sliding_joints))
+            low[j], high[j] = min(q.min() for q in own), max(q.max() for q in own)
+    return resting(low, high, np.isin(model.joints, model.sliding_joints))
 
 
 def _load_by_gravity(
