@@ -43,7 +43,7 @@ def run_export(options: ExportOptions) -> None:
         model = read_model(options.model, options, update, extra)
         known, reading = model.known_joints, options.reading
         read_logs = [read_log(log, joints=known, partial=True, reading=reading) for log in logs]
-        model = model_of_logs(model, read_logs) if logs else model
+        model = model_of_logs(model, read_logs, hold_resting=False) if logs else model
         targets.check([*read, model.path])
         check_folder(model, form, folder, [*read, *targets.files.values()], force=options.force)
         update(f"Exporting to {form.name}")

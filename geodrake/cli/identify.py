@@ -20,6 +20,7 @@ from geodrake.identification.models import (
 )
 from geodrake.inertia import PARAMETER_NAMES
 from geodrake.model.export import check_export, export_model
+from geodrake.model.holding import why_no_place
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.json_output import bodies_dict, certificate_dict, number_or
 
@@ -39,6 +40,7 @@ def run_identify(options: IdentifyOptions) -> None:
         compare=options.compare,
         bandwidth=options.bandwidth,
         blocks=options.blocks,
+        hold_resting=options.holds_resting,
     )
 
     def identified(given: Input) -> ModelIdentification:
@@ -180,7 +182,7 @@ def _check_places(places: Sequence[str], model: RobotModel, *, on_bodies: bool) 
         if place not in known:
             raise ArgumentError(
                 f"There is no {'body' if on_bodies else 'joint'} {place!r}.",
-                advice=f"There are: {', '.join(known)}.",
+                advice=f"{why_no_place(model, place)}There are: {', '.join(known)}.",
             )
 
 

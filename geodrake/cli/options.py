@@ -148,6 +148,24 @@ class Options(ValidationOptions):
             "time, swapped joints. If absent, what is found is said first, and no more.",
         ),
     ] = False
+    no_auto_lock: Annotated[
+        bool,
+        typer.Option(
+            "--no-auto-lock",
+            help="Keep joints that hardly move. If absent, those that rest in all logs are held "
+            "where they rest, as --lock does.",
+        ),
+    ] = False
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """How logs are prepared, as keyword arguments."""
+        return {**super().settings, "hold_resting": self.holds_resting}
+
+    @property
+    def holds_resting(self) -> bool:
+        """Whether joints that hardly move are held."""
+        return not self.no_auto_lock
 
     @property
     def model_target(self) -> Path | None:
@@ -350,6 +368,11 @@ class IdentifyOptions(Options):
         Path | None,
         typer.Option(metavar="FILE.html", help="The same as a page to turn around in a browser."),
     ] = None
+
+    @property
+    def holds_resting(self) -> bool:
+        """Whether joints that hardly move are held: not beside a mass, which is of all bodies."""
+        return super().holds_resting and self.total_mass is None
 
 
 @dataclass(frozen=True, kw_only=True)

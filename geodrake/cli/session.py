@@ -40,7 +40,7 @@ from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
 from geodrake.logs.files import check_log, parts_of, read_log
 from geodrake.logs.motion import JointLog
-from geodrake.model.logged_joints import model_of_logs
+from geodrake.model.logged_joints import holding_resting, model_of_logs
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.json_output import to_json
 from geodrake.report.numbers import Units
@@ -181,11 +181,16 @@ def _read(
     update("Reading the logs")
     known, reading = model.known_joints, options.reading
     logs = [read_log(log, joints=known, partial=True, reading=reading) for log in options.logs]
-    model = model_of_logs(model, logs)
+    model = model_of_logs(model, logs, hold_resting=_holds_resting(options))
     command.check(model)
     carrying = with_known_payloads(options.logs, logs, options.known_payload or (), model)
     known_logs = with_facts(carrying, options.log_facts, reading)
     return Input(model, known_logs, extra, options.settings, update)
+
+
+def _holds_resting(options: LogOptions) -> bool:
+    """Return whether joints that hardly move are held: only where efforts are what counts."""
+    return bool(options.settings.get("hold_resting", False))
 
 
 def _with_columns(
@@ -195,11 +200,15 @@ def _with_columns(
     if not isinstance(options, Options):
         return given, None, False
     update("Checking the columns")
-    columns = found_columns(given.model, given.logs, given.settings)
+    asked = {key: given.settings[key] for key in ("bandwidth", "blocks")}
+    columns = found_columns(given.model, given.logs, asked)
     corrects = options.correct_columns and any(finding.is_correctable for finding in columns)
     if corrects:
         logs = tuple(corrected(log, columns) for log in given.logs)
-        given = replace(given, model=with_motor_limits(given.model, given.logs, columns), logs=logs)
+        model = with_motor_limits(given.model, given.logs, columns)
+        if _holds_resting(options):  # as is known of columns in rad alone
+            model = holding_resting(model, logs)
+        given = replace(given, model=model, logs=logs)
     return given, columns, corrects
 
 

@@ -230,7 +230,7 @@ def show_table(console: Console, table: Table) -> None:
             title = Text("\n").join(map(console.render_str, lines))
             grid.add_column(title, justify="right", no_wrap=True)
     for k, row in enumerate(table.rows):
-        if table.total and k == len(table.rows) - 1:
+        if table.total and k == len(table.rows) - table.total:
             grid.add_section()
         grid.add_row(*(_lines(console, cell) for cell in row))
     console.print(grid)

@@ -18,6 +18,7 @@ from geodrake.effects.user_code import candidates_of
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import Case, open_case
 from geodrake.logs.motion import JointLog
+from geodrake.model.holding import why_no_place
 from geodrake.model.robot_model import RobotModel
 
 
@@ -30,6 +31,7 @@ def add(
     extra: Sequence[type[Effect]] = (),
     bandwidth: float | None = None,
     blocks: int | None = None,
+    hold_resting: bool = True,
 ) -> Explanation:
     """Add an effect to a model and refit, whatever the evidence for it.
 
@@ -45,6 +47,8 @@ def add(
         bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
             or chosen from the data.
         blocks: Blocks into which every log is cut for validation.
+        hold_resting: Whether joints that hardly move in any log are held; see
+            `geodrake.model.logged_joints.holding_resting`.
 
     Returns:
         An explanation of one step, with held-out errors before and after.
@@ -58,7 +62,16 @@ def add(
     where = tuple(dict.fromkeys(instances(() if where is None else where, "where", str))) or None
     kind = effect_class(effect, extra)
     _refuse_what_cannot_be(kind, model, where)
-    case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
+    case = open_case(
+        model,
+        logs,
+        candidates=True,
+        extra=extra,
+        bandwidth=bandwidth,
+        blocks=blocks,
+        hold_resting=hold_resting,
+    )
+    _refuse_what_cannot_be(kind, case.model, where)
     found = with_forced(case, kind, _places(kind, case, where), _further(kind, case, where))
     findings = [finding for finding in findings_of(found) if finding.name == kind.name]
     result = explained(case, found, findings, forced=True).explanation
@@ -81,7 +94,7 @@ def _refuse_what_cannot_be(
         if name not in known:
             raise ArgumentError(
                 f"There is no joint {'' if late else 'or body '}{name!r}.",
-                advice=f"There are: {', '.join(known)}.",
+                advice=f"{why_no_place(model, name)}There are: {', '.join(known)}.",
             )
 
 

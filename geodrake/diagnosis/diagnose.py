@@ -37,6 +37,7 @@ def diagnose(
     extra: Sequence[type[Effect]] = (),
     bandwidth: float | None = None,
     blocks: int | None = None,
+    hold_resting: bool = True,
     beliefs: Beliefs | None = None,
 ) -> Diagnosis:
     """Rank the effects that a model may lack, each added alone.
@@ -50,6 +51,8 @@ def diagnose(
         bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
             or chosen from the data.
         blocks: Blocks into which every log is cut for validation.
+        hold_resting: Whether joints that hardly move in any log are held; see
+            `geodrake.model.logged_joints.holding_resting`.
         beliefs: Prior odds and widths.
 
     Returns:
@@ -62,7 +65,15 @@ def diagnose(
     """
     if beliefs is not None:
         instance(beliefs, "beliefs", Beliefs)
-    case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
+    case = open_case(
+        model,
+        logs,
+        candidates=True,
+        extra=extra,
+        bandwidth=bandwidth,
+        blocks=blocks,
+        hold_resting=hold_resting,
+    )
     found = searched(case, beliefs)
     start, stages = staged(found, findings_of(found))
     refitted, before = error_table(case.dataset, start.held_out), comparison(case)

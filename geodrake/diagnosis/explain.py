@@ -58,6 +58,7 @@ def explain(
     extra: Sequence[type[Effect]] = (),
     bandwidth: float | None = None,
     blocks: int | None = None,
+    hold_resting: bool = True,
     beliefs: Beliefs | None = None,
     progress: Progress | None = None,
 ) -> Explanation:
@@ -72,6 +73,8 @@ def explain(
         bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
             or chosen from the data.
         blocks: Blocks into which every log is cut for validation.
+        hold_resting: Whether joints that hardly move in any log are held; see
+            `geodrake.model.logged_joints.holding_resting`.
         beliefs: Prior odds and widths.
         progress: Called with each `FoundStep`. It may raise `StopSearch`, as a handler of signals
             may: the steps found by then are the result, which says so.
@@ -87,7 +90,15 @@ def explain(
         function(progress, "progress")
     if beliefs is not None:
         instance(beliefs, "beliefs", Beliefs)
-    case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
+    case = open_case(
+        model,
+        logs,
+        candidates=True,
+        extra=extra,
+        bandwidth=bandwidth,
+        blocks=blocks,
+        hold_resting=hold_resting,
+    )
     return investigate(case, beliefs=beliefs, progress=progress).explanation
 
 
@@ -210,4 +221,6 @@ def verdict_of(errors: ErrorTable, found: bool, *, left: float = np.inf) -> Verd
     near = errors.shows_noise and errors.nrms <= MOST_OF_REVERSALS * errors.floor_nrms
     if not (errors.is_noise or (near and left <= JOINT_NOISE_MARGIN)):
         return "unexplained"
+    if not errors.knows_noise:
+        return "undecided"
     return "explained" if found else "adequate"

@@ -12,7 +12,7 @@ from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Se
 from geodrake.identification.models.results import BodyChange
 from geodrake.model.robot_model import RobotModel
 
-Verdict = Literal["adequate", "explained", "unexplained"]
+Verdict = Literal["adequate", "explained", "unexplained", "undecided"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,8 @@ class Diagnosis(Shown):
 
     Attributes:
         verdict: "adequate" if nothing convinces and only noise is left, "unexplained" if nothing
-            convinces and more is left, "explained" if there is a candidate.
+            convinces and more is left, "undecided" if nothing convinces and noise is not known,
+            "explained" if there is a candidate.
         candidates: Convincing candidates, the chosen one first.
         start: The model as it stands.
         refitted: Held-out errors of the model with its parameters refitted within their prior.
@@ -152,7 +153,8 @@ class Explanation(Shown):
     """The loop of comparing, diagnosing and adding, to the floor or to where nothing helps.
 
     Attributes:
-        verdict: "adequate", "explained" or "unexplained".
+        verdict: "adequate" or "explained" if only noise is left, "unexplained" if more is, and
+            "undecided" if the noise is not known, or hides everything.
         steps: The effects added, in order.
         start: Errors of the model as it stands.
         refitted: Held-out errors with the parameters refitted within their prior, before any step.

@@ -147,7 +147,7 @@ def make_settings(
         ArgumentError: What is asked for cannot be.
     """
     wanted = wanted or Wanted()
-    own = model_of_logs(model, [log])
+    own = model_of_logs(model, [log], hold_resting=False)
     uniform = make_uniform(_in_efforts(log_of_model(log, own), own))
     fits = set(model.bandwidths.values())
     if wanted.bandwidth is not None:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from geodrake.errors import LogError
 from geodrake.logs.motion import JointLog
+from geodrake.logs.resting import travels
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -254,7 +255,7 @@ class _Sensor:
         share, speed, least = _MOVING
         here = self._velocity[run]
         moves = np.abs(here).mean() > max(share * self._peak_speed, speed)
-        return bool(moves and np.ptp(np.cumsum(here)) * self.period > least)
+        return bool(moves) and travels(here, self.period, least)
 
     @cached_property
     def _velocity(self) -> Array:

@@ -92,6 +92,21 @@ def held_notes(held: Mapping[str, float], why: str = "so that they do not move")
     return [f"Held, {why}: {words}."] if words else []
 
 
+def why_no_place(model: RobotModel, name: str) -> str:
+    """Return why a joint or link of the file is none of the model's, in a sentence before a space.
+
+    Args:
+        model: The model.
+        name: Name of a joint or link; nothing is returned for one that there is not at all.
+    """
+    if name in model.held:
+        return f"{name} is held, by --lock or as it hardly moves (--no-auto-lock keeps it). "
+    for body in lumped_bodies(model.plant):
+        if name in [member.name for member in body.members]:
+            return f"{name} is a part of {body.name}, as nothing moves between them. "
+    return ""
+
+
 def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
     for joint in held:
         if joint in model.held:

@@ -1,4 +1,4 @@
-"""Joints of a model and joints of logs: what was not logged is held."""
+"""Joints of a model and joints of logs: what was not logged is held, and what hardly moves."""
 
 from __future__ import annotations
 
@@ -10,13 +10,17 @@ import numpy as np
 from geodrake.boundary.arguments import instance, instances
 from geodrake.errors import LogError
 from geodrake.logs.motion import JointLog, match_joints
+from geodrake.logs.resting import logged_ranges, resting, travels
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
 
+_FAR = 0.05  # rad or m, that a joint which rests does not go by its velocities, less their mean
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 
 
-def model_of_logs(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
+def model_of_logs(
+    model: RobotModel, logs: Sequence[JointLog], *, hold_resting: bool = True
+) -> RobotModel:
     """The model with those joints held that no log says anything of; itself if there are none.
 
     They are held where they stand, if their positions were logged, and else where the model file
@@ -26,6 +30,7 @@ def model_of_logs(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
     Args:
         model: The model.
         logs: All logs, of joints of the model; see `read_log` with `partial`.
+        hold_resting: Whether joints that hardly move are held, too; see `holding_resting`.
 
     Raises:
         LogError: Such a joint does not stand in one place, or no joint is left.
@@ -34,10 +39,57 @@ def model_of_logs(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
     logs = instances(logs, "logs", JointLog)
     silent = [j for j in model.single_joints if not any(_says(log, j) for log in logs)]
     _check_sides(model, logs, silent)
-    if not silent or len(silent) == len(model.joints):
+    if len(silent) == len(model.joints):
         return model
-    places = {joint: _place(model, logs, joint) for joint in silent}
-    return holding(model, places, why="as no log has their efforts (--lock JOINT=VALUE says where)")
+    if silent:
+        places = {joint: _place(model, logs, joint) for joint in silent}
+        why = "as no log has their efforts (--lock JOINT=VALUE says where)"
+        model = holding(model, places, why=why)
+    return holding_resting(model, logs) if hold_resting else model
+
+
+def holding_resting(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
+    """Return the model with those joints held that hardly move; itself if there are none.
+
+    At rest dry friction may be anything up to breakaway, so that the effort of such a joint says
+    nothing that a model could be held to. Samples at which a joint that moves stands still are left
+    out for the same reason. A joint is held if it rests in all logs, at one place; a model that was
+    fitted to one of the logs keeps the joints that it was fitted with.
+
+    Args:
+        model: The model.
+        logs: All logs, of joints of the model.
+    """
+    places, known = _resting_places(model, logs), model.fitted_to
+    if not places or (known and any(log_of_model(log, model).fingerprint in known for log in logs)):
+        return model
+    return holding(
+        model,
+        places,
+        why="in a model that is saved too, as they hardly move in any log and dry friction at rest "
+        "may be anything (--no-auto-lock keeps them, hold_resting=False in Python)",
+    )
+
+
+def _resting_places(model: RobotModel, logs: Sequence[JointLog]) -> dict[str, float]:
+    """Joint -> where it rests in all logs; empty where no joint would be left that moves."""
+    joints = [j for j in model.single_joints if all(j in log.joints for log in logs)]
+    if not logs or not joints:
+        return {}
+    low, high, noise = logged_ranges([log.select(joints).position for log in logs])
+    sliding = np.isin(joints, model.sliding_joints)
+    places = {}
+    for joint, rests in zip(joints, resting(low, high, sliding, noise).tolist(), strict=True):
+        if not rests or any(_travels(log, joint) for log in logs):
+            continue
+        positions = [log.position[:, log.joints.index(joint)] for log in logs]
+        place, limits = float(np.mean([*map(np.nanmean, positions)])), model.limits_of(joint)
+        if limits[0] - _STILL <= place <= limits[1] + _STILL:
+            places[joint] = float(np.clip(place, *limits))
+    for drive in model.transmission:  # whose actuators can only be held together
+        if not set(places).issuperset(drive.actuators):
+            places = {joint: at for joint, at in places.items() if joint not in drive.actuators}
+    return {} if len(places) == len(model.joints) else places
 
 
 def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
@@ -76,6 +128,16 @@ def _with_followers(log: JointLog, model: RobotModel) -> JointLog:
             efforts[:, own] += ratio * np.nan_to_num(log.effort[:, at])
             notes.append(f"the effort of {joint} is added to that of {leader}, which it follows")
     return log if efforts is log.effort else replace(log, effort=efforts, notes=tuple(notes))
+
+
+def _travels(log: JointLog, joint: str) -> bool:
+    """Return whether velocities say that a joint moves, whose position may be stuck."""
+    if log.velocity is None or len(log) < 2:
+        return False
+    velocity = log.velocity[:, log.joints.index(joint)]
+    velocity = velocity[np.isfinite(velocity)]
+    period = float(np.nanmedian(np.diff(log.time)))
+    return len(velocity) > 1 and travels(velocity - velocity.mean(), period, _FAR)
 
 
 def _check_sides(model: RobotModel, logs: Sequence[JointLog], silent: Sequence[str]) -> None:

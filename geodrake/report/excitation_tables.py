@@ -95,7 +95,7 @@ def identifiable_bodies_table(found: LogIdentifiability) -> Table:
         f"{sum(getattr(b, name) for b in found.bodies):.1f}" for name in ("count", "possible")
     ]
     head = ("body", "identifiable", "of", "share")
-    return Table(head, (*rows, cells("all bodies", *counts, "")), total=True)
+    return Table(head, (*rows, cells("all bodies", *counts, "")), total=1)
 
 
 def identifiable_effects_table(found: LogIdentifiability, units: Units) -> Table:

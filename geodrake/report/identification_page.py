@@ -17,8 +17,8 @@ from geodrake.report.identification_tables import (
     identification_verdict,
     regularizers_table,
 )
-from geodrake.report.numbers import Units, number
-from geodrake.report.page import Page, Section, Tile, render, without_empty
+from geodrake.report.numbers import Units
+from geodrake.report.page import Page, Section, render, without_empty
 from geodrake.report.report import footer, subject, with_bars
 
 IDENTIFIED = Stage("after", "identified", "after")
@@ -48,8 +48,8 @@ def render_identification(
     verdict = identification_verdict(found)
     before, after = found.before, found.after
     tiles = (
-        Tile("as it stands", number(before.nrms), "nrms: error over std of the effort"),
-        Tile("identified", number(after.nrms), "nrms on held-out data"),
+        sections.error_tile("as it stands", before, units),
+        sections.error_tile("identified", after, units, "held-out data"),
         sections.worst_tile(before, after),
         sections.noise_tile(after),
         *sections.removable_tiles(after, "of the squared error left"),

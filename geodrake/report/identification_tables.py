@@ -38,7 +38,7 @@ def bodies_table(bodies: Sequence[BodyChange]) -> Table:
     ]
     masses = [number(sum(body.mass[k] for body in bodies)) for k in (0, 1)]
     head = ("body", "mass", "identified", "centre of mass", "identified", "")
-    return Table(head, (*rows, cells("total", *masses, "", "", "")), total=True)
+    return Table(head, (*rows, cells("total", *masses, "", "", "")), total=1)
 
 
 def fitted_effects_table(found: ModelIdentification, units: Units) -> Table:

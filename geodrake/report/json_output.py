@@ -49,8 +49,8 @@ def comparison_dict(comparison: Comparison) -> dict[str, Any]:
         comparison: The result of `geodrake.identification.logs.compare.compare`.
 
     Returns:
-        `error` (nrms, floor_nrms, pooled_rms), `joints` by name (rms, std, nrms, floor in N·m or
-        N, removable, which is null without noise), `failing` and `notes`.
+        `error` (nrms, floor_nrms, pooled_rms, noise_is_known), `joints` by name (rms, std, nrms,
+        floor in N·m or N, removable, which is null without noise), `failing` and `notes`.
     """
     errors = comparison.errors
     return {
@@ -58,6 +58,7 @@ def comparison_dict(comparison: Comparison) -> dict[str, Any]:
             "nrms": errors.nrms,
             "floor_nrms": errors.floor_nrms,
             "pooled_rms": errors.pooled_rms,
+            "noise_is_known": errors.knows_noise,
         },
         "joints": {
             joint.joint: {
@@ -305,6 +306,7 @@ def _errors(**tables: ErrorTable) -> dict[str, Any]:
         "floor": {joint.joint: joint.floor for joint in last.joints},
         **{f"{name}_nrms": table.nrms for name, table in tables.items()},
         "floor_nrms": last.floor_nrms,
+        "noise_is_known": last.knows_noise,
         "pooled_rms": {name: table.pooled_rms for name, table in tables.items()},
     }
 

@@ -114,7 +114,7 @@ class Page:
     Attributes:
         title: Title of the page.
         subject: What was compared with what.
-        verdict: "adequate", "explained", "unexplained", "compared" or
+        verdict: "adequate", "explained", "unexplained", "undecided", "compared" or
             "identified"; decides the colour.
         mark: The verdict in words.
         headline: The answer, in a sentence.

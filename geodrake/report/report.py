@@ -44,7 +44,7 @@ def render_comparison(
     units = units or Units()
     errors = comparison.errors
     tiles = (
-        Tile("error", number(errors.nrms), "nrms: error over std of the effort"),
+        sections.error_tile("error", errors, units),
         sections.worst_tile(errors),
         sections.noise_tile(errors),
         *sections.removable_tiles(errors, "of the squared error"),
@@ -96,9 +96,13 @@ def render_diagnosis(
     start, comparison = diagnosis.start, diagnosis.comparison
     best = diagnosis.candidates[0].error_after if diagnosis.candidates else diagnosis.refitted.nrms
     tiles = (
-        Tile("as it stands", number(start.nrms), "nrms: error over std of the effort"),
-        Tile("refitted", number(diagnosis.refitted.nrms), "its own parameters, held-out data"),
-        *([Tile("with the effect", number(best), "held-out data")] if diagnosis.candidates else []),
+        sections.error_tile("as it stands", start, units),
+        sections.error_tile("refitted", diagnosis.refitted, units, "held-out data"),
+        *(
+            [Tile("with the effect", number(best), "nrms: held-out data")]
+            if diagnosis.candidates
+            else []
+        ),
         sections.worst_tile(start),
         sections.noise_tile(start),
     )
@@ -182,7 +186,7 @@ def render_explanation(
         words.explanation_mark(explanation),
         words.explanation_headline(explanation),
         (*words.explanation_lead(explanation), *advice),
-        _explanation_tiles(explanation),
+        _explanation_tiles(explanation, units),
         without_empty(parts),
         footer(explanation.before),
         links or {},
@@ -190,13 +194,13 @@ def render_explanation(
     return render(page)
 
 
-def _explanation_tiles(explanation: Explanation) -> tuple[Tile, ...]:
+def _explanation_tiles(explanation: Explanation, units: Units) -> tuple[Tile, ...]:
     start, end = explanation.start, explanation.end
     gone = words.explained_share(start.nrms, end.nrms)
-    now = Tile("now", number(end.nrms), "nrms on held-out data")
+    now = sections.error_tile("now", end, units, "held-out data")
     explained = Tile("explained", percent(gone) if gone > 0 else "none", "of the squared error")
     return (
-        Tile("as it stands", number(start.nrms), "nrms: error over std of the effort"),
+        sections.error_tile("as it stands", start, units),
         *([now] if explanation.steps else []),
         sections.worst_tile(start, end if explanation.steps else None),
         sections.noise_tile(end),

@@ -27,6 +27,22 @@ from geodrake.report.words import failing_list, removable_share, rivals, worst_j
 NOTHING_FOUND = "No effect takes away enough of the error on held-out data to be believed."
 
 
+def error_tile(title: str, errors: ErrorTable, units: Units, where: str = "all joints") -> Tile:
+    """Return how large an error is, in N·m first; only its nrms where units are mixed.
+
+    Args:
+        title: What stands above it.
+        errors: Errors of a model.
+        units: Units of the joints.
+        where: What the error is of, in words.
+    """
+    unit = units.effort([joint.joint for joint in errors.joints])
+    if " or " in unit:
+        return Tile(title, number(errors.nrms), f"nrms: error over std of the effort, {where}")
+    nrms = number(errors.nrms)
+    return Tile(title, f"{number(errors.pooled_rms)} {unit}", f"RMS, nrms {nrms}: {where}")
+
+
 def noise_tile(errors: ErrorTable) -> Tile:
     """Return what sensor noise alone would make, if the logs show any.
 

@@ -61,14 +61,14 @@ class Table:
         rows: The rows, as long as the head.
         words: How many columns from the left hold words; the others hold numbers.
         title: What stands above it.
-        total: Whether the last row sums the others up.
+        total: How many of the last rows sum the others up.
     """
 
     head: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     words: int = 1
     title: str = ""
-    total: bool = False
+    total: int = 0
 
 
 def cells(*texts: str | Cell) -> tuple[Cell, ...]:
@@ -79,7 +79,8 @@ def cells(*texts: str | Cell) -> tuple[Cell, ...]:
 def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
     """Errors of every joint, the noise floor, and the share that is removable in the end.
 
-    Where the logs show no noise, the last two are unknown.
+    Errors in N·m or N come first, and what they are of the effort's deviation after them. Where the
+    logs show no noise, it and what is removable are unknown.
 
     Args:
         stages: Title -> errors of a model, from the first to the last.
@@ -90,24 +91,31 @@ def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
     rows = [
         cells(
             f"{after.joint}, {units.effort([after.joint])}" if mixed else after.joint,
-            number(after.std),
             *(number(errors.joints[j].rms) for errors in stages.values()),
             number(after.floor) if after.shows_noise else UNKNOWN,
+            number(after.std),
             number(after.nrms),
             _share(after.removable),
         )
         for j, after in enumerate(last.joints)
     ]
-    total = cells(
+    pooled = cells(
+        "RMS of all joints",
+        *(number(errors.pooled_rms) for errors in stages.values()),
+        number(last.pooled_floor) if last.shows_noise else UNKNOWN,
+        *[""] * 3,
+    )
+    relative = cells(
         "nrms of all joints",
-        "",
         *(number(errors.nrms) for errors in stages.values()),
         number(last.floor_nrms) if last.shows_noise else UNKNOWN,
+        "",
         number(last.nrms),
         _share(removable_share(last)),
     )
-    head = ("joint", "std", *stages, "noise", "nrms", "removable")
-    return Table(head, (*rows, total), total=True)
+    totals = (relative,) if mixed else (pooled, relative)
+    head = ("joint", *stages, "noise", "std", "nrms", "removable")
+    return Table(head, (*rows, *totals), total=len(totals))
 
 
 def error_stages(explanation: Explanation) -> dict[str, ErrorTable]:
@@ -389,7 +397,7 @@ def rollout_fit_table(found: RolloutFit, units: Units) -> Table:
     ]
     total = cells("of all joints", *[""] * 4, *(departure(stage.relative) for stage in stages[2:]))
     head = ("joint", "fitted before", "after", "held out before", "after", "of motion", "after")
-    return Table(head, (*rows, total), total=True)
+    return Table(head, (*rows, total), total=1)
 
 
 def _share(share: float) -> Cell:

@@ -27,6 +27,7 @@ _LIKELY = 0.01  # probability from which on a rival is named
 _NEARLY_ALL = 0.9995
 _NOTABLE = 0.05  # share of what is left at a joint that goes with the motion
 _MOST_PLACES = 3
+_NOT_TOLD = "Nothing worth adding was found; whether more is missing, the logs cannot tell."
 _PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "com": "CoM"}
 
 
@@ -216,6 +217,8 @@ def explanation_verdict(explanation: Explanation, units: Units) -> str:
     end, steps = explanation.end, explanation.steps
     if explanation.verdict == "adequate":
         return f"Adequate: no effect is worth adding; {_noise_alone(end)}."
+    if explanation.verdict == "undecided" and not steps:
+        return f"Undecided: no effect is worth adding, but {_noise_alone(end)}."
     found = "no effect that geodrake knows takes the error down"
     if len(steps) == 1:
         found = finding(steps[0], units)
@@ -226,6 +229,8 @@ def explanation_verdict(explanation: Explanation, units: Units) -> str:
         )
     if explanation.verdict == "explained":
         return f"Explained: {found}; {_noise_alone(end)}."
+    if explanation.verdict == "undecided":
+        return f"Undecided: {found}, but {_noise_alone(end)}."
     rest = f"An error is left that nothing explains: {_against_noise(end)}."
     head = "Explained in part" if steps else "Unexplained"
     return f"{head}: {found}. {rest}{_worst(explanation)}{_of_motion(explanation)}"
@@ -266,6 +271,8 @@ def diagnosis_verdict(diagnosis: Diagnosis, units: Units) -> str:
     if not diagnosis.candidates:
         if diagnosis.verdict == "adequate":
             return f"Adequate: nothing is missing; {_noise_alone(left)}."
+        if diagnosis.verdict == "undecided":
+            return f"Undecided: no effect is worth adding, but {_noise_alone(left)}."
         return (
             "Unexplained: no effect that geodrake knows takes the error down: "
             f"{_against_noise(left)}."
@@ -284,6 +291,8 @@ def comparison_verdict(comparison: Comparison) -> str:
     errors = comparison.errors
     if not errors.shows_noise:
         return f"{_against_noise(errors)}."
+    if errors.is_noise and not errors.knows_noise:
+        return f"{_against_noise(errors)}, but {_noise_alone(errors)}."
     return (
         f"{_against_noise(errors)}; a better model could remove "
         f"{percent(removable_share(errors))} of the squared error."
@@ -359,6 +368,8 @@ def explanation_headline(explanation: Explanation) -> str:
     """Return the answer of an explanation in a sentence."""
     if explanation.verdict == "adequate":
         return "The model is adequate: nothing worth adding is missing."
+    if not explanation.steps and explanation.verdict == "undecided":
+        return _NOT_TOLD
     if not explanation.steps:
         return "An error is left that no known effect explains."
     joints = [joint.joint for joint in explanation.start.joints]
@@ -393,6 +404,8 @@ def diagnosis_headline(diagnosis: Diagnosis) -> str:
         return f"Missing: {effect_label(best.effect)} ({where})."
     if diagnosis.verdict == "adequate":
         return "The model is adequate: nothing worth adding is missing."
+    if diagnosis.verdict == "undecided":
+        return _NOT_TOLD
     return "An error is left that no known effect explains."
 
 
@@ -402,6 +415,8 @@ def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
     if not diagnosis.candidates:
         if diagnosis.verdict == "adequate":
             return first, f"What is left is sensor noise.{_noise_level(diagnosis.refitted)}"
+        if diagnosis.verdict == "undecided":
+            return first, f"{_capitalized(_noise_alone(diagnosis.refitted))}."
         return first, _noise(diagnosis.refitted)
     best, *others = diagnosis.candidates
     gone = explained_share(best.error_before, best.error_after)
@@ -519,10 +534,26 @@ def _against_noise(errors: ErrorTable) -> str:
 
 
 def _noise_alone(errors: ErrorTable) -> str:
-    """That an error is no larger than the noise floor, or hardly."""
+    """That an error is no larger than the noise floor, or hardly, or that this cannot be told."""
+    if errors.is_mostly_noise:
+        return (
+            f"noise is as large as what the model explains (its nrms is "
+            f"{number(errors.floor_nrms)}), so that nothing can be told"
+        )
+    if not errors.knows_noise:
+        joints = listed([joint.joint for joint in errors.joints if not joint.knows_noise])
+        return (
+            f"the noise of {joints} is not known apart from what the model leaves (nrms "
+            f"{number(errors.nrms)}), so that more may be missing: efforts were filtered before, "
+            "or their noise is not white"
+        )
     return (
         f"what is left, nrms {number(errors.nrms)}, is sensor noise ({number(errors.floor_nrms)})"
     )
+
+
+def _capitalized(words: str) -> str:
+    return words[:1].upper() + words[1:]
 
 
 def _worst(explanation: Explanation) -> str:
@@ -548,6 +579,8 @@ def _rest(explanation: Explanation) -> str:
     """Return what is left at the end of an explanation."""
     if explanation.verdict == "adequate":
         return f"What is left is sensor noise.{_noise_level(explanation.end)}"
+    if explanation.verdict == "undecided":
+        return f"{_capitalized(_noise_alone(explanation.end))}."
     if explanation.verdict == "explained":
         return f"With that, only sensor noise is left.{_noise_level(explanation.end)}"
     left = "An error above the noise is left. " if explanation.steps else ""

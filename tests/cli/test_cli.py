@@ -260,3 +260,24 @@ def test_demo_explains_the_log_that_ships(tmp_path, monkeypatch):
     assert len(page) < 500_000
     assert all(f'data-stage="{key}"' in page for key in ("before", "step1", "step2", "after"))
     assert "Where it failed as it stood" in result.output
+
+
+def test_a_joint_at_rest_is_held_unless_it_is_to_be_kept(tmp_path):
+    """The shoulder's brake holds more than gravity asks; its encoder flickers."""
+    rng, time = np.random.default_rng(3), np.arange(0.0, 20.0, 0.01)
+    model = load_model(MODEL)
+    q = np.stack([np.full_like(time, 0.4), np.sin(2.0 * time) + 0.4 * np.sin(5.3 * time)], 1)
+    v, vd = (np.gradient(q, time, axis=0), np.gradient(np.gradient(q, time, axis=0), time, axis=0))
+    effort = model.effort(Motion(q, v, vd)) + [0.7, 0.0] + 0.02 * rng.normal(size=q.shape)
+    q[:, 0] += 1e-3 * rng.integers(0, 2, len(time))
+    write_log(JointLog("log", model.joints, time, q, effort), tmp_path / "log.csv")
+    found = {}
+    for option in ([], ["--no-auto-lock"]):
+        target = tmp_path / "found.json"
+        done = geodrake_command("compare", MODEL, tmp_path / "log.csv", "--json", target, *option)
+        assert done.exit_code == 0, done.output
+        found[bool(option)] = json.loads(target.read_text())
+    assert set(found[False]["joints"]) == {"elbow"} and set(found[True]["joints"]) == set(COULOMB)
+    (note,) = (note for note in found[False]["notes"] if "--no-auto-lock" in note)
+    assert "shoulder at 0.4" in note
+    assert found[False]["error"]["nrms"] < 0.1 < found[True]["error"]["nrms"]

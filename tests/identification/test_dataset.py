@@ -27,7 +27,7 @@ from geodrake.identification.logs.coherent_bandwidth import (
     prepare_for_model,
 )
 from geodrake.identification.logs.log_slices import INERTIA, Layout, LogSlice
-from geodrake.identification.logs.noise import filtered_below, noise_floor
+from geodrake.identification.logs.noise import filtered_below, known_noise, noise_floor
 from geodrake.identification.logs.reduce import peak_speeds, reduce_logs
 from geodrake.identification.logs.shared_rows import SharedRows
 from geodrake.logs.folds import validation_blocks
@@ -517,3 +517,18 @@ class TestSharedRows:
             shared.keep(key, {0: np.ones((1, 3))}, signals=True)
         shared.keep("c", {0: np.ones((1, 7))})
         assert [shared.get(key) is not None for key in "abc"] == [True, False, True]
+
+
+def test_noise_is_not_known_from_a_model_that_leaves_less(model):
+    """Ripple above the motion says nothing of noise in it, nor do efforts that were filtered."""
+    log, rng = pendulum_log(14), np.random.default_rng(0)
+    fast = butter(6, 7.0, fs=200.0, output="sos", btype="highpass")
+    ripple = 20.0 * NOISE * sosfiltfilt(fast, rng.normal(size=log.effort.shape), axis=0)
+    slow = butter(8, 10.0, fs=200.0, output="sos")
+    for each, known in (
+        (log, True),
+        (replace(log, effort=log.effort + ripple), False),
+        (replace(log, effort=sosfiltfilt(slow, log.effort, axis=0)), False),
+    ):
+        _, found = known_noise(prepare_logs([each], bandwidth=5.0), model, fitted=True)
+        assert found.tolist() == [known, known]

@@ -177,6 +177,9 @@ def test_what_is_held_is_not_held_again():
         holding(load_model(MODELS / "double_pendulum.urdf", lock={"elbow": 0.5}), {"elbow": 0.0})
 
 
+SWAY = np.sin(np.arange(200))  # an effort that changes at rest
+
+
 def log_of(joints, *, name="log", standing=None, **columns):
     time = np.arange(0.0, 2.0, 0.01)
     moving = np.sin(np.outer(time, 1.0 + np.arange(len(joints))))
@@ -202,6 +205,40 @@ def test_joints_without_data_are_held_where_they_stand_or_by_default(tmp_path):
     # Zero is no place for a joint whose limits leave it out.
     without = model_of_logs(model, [log_of([j for j in model.joints if j != "panda_joint4"])])
     assert without.held["panda_joint4"] == pytest.approx(model.limits_of("panda_joint4")[1])
+
+
+def test_joints_that_hardly_move_in_any_log_are_held_at_their_mean():
+    model = load_model(MODELS / "arm7.urdf")
+    rng = np.random.default_rng(0)
+    noisy = 0.3 + 1e-4 * rng.normal(size=200)
+    log = log_of(model.joints, joint_1=(noisy, rng.normal(size=200)), joint_5=(-0.8, SWAY))
+    held = model_of_logs(model, [log])
+    assert held.held == pytest.approx({"joint_1": 0.3, "joint_5": -0.8}, abs=1e-4)
+    assert held.joints == log_of_model(log, held).joints
+    (note,) = (note for note in held.notes if "--no-auto-lock" in note)
+    assert "joint_1 at 0.3" in note and "joint_5 at -0.8" in note
+    assert model_of_logs(model, [log], hold_resting=False) is model
+    # Joints that move in another log, or rest elsewhere there, are joints.
+    moves = log_of(model.joints, name="b", joint_5=(-0.6, SWAY))
+    assert model_of_logs(model, [log, moves]) is model
+    # A model keeps the joints that it was fitted with.
+    fitted = replace(model, fitted_to=(log.fingerprint,))
+    assert model_of_logs(fitted, [log]) is fitted
+
+
+def test_a_position_that_is_stuck_while_the_joint_moves_is_no_rest():
+    model = load_model(MODELS / "arm7.urdf")
+    log = log_of(model.joints, joint_5=(-0.8, SWAY))
+    noise = 0.1 * np.random.default_rng(0).normal(size=log.position.shape)
+    assert model_of_logs(model, [replace(log, velocity=noise)]).held == {"joint_5": -0.8}
+    moving = noise + np.sin(log.time)[:, None]
+    assert model_of_logs(model, [replace(log, velocity=moving)]) is model
+
+
+def test_a_joint_that_rests_beyond_its_limits_is_not_moved_back():
+    model = load_model(MODELS / "arm7.urdf")
+    far = model.limits_of("joint_6")[1] + 0.5
+    assert model_of_logs(model, [log_of(model.joints, joint_6=(far, SWAY))]) is model
 
 
 def test_logs_that_disagree_or_move_are_refused(tmp_path):

@@ -403,7 +403,7 @@ def test_where_no_noise_is_seen_nothing_is_called_removable():
     assert "not seen" in html
     assert "100\N{NO-BREAK SPACE}%" not in html
     assert "could remove" not in html + comparison_verdict(found)
-    *_, noise, nrms, removable = errors_table({"RMS": found.errors}, Units()).rows[0]
+    *_, noise, _, nrms, removable = errors_table({"RMS": found.errors}, Units()).rows[0]
     assert (noise.text, removable) == ("–", Cell("–"))
     assert nrms.text != "–"
     written = comparison_dict(found)

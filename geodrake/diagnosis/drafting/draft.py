@@ -38,6 +38,7 @@ def draft_effects(
     extra: Sequence[type[Effect]] = (),
     bandwidth: float | None = None,
     blocks: int | None = None,
+    hold_resting: bool = True,
     beliefs: Beliefs | None = None,
     progress: Progress | None = None,
 ) -> tuple[Explanation, Draft]:
@@ -55,6 +56,8 @@ def draft_effects(
         bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
             or chosen from the data.
         blocks: Blocks into which every log is cut for validation.
+        hold_resting: Whether joints that hardly move in any log are held; see
+            `geodrake.model.logged_joints.holding_resting`.
         beliefs: Prior odds and widths of effects.
         progress: Called with each `FoundStep`, and with each formula.
 
@@ -68,9 +71,17 @@ def draft_effects(
         function(progress, "progress")
     if beliefs is not None:
         instance(beliefs, "beliefs", Beliefs)
-    case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
+    case = open_case(
+        model,
+        logs,
+        candidates=True,
+        extra=extra,
+        bandwidth=bandwidth,
+        blocks=blocks,
+        hold_resting=hold_resting,
+    )
     found = investigate(case, beliefs=beliefs, progress=progress)
-    return found.explanation, draft_rest(found, fixed=effects_of(model), progress=progress)
+    return found.explanation, draft_rest(found, fixed=effects_of(case.model), progress=progress)
 
 
 @typed

@@ -37,7 +37,7 @@ from geodrake.logs.smoothing import Segment
 from geodrake.logs.uniform_log import make_uniform
 from geodrake.logs.unit_hints import effort_unit_hint, position_unit_hint
 from geodrake.model.carried_payloads import joints_with_known_gain, payload_notes
-from geodrake.model.logged_joints import log_of_model
+from geodrake.model.logged_joints import holding_resting, log_of_model
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -133,7 +133,7 @@ def open_case(
     bandwidth: float | None = None,
     blocks: int | None = None,
     motion_bandwidth: float | None = None,
-    how: str = "as asked for",
+    hold_resting: bool = False,
 ) -> Case:
     """Prepare and reduce logs for a model.
 
@@ -147,7 +147,8 @@ def open_case(
         blocks: Blocks into which every log is cut for validation; by default whole logs if there
             are four or more, and about eight blocks otherwise.
         motion_bandwidth: As in `prepare_logs`, for a given bandwidth.
-        how: Where a given bandwidth comes from, for the notes.
+        hold_resting: Whether joints that hardly move in any log are held; see
+            `holding_resting`.
 
     Raises:
         ArgumentError: A log has a known payload of a body that there is not.
@@ -156,7 +157,10 @@ def open_case(
     """
     asked = checked_logs(model, logs, extra, bandwidth, blocks)
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
-    model, matched, gain_notes = with_efforts(model, _matched(model, asked))
+    matched = _matched(model, asked)
+    if hold_resting and (held := holding_resting(model, matched)) is not model:
+        model, matched = held, [log_of_model(log, held) for log in matched]
+    model, matched, gain_notes = with_efforts(model, matched)
     _check_efforts(matched)
     uniform = [make_uniform(log) for log in matched]
     hints = [hint for each in uniform for hint in _hints(each.log, model.effort_limits)]
@@ -173,7 +177,7 @@ def open_case(
             hints += [changed] if changed else []
         else:
             trajectories = prepare_logs(
-                uniform, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth, how=how
+                uniform, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth
             )
         folds = validation_blocks(trajectories, blocks=blocks)
     effects = effects_of(model)
@@ -273,7 +277,7 @@ def reduced(
         case.folds,
         effects=effects,
         delays=[*case.dataset.delays] if delays is None else delays,
-        floor=case.dataset.noise_floor if delays is None else None,
+        noise=(case.dataset.noise_floor, case.dataset.noise_known) if delays is None else None,
         shared=case.shared,
     )
 
@@ -285,12 +289,9 @@ def error_table(dataset: Dataset, held_out: HeldOut) -> ErrorTable:
         dataset: The reduced logs.
         held_out: Held-out errors on them.
     """
-    columns = (dataset.joints, held_out.rms, dataset.effort_std, dataset.noise_floor)
-    return ErrorTable(
-        tuple(
-            JointError(j, float(r), float(s), float(f)) for j, r, s, f in zip(*columns, strict=True)
-        )
-    )
+    known = np.broadcast_to(dataset.noise_known, len(dataset.joints))
+    columns = (held_out.rms, dataset.effort_std, dataset.noise_floor, known)
+    return ErrorTable(tuple(map(JointError, dataset.joints, *(c.tolist() for c in columns))))
 
 
 def series(

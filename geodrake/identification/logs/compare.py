@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geodrake.identification.logs.case import Case, error_table, open_case, series
 from geodrake.identification.logs.cross_validation import HeldOut
-from geodrake.identification.logs.model_errors import Comparison, Failing, Series
+from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing, Series
 from geodrake.identification.logs.model_fit import as_it_stands, model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.logs.motion import JointLog
@@ -30,6 +30,7 @@ def compare(
     *,
     bandwidth: float | None = None,
     blocks: int | None = None,
+    hold_resting: bool = True,
 ) -> Comparison:
     """Compare a model as it stands with measurements that it was not fitted to.
 
@@ -39,11 +40,20 @@ def compare(
         bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
             or chosen from the data.
         blocks: Blocks into which every log is cut.
+        hold_resting: Whether joints that hardly move in any log are held; see
+            `geodrake.model.logged_joints.holding_resting`.
 
     Returns:
         Errors per joint, where they are concentrated, and the series behind them.
     """
-    case = open_case(model, logs, candidates=False, bandwidth=bandwidth, blocks=blocks)
+    case = open_case(
+        model,
+        logs,
+        candidates=False,
+        bandwidth=bandwidth,
+        blocks=blocks,
+        hold_resting=hold_resting,
+    )
     return comparison(case)
 
 
@@ -60,38 +70,40 @@ def comparison(
     dataset = case.dataset
     if unknowns is None or held_out is None:
         unknowns, held_out = model_unknowns(dataset, case.model), as_it_stands(dataset, case.model)
-    found = series(dataset, unknowns, held_out)
+    found, errors = series(dataset, unknowns, held_out), error_table(dataset, held_out)
     return Comparison(
-        error_table(dataset, held_out),
-        where_it_fails(found, sliding=case.model.sliding_joints),
+        errors,
+        where_it_fails(found, errors, sliding=case.model.sliding_joints),
         found,
         case.notes,
     )
 
 
 def where_it_fails(
-    found: Sequence[Series], *, sliding: Collection[str] = (), most: int = 6
+    found: Sequence[Series],
+    errors: ErrorTable,
+    *,
+    sliding: Collection[str] = (),
+    most: int = 6,
 ) -> tuple[Failing, ...]:
     """Circumstances in which errors are concentrated, the worst of each joint first.
 
     Args:
         found: Measured and predicted efforts.
+        errors: Errors of the joints, which come in the order of their nrms.
         sliding: Names of prismatic joints, whose units are m and N.
         most: Largest number of circumstances to return.
     """
     worst = []
-    for joint in dict.fromkeys(s.joint for s in found):
-        own = [s for s in found if s.joint == joint]
+    for error in errors.joints:
+        joint, own = error.joint, [s for s in found if s.joint == error.joint]
         squares = np.concatenate([s.residual for s in own]) ** 2
         way, effort = ("m", "N") if joint in sliding else ("rad", "N·m")
         circumstances = _circumstances(own, way, effort)
         cases = [_failing(joint, words, mask, squares, effort) for words, mask in circumstances]
         notable = [c for c in cases if c is not None and c.rms > _NOTABLE * c.elsewhere]
         if notable:
-            weight = float(
-                np.sqrt(squares.mean()) / np.std(np.concatenate([s.measured for s in own]))
-            )
-            worst.append((weight, max(notable, key=lambda c: c.share - c.time)))
+            worst.append((error.nrms, max(notable, key=lambda c: c.share - c.time)))
     worst.sort(key=lambda entry: -entry[0])
     return tuple(case for _, case in worst[:most])
 

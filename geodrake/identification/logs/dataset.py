@@ -164,13 +164,15 @@ class Dataset(Short):
         folds: Names of the validation folds.
         logs: Names of the logs.
         data: One entry per joint.
-        effort_std: (nv,) standard deviation of the measured effort, N·m or N.
+        effort_std: (nv,) standard deviation of the measured effort, N·m or N; of a joint at rest
+            what else its effort could show, as in `effort_scale`.
         noise_floor: (nv,) estimated RMS of the sensor noise after filtering, N·m or N.
         bandwidth: Bandwidth of the filter, Hz.
         still: (nv,) share of the samples left out because the joint stands still.
         payload: (10,) a body in the middle of what the robot may carry.
         gain_uncertainty: (nv,) how well the gains of the efforts are known; 0 where known payloads
             say them.
+        noise_known: (nv,) whether the noise floor is known whatever a model leaves.
     """
 
     joints: tuple[str, ...]
@@ -186,6 +188,7 @@ class Dataset(Short):
     still: Array
     payload: Array
     gain_uncertainty: Array
+    noise_known: NDArray[np.bool_] | bool = True
 
     @cached_property
     def starts(self) -> Mapping[Effect, int]:

@@ -21,14 +21,17 @@ class JointError:
     Attributes:
         joint: Name of the joint.
         rms: RMS of measured − predicted effort, N·m or N.
-        std: Standard deviation of the measured effort, N·m or N.
+        std: Standard deviation of the measured effort, N·m or N; of a joint at rest the effort that
+            it holds, or that gravity could ask of it.
         floor: Estimated RMS of the sensor noise, N·m or N.
+        knows_noise: Whether that is known whatever a model leaves.
     """
 
     joint: str
     rms: float
     std: float
     floor: float
+    knows_noise: bool = True
 
     @property
     def nrms(self) -> float:
@@ -65,7 +68,7 @@ class ErrorTable(Short):
 
     @property
     def nrms(self) -> float:
-        """Root mean square over joints of rms / std."""
+        """Root mean square over joints of rms / std: joints count by what they could show."""
         return float(np.sqrt(np.mean([joint.nrms**2 for joint in self.joints])))
 
     @property
@@ -77,6 +80,19 @@ class ErrorTable(Short):
     def shows_noise(self) -> bool:
         """Whether the floor may be that of a sensor: efforts that were filtered show none."""
         return self.floor_nrms > 0.0
+
+    @property
+    def knows_noise(self) -> bool:
+        """Whether the noise of all joints is known whatever a model leaves, and less than the rest.
+
+        Where it is as large as all that the efforts show beside it, any error passes for noise.
+        """
+        return not self.is_mostly_noise and all(joint.knows_noise for joint in self.joints)
+
+    @property
+    def is_mostly_noise(self) -> bool:
+        """Whether noise is half of the mean square of the efforts or more."""
+        return self.floor_nrms**2 >= 0.5
 
     @property
     def is_noise(self) -> bool:
@@ -97,6 +113,11 @@ class ErrorTable(Short):
     def pooled_rms(self) -> float:
         """Root mean square over joints of the RMS, N·m or N."""
         return float(np.sqrt(np.mean([joint.rms**2 for joint in self.joints])))
+
+    @property
+    def pooled_floor(self) -> float:
+        """Root mean square over joints of the noise floor, N·m or N."""
+        return float(np.sqrt(np.mean([joint.floor**2 for joint in self.joints])))
 
     def by_joint(self) -> dict[str, float]:
         """RMS of each joint by name."""

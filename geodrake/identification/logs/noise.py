@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.delays import delayed_by
-from geodrake.identification.logs.criteria import LEAST_NOISE
+from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN, LEAST_NOISE
 from geodrake.logs.motion import Motion, Trajectory
 from geodrake.logs.smoothing import Segment
 from geodrake.logs.white_noise import passband_density, quiet_density, steepest_fall
@@ -29,7 +29,20 @@ def noise_floor(
     sign_width: ArrayLike = 0.0,
     fitted: bool = False,
 ) -> Array:
-    """RMS of the sensors' noise in efforts after filtering, if the noise is white.
+    """(n,) RMS of the sensors' noise in efforts after filtering, N·m or N; see `known_noise`."""
+    return known_noise(trajectories, model, sign_width=sign_width, fitted=fitted)[0]
+
+
+def known_noise(
+    trajectories: Sequence[Trajectory],
+    model: RobotModel | None = None,
+    *,
+    sign_width: ArrayLike = 0.0,
+    fitted: bool = False,
+) -> tuple[Array, NDArray[np.bool_]]:
+    """RMS of the sensors' noise in efforts after filtering, and whether it is known.
+
+    The noise is taken to be white.
 
     Above the motion's bandwidth the effort's spectrum holds what sensors and power electronics
     add. The quietest band there, continued into the passband, is the floor: coloured noise below
@@ -47,9 +60,12 @@ def noise_floor(
         fitted: Whether the model was fitted to these logs.
 
     Returns:
-        (n,) floor of each joint, N·m or N.
+        (n,) floor of each joint, N·m or N, and (n,) whether it is known whatever a model leaves:
+        not where efforts were filtered before, nor where a model leaves much less than the noise
+        above the bandwidth, which is then not white.
     """
     power, weight = np.zeros(len(trajectories[0].joints)), 0
+    claimed, silent = power.copy(), np.zeros(len(power), bool)
     for trajectory in trajectories:
         robot = None if model is None else carrying(model, trajectory.payloads)
         gain, bandwidth = trajectory.filter.noise_gain, trajectory.filter.bandwidth
@@ -65,10 +81,13 @@ def noise_floor(
                 carried = _carried(start, robot, trajectory, sign_width)
                 below = quietest * width if fitted else carried
                 noise = np.where(_is_silent(density, start), below, density * width + carried)
+                claimed += len(segment) * noise
                 noise = np.minimum(noise, mean * width)
+            silent |= _is_silent(density, start)
             power += len(segment) * noise
             weight += len(segment)
-    return np.sqrt(power / weight)
+    known = ~silent & (claimed <= JOINT_NOISE_MARGIN**2 * power)
+    return np.sqrt(power / weight), known
 
 
 def filtered_below(trajectory: Trajectory) -> float:

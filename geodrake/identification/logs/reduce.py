@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from geodrake.effects.base import Effect
 from geodrake.errors import LogError
 from geodrake.identification.logs.dataset import Dataset, Indices, JointData, JointRows
+from geodrake.identification.logs.effort_scale import effort_scale
 from geodrake.identification.logs.log_slices import Layout, LogSlice
-from geodrake.identification.logs.noise import noise_floor
+from geodrake.identification.logs.noise import known_noise
 from geodrake.identification.logs.shared_rows import SharedRows
 from geodrake.identification.logs.unknowns import payload_reference
 from geodrake.inertia import PARAMETERS_PER_BODY
@@ -61,7 +62,7 @@ def reduce_logs(
     *,
     effects: Sequence[Effect],
     delays: Sequence[ArrayLike] = (0.0,),
-    floor: Array | None = None,
+    noise: tuple[Array, NDArray[np.bool_] | bool] | None = None,
     fitted: bool = False,
     shared: SharedRows | None = None,
 ) -> Dataset:
@@ -74,7 +75,7 @@ def reduce_logs(
         effects: Effects that get columns: those of the model and those to try.
         delays: Delays to try on top of the model's, s, of all joints or (nv,) of each; the first
             must be 0.
-        floor: (nv,) noise floor, if it is known already.
+        noise: (nv,) noise floor and whether it is known, if that was looked at already.
         fitted: Whether the model was fitted to these logs, for the noise floor.
         shared: What earlier reductions of the same logs by the same robot have in common with this
             one; used and filled.
@@ -87,6 +88,10 @@ def reduce_logs(
     further = np.array([np.broadcast_to(delay, len(model.joints)) for delay in delays])
     data = reduced_joints(layout, trajectories, folds, list(further + model.delays), shared)
     _check_moving(model.joints, data)
+    deviation = effort_deviation(model.joints, data)
+    floor, known = noise or known_noise(
+        trajectories, model, sign_width=layout.sign_width, fitted=fitted
+    )
     return Dataset(
         model.joints,
         model.bodies,
@@ -95,14 +100,13 @@ def reduce_logs(
         tuple(fold.name for fold in folds),
         tuple(trajectory.name for trajectory in trajectories),
         data,
-        effort_deviation(model.joints, data),
-        noise_floor(trajectories, model, sign_width=layout.sign_width, fitted=fitted)
-        if floor is None
-        else floor,
+        effort_scale(model, layout.tree, trajectories, data, deviation),
+        floor,
         trajectories[0].filter.bandwidth,
         np.array([joint.still for joint in data]),
         payload_reference(model.phi),
         gain_uncertainty(model, trajectories),
+        known,
     )
 
 

@@ -35,6 +35,7 @@ from geodrake.identification.models.results import (
 )
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
 from geodrake.logs.motion import JointLog
+from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
 
 _MOST_ITERATIONS = 10
@@ -79,8 +80,16 @@ def identify_model(
     _check_prior(model)
     prior = with_effects(model, effects)
     case = open_case(
-        prior, logs, candidates=False, bandwidth=settings.bandwidth, blocks=settings.blocks
+        prior,
+        logs,
+        candidates=False,
+        bandwidth=settings.bandwidth,
+        blocks=settings.blocks,
+        hold_resting=settings.hold_resting and settings.total_mass is None,
     )
+    if case.model.joints != prior.joints:  # some are held
+        held = {joint: case.model.held[joint] for joint in prior.joints if joint in case.model.held}
+        model, prior = holding(model, held), case.model
     unknowns = log_unknowns(case.dataset, prior)
     settled = settle(first_hypothesis(case.dataset, unknowns), iterations=_MOST_ITERATIONS)
     fits = LogFits(case.dataset, unknowns, settled.weights, settings.total_mass)

@@ -117,6 +117,9 @@ class IdentificationSettings(Short):
         bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
             or chosen from the data.
         blocks: Blocks into which every log is cut for validation.
+        hold_resting: Whether joints that hardly move in any log are held; see
+            `geodrake.model.logged_joints.holding_resting`. None is held beside a total mass, which
+            is that of all bodies.
 
     Raises:
         ArgumentError: A name or value is impossible.
@@ -129,6 +132,7 @@ class IdentificationSettings(Short):
     compare: bool = False
     bandwidth: float | None = None
     blocks: int | None = None
+    hold_resting: bool = True
 
     def __post_init__(self) -> None:
         """Refuse what cannot be done before the long work."""

@@ -87,8 +87,8 @@
 
   function addSorting(table) {
     const body = table.tBodies[0];
-    const last = table.classList.contains("total") ? body.rows[body.rows.length - 1] : null;
-    const rows = [...body.rows].filter((row) => row !== last);
+    const totals = [...body.rows].filter((row) => row.classList.contains("total"));
+    const rows = [...body.rows].filter((row) => !row.classList.contains("total"));
     if (rows.length < 2) return;
     const heads = [...table.tHead.rows[0].cells];
     const sort = (head, column) => {
@@ -98,7 +98,7 @@
       if (heads[0].textContent) fill(rows);
       const text = (row) => row.cells[column].firstChild?.textContent ?? "";
       const ordered = [...rows].sort((a, b) => (down ? -1 : 1) * compared(text(a), text(b)));
-      body.append(...ordered, ...(last ? [last] : []));
+      body.append(...ordered, ...totals);
     };
     heads.forEach((head, column) => {
       head.classList.add("sortable");
