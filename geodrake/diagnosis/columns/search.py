@@ -89,7 +89,7 @@ class ColumnSearch:
         first += [self._moved(each, worth, prices) for each in first if each.mistake.free]
         places = dict[Hashable, Judged]()
         for each in sorted(first, key=_score, reverse=True):
-            places.setdefault(_place(each), each)
+            places.setdefault((_place(each), each.mistake.sizes), each)
         plain = model.fit(base.assignment, worth, base)
         least = plain.score + _HOPELESS
         mistaken = [each for each in places.values() if each.mistake.kind and each.score > least]
