@@ -344,12 +344,14 @@ def spoiled(array, value):
 
 def wrong_arrays(array) -> Iterator[Wrong]:
     yield from wrong_things()
+    is_mask = array.dtype == bool
     if not array.size:
         return
     yield from wrongs(True, {
         "NaN at one place": spoiled(array, np.nan), "complex": array + 1j,
         "complex without an imaginary part": array + 0j, "texts": array.astype(str),
-        "objects": np.full(array.shape, None), "truth values": array > 0,
+        "objects": np.full(array.shape, None),
+        "truth values or numbers": 1.0 * array if is_mask else array > 0,
         "a mask": np.ma.masked_invalid(spoiled(array, np.nan)),
         "a generator": (row for row in np.atleast_1d(array)),
         "dates": np.zeros(array.shape, "M8[s]"), "ragged": [array.tolist(), [0.0]],
@@ -443,7 +445,7 @@ def wrong_values(value) -> Iterator[Wrong]:
 
 
 MAY = {  # words of wrong values -> what an annotation says where they are right
-    "nothing": "None|Any",
+    "nothing": "None|Any|ByJoint",
     "a text": r"\bstr\b",
     "two numbers": "ArrayLike|Array|Sequence|ByJoint|Scalars",
     "a number": "ArrayLike|ByJoint|Scalars",
