@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ class JointScalars:
     def __post_init__(self) -> None:
         fields = dataclasses.fields(self)  # type: ignore[arg-type]
         names = [field.name for field in fields]
-        found = joint_scalars((), finite=False, **{name: getattr(self, name) for name in names})
+        found = joint_scalars((), {name: getattr(self, name) for name in names}, finite=False)
         for name, value in zip(names, found, strict=True):
             object.__setattr__(self, name, value)
 
@@ -34,13 +35,15 @@ class JointScalars:
         return np.broadcast_shapes(*(value.shape for value in vars(self).values()))
 
 
-def joint_scalars(shape: tuple[int, ...], *, finite: bool = True, **values: Any) -> list[Scalars]:
+def joint_scalars(
+    shape: tuple[int, ...], values: Mapping[str, Any], *, finite: bool = True
+) -> list[Scalars]:
     """Return the values as arrays, one for all joints or (..., n).
 
     Args:
         shape: () or (..., n), with which they must go together.
-        finite: Whether infinity is refused, which is a limit that there is not.
         values: Name -> what the caller passed.
+        finite: Whether infinity is refused, which is a limit that there is not.
 
     Raises:
         ArgumentError: They hold something else, NaN included, or are of different joints.
