@@ -20,6 +20,8 @@ from geodrake.boundary.memory import limit_memory
 from geodrake.errors import GeodrakeError
 
 _RESULTS: ContextVar[TextIO] = ContextVar("results")
+_ENDING: ContextVar[bool] = ContextVar("ending", default=False)
+"""Whether the process ends with the command."""
 
 BAD_OUTPUT = 2
 PIPE_CLOSED = 141  # 128 + SIGPIPE, as shells have it
@@ -30,11 +32,13 @@ def settled_surroundings() -> Iterator[None]:
     """Surroundings in which nothing but the input decides what a command does.
 
     Standard streams that are closed are opened to nothing, and take every letter. Memory has a
-    limit. Figures look
-    alike whatever matplotlib is told elsewhere. What standard output still holds is written at the
-    end; it may be full, or a pipe that nobody reads any more.
+    limit. Figures look alike whatever matplotlib is told elsewhere. What standard output still
+    holds is written at the end; it may be full, or a pipe that nobody reads any more. What is
+    printed while the process ends, as by handlers that code of users registered, goes to standard
+    error.
     """
     _open_streams()
+    _ENDING.set(True)
     limit_memory()
     os.environ.update(MPLBACKEND="Agg", MATPLOTLIBRC=os.devnull)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its cache is no news
@@ -43,6 +47,8 @@ def settled_surroundings() -> Iterator[None]:
             yield
         finally:
             sys.stdout.flush()
+            if _descriptor(sys.stdout) == 1:
+                os.dup2(2, 1)
     except OSError as error:  # errors of the work end in `guarded`; this is one of printing
         _close_output()
         if error.errno == errno.EPIPE:
@@ -83,7 +89,8 @@ def warn(message: str) -> None:
 def results_apart() -> Iterator[None]:
     """Keep standard output for results: what code of users prints meanwhile goes to standard error.
 
-    So does what compiled libraries print, and processes that are started.
+    So does what compiled libraries print, and processes that are started; and, where the process
+    ends with the command, what threads print after it.
     """
     stdout, kept = sys.stdout, -1
     stdout.flush()
@@ -100,7 +107,8 @@ def results_apart() -> Iterator[None]:
         _RESULTS.reset(token)
         if kept >= 0:
             ctypes.CDLL(None).fflush(None)  # what C has not written yet
-            os.dup2(kept, 1)
+            if not _ENDING.get():
+                os.dup2(kept, 1)
             with suppress(OSError):  # what cannot be written was told by `printing`
                 to.close()
 

@@ -167,6 +167,7 @@ def add_adaptive_loop(
             actuator, or the base of the robot leans otherwise than that of the controller's model.
     """
     _check(builder, controller, motion, log_period)
+    instance(effects, "effects", Sequence)
     joints = controller.control.joints
     robot: RobotInstance | None = None
     if isinstance(plant, RobotPorts):

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from geodrake.boundary.arguments import instance, real_array
 from geodrake.boundary.showing import Short
 from geodrake.effects.base import Array, Effect
+from geodrake.errors import ArgumentError
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +29,12 @@ class FittedEffect(Short):
     def __post_init__(self) -> None:
         shape = (len(instance(self.effect, "effect", Effect).parameters),)
         name = f"{self.effect.name} of {self.effect.place}"
-        values = real_array(self.parameters, f"parameters of {name}", shape, finite=False)
+        values = real_array(self.parameters, f"parameters of {name}", shape)
         object.__setattr__(self, "parameters", values)
         if self.deviations is not None:
             values = real_array(self.deviations, f"deviations of {name}", shape, finite=False)
+            if np.isnan(values).any():
+                raise ArgumentError(
+                    f"deviations of {name} hold NaN; what is not known at all has infinity."
+                )
             object.__setattr__(self, "deviations", values)

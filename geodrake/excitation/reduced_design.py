@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import instance, number
+from geodrake.boundary.arguments import instance, integer, number
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.criteria import Criterion
@@ -69,6 +69,7 @@ def design_reduced_excitation(
     """
     instance(target, "target", Target)
     number(threshold, "threshold")
+    integer(seeds, "seeds", lower=0)
     given = DesignOptions() if options is None else options
     options = instance(given, "options", DesignOptions)
     tried: list[tuple[int, float]] = []

@@ -230,7 +230,8 @@ class Motion(Short):
     def __post_init__(self) -> None:
         for name in ("q", "v", "vd", "time", "before", "temperature"):
             if (values := getattr(self, name)) is not None or name in ("q", "v", "vd"):
-                object.__setattr__(self, name, real_array(values, name, finite=False))
+                measured = name != "temperature"  # which need not be known
+                object.__setattr__(self, name, real_array(values, name, finite=measured))
         if self.q.ndim != 2 or self.v.ndim != 2 or self.vd.ndim != 2:
             raise ArgumentError(
                 f"A motion is (N, nq) and (N, nv); got {self.q.shape} and {self.v.shape}."

@@ -378,7 +378,7 @@ class RobotModel(Short):
         """
         samples = instance(motion, "motion", Motion).q, motion.v, motion.vd
         if load is not None:
-            load = real_array(load, "load", motion.v.shape, finite=False)
+            load = real_array(load, "load", motion.v.shape)
         else:
             load = inverse_dynamics(self.tree, *samples, self.total_phi)
         q = np.full(motion.v.shape, np.nan)
@@ -443,7 +443,7 @@ class RobotModel(Short):
         Raises:
             ArgumentError: The robot has joints of several degrees, whose positions are not those.
         """
-        by_joint = real_array(by_joint, "by_joint", ("N", len(self.joints)), finite=False)
+        by_joint = real_array(by_joint, "by_joint", ("N", len(self.joints)))
         at_velocity, at_position = self.single_places
         if len(at_velocity) < len(self.joints):
             several = [n for i, n in enumerate(self.joints) if i not in at_velocity]

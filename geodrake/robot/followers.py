@@ -21,6 +21,9 @@ from geodrake.robot.several_robots import scoped
 
 Indices = NDArray[np.intp]
 
+_MOST = 1e12
+"""Ratio or offset beyond which no joint follows another."""
+
 
 @dataclass(frozen=True)
 class Follower:
@@ -49,7 +52,9 @@ def resolved(stated: Sequence[Follower], joints: Sequence[str]) -> tuple[Followe
     known = {
         f.joint: f
         for f in stated
-        if {f.joint, f.leader} <= set(joints) and np.isfinite([f.ratio, f.offset]).all() and f.ratio
+        if {f.joint, f.leader} <= set(joints)
+        and 0.0 < abs(f.ratio) <= _MOST
+        and abs(f.offset) <= _MOST
     }
     found = []
     for first in known.values():

@@ -155,8 +155,9 @@ def _stated_parameters(
         spatial = plant.get_body(member.index).default_spatial_inertia()
         phi = description.set_aside.get(_scoped(plant, member.index))
         phi = from_spatial_inertia(spatial) if phi is None else phi
-        X_RB = member.X_RB
-        rows.append(calc_change_frame(phi, X_RB.rotation().matrix(), X_RB.translation()))
+        R_RB, p_RoBo_R = member.X_RB.rotation().matrix(), member.X_RB.translation()
+        usable = np.isfinite(phi).all()
+        rows.append(calc_change_frame(phi, R_RB, p_RoBo_R) if usable else phi)
     return np.array(rows)
 
 

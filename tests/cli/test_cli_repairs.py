@@ -27,12 +27,19 @@ URDF = """<robot name="two">
 </robot>
 """
 PRINTS = """
-import ctypes, os
+import atexit, ctypes, os, sys, threading, time
 from dataclasses import dataclass
 from geodrake.effects import JointEffect, Parameter
 print("printed")
 os.write(1, b"written\\n")
 ctypes.CDLL(None).printf(b"in C\\n")
+atexit.register(lambda: sys.__stdout__.write("at the end\\n"))
+atexit.register(os.system, "echo by a child at the end")
+def loop():
+    while True:
+        os.write(1, b"in a thread\\n")
+        time.sleep(0.001)
+threading.Thread(target=loop, daemon=True).start()
 @dataclass(frozen=True)
 class Hose(JointEffect):
     name = "hose"
@@ -135,4 +142,5 @@ def test_what_code_of_users_prints_is_no_result(tmp_path):
         [*command, "--effects", own], env=APART, capture_output=True, text=True, check=True
     )
     assert json.loads(done.stdout)["agrees"]
-    assert {"printed", "written", "in C"} <= set(done.stderr.splitlines())
+    said = {"printed", "written", "in C", "in a thread", "at the end", "by a child at the end"}
+    assert said <= set(done.stderr.splitlines())

@@ -215,16 +215,6 @@ def test_a_weight_divides_the_speed_of_its_factor():
     np.testing.assert_allclose(2.0 * rates[0][10:], rates[1][10:])
 
 
-@pytest.mark.parametrize("wrong", [np.nan, np.inf])
-def test_a_covector_that_is_not_finite_moves_nothing(wrong):
-    estimate = random_point(BODIES, np.random.default_rng(0))
-    b = np.ones(BODIES.dimension)
-    b[7] = wrong
-    for law in laws(BODIES, estimate).values():
-        np.testing.assert_array_equal(law.rate(estimate, b), 0.0)
-        np.testing.assert_allclose(law.step(estimate, b, 1.0), estimate, rtol=1e-14)
-
-
 def test_composite_covector_takes_off_the_prediction_error():
     rng = np.random.default_rng(0)
     truth, estimate = random_point(BODIES, rng), random_point(BODIES, rng)

@@ -1,6 +1,6 @@
 """Calls of everything that the packages export, made from signatures, with one wrong argument each.
 
-    python tests/hostile/calls.py [--only WORDS] [--show]
+    python tests/hostile/calls.py [--only WORDS]
 
 counts how they end. A call gets good values by the names and types in its signature, as
 `good_values` has them; then one argument at a time is spoiled, in every way that its kind can be.
@@ -12,7 +12,6 @@ import inspect
 import pathlib
 import pkgutil
 import re
-import sys
 import traceback
 import types
 import warnings
@@ -344,12 +343,14 @@ def spoiled(array, value):
 
 def wrong_arrays(array) -> Iterator[Wrong]:
     yield from wrong_things()
+    is_mask = array.dtype == bool
     if not array.size:
         return
     yield from wrongs(True, {
         "NaN at one place": spoiled(array, np.nan), "complex": array + 1j,
         "complex without an imaginary part": array + 0j, "texts": array.astype(str),
-        "objects": np.full(array.shape, None), "truth values": array > 0,
+        "objects": np.full(array.shape, None),
+        "truth values or numbers": 1.0 * array if is_mask else array > 0,
         "a mask": np.ma.masked_invalid(spoiled(array, np.nan)),
         "a generator": (row for row in np.atleast_1d(array)),
         "dates": np.zeros(array.shape, "M8[s]"), "ragged": [array.tolist(), [0.0]],
@@ -443,7 +444,7 @@ def wrong_values(value) -> Iterator[Wrong]:
 
 
 MAY = {  # words of wrong values -> what an annotation says where they are right
-    "nothing": "None|Any",
+    "nothing": "None|Any|ByJoint",
     "a text": r"\bstr\b",
     "two numbers": "ArrayLike|Array|Sequence|ByJoint|Scalars",
     "a number": "ArrayLike|ByJoint|Scalars",
@@ -547,26 +548,19 @@ def outcomes_apart(call) -> Iterator[tuple[str, str, str, str]]:
 
 
 def main():
+    """Count how all calls end, and show those that do not end well."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--only", default="")
-    parser.add_argument("--show", action="store_true", help="every call that does not end well")
+    parser.add_argument("--only", default="", help="words in the names of callables")
     options = parser.parse_args()
     counts, (calls, none) = Counter(), good_calls()
-    for name, call in calls.items():
-        if options.only not in name:
-            continue
-        good = ended(call)
-        if good[0] not in HELD[1:]:
-            print(f"{name}: good call: {good}")
+    called = [call for name, call in calls.items() if options.only in name]
+    for call in called:
         for argument, words, end, told in outcomes_apart(call):
             counts[end] += 1
-            if options.show and end not in HELD:
-                print(f"{name}({argument} = {words}): {end}: {told}")
-    if options.show:
-        print(*(f"no call of {name}: {why}" for name, why in none.items()), sep="\n")
-    print(len(calls), "callables", dict(counts))
-    return 0
+            if end not in HELD:
+                print(f"{call.name}({argument} = {words}): {end}: {told}")
+    print(len(called), "callables", dict(counts), "; no call of", none)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -1,8 +1,19 @@
-"""Small files that are in order, which rows and the fuzzer change: a double pendulum, effects."""
+"""Small files that are in order, which rows, sweeps and the fuzzer change."""
 
+import hashlib
+
+import numpy as np
 from hostile import PENDULUM
 
 URDF = PENDULUM.read_text(encoding="utf-8")
+_DRY = '<parent link="upper_link"/><dynamics damping="0.1" friction="0.2"/>'
+_MORE = """<transmission name="t"><type>SimpleTransmission</type><joint name="elbow"/>
+<actuator name="m"><drake:gear_ratio value="2"/><drake:rotor_inertia value="1e-4"/></actuator>
+</transmission><link name="tip"/><joint name="follower" type="revolute">
+<parent link="lower_link"/><child link="tip"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" effort="6" velocity="20"/>
+<mimic joint="elbow" multiplier="2" offset="0.1"/></joint></robot>"""
+FULL_URDF = URDF.replace('<parent link="upper_link"/>', _DRY).replace("</robot>", _MORE)
 _LINK = """<link name="{}"><inertial><pose>0 0 -0.2 0 0 0</pose><mass>0.5</mass><inertia>
 <ixx>0.01</ixx><iyy>0.01</iyy><izz>0.001</izz></inertia></inertial></link>"""
 _JOINT = """<joint name="{}" type="revolute"><parent>{}</parent><child>{}</child><axis>
@@ -24,6 +35,76 @@ MJCF = """<mujoco model="robot"><default><joint damping="0.1"/></default><worldb
 </mujoco>
 """
 DIRECTIVES = "directives:\n- add_model: {name: arm, file: robot.urdf}\n"
+FULL_DIRECTIVES = """directives:
+- add_model: {name: arm, file: robot.urdf, default_joint_positions: {elbow: [1.0]}}
+- add_weld: {parent: world, child: "arm::base_link", X_PC: {translation: [0, 0, 1]}}
+"""
+FLEET = """to: new
+types:
+  arm: {model: robot.urdf, effects: [coulomb_friction], bandwidth: 8.0, blocks: 4, payload: 0.5,
+    units: {position: rad}}
+robots:
+- {name: a, type: arm, logs: log.csv, dates: file, payloads: [{body: lower_link, mass: 0.1,
+    mass_center: [0, 0, 0.1]}]}
+- {name: b, type: arm, logs: [other.csv], model: robot.urdf}
+"""
+MAPPING = """time: {column: time, unit: s}
+joints:
+  shoulder: {position: shoulder.position, effort: {column: 3, unit: N·m, gain: 1.5}}
+  elbow: {position: elbow.position, effort: elbow.effort}
+"""
+_EFFECTS = (
+    ("torque_ripple", "elbow", "order: 2", "0.1, 0.1"),
+    ("hysteresis", "elbow", "breakaway_angle: 0.01", "0.1"),
+    ("nonlinear_viscous_friction", "elbow", "exponent: 2.0", "0.1"),
+    ("friction_drift", "elbow", "time_constant: 9.0", "0.1, 0.1"),
+    ("effort_scale", "elbow", "", "0.1"),
+    ("gravity_tilt", "", "", "0.1, 0.0"),
+    ("rotor_inertia", "elbow", "", "0.1"),
+    ("joint_elasticity", "elbow", "", "0.001"),
+    ("backlash", "elbow", "half_width: 0.01", "0.1"),
+    ("aerodynamic_drag", "lower_link", "", "0.1, 0, 0, 0"),
+    ("contact", "lower_link", "start: 1.0, end: 2.0, rise: 0.1, x: 0.0", "1, 0, 0, 0, 0, 0"),
+)
+_FORM = "- {{name: {}, where: [{}], shape: {{{}}}, parameters: [{}], deviations: []}}\n"
+UNINFORMED = f"""format: geodrake model 1
+base_model: robot.urdf
+base_sha256: {hashlib.sha256(PENDULUM.read_bytes()).hexdigest()}
+floating: false
+inertial_parameters:
+  upper_link: [0.5235, 0.0, 0.0, -0.1047, 0.03189, 0.03189, 0.001095, 0.0, 0.0, 0.0]
+  lower_link: [0.6256, 0.0, 0.0, -0.16, 0.05087, 0.05087, 0.00099667, 0.0, 0.0, 0.0]
+effects:
+- {{name: coulomb_friction, where: [shoulder], shape: {{}}, parameters: [0.3], deviations: [0.01]}}
+- {{name: joint_spring, where: [elbow], shape: {{exponent: 1.0, center: 0.2}},
+   parameters: [0.5, 0.125], deviations: []}}
+- {{name: stribeck_friction, where: [elbow], shape: {{stribeck_velocity: 0.1}},
+   parameters: [0.1], deviations: []}}
+- {{name: coupled_friction, where: [shoulder, elbow], shape: {{sign: 1.0}},
+   parameters: [0.25, 0.75], deviations: [0.02, 0.03]}}
+- {{name: payload, where: [lower_link], shape: {{}}, deviations: [],
+   parameters: [0.2, 0.0, 0.0, -0.04, 0.0085, 0.0085, 0.001, 0.0, 0.0, 0.0]}}
+- {{name: effort_delay, where: [], shape: {{delay: 0.002}}, parameters: [], deviations: []}}
+effort_noise: {{shoulder: 0.0625, elbow: 0.03125}}
+fading_speed: {{shoulder: 0.015625, elbow: 0.0}}
+fitted_to: [abc]
+bandwidths: {{abc: [5.0, 15.0]}}
+"""
+MANY_EFFECTS = UNINFORMED.replace(
+    "effort_noise:", "".join(_FORM.format(*each) for each in _EFFECTS) + "effort_noise:"
+)
+
+
+def information(change=lambda matrix: None):
+    """Lines of an information matrix of the parameters above, changed."""
+    matrix = np.diag(np.arange(1.0, 20 + 1 + 2 + 1 + 2 + 10 + 1))
+    change(matrix)
+    words = {"nan": ".nan", "inf": ".inf", "-inf": "-.inf"}
+    rows = ([words.get(repr(x), repr(x)) for x in row] for row in matrix.tolist())
+    return "\n".join(["information:", *(f"- [{', '.join(row)}]" for row in rows)]) + "\n"
+
+
+SAVED = UNINFORMED + information()
 
 EFFECT = """from dataclasses import dataclass
 import numpy as np

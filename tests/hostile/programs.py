@@ -21,6 +21,8 @@ from pathlib import Path
 
 import numpy as np
 from hostile import PATIENCE, limit_own_time
+from rich.console import Console
+from rich.progress import track
 
 from geodrake.errors import GeodrakeError
 from geodrake.identification import PointMasses, PointMassEuclidean, PointMassKL, identify
@@ -54,8 +56,8 @@ class Program:
     number: int
     kinds: tuple[str, ...]
     solver: str | None
-    arguments: tuple
-    options: dict
+    arguments: tuple = field(repr=False)
+    options: dict = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class Outcome:
     end: str
     words: str
     seconds: float
-    program: Program | None = field(default=None, repr=False)
+    program: Program | None = None
 
 
 def random_bodies(random, count):
@@ -239,32 +241,8 @@ def table(outcomes):
     """Counts of what became of the programs, a row for each solver that was asked for."""
     rows = {}
     for outcome in outcomes:
-        row = rows.setdefault(str(outcome.program.solver or "default"), Counter())
-        row[outcome.end] += 1
-        row["all"] += 1
+        rows.setdefault(outcome.program.solver or "default", Counter())[outcome.end] += 1
     return rows
-
-
-def report(outcomes):
-    """The table in words, and every odd end."""
-    ends = ("all", "solved", "refused", "unphysical", "raised", "died", "hung")
-    lines = ["solver    " + " ".join(f"{end:>10}" for end in ends)]
-    for name, row in sorted(table(outcomes).items()):
-        lines.append(f"{name:10}" + " ".join(f"{row[end]:10}" for end in ends))
-    errors = Counter(
-        outcome.words.split(".")[0].split(" is ")[0][:60]
-        for outcome in outcomes
-        if outcome.end == "refused"
-    )
-    lines += [f"{count:6} refused: {words}" for words, count in errors.most_common(12)]
-    times = np.array([outcome.seconds for outcome in outcomes])
-    lines.append(f"time: median {np.median(times):.3g} s, longest {times.max():.3g} s")
-    for outcome in outcomes:
-        if outcome.end not in ("solved", "refused"):
-            kinds = ", ".join(outcome.program.kinds)
-            asked = f"program {outcome.program.number}: {kinds}; {outcome.program.solver}"
-            lines.append(f"{asked}: {outcome.end} {outcome.words}")
-    return "\n".join(lines)
 
 
 def main():
@@ -274,28 +252,24 @@ def main():
     parser.add_argument("--first", type=int, default=0, help="number of the first")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--quick", action="store_true", help="40 programs")
-    parser.add_argument("--json", help="file for the outcomes")
+    parser.add_argument("--json", type=Path, help="file for the outcomes")
     options = parser.parse_args()
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    count = 40 if options.quick else options.programs
-    outcomes = []
-    for number in range(options.first, options.first + count):
-        outcomes.append(run(options.seed, number))
-        if sys.stderr.isatty():
-            print(f"\r{number + 1 - options.first} of {count}", end="", file=sys.stderr)
-    print(report(outcomes))
+    numbers = range(options.first, options.first + (40 if options.quick else options.programs))
+    outcomes = [
+        run(options.seed, number) for number in track(numbers, console=Console(stderr=True))
+    ]
+    for solver, row in sorted(table(outcomes).items()):
+        print(f"{solver:10} {row.total():5} programs: {dict(row)}")
+    odd = [outcome for outcome in outcomes if outcome.end not in ("solved", "refused")]
+    print(*odd, sep="\n")
     if options.json:
-        names = ("end", "words", "seconds")
-        listed = [
-            {
-                **{name: getattr(outcome, name) for name in names},
-                **{name: getattr(outcome.program, name) for name in ("number", "kinds", "solver")},
-            }
-            for outcome in outcomes
-        ]
+        kept = ("number", "kinds", "solver", "end", "words", "seconds")
+        every = (vars(outcome.program) | vars(outcome) for outcome in outcomes)
+        listed = [{name: each[name] for name in kept} for each in every]
         told = {"seed": options.seed, "table": table(outcomes), "programs": listed}
-        Path(options.json).write_text(json.dumps(told, indent=1), encoding="utf-8")
-    return int(any(outcome.end not in ("solved", "refused") for outcome in outcomes))
+        options.json.write_text(json.dumps(told, indent=1), encoding="utf-8")
+    return int(bool(odd))
 
 
 if __name__ == "__main__":

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import abc
 from dataclasses import dataclass, replace
-from math import isfinite
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import (
+    Sizes,
     instance,
     integer,
     number,
@@ -32,6 +32,11 @@ class UpdateLaw(abc.ABC):
     """How an estimate p̂ moves with a covector b for which V̇_t ≤ (p̂ − p)ᵀ b.
 
     With V = V_t + `parameter_error`, V never rises, [Lee2019] Proposition 5.7.
+
+    Every function is a door that refuses estimates that the law cannot move, arrays of another
+    shape, and numbers that are not finite (ArgumentError). Behind it is a kernel of the same name
+    with `calc_`, which trusts its arrays: for every sample of a controller. A law of your own
+    defines the kernels.
     """
 
     @property
@@ -53,15 +58,12 @@ class UpdateLaw(abc.ABC):
         raise ArgumentError(f"{type(self).__name__} has no γ; {gamma} would change nothing.")
 
     def contains(self, parameters: ArrayLike) -> bool:
-        """Return whether an estimate is one that the law can move.
-
-        Args:
-            parameters: (n,) estimate.
-        """
-        return bool(np.isfinite(np.asarray(parameters, float)).all())
+        """Return whether an estimate (n,) is one that the law can move."""
+        estimate = real_array(parameters, "parameters", self._shape, finite=False)
+        return bool(np.isfinite(estimate).all()) and self.calc_contains(estimate)
 
     def reach(self, parameters: ArrayLike, rows: ArrayLike) -> float:
-        """The rate, 1/s, that no error Y p̃ exceeds while it drives the law itself, b = Yᵀ Y p̃.
+        """Return the rate, 1/s, that no error Y p̃ exceeds as it drives the law, b = Yᵀ Y p̃.
 
         Args:
             parameters: (n,) estimate p̂.
@@ -70,9 +72,9 @@ class UpdateLaw(abc.ABC):
         Returns:
             Such a rate; zero from a law that does not know one.
         """
-        return 0.0
+        p, rows = self._inside(parameters, rows, "rows", "k")
+        return self.calc_reach(p, rows)
 
-    @abc.abstractmethod
     def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
         """Return the rate of the estimate (n,), for a continuous integrator.
 
@@ -80,8 +82,8 @@ class UpdateLaw(abc.ABC):
             parameters: (n,) estimate p̂.
             b: (n,) covector, such as Yᵀ r.
         """
+        return self.calc_rate(*self._inside(parameters, b, "b"))
 
-    @abc.abstractmethod
     def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
         """Return the estimate (n,) after b has acted for dt seconds.
 
@@ -90,15 +92,58 @@ class UpdateLaw(abc.ABC):
             b: (n,) covector that drives the law, constant for the step.
             dt: Length of the step, s.
         """
+        return self.calc_step(*self._inside(parameters, b, "b"), number(dt, "dt"))
 
-    @abc.abstractmethod
     def parameter_error(self, truth: ArrayLike, parameters: ArrayLike) -> Array:
-        """V_p, what a Lyapunov function has for the error of estimates (..., n).
+        """Return V_p, what a Lyapunov function has for the error of estimates (..., n).
 
         Args:
             truth: (n,) true parameters.
             parameters: (..., n) estimates.
         """
+        sizes: Sizes = {}
+        truth = real_array(truth, "truth", self._shape, sizes)
+        estimates = real_array(parameters, "parameters", ("...", *self._shape), sizes)
+        return self.calc_parameter_error(truth, estimates)
+
+    @property
+    def _shape(self) -> tuple[int | str]:
+        return ("n" if self.dimension is None else self.dimension,)
+
+    def _inside(
+        self, parameters: ArrayLike, more: ArrayLike, name: str, *axes: str
+    ) -> tuple[Array, Array]:
+        """Return an estimate (n,) that the law can move, and covectors (*axes, n)."""
+        sizes: Sizes = {}
+        p = real_array(parameters, "parameters", self._shape, sizes)
+        more = real_array(more, name, (*axes, *self._shape), sizes)
+        if not self.calc_contains(p):
+            raise ArgumentError(
+                f"parameters must be inside of the law's manifold; they are {p.tolist()}.",
+                advice="Start inside, and take geodesic steps or shorter ones.",
+                name="parameters",
+            )
+        return p, more
+
+    def calc_contains(self, parameters: Array) -> bool:
+        """Kernel of `contains`, of finite estimates."""
+        return True
+
+    def calc_reach(self, parameters: Array, rows: Array) -> float:
+        """Kernel of `reach`."""
+        return 0.0
+
+    @abc.abstractmethod
+    def calc_rate(self, parameters: Array, b: Array) -> Array:
+        """Kernel of `rate`."""
+
+    @abc.abstractmethod
+    def calc_step(self, parameters: Array, b: Array, dt: float) -> Array:
+        """Kernel of `step`."""
+
+    @abc.abstractmethod
+    def calc_parameter_error(self, truth: Array, parameters: Array) -> Array:
+        """Kernel of `parameter_error`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,47 +201,36 @@ class AdaptationLaw(UpdateLaw):
         """That of the manifold."""
         return self.manifold.dimension
 
-    def contains(self, parameters: ArrayLike) -> bool:
+    def calc_contains(self, parameters: Array) -> bool:
         """Return whether an estimate (n,) is inside of the manifold."""
-        return bool(self.manifold.contains(parameters))
+        return bool(self.manifold.calc_contains(parameters))
 
-    def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
-        """−γ⁻¹ g(p̂)⁻¹ b (n,), [Lee2019] Eq. (5.4.51); zero if b is not finite."""
-        p = np.asarray(parameters, float)
-        return self.manifold.calc_inverse_metric_times(p, self.pull(p, b)) / -self.gamma
+    def calc_rate(self, parameters: Array, b: Array) -> Array:
+        """Return −γ⁻¹ g(p̂)⁻¹ b (n,), [Lee2019] Eq. (5.4.51)."""
+        pull = self.calc_pull(parameters, b)
+        return self.manifold.calc_inverse_metric_times(parameters, pull) / -self.gamma
 
-    def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
-        """The estimate (n,) after dt seconds, by the integrator; as it was if b is not finite."""
-        p = np.asarray(parameters, float)
+    def calc_step(self, parameters: Array, b: Array, dt: float) -> Array:
+        """Return the estimate (n,) after dt seconds, by the integrator."""
         if self.integrator == "euler":
-            return p + dt * self.rate(p, b)
-        return self.manifold.calc_natural_step(p, self.pull(p, b), dt / self.gamma)
+            return parameters + dt * self.calc_rate(parameters, b)
+        pull = self.calc_pull(parameters, b)
+        return self.manifold.calc_natural_step(parameters, pull, dt / self.gamma)
 
-    def pull(self, parameters: ArrayLike, b: ArrayLike) -> Array:
-        """Return b (n,) with leakage; zero if b is not finite."""
-        b = _finite(b)
+    def calc_pull(self, parameters: Array, b: Array) -> Array:
+        """Return b (n,) with leakage."""
         if self.leakage == 0 or not b.any():
             return b
-        points = np.array([parameters, self.toward], float)
-        here, there = self.manifold.gradient(points)
+        here, there = self.manifold.gradient(np.array([parameters, self.toward], float))
         return b + self.gamma * self.leakage * (here - there)
 
-    def reach(self, parameters: ArrayLike, rows: ArrayLike) -> float:
+    def calc_reach(self, parameters: Array, rows: Array) -> float:
         """γ⁻¹ tr(Y g(p̂)⁻¹ Yᵀ), 1/s, of rows Y (k, n), which is at least the greatest eigenvalue."""
-        p, rows = np.asarray(parameters, float), np.asarray(rows, float)
-        return self.manifold.calc_mirror_span(p, rows).squared_length / self.gamma
+        return self.manifold.calc_mirror_span(parameters, rows).squared_length / self.gamma
 
-    def parameter_error(self, truth: ArrayLike, parameters: ArrayLike) -> Array:
+    def calc_parameter_error(self, truth: Array, parameters: Array) -> Array:
         """γ D(p‖p̂) (...), [Lee2019] Eq. (5.4.49)."""
-        p, estimate = np.asarray(truth, float), np.asarray(parameters, float)
-        return np.asarray(self.gamma * self.manifold.calc_divergence(p, estimate))
-
-
-def _finite(b: ArrayLike) -> Array:
-    """Return a covector, or nothing in place of one that a faulty sensor spoiled."""
-    b = np.asarray(b, float)
-    # (The sum of squares is the cheaper test, and may overflow where no part is infinite.)
-    return b if isfinite(np.vdot(b, b)) or np.isfinite(b).all() else np.zeros_like(b)
+        return np.asarray(self.gamma * self.manifold.calc_divergence(truth, parameters))
 
 
 def natural_adaptation(

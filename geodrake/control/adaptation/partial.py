@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, mask
 from geodrake.boundary.showing import Short
@@ -63,30 +63,29 @@ class PartialLaw(UpdateLaw, Short):
         """Number n of all parameters."""
         return len(self.adapted)
 
-    def contains(self, parameters: ArrayLike) -> bool:
+    def calc_contains(self, parameters: Array) -> bool:
         """Return whether what is adapted of an estimate (n,) is one that its law can move."""
-        finite = np.isfinite(np.asarray(parameters, float)).all()
-        return bool(finite) and self.law.contains(self._own(parameters))
+        return self.law.calc_contains(self._own(parameters))
 
-    def reach(self, parameters: ArrayLike, rows: ArrayLike) -> float:
+    def calc_reach(self, parameters: Array, rows: Array) -> float:
         """That of what is adapted."""
-        return self.law.reach(self._own(parameters), self._own(rows))
+        return self.law.calc_reach(self._own(parameters), self._own(rows))
 
-    def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
+    def calc_rate(self, parameters: Array, b: Array) -> Array:
         """Return the rate (n,), zero for what is held."""
         rate = np.zeros(len(self.adapted))
-        rate[self._places] = self.law.rate(self._own(parameters), self._own(b))
+        rate[self._places] = self.law.calc_rate(self._own(parameters), self._own(b))
         return rate
 
-    def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
+    def calc_step(self, parameters: Array, b: Array, dt: float) -> Array:
         """Return the estimate (n,) after dt seconds, what is held as it was."""
-        following = np.array(parameters, float)
-        following[self._places] = self.law.step(self._own(parameters), self._own(b), dt)
+        following = parameters.copy()
+        following[self._places] = self.law.calc_step(self._own(parameters), self._own(b), dt)
         return following
 
-    def parameter_error(self, truth: ArrayLike, parameters: ArrayLike) -> Array:
+    def calc_parameter_error(self, truth: Array, parameters: Array) -> Array:
         """V_p of what is adapted."""
-        return self.law.parameter_error(self._own(truth), self._own(parameters))
+        return self.law.calc_parameter_error(self._own(truth), self._own(parameters))
 
-    def _own(self, values: ArrayLike) -> Array:
-        return np.asarray(values, float)[..., self._places]
+    def _own(self, values: Array) -> Array:
+        return values[..., self._places]

@@ -74,13 +74,13 @@ class ProjectedLaw(UpdateLaw):
         """That of the law inside of C."""
         return self.law.dimension
 
-    def contains(self, parameters: ArrayLike) -> bool:
+    def calc_contains(self, parameters: Array) -> bool:
         """Return whether an estimate (n,) is inside of the manifold; it may begin outside of C."""
-        return self.law.contains(parameters)
+        return self.law.calc_contains(parameters)
 
-    def reach(self, parameters: ArrayLike, rows: ArrayLike) -> float:
+    def calc_reach(self, parameters: Array, rows: Array) -> float:
         """That of the law inside of C: limits make no rate greater."""
-        return self.law.reach(parameters, rows)
+        return self.law.calc_reach(parameters, rows)
 
     @cached_property
     def _set(self) -> ConvexSet:
@@ -94,10 +94,10 @@ class ProjectedLaw(UpdateLaw):
             return ()
         return _separate(self.law.manifold, self._set.polyhedron)
 
-    def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
+    def calc_rate(self, parameters: Array, b: Array) -> Array:
         """The rate of the law, made tangent to the limits that bind ([Lee2019] Eq. (5.4.57))."""
-        p = np.asarray(parameters, float)
-        v = self.law.rate(p, b)
+        p = parameters
+        v = self.law.calc_rate(p, b)
         values, normals = self._set.values(p), self._set.gradients(p)
         leaving = normals @ v > 0
         if not leaving.any():
@@ -111,7 +111,7 @@ class ProjectedLaw(UpdateLaw):
         a, w = normals[active] / lengths[active, None], pulls[active] / lengths[active, None]
         return v - _least_push(a @ w.T, a @ v) @ w
 
-    def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
+    def calc_step(self, parameters: Array, b: Array, dt: float) -> Array:
         """Return the estimate after dt seconds, projected onto C ([Lee2019] Eq. (5.4.59)).
 
         Steps may be of any length. Only where the end of one is so near to the edge of the manifold
@@ -122,20 +122,20 @@ class ProjectedLaw(UpdateLaw):
             ConvergenceError: No step can be projected onto C, most likely because C does not meet
                 the manifold.
         """
-        p = self.law.step(parameters, b, dt)
+        p = self.law.calc_step(parameters, b, dt)
         if not (self._set.values(p) > 0).any():
             return p
         try:
             return self.project(p)
         except GeodrakeError:
             # vᵀ g v = −γ⁻¹ vᵀ b for the rate v, without g.
-            pull = self.law.pull(parameters, b)
-            speed = -np.dot(self.law.rate(parameters, b), pull) / self.law.gamma
+            pull = self.law.calc_pull(parameters, b)
+            speed = -np.dot(self.law.calc_rate(parameters, b), pull) / self.law.gamma
         length = float(dt * np.sqrt(max(speed, 0.0)))
         for most in _SHORTENED:
             if length > most:
                 try:
-                    return self.project(self.law.step(parameters, b, dt * most / length))
+                    return self.project(self.law.calc_step(parameters, b, dt * most / length))
                 except GeodrakeError:
                     continue
         return self.project(parameters)
@@ -157,9 +157,9 @@ class ProjectedLaw(UpdateLaw):
             projected[part.places] = part.project(p[part.places])
         return projected
 
-    def parameter_error(self, truth: ArrayLike, parameters: ArrayLike) -> Array:
+    def calc_parameter_error(self, truth: Array, parameters: Array) -> Array:
         """That of the law inside of C."""
-        return self.law.parameter_error(truth, parameters)
+        return self.law.calc_parameter_error(truth, parameters)
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,7 +84,7 @@ def motor_torque(constants: MotorConstants, current: Scalars) -> Scalars:
 
 
 def _checked(constants: MotorConstants, **values: Scalars) -> list[Scalars]:
-    return joint_scalars(instance(constants, "constants", MotorConstants).shape, **values)
+    return joint_scalars(instance(constants, "constants", MotorConstants).shape, values)
 
 
 def _driving_voltage(constants: MotorConstants, voltage: Scalars, velocity: Scalars) -> Scalars:

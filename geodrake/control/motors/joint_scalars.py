@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ class JointScalars:
     def __post_init__(self) -> None:
         fields = dataclasses.fields(self)  # type: ignore[arg-type]
         names = [field.name for field in fields]
-        found = joint_scalars((), **{name: getattr(self, name) for name in names})
+        found = joint_scalars((), {name: getattr(self, name) for name in names}, finite=False)
         for name, value in zip(names, found, strict=True):
             object.__setattr__(self, name, value)
 
@@ -34,17 +35,20 @@ class JointScalars:
         return np.broadcast_shapes(*(value.shape for value in vars(self).values()))
 
 
-def joint_scalars(shape: tuple[int, ...], **values: Any) -> list[Scalars]:
+def joint_scalars(
+    shape: tuple[int, ...], values: Mapping[str, Any], *, finite: bool = True
+) -> list[Scalars]:
     """Return the values as arrays, one for all joints or (..., n).
 
     Args:
         shape: () or (..., n), with which they must go together.
         values: Name -> what the caller passed.
+        finite: Whether infinity is refused, which is a limit that there is not.
 
     Raises:
         ArgumentError: They hold something else, NaN included, or are of different joints.
     """
-    found = [_scalars(value, name) for name, value in values.items()]
+    found = [_scalars(value, name, finite) for name, value in values.items()]
     for name, array in zip(values, found, strict=True):
         if array.shape in ((), shape):
             continue
@@ -62,13 +66,13 @@ def joint_scalars(shape: tuple[int, ...], **values: Any) -> list[Scalars]:
     return found
 
 
-def _scalars(value: Any, name: str) -> Scalars:
+def _scalars(value: Any, name: str, finite: bool) -> Scalars:
     if isinstance(value, Symbols):
         return value
     is_array = type(value) is np.ndarray
     if is_array and value.dtype == object and all(isinstance(x, _OTHERS) for x in value.flat):
         return np.asarray(value)
     array = value if is_array and value.dtype == _FLOAT else real_array(value, name, finite=False)
-    if np.isnan(array).any():
-        raise ArgumentError(f"{name} must be numbers; it holds NaN.", name=name)
+    if np.isnan(array).any() or (finite and np.isinf(array).any()):
+        raise ArgumentError(f"{name} must be numbers; it holds NaN or infinity.", name=name)
     return array

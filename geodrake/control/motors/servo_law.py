@@ -81,7 +81,7 @@ def integral_rate(gains: ServoGains, error: ServoError) -> Scalars:
 
 def _unlimited(gains: ServoGains, error: ServoError) -> Scalars:
     shape = instance(gains, "gains", ServoGains).shape
-    joint_scalars(shape, **vars(instance(error, "error", ServoError)))
+    joint_scalars(shape, vars(instance(error, "error", ServoError)))
     e = _beyond(error.position, gains.dead_band)
     return gains.kp * e + gains.kd * error.velocity + gains.ki * error.integral + error.feedforward
 

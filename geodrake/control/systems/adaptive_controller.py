@@ -325,7 +325,8 @@ class AdaptiveController(LeafSystem):
             b = _covector(context, result, len(p))
             if prediction is not None and seen.trusted and result is not None:
                 b = b + prediction.covector(law, p, memory)
-            following = law.step(p, b, self._time_step) if b.any() else p
+            moves = usable(b) and b.any()
+            following = law.calc_step(p, b, self._time_step) if moves else p
         except (GeodrakeError, np.linalg.LinAlgError):
             return p
         return following if usable(following) else p
@@ -368,7 +369,8 @@ class AdaptiveController(LeafSystem):
         if law is None:
             return np.zeros(len(p))
         try:
-            rate = law.rate(p, _covector(context, result, len(p)))
+            b = _covector(context, result, len(p))
+            rate = law.calc_rate(p, b) if usable(b) else np.zeros(len(p))
         except (GeodrakeError, np.linalg.LinAlgError):
             return np.zeros(len(p))
         return rate if np.isfinite(rate).all() else np.zeros(len(p))
@@ -384,7 +386,7 @@ class AdaptiveController(LeafSystem):
         p, truth, value = self.parameters(context), self._truth, 0.0
         law = self._law_in(context)
         if law is not None:
-            value += float(law.parameter_error(truth, p))
+            value += float(law.calc_parameter_error(truth, p))
         seen, _ = self._look(context, self._watch.start())
         if seen.trusted:
             value += self._tracking_energy(truth, seen, self._gains(context))

@@ -116,5 +116,5 @@ class Prediction:
         error = Y @ p - effort
         error -= np.minimum(np.maximum(error, -self.tolerance), self.tolerance)
         # |error| falls by less than its size within a time step.
-        reach = law.reach(p, np.sqrt(self.weight)[:, None] * Y)
+        reach = law.calc_reach(p, np.sqrt(self.weight)[:, None] * Y)
         return np.asarray((self.weight * error) @ Y / (1.0 + self.filtered.period * reach))

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointActuatorIndex
 
-from geodrake.boundary.arguments import number, one_or_each
+from geodrake.boundary.arguments import number, one_or_each, real_array
 from geodrake.boundary.showing import Short
 from geodrake.compiling import compiled, contiguous
 from geodrake.errors import ArgumentError
@@ -58,9 +58,9 @@ class Safeguards(Short):
         number(self.settling_time, "settling_time", lower=0.0)
         if not number(self.factor, "factor", finite=False) > 1:
             raise ArgumentError(f"factor must be above one; got {self.factor}.")
-        self.dead_zones(np.size(self.dead_zone))
+        self.dead_zones(real_array(self.dead_zone, "dead_zone").size)
         if self.effort_limits is not None:
-            self.limits(np.size(self.effort_limits))
+            self.limits(real_array(self.effort_limits, "effort_limits", finite=False).size)
 
     @classmethod
     def of_plant(cls, plant: MultibodyPlant, *, stale_time: float = 0.05) -> Safeguards:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geodrake.boundary.arguments import instance, integer, real_array
+from geodrake.boundary.arguments import instance, integer, number, real_array
 from geodrake.boundary.showing import Short, Shown
 from geodrake.errors import ArgumentError
 from geodrake.identification.identify import REGULARIZERS, IdentificationResult
@@ -140,7 +140,7 @@ class IdentificationSettings(Short):
             if (given := getattr(self, name)) is not None:
                 real_array(given, name, (), finite=False)
         if self.bandwidth is not None:
-            real_array(self.bandwidth, "bandwidth", (), finite=False)
+            number(self.bandwidth, "bandwidth")
         if self.blocks is not None:
             integer(self.blocks, "blocks")
         if instance(self.regularizer, "regularizer", str) not in REGULARIZERS:

@@ -124,13 +124,12 @@ class ModelText(abc.ABC):
         """Takes the <mimic> of a joint out of the text, and what it says in."""
         for mimic in [e for e in joint.iter() if e.tag in ("mimic", "drake:mimic")]:
             ratio, offset = (
-                numbers(mimic.get(key) or mimic.findtext(key) or default, 1)[0]
+                float(numbers(mimic.get(key) or mimic.findtext(key) or default, 1)[0])
                 for key, default in (("multiplier", "1"), ("offset", "0"))
             )
-            start = numbers(mimic.findtext("reference", "0"), 1)[0]  # of SDF
+            start = float(numbers(mimic.findtext("reference", "0"), 1)[0])  # of SDF
             own, leader = (f"{scope}::{name}" for name in (joint.get("name"), mimic.get("joint")))
-            shift = float(offset - ratio * start)
-            self.followers.append(Follower(own, leader, float(ratio), shift))
+            self.followers.append(Follower(own, leader, ratio, offset - ratio * start))
         drop(joint, "mimic", "drake:mimic")
 
     @abc.abstractmethod

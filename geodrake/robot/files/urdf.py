@@ -36,6 +36,9 @@ class UrdfText(ModelText):
             # Only Drake's own rotor inertia and gear ratio matter; joints state their efforts.
             if not any(element.tag.startswith("drake:") for element in transmission.iter()):
                 self.root.remove(transmission)
+            for kind in transmission.findall("type"):
+                if not (kind.text or "").strip():  # which would end Drake, and the process with it
+                    transmission.remove(kind)
         self._drop_loops()
         scope = self.scope or self.root.get("name") or self.path.stem
         self.root.set("name", self.root.get("name") or scope)

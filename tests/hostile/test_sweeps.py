@@ -1,0 +1,183 @@
+"""Every value and part of a good file: one at a time wrong, left out or repeated.
+
+What reads the file refuses it in one line that names it, or gets a model with numbers that are some
+and bodies that are physical. The rows of the other files are of what no such change makes.
+"""
+
+import copy
+import math
+import re
+import warnings
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import yaml
+from good_files import FLEET, FULL_DIRECTIVES, FULL_URDF, MANY_EFFECTS, MAPPING, MJCF, SDF
+from hostile import fill, limited
+
+from geodrake import load_model
+from geodrake.errors import GeodrakeError
+from geodrake.fleet import read_fleet
+from geodrake.inertia import is_physical
+from geodrake.logs import Motion
+from geodrake.logs.files.mapping_file import read_mapping
+
+NUMBERS = ("nan", "inf", "-inf", "-7", "0", "1e-300", "1e300", "1e400", "0x10", "1,5", "many", "")
+WORDS = ("", "nobody", "world", "a::b", "a  b", "../x", "關節", "1", "x" * 300, "__root__", "-")
+VALUES = (None, True, -1.0, 0, 0.5, 1e200, math.nan, math.inf, 10**30, "", "words", "a\0b")
+VALUES += ("!!python/name:os.system", [], {}, [1, 2], [[]], {"a": 1}, "geodrake model 99", ["x"])
+
+
+def is_numbers(text):
+    return re.fullmatch(r"\s*([-+]?[\d.]+(e[-+]?\d+)?\s*)+", text) is not None
+
+
+def wrong_texts(text):
+    """What stands in the place of numbers or a word, by name."""
+    if not is_numbers(text):
+        return {f"word {word[:9]!r}": word for word in WORDS}
+    parts = text.split()
+    found = {f"number {new!r}": " ".join([new] * len(parts)) for new in NUMBERS}
+    return found | {"one less": " ".join(parts[1:]), "one more": f"{text} 1"}
+
+
+def xml_changes(text):
+    """(name, text) of an XML file with one change; of like elements, the last is changed."""
+    root = _root(text)
+    parents = {child: parent for parent in root.iter() for child in parent}
+    last = {(node.tag, getattr(parents.get(node), "tag", "")): node for node in root.iter()}
+    for node in last.values():
+        parent = parents.get(node)
+        if parent is not None:
+            place = [*parent].index(node)
+            parent.remove(node)
+            yield "element gone", _text(root)
+            for _ in range(2):
+                parent.insert(place, node)
+            yield "element twice", _text(root)
+            parent.remove(node)
+        for key, value in [*node.attrib.items()]:
+            others = {other.get(key) for other in root.iter(node.tag)} - {value, None}
+            texts = wrong_texts(value) | {"that of another": min(others, default="")}
+            for name, new in texts.items():
+                node.set(key, new)
+                yield name, _text(root)
+            del node.attrib[key]
+            yield "attribute gone", _text(root)
+            node.set(key, value)
+        if (value := node.text) and value.strip():
+            for name, new in wrong_texts(value).items():
+                node.text = new
+                yield name, _text(root)
+            node.text = value
+
+
+def _root(text):
+    return ElementTree.fromstring(text.replace("drake:", "drake-"))
+
+
+def _text(root):
+    return ElementTree.tostring(root, encoding="unicode").replace("drake-", "drake:")
+
+
+def yaml_changes(text):
+    """(name, text) of a YAML file with one change; of long lists the ends are changed."""
+    data = yaml.safe_load(text)
+    for owner, key in list(_places(data)):
+        kept = copy.copy(owner)
+        for value in VALUES:
+            owner[key] = value
+            yield f"{value!r:.20}", _dumped(data)
+            owner[key] = kept[key]
+        if isinstance(owner, dict):
+            owner["nobody"] = owner.pop(key)
+        else:
+            owner.append(owner[key])
+        yield "renamed or twice", _dumped(data)
+        del owner["nobody" if isinstance(owner, dict) else -1]
+        if isinstance(owner, list):
+            del owner[key]
+        yield "gone", _dumped(data)
+        owner.clear()
+        (owner.update if isinstance(owner, dict) else owner.extend)(kept)
+
+
+def _places(data):
+    """Where values are: their owner, and their key or place."""
+    pairs = list(data.items()) if isinstance(data, dict) else []
+    if isinstance(data, list) and data:
+        pairs = [(k, data[k]) for k in sorted({0, len(data) - 1})]
+    for key, value in pairs:
+        yield data, key
+        yield from _places(value)
+
+
+def _dumped(data):
+    return yaml.safe_dump(data, allow_unicode=True, sort_keys=False)
+
+
+def read_model(path):
+    """Read a model, which moves with efforts that are numbers."""
+    model = load_model(path)
+    n = len(model.joints)
+    assert n and np.all(is_physical(model.phi)), model.phi
+    assert not any(np.isnan(each).any() for each in model.position_limits)
+    for fitted in model.effects:
+        assert np.isfinite(fitted.parameters).all()
+    q = np.full((3, model.tree.num_positions), 0.1)
+    effort = model.effort(Motion(q, np.full((3, n), 0.2), np.full((3, n), 0.3)))
+    assert np.isfinite(effort).all(), effort
+
+
+FILES = {
+    "two.urdf": (FULL_URDF, xml_changes, read_model),
+    "two.sdf": (SDF, xml_changes, read_model),
+    "two.xml": (MJCF, xml_changes, read_model),
+    "two.dmd.yaml": (FULL_DIRECTIVES, yaml_changes, read_model),
+    "saved.yaml": (MANY_EFFECTS, yaml_changes, read_model),
+    "fleet.yaml": (FLEET, yaml_changes, read_fleet),
+    "mapping.yaml": (MAPPING, yaml_changes, read_mapping),
+}
+
+
+def cases():
+    for name, (text, changes, _) in FILES.items():
+        for change in sorted({kind for kind, _ in changes(text)}):
+            yield name, change
+
+
+def ended(path, read):
+    """Whether a file is read or refused, in one line that names it."""
+    try:
+        with warnings.catch_warnings(), limited(path.name):
+            warnings.simplefilter("error")
+            read(path)
+    except GeodrakeError as error:
+        assert len(str(error).splitlines()) == 1 and path.name in str(error), error
+        return "refused"
+    return "read"
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_the_good_file(name, tmp_path):
+    fill(tmp_path)
+    text, _, read = FILES[name]
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    assert ended(tmp_path / name, read) == "read"
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize(("name", "change"), list(cases()))
+def test_one_change(name, change, tmp_path):
+    fill(tmp_path)
+    good, changes, read = FILES[name]
+    path = tmp_path / name
+    for kind, text in changes(good):
+        if kind == change:
+            path.write_text(text, encoding="utf-8")
+            try:
+                ended(path, read)
+            except BaseException as error:
+                error.add_note(text)
+                raise

@@ -1,0 +1,91 @@
+"""Work in a process of its own, which a solver may end: what is lost is told."""
+
+import os
+import signal
+import time
+from functools import partial
+
+import numpy as np
+import pytest
+
+from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.identification.own_process import (
+    LostProcessError,
+    end_waiting,
+    in_own_process,
+)
+from geodrake.identification.solvers import solved_apart
+
+
+@pytest.mark.parametrize(
+    ("work", "words"),
+    [
+        (os.abort, "ended with signal SIGABRT"),
+        (lambda: os.kill(os.getpid(), signal.SIGSEGV), "ended with signal SIGSEGV"),
+        (lambda: os._exit(10), "ended with exit code 10"),
+        (lambda: os._exit(0), "ended with exit code 0"),
+        (lambda: time.sleep(10), "gave no answer in 0.2 s"),
+        (lambda: 1 / 0, "raised ZeroDivisionError: division by zero"),
+        (lambda: (_ for _ in ()).throw(SystemExit("assertion")), "raised SystemExit: assertion"),
+    ],
+    ids=["abort", "segfault", "exit", "silent exit", "hang", "error", "SystemExit"],
+)
+def test_a_lost_process_is_told(work, words):
+    with pytest.raises(LostProcessError, match=words):
+        in_own_process(work, seconds=0.2 if "no answer" in words else 20.0)
+    end_waiting()  # those of other tests
+    with pytest.raises(ChildProcessError):  # none is left
+        os.waitpid(-1, os.WNOHANG)
+
+
+def test_a_series_takes_one_process():
+    first = in_own_process(os.getpid, seconds=20.0)
+    assert first != os.getpid()
+    assert in_own_process(os.getpid, seconds=20.0) == first
+    os.kill(first, signal.SIGKILL)  # while it waits
+    other = in_own_process(os.getpid, seconds=20.0)
+    assert other not in (first, os.getpid())
+    assert in_own_process(partial(os.getenv, "none"), seconds=20.0) is None
+    with pytest.raises(LostProcessError, match="signal SIGABRT"):
+        in_own_process(os.abort, seconds=20.0)
+    assert in_own_process(os.getpid, seconds=20.0) not in (first, other, os.getpid())
+
+
+def test_work_that_cannot_be_pickled_leaves_no_process():
+    end_waiting()
+    for _ in range(3):
+        assert in_own_process(lambda: 1, seconds=20.0) == 1
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
+
+
+def test_a_process_without_work_ends_by_itself():
+    end_waiting()
+    child = in_own_process(os.getpid, seconds=20.0)
+    assert os.waitpid(child, 0) == (child, 0)
+
+
+def test_answers_of_another_process_are_whole(capfd):
+    assert in_own_process(lambda: None, seconds=20.0) is None
+    values = np.arange(1e5)
+    np.testing.assert_array_equal(in_own_process(lambda: 2.0 * values, seconds=20.0), 2.0 * values)
+
+    def refuse():
+        os.write(1, b"what a solver prints")
+        raise ArgumentError("No.", advice="Take another.", minimum=np.ones(2))
+
+    with pytest.raises(ArgumentError, match=r"^No\. Take another\.$") as caught:
+        in_own_process(refuse, seconds=20.0)
+    np.testing.assert_array_equal(caught.value.evidence["minimum"], np.ones(2))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_solver_that_dies_is_asked_for_less_once():
+    def die_first(accuracies):
+        if len(accuracies) > 1:
+            os.abort()
+        return len(accuracies)
+
+    assert solved_apart(die_first, "clarabel") == 1
+    with pytest.raises(IdentificationError, match="its process ended with signal SIGABRT"):
+        solved_apart(lambda _: os.abort(), "clarabel")
