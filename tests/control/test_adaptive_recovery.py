@@ -232,12 +232,12 @@ def test_what_was_learned_just_before_an_interruption_is_not_believed():
     """A jump of the desired motion takes efforts to their limits."""
     system = controller("passivity", "natural", MODEL, 0)
     context, p = system.CreateDefaultContext(), []
-    steady = np.array([0.3, -0.2, 0.0, 0.0])
+    steady, jump = np.array([0.3, -0.2, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
     system.GetInputPort("estimated_state").FixValue(context, steady)
     system.GetInputPort("desired_acceleration").FixValue(context, np.zeros(2))
     rng = np.random.default_rng(0)
     for k in range(1800):
-        wanted = steady + 0.01 * np.sin(0.01 * k) + (k == 1000) * np.array([2.0, 0.0, 0.0, 0.0])
+        wanted = steady + jump * (1e-3 * np.sin(0.01 * k) + 2.0 * (k == 1000))
         system.GetInputPort("estimated_state").FixValue(context, steady + 1e-6 * rng.random(4))
         system.GetInputPort("desired_state").FixValue(context, wanted)
         context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context))

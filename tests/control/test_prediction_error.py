@@ -158,7 +158,7 @@ def test_what_is_remembered_is_not_undone():
         error = PredictionError(1.0, alone=True, memory=memory)
         system = computed(error, natural(0.02), parameters=perturbed(0.1, 2), rate=15.0)
         limits = np.full(2, np.inf)
-        found = list(moments(system, pendulum_plant(), motion(), [], limits=limits, end=8.0))
+        found = list(moments(system, pendulum_plant(), motion(), [], limits=limits, end=5.0))
         D = MANIFOLD.divergence(TRUTH, np.array([moment.parameters for moment in found]))
         assert np.diff(D).max() <= 1e-4 * D[0]
         worst.append(max(np.abs(moment.error).max() for moment in found if moment.time > 2.0))
