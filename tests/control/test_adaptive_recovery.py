@@ -178,12 +178,12 @@ class TestWatch:
         told = []
         for k, state in enumerate(self.states(5.0)):
             seen, memory = watch.look(memory, state, np.zeros(2), np.zeros(1))
-            at_limits = k in (100, 700, 900)  # the first of a loop that has just begun
+            at_limits = k in (100, 300, 500)  # the first of a loop that has just begun
             surprised = watch.interrupt(memory) if at_limits else False
             told.append((seen.trusted, seen.settled, surprised))
         trusted, settled, surprised = np.array(told).T
-        assert trusted.all() and np.flatnonzero(surprised).tolist() == [700]
-        np.testing.assert_array_equal(np.flatnonzero(~settled), np.arange(701, 900 + 500))
+        assert trusted.all() and np.flatnonzero(surprised).tolist() == [300]
+        np.testing.assert_array_equal(np.flatnonzero(~settled), np.arange(301, 500 + 500))
 
 
 class TestWithinReach:

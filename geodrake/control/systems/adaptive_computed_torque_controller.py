@@ -48,7 +48,8 @@ class AdaptiveComputedTorqueController(AdaptiveController):
     - With a `PredictionError` by that too, its weight for a tracking error M̂⁻¹ Bᵀ P e.
     - With one that is `alone`, by the filtered regressor, which needs no acceleration: b is the
       gradient of the error of prediction, Y_fᵀ W (Y_f p̂ − u_f). `lyapunov` is γ D(p‖p̂), which never
-      rises, whatever tracking does. Efforts at their limits and the dead zone do not stop it.
+      rises, whatever tracking does. Efforts at their limits and the dead zone do not stop it. Give
+      it a memory of a second: it tracks several times better while it learns.
 
     M̂ is invertible while the estimate is physical, which the natural law sees to.
 

@@ -29,7 +29,7 @@ from geodrake.control.systems.requirements import (
     checked_time_step,
     require_single_joints,
 )
-from geodrake.control.systems.safeguards import Safeguards, Seen, Watch, usable
+from geodrake.control.systems.safeguards import SUSPECT, Safeguards, Seen, Watch, usable
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_context
@@ -37,7 +37,6 @@ from geodrake.inertia.bodies import check_context
 _PARAMETERS, _ACTUATION, _WATCH, _BEFORE = 0, 1, 2, 3
 _GAINS, _GAMMA = 0, 1  # numeric parameters
 _BRAKING = 0.5  # of the limits of efforts, what is left for braking beside gravity and the like
-_SUSPECT = 0.25  # s before an interruption, of which what was learned is not believed
 _QUIETLY = np.errstate(all="ignore")  # what is not finite is looked for and replaced
 
 
@@ -63,10 +62,10 @@ class AdaptiveController(LeafSystem):
     - Where efforts would be beyond their limits, joints that are far from the desired motion come
       back only as fast as half of their limits can brake them, by the masses of the model. What is
       still too much is cut off. Adaptation waits.
-    - A contradiction, or efforts at their limits, in a loop that has gone on without either for the
-      safeguards' `settling_time` may be the beginning of a fault. The estimate is what it was a
-      quarter to half a second before, and adaptation waits until there has been neither for as long
-      again (with a time step only).
+    - A contradiction, or efforts at their limits, in a loop that has gone on without either for a
+      quarter of a second may be the beginning of a fault. The estimate is what it was a quarter to
+      half a second before, and adaptation waits until there has been neither for the safeguards'
+      `settling_time` (with a time step only).
 
     With V = V_t + γ D(p‖p̂), the law of the covector b keeps V̇ ≤ 0, [Lee2019] Proposition 5.7. So
     does the projection onto limits of plausible parameters (`adaptation.plausible`; none if the law
@@ -101,18 +100,7 @@ class AdaptiveController(LeafSystem):
         prediction: PredictionError | None,
         gains: Array,
     ) -> None:
-        """Declares what all adaptive controllers have.
-
-        Args:
-            control: The robot.
-            law: How the estimate moves; None for a controller that does not adapt.
-            time_step: Period of control and adaptation, s; zero for continuous time.
-            parameters: (p,) first estimate; that of the model if None.
-            truth: (p,) true parameters, for the port `lyapunov`.
-            safeguards: Those of `Safeguards()` if None, which has no limits of effort.
-            prediction: Adaptation by the error of prediction, beside the tracking error or alone;
-                needs a time step. None for none.
-            gains: (n,) gains, which become numeric parameters.
+        """Declares what all adaptive controllers have; their gains are numeric parameters.
 
         Raises:
             ArgumentError: The robot has joints of several degrees of freedom, or an argument does
@@ -433,6 +421,6 @@ def _before(p: Array) -> Array:
 
 def _remembered(before: Array, p: Array, seconds: float) -> Array:
     """Return what is remembered of earlier estimates after some more seconds."""
-    if (age := before[-1] + seconds) < _SUSPECT:
+    if (age := before[-1] + seconds) < SUSPECT:
         return np.append(before[:-1], age)
     return np.concatenate([before[len(p) : -1], p, [0.0]])

@@ -19,7 +19,7 @@ from geodrake.inertia.bodies import check_plant
 
 _MOVING = 1e-4  # rad/s or m/s, speed above which two equal measurements are one
 _LARGEST = 1e6  # rad, m, rad/s or m/s, norm of a state that no robot has
-_FORGOTTEN = 0.25  # s, for which drift adds up, and states are held against the last one
+SUSPECT = 0.25  # s, for which drift adds up, and for which a loop goes on before it is believed
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,12 +209,12 @@ class Watch:
         ), following
 
     def interrupt(self, memory: Array) -> bool:
-        """Return whether a loop that had gone on for the settling time is interrupted.
+        """Return whether a loop that had gone on for a quarter of a second is interrupted.
 
-        Adaptation waits from then on until it has gone on for as long again. A loop that has just
-        begun is no less settled than it was.
+        Adaptation waits from then on until the loop has gone on for the settling time. One that has
+        just begun is no less settled than it was.
         """
-        surprised = 0.0 < self.settling_time <= memory[-1] * self.period
+        surprised = self.settling_time > 0 and memory[-1] * self.period >= SUSPECT
         waits = surprised or memory[-1] < 0.0
         memory[-1] = -self.settling_time / self.period if waits else 0.0
         return surprised
@@ -247,10 +247,10 @@ def calc_measured(
         counts[1] = counts[1] + 1.0 if moving else 0.0
         return counts[1] == 0.0 or counts[1] * period < stale, False
     gap, following, believed = counts[0] * period, np.zeros(n), True
-    oldest = _FORGOTTEN if counts[2] < counts[0] else min(stale, _FORGOTTEN)
+    oldest = SUSPECT if counts[2] < counts[0] else min(stale, SUSPECT)
     for i in range(n) if gap <= oldest else range(0):
         off = state[i] - memory[i] - 0.5 * gap * (state[n + i] + memory[n + i])
-        following[i] = np.exp(-gap / _FORGOTTEN) * drift[i] + off
+        following[i] = np.exp(-gap / SUSPECT) * drift[i] + off
         believed &= not abs(following[i]) > most
     if not believed:
         counts[2] = 0.0
