@@ -160,7 +160,7 @@ def make_controller(
             time_step=TIME_STEP,
             parameters=start,
             safeguards=Safeguards(LIMITS),
-            prediction=PredictionError(1.0, alone=True, memory=1.0),
+            prediction=PredictionError(1.0, alone=True),
         )
     guards = UNGUARDED if name == "unguarded" else Safeguards(LIMITS)
     return PassivityBasedAdaptiveController(

@@ -39,7 +39,9 @@ class PredictionError(Short):
         S p̂ − c,   Ṡ = λ Y_fᵀ W Y_f − S / τ,   ċ = λ Y_fᵀ W u_f − c / τ,
 
     with the filter's bandwidth λ (G. Kreisselmeier, IEEE Transactions on Automatic Control 22(1),
-    1977), and the rate of V another −(p̂ − p)ᵀ S (p̂ − p) for all that was shown of late.
+    1977), and the rate of V another −(p̂ − p)ᵀ S (p̂ − p) for all that was shown of late. Efforts
+    that were not the ones applied, as of actuators that have lost their strength, are remembered
+    alike: where that may be, give measured ones.
 
     Attributes:
         weight: W ≥ 0 in (rad/s)/(N·m) or (m/s)/N, one for all joints or (nv,): the velocity error
