@@ -70,10 +70,10 @@ class AdaptiveController(LeafSystem):
     With V = V_t + γ D(p‖p̂), the law of the covector b keeps V̇ ≤ 0, [Lee2019] Proposition 5.7. So
     does the projection onto limits of plausible parameters (`adaptation.plausible`; none if the law
     is a `ProjectedLaw`), Eq. (5.4.57) and (5.4.59), as long as the truth is within them
-    (Propositions 5.8 and 5.9). Where adaptation waits, D(p‖p̂) stays as it is, and V may rise by
-    what the actual state makes of V_t. Leakage may raise V near the truth, see `AdaptationLaw`.
-    Errors that no parameters explain, as of actuators that have lost their strength, move the
-    estimate as well, within the limits.
+    (Propositions 5.8 and 5.9). Where adaptation waits, D(p‖p̂) stays or becomes what it was, and V
+    may rise by what the actual state makes of V_t. Leakage may raise V near the truth, see
+    `AdaptationLaw`. Errors that no parameters explain, as of actuators that have lost their
+    strength, move the estimate as well, within the limits.
 
     Adaptation by the error of prediction goes on at limits and after them, and in the dead zone, as
     efforts are known there. Of its filter, whose memory is a discrete state, whatever is missing is
@@ -421,6 +421,8 @@ def _before(p: Array) -> Array:
 
 def _remembered(before: Array, p: Array, seconds: float) -> Array:
     """Return what is remembered of earlier estimates after some more seconds."""
-    if (age := before[-1] + seconds) < SUSPECT:
-        return np.append(before[:-1], age)
-    return np.concatenate([before[len(p) : -1], p, [0.0]])
+    after, n = before.copy(), len(p)
+    after[-1] += seconds
+    if after[-1] >= SUSPECT:
+        after[:n], after[n:-1], after[-1] = before[n:-1], p, 0.0
+    return after
