@@ -1,5 +1,8 @@
 """Composite adaptation: by tracking errors and errors of prediction, alone and together."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from adaptive_loops import (
@@ -8,9 +11,11 @@ from adaptive_loops import (
     MODEL,
     TRUTH,
     FaultySensor,
+    motion,
     natural,
     noisy,
     nothing,
+    pendulum_plant,
     perturbed,
     run,
 )
@@ -29,9 +34,15 @@ from geodrake.control.systems import (
     PredictionError,
     Safeguards,
 )
+from geodrake.control.systems.prediction_error import Prediction
+from geodrake.control.systems.safeguards import Seen
 from geodrake.errors import ArgumentError
 from geodrake.inertia import is_physical
 from geodrake.manifolds import PhysicalInertia
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "diagrams"))
+
+from adaptive.faulty_loop import moments
 
 LAST = adapted_parameters(MODEL, [MODEL.bodies[-1]])
 START = np.where(LAST, perturbed(0.3), TRUTH)
@@ -110,6 +121,48 @@ def test_a_step_is_by_the_sum_of_both_covectors():
     ]
     np.testing.assert_array_equal(*ends)
     np.testing.assert_array_equal(system.parameters(system.CreateDefaultContext()), perturbed(0.2))
+
+
+def test_rows_are_remembered():
+    """Against sums over all samples so far, each of which fades with time."""
+    error = PredictionError([0.3, 0.2], 30.0, [0.01, 0.02], alone=True, memory=0.5)
+    prediction = Prediction.of(error, CONTROL, STEP)
+    filtered = FilteredRegressor(CONTROL, STEP, 30.0, held_effort=True)
+    memory, own, W = prediction.start(), filtered.start(), np.diag([0.3, 0.2])
+    rng, law, past = np.random.default_rng(0), natural(0.7), []
+    for k in range(5):
+        p, (q, qd, effort) = perturbed(0.2, k), rng.normal(size=(3, 2))
+        sample = CONTROL.at(q, qd, qd, np.zeros(2))
+        seen = Seen(q, qd, q, qd, 0 * q, True, False, True, True)
+        memory = prediction.advanced(memory, p, seen, effort, sample)
+        own = filtered.advanced(own, q, qd, effort)
+        if k == 2:
+            memory, own = prediction.skipped(memory), filtered.skipped(own)
+        Y, u = filtered.rows(own)
+        believed = Y @ p - np.sign(Y @ p - u) * np.maximum(np.abs(Y @ p - u) - [0.01, 0.02], 0.0)
+        past.append((Y, believed))
+        fading = np.exp(-np.arange(k, -1, -1) * STEP / 0.5) * -np.expm1(-30.0 * STEP)
+        b = Y.T @ W @ (Y @ p - believed)
+        reach = np.trace(W @ Y @ MANIFOLD.inverse_metric_times(p, Y).T) / 0.7
+        for share, (Z, z) in zip(fading, past, strict=True):
+            b = b + share * Z.T @ W @ (Z @ p - z)
+            reach += share * np.trace(W @ Z @ MANIFOLD.inverse_metric_times(p, Z).T) / 0.7
+        found = prediction.covector(law, p, memory)
+        np.testing.assert_allclose(found, b / (1.0 + STEP * reach), rtol=1e-6, atol=1e-9)
+
+
+def test_what_is_remembered_is_not_undone():
+    """Computed torque from a wrong estimate: errors are less by far, and D never rises."""
+    worst = []
+    for memory in (0.0, 1.0):
+        error = PredictionError(1.0, alone=True, memory=memory)
+        system = computed(error, natural(0.02), parameters=perturbed(0.1, 2), rate=15.0)
+        limits = np.full(2, np.inf)
+        found = list(moments(system, pendulum_plant(), motion(), [], limits=limits, end=5.0))
+        D = MANIFOLD.divergence(TRUTH, np.array([moment.parameters for moment in found]))
+        assert np.diff(D).max() <= 1e-4 * D[0]
+        worst.append(max(np.abs(moment.error).max() for moment in found if moment.time > 2.0))
+    assert worst[1] < 0.3 * worst[0]
 
 
 @pytest.mark.thorough

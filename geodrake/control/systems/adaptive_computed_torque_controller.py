@@ -48,7 +48,8 @@ class AdaptiveComputedTorqueController(AdaptiveController):
     - With a `PredictionError` by that too, its weight for a tracking error M̂⁻¹ Bᵀ P e.
     - With one that is `alone`, by the filtered regressor, which needs no acceleration: b is the
       gradient of the error of prediction, Y_fᵀ W (Y_f p̂ − u_f). `lyapunov` is γ D(p‖p̂), which never
-      rises, whatever tracking does. Efforts at their limits and the dead zone do not stop it.
+      rises, whatever tracking does. Efforts at their limits and the dead zone do not stop it. Give
+      it a memory of a second: it tracks several times better while it learns.
 
     M̂ is invertible while the estimate is physical, which the natural law sees to.
 
@@ -81,8 +82,7 @@ class AdaptiveComputedTorqueController(AdaptiveController):
             parameters: (p,) first estimate; that of the model if None.
             truth: (p,) true parameters, for the port `lyapunov`.
             safeguards: Those of `Safeguards()` if None, which has no limits of effort.
-            prediction: Adaptation by the error of prediction, beside the tracking error or alone;
-                needs a time step.
+            prediction: Adaptation by the error of prediction; needs a time step.
 
         Raises:
             ArgumentError: The robot has joints of several degrees of freedom, or an argument does
@@ -97,7 +97,7 @@ class AdaptiveComputedTorqueController(AdaptiveController):
             time_step=time_step,
             parameters=parameters,
             truth=truth,
-            safeguards=Safeguards() if safeguards is None else safeguards,
+            safeguards=safeguards,
             prediction=prediction,
             gains=poles,
         )

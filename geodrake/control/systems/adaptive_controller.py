@@ -29,13 +29,14 @@ from geodrake.control.systems.requirements import (
     checked_time_step,
     require_single_joints,
 )
-from geodrake.control.systems.safeguards import Safeguards, Seen, Watch, usable
+from geodrake.control.systems.safeguards import SUSPECT, Safeguards, Seen, Watch, usable
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_context
 
-_PARAMETERS, _ACTUATION, _WATCH = 0, 1, 2
+_PARAMETERS, _ACTUATION, _WATCH, _BEFORE = 0, 1, 2, 3
 _GAINS, _GAMMA = 0, 1  # numeric parameters
+_BRAKING = 0.5  # of the limits of efforts, what is left for braking beside gravity and the like
 _QUIETLY = np.errstate(all="ignore")  # what is not finite is looked for and replaced
 
 
@@ -53,24 +54,30 @@ class AdaptiveController(LeafSystem):
       it says that the robot moves, or that contradicts the last ones, as outliers, steps of an
       encoder and sudden noise do (both with a time step only, see `Watch`), is replaced by the
       desired one: feedforward of the model. Adaptation waits, also where a state only repeats the
-      last one, and after a contradiction for the safeguards' `settling_time`.
+      last one.
     - A desired motion that is not finite is replaced by rest at the last desired position (without
       a time step: at the measured one). Adaptation waits.
     - Without any of both, and where numbers overflow, the last actuation is held (without a time
       step: none is applied).
-    - Efforts beyond their limits are cut off, and adaptation waits.
+    - Where efforts would be beyond their limits, joints that are far from the desired motion come
+      back only as fast as half of their limits can brake them, by the masses of the model. What is
+      still too much is cut off. Adaptation waits.
+    - A contradiction, or efforts at their limits, in a loop that has gone on without either for a
+      quarter of a second may be the beginning of a fault. The estimate is what it was a quarter to
+      half a second before, and adaptation waits until there has been neither for the safeguards'
+      `settling_time` (with a time step only).
 
     With V = V_t + γ D(p‖p̂), the law of the covector b keeps V̇ ≤ 0, [Lee2019] Proposition 5.7. So
     does the projection onto limits of plausible parameters (`adaptation.plausible`; none if the law
     is a `ProjectedLaw`), Eq. (5.4.57) and (5.4.59), as long as the truth is within them
-    (Propositions 5.8 and 5.9). Where adaptation waits, D(p‖p̂) stays as it is, and V may rise by
-    what the actual state makes of V_t. Leakage may raise V near the truth, see `AdaptationLaw`.
-    Errors that no parameters explain, as of actuators that have lost their strength, move the
-    estimate as well, within the limits.
+    (Propositions 5.8 and 5.9). Where adaptation waits, D(p‖p̂) stays or becomes what it was, and V
+    may rise by what the actual state makes of V_t. Leakage may raise V near the truth, see
+    `AdaptationLaw`. Errors that no parameters explain, as of actuators that have lost their
+    strength, move the estimate as well, within the limits.
 
-    Adaptation by the error of prediction goes on at limits and in the dead zone, as efforts are
-    known there. Of its filter, whose memory is a discrete state, whatever is missing is left out
-    on both sides, a measured effort that is not finite too.
+    Adaptation by the error of prediction goes on at limits and after them, and in the dead zone, as
+    efforts are known there. Of its filter, whose memory is a discrete state, whatever is missing is
+    left out on both sides, a measured effort that is not finite too.
 
     `lyapunov` is the largest float where it is not finite, as where the estimate is not physical.
 
@@ -89,21 +96,11 @@ class AdaptiveController(LeafSystem):
         time_step: float,
         parameters: ArrayLike | None,
         truth: ArrayLike | None,
-        safeguards: Safeguards,
+        safeguards: Safeguards | None,
         prediction: PredictionError | None,
         gains: Array,
     ) -> None:
-        """Declares what all adaptive controllers have.
-
-        Args:
-            control: The robot.
-            law: How the estimate moves; None for a controller that does not adapt.
-            time_step: Period of control and adaptation, s; zero for continuous time.
-            parameters: (p,) first estimate; that of the model if None.
-            truth: (p,) true parameters, for the port `lyapunov`.
-            safeguards: Limits.
-            prediction: Adaptation by the error of prediction; None for none.
-            gains: (n,) gains, which become numeric parameters.
+        """Declares what all adaptive controllers have; their gains are numeric parameters.
 
         Raises:
             ArgumentError: The robot has joints of several degrees of freedom, or an argument does
@@ -111,6 +108,7 @@ class AdaptiveController(LeafSystem):
         """
         LeafSystem.__init__(self, converter=self._converter)
         require_single_joints(control)
+        safeguards = Safeguards() if safeguards is None else safeguards
         instance(safeguards, "safeguards", Safeguards)
         self.control, self.law = control, law
         self._nv = nv = len(control.joints)
@@ -150,14 +148,14 @@ class AdaptiveController(LeafSystem):
         else:
             self._declare_continuous(start)
         if self._prediction is not None:
-            self._memory = self.DeclareDiscreteState(self._prediction.filtered.start())
+            self._memory = self.DeclareDiscreteState(self._prediction.start())
             if self._prediction.measured:
                 self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(nv))
 
     def _declare_discrete(self, start: Array) -> None:
-        parameters, actuation, _ = (
+        parameters, actuation, *_ = (
             self.DeclareDiscreteState(value)
-            for value in (start, np.zeros(self._nv), self._watch.start())
+            for value in (start, np.zeros(self._nv), self._watch.start(), _before(start))
         )
         self.DeclarePeriodicDiscreteUpdateEvent(self._time_step, 0.0, self._update)
         self.DeclareStateOutputPort("actuation", actuation)
@@ -191,6 +189,11 @@ class AdaptiveController(LeafSystem):
     def _tracking_energy(self, truth: Array, seen: Seen, gains: Array) -> float:
         """V_t."""
 
+    @property
+    def _alone(self) -> bool:
+        """Return whether the tracking error does not move the estimate."""
+        return self._prediction is not None and self._prediction.alone
+
     def _resting(self, seen: Seen, gains: Array) -> bool:
         """Return whether r = q̇ − q̇_d + Λ (q − q_d) is within the dead zone."""
         r = seen.qd - seen.v_d + gains[: self._nv] * (seen.q - seen.q_d)
@@ -221,6 +224,7 @@ class AdaptiveController(LeafSystem):
         p = checked_estimate(self.control, self.law, parameters)
         if self._time_step > 0:
             context.SetDiscreteState(_PARAMETERS, p)
+            context.SetDiscreteState(_BEFORE, _before(p))
         else:
             context.SetContinuousState(p)
 
@@ -273,6 +277,10 @@ class AdaptiveController(LeafSystem):
             return None
         try:
             result = self._result_at(p, seen, gains)
+            if limited := bool((np.abs(result.effort) > self._limits).any()):
+                masses = np.diagonal(result.sample.mass_matrix(self.control.prior))
+                seen = seen.within_reach(gains[: self._nv], _BRAKING * self._limits / masses)
+                result = self._result_at(p, seen, gains)
             effort = result.effort
         except (GeodrakeError, np.linalg.LinAlgError):
             return None
@@ -281,15 +289,15 @@ class AdaptiveController(LeafSystem):
         applied = np.clip(effort, -self._limits, self._limits)
         waits = (
             self.law is None
-            or not seen.trusted
-            or (self._prediction is not None and self._prediction.alone)
-            or bool((applied != effort).any())
+            or not (seen.trusted and seen.settled)
+            or self._alone
+            or limited
             or self._resting(seen, gains)
         )
-        return ControlResult(applied, result.sample, None if waits else result.covector)
+        return ControlResult(applied, result.sample, None if waits else result.covector, limited)
 
     def _watched(self, context: Context) -> Array:
-        """Return the memory of the watch, (4 nv + 3,)."""
+        """Return the memory of the watch, (4 nv + 4,)."""
         return np.asarray(context.get_discrete_state(_WATCH).value())
 
     def _held(self, context: Context) -> Array:
@@ -300,12 +308,22 @@ class AdaptiveController(LeafSystem):
     def _update(self, context: Context, state: DiscreteValues) -> None:
         p = context.get_discrete_state(_PARAMETERS).value()
         seen, memory = self._look(context, self._watched(context))
-        state.set_value(_WATCH, memory)
         result = self._controlled(p, seen, self._gains(context))
+        stopped = memory[-2] == 0.0  # by a contradiction
         if result is not None:
             state.set_value(_ACTUATION, result.effort)
+            stopped = stopped or (result.limited and not self._alone)
+        surprised = stopped and self._watch.interrupt(memory)
+        state.set_value(_WATCH, memory)
         if (law := self._law_in(context)) is not None:
-            state.set_value(_PARAMETERS, self._following(context, state, law, seen, result))
+            p = self._following(context, state, law, seen, result)
+            before = context.get_discrete_state(_BEFORE).value()
+            if surprised:
+                p = before[: len(p)].copy()
+                state.set_value(_BEFORE, _before(p))
+            elif seen.trusted:
+                state.set_value(_BEFORE, _remembered(before, p, self._time_step))
+            state.set_value(_PARAMETERS, p)
 
     def _following(
         self,
@@ -337,12 +355,11 @@ class AdaptiveController(LeafSystem):
         """Return the memory of the filter after a sample."""
         memory = context.get_discrete_state(self._memory).value()
         if not (seen.trusted or seen.repeated) or result is None:
-            return prediction.filtered.skipped(memory)
+            return prediction.skipped(memory)
         # (Efforts at their limits are known as well, so prediction need not wait for them.)
         effort = self._effort_port.Eval(context) if prediction.measured else self._held(context)
-        return prediction.filtered.advanced(
-            memory, seen.q, seen.qd, effort, sample=result.sample, repeated=seen.repeated
-        )
+        p = context.get_discrete_state(_PARAMETERS).value()
+        return prediction.advanced(memory, p, seen, effort, result.sample)
 
     @_QUIETLY
     def _calc_result(self, context: Context, value: AbstractValue) -> None:
@@ -397,3 +414,17 @@ def _covector(context: Context, result: ControlResult | None, size: int) -> Arra
     """Return what the tracking error is to the estimate (size,); zero where adaptation waits."""
     covector = None if result is None or result.covector is None else result.covector(context)
     return np.zeros(size) if covector is None else covector
+
+
+def _before(p: Array) -> Array:
+    """Return what is remembered of earlier estimates, (2 p + 1,): two, and the age of the later."""
+    return np.concatenate([p, p, [0.0]])
+
+
+def _remembered(before: Array, p: Array, seconds: float) -> Array:
+    """Return what is remembered of earlier estimates after some more seconds."""
+    after, n = before.copy(), len(p)
+    after[-1] += seconds
+    if after[-1] >= SUSPECT:
+        after[:n], after[n:-1], after[-1] = before[n:-1], p, 0.0
+    return after

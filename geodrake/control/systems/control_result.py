@@ -23,8 +23,10 @@ class ControlResult:
         sample: The robot as the effort has it.
         covector: Gives the covector for the update law; None where adaptation waits. Only this may
             read other ports than those of what was seen.
+        limited: Whether efforts would have been beyond their limits.
     """
 
     effort: Array
     sample: ControlSample
     covector: Covector | None
+    limited: bool = False

@@ -114,8 +114,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
             parameters: (p,) first estimate; that of the model if None.
             truth: (p,) true parameters, for the port `lyapunov`.
             safeguards: Those of `Safeguards()` if None, which has no limits of effort.
-            prediction: Adaptation by the error of prediction, beside the tracking error or alone;
-                needs a time step.
+            prediction: Adaptation by the error of prediction; needs a time step.
 
         Raises:
             ArgumentError: The robot has joints of several degrees of freedom, or an argument does
@@ -129,7 +128,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
             time_step=time_step,
             parameters=parameters,
             truth=truth,
-            safeguards=Safeguards() if safeguards is None else safeguards,
+            safeguards=safeguards,
             prediction=prediction,
             gains=_gain_vector(gains, nv),
         )

@@ -7,14 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.boundary.arguments import instance, one_or_each, positive, real_array
+from geodrake.boundary.arguments import instance, number, one_or_each, positive, real_array
 from geodrake.boundary.showing import Short
 from geodrake.control.adaptation import UpdateLaw
 from geodrake.control.online_estimation import FilteredRegressor
 from geodrake.control.regressor import ControlModel
+from geodrake.control.regressor.control_model import ControlSample
 from geodrake.control.systems.requirements import checked_time_step
+from geodrake.control.systems.safeguards import Seen
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
+
+_ROUNDING = 1e-9  # of the diagonal of a matrix, above what rounding makes of its eigenvalues
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +33,16 @@ class PredictionError(Short):
     estimate goes on where tracking is good already, but only along what the motion shows.
     [Lee2019] Remark 3.14 and §5.5.2 name it against the drift of direct adaptation.
 
+    What one moment shows is a few of many parameters, and to follow it alone undoes what was right
+    before. With a memory τ, b has another
+
+        S p̂ − c,   Ṡ = λ Y_fᵀ W Y_f − S / τ,   ċ = λ Y_fᵀ W u_f − c / τ,
+
+    with the filter's bandwidth λ (G. Kreisselmeier, IEEE Transactions on Automatic Control 22(1),
+    1977), and the rate of V another −(p̂ − p)ᵀ S (p̂ − p) for all that was shown of late. Efforts
+    that were not the ones applied, as of actuators that have lost their strength, are remembered
+    alike: where that may be, give measured ones.
+
     Attributes:
         weight: W ≥ 0 in (rad/s)/(N·m) or (m/s)/N, one for all joints or (nv,): the velocity error
             that moves the estimate as much as an error of one N·m does.
@@ -39,6 +53,8 @@ class PredictionError(Short):
         measured: Whether efforts are those of the port `effort`, as of torque sensors or motor
             currents; else the controller's own, which must be all that moves the robot.
         alone: Whether the tracking error does not move the estimate: indirect adaptation.
+        memory: τ, for how long rows are remembered, s; zero for those of the moment alone. A robot
+            of p parameters has p² numbers to keep then, and a step costs as much as p rows.
 
     Raises:
         ArgumentError: A number is out of range.
@@ -49,6 +65,7 @@ class PredictionError(Short):
     tolerance: ArrayLike = 0.0
     measured: bool = False
     alone: bool = False
+    memory: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("weight", "tolerance"):
@@ -58,6 +75,7 @@ class PredictionError(Short):
         positive(self.bandwidth, "bandwidth")
         instance(self.measured, "measured", bool)
         instance(self.alone, "alone", bool)
+        number(self.memory, "memory", lower=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,11 +83,12 @@ class Prediction:
     """`PredictionError` of one controller.
 
     Attributes:
-        filtered: The filter, whose memory is in the controller's Context.
+        filtered: The filter.
         weight: (nv,) W.
         tolerance: (nv,) errors that are not believed.
         measured: Whether efforts come in by a port.
         alone: Whether the tracking error does not count.
+        memory: For how long rows are remembered, s.
     """
 
     filtered: FilteredRegressor
@@ -77,6 +96,7 @@ class Prediction:
     tolerance: Array
     measured: bool
     alone: bool
+    memory: float
 
     @classmethod
     def of(cls, error: PredictionError, control: ControlModel, time_step: float) -> Prediction:
@@ -102,19 +122,66 @@ class Prediction:
             one_or_each(error.tolerance, "tolerance", nv),
             error.measured,
             error.alone,
+            error.memory,
         )
 
+    def start(self) -> Array:
+        """Return the memory before the first sample: of the filter, and then S and c (p, p + 1)."""
+        p = self.filtered.shape[1] if self.memory > 0 else 0
+        return np.concatenate([self.filtered.start(), np.zeros(p * (p + 1))])
+
+    def skipped(self, memory: Array) -> Array:
+        """Return the memory after a sample that is missing."""
+        size = self.filtered.size
+        return np.concatenate([self.filtered.skipped(memory[:size]), memory[size:]])
+
+    def advanced(
+        self, memory: Array, p: Array, seen: Seen, effort: Array, sample: ControlSample
+    ) -> Array:
+        """Return the memory after a sample.
+
+        Args:
+            memory: That of the last sample.
+            p: (p,) estimate.
+            seen: The sample.
+            effort: (nv,) efforts.
+            sample: The robot at it.
+        """
+        size = self.filtered.size
+        now = self.filtered.advanced(
+            memory[:size], seen.q, seen.qd, effort, sample=sample, repeated=seen.repeated
+        )
+        past = memory[size:]
+        if past.size and not seen.repeated:
+            Y, error = self._error(p, now)
+            believed = np.column_stack([Y, Y @ p - error])
+            share = -np.expm1(-self.filtered.bandwidth * self.filtered.period)
+            past = np.exp(-self.filtered.period / self.memory) * past
+            past += share * ((self.weight * Y.T) @ believed).ravel()
+        return np.concatenate([now, past])
+
+    def _error(self, p: Array, memory: Array) -> tuple[Array, Array]:
+        """Return Y_f (nv, p), and what is believed of the error Y_f p̂ − u_f (nv,)."""
+        Y, effort = self.filtered.rows(memory)
+        error = Y @ p - effort
+        return Y, error - np.clip(error, -self.tolerance, self.tolerance)
+
     def covector(self, law: UpdateLaw, p: Array, memory: Array) -> Array:
-        """Y_fᵀ W (Y_f p̂ − u_f) (p,), shortened so that no step of the law overshoots.
+        """Y_fᵀ W (Y_f p̂ − u_f) + S p̂ − c (p,), shortened so that no step of the law overshoots.
 
         Args:
             law: The law that takes it.
             p: (p,) estimate.
-            memory: That of the filter.
+            memory: That of the last sample.
         """
-        Y, effort = self.filtered.rows(memory)
-        error = Y @ p - effort
-        error -= np.minimum(np.maximum(error, -self.tolerance), self.tolerance)
+        size = self.filtered.size
+        Y, error = self._error(p, memory[:size])
+        b, rows = (self.weight * error) @ Y, np.sqrt(self.weight)[:, None] * Y
+        if len(memory) > size:
+            S, c = np.split(memory[size:].reshape(len(p), -1), [len(p)], axis=1)
+            b += S @ p - c.ravel()
+            # S = L Lᵀ, and S may be singular.
+            L = np.linalg.cholesky(S + np.diag(_ROUNDING * np.diagonal(S) + np.finfo(float).tiny))
+            rows = np.concatenate([rows, L.T])
         # |error| falls by less than its size within a time step.
-        reach = law.calc_reach(p, np.sqrt(self.weight)[:, None] * Y)
-        return np.asarray((self.weight * error) @ Y / (1.0 + self.filtered.period * reach))
+        return np.asarray(b / (1.0 + self.filtered.period * law.calc_reach(p, rows)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,7 @@ from geodrake.inertia.bodies import check_plant
 
 _MOVING = 1e-4  # rad/s or m/s, speed above which two equal measurements are one
 _LARGEST = 1e6  # rad, m, rad/s or m/s, norm of a state that no robot has
-_FORGOTTEN = 0.25  # s, for which drift adds up, and states are held against the last one
+SUSPECT = 0.25  # s, for which drift adds up, and for which a loop goes on before it is believed
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +27,7 @@ class Safeguards(Short):
     """Limits of a controller.
 
     Attributes:
-        effort_limits: (nv,) greatest efforts, N·m or N; while one is reached, adaptation waits
-            (anti-windup). None for no limits.
+        effort_limits: (nv,) greatest efforts, N·m or N; None for no limits.
         stale_time: A measurement that has not changed for this long, in any digit, although it says
             that the robot moves, counts as missing, s; inf for never.
         dead_zone: (nv,) or one tracking error |r|, rad/s or m/s, that is not adapted to: what noise
@@ -36,7 +35,8 @@ class Safeguards(Short):
         drift: What positions may drift from what velocities say within a quarter of a second, rad
             or m; several times the noise of positions. A state that goes further is not believed.
             inf to believe all.
-        settling_time: For how long states must have been believed before adaptation goes on, s.
+        settling_time: For how long states must have been believed, and efforts within their limits,
+            before adaptation goes on, s.
         factor: How many times the parameters of the model, or the first estimate, an estimate may
             reach, see `control.adaptation.plausible`; inf for no limits.
 
@@ -48,7 +48,7 @@ class Safeguards(Short):
     stale_time: float = 0.05
     dead_zone: ArrayLike = 0.0
     drift: float = 0.02
-    settling_time: float = 2.0
+    settling_time: float = 1.0
     factor: float = 10.0
 
     def __post_init__(self) -> None:
@@ -100,6 +100,7 @@ class Seen:
         trusted: Whether all of it was measured and asked for just now, and has been plausible.
         repeated: Whether all of it is usable but the state is the last one again.
         known: Whether there is anything to go by.
+        settled: Whether nothing has interrupted the loop for the settling time.
     """
 
     q: Array
@@ -110,6 +111,29 @@ class Seen:
     trusted: bool
     repeated: bool
     known: bool
+    settled: bool
+
+    def within_reach(self, rate: Array, braking: Array) -> Seen:
+        """Return the same, with a desired motion that approaches from afar as fast as it can stop.
+
+        An error e = q − q_d is to fall with ė = −s(e), which is λ e near zero, and beyond that the
+        speed that a deceleration a brakes within the distance, √(2 a (|e| − a / 2 λ²)).
+
+        Args:
+            rate: (n,) λ, 1/s.
+            braking: (n,) a, rad/s² or m/s².
+        """
+        e, ed, knee = self.q - self.q_d, self.qd - self.v_d, braking / rate**2
+        if not (far := np.abs(e) > knee).any():
+            return self
+        s = np.sign(e) * np.sqrt(2.0 * braking * (np.abs(e) - 0.5 * knee))
+        r = ed + s
+        return replace(
+            self,
+            q_d=np.where(far, self.q, self.q_d),
+            v_d=np.where(far, self.v_d - s, self.v_d),
+            a_d=np.where(far, self.a_d - braking / np.abs(s) * ed + rate * r, self.a_d),
+        )
 
 
 @dataclass(frozen=True)
@@ -129,7 +153,8 @@ class Watch:
     was none at the measured one.
 
     The memory holds the last measured state, the last desired position, the drift, and for how many
-    samples there was no new state, a moving robot has stood still, and there was no contradiction.
+    samples there was no new state, a moving robot has stood still, there was no contradiction, and
+    nothing that `interrupt` was told of; this one is below zero while adaptation waits.
 
     Attributes:
         size: Number n of positions, which are as many as velocities.
@@ -144,10 +169,10 @@ class Watch:
     settling_time: float = 0.0
 
     def start(self) -> Array:
-        """Return the memory (4 n + 3,) before the first sample."""
+        """Return the memory (4 n + 4,) before the first sample."""
         never = np.finfo(float).max
         return np.concatenate(
-            [np.full(3 * self.size, np.nan), np.zeros(self.size), [never, 0.0, never]]
+            [np.full(3 * self.size, np.nan), np.zeros(self.size), [never, 0.0, never, 0.0]]
         )
 
     def measure(self, memory: Array, state: Array) -> tuple[bool, bool]:
@@ -160,7 +185,7 @@ class Watch:
         """Return what to go by, and the memory after the sample.
 
         Args:
-            memory: (4 n + 3,) of the last sample.
+            memory: (4 n + 4,) of the last sample.
             state: (2 n,) measured positions and velocities.
             desired: (2 n,) desired positions and velocities.
             acceleration: (n,) desired accelerations.
@@ -176,10 +201,23 @@ class Watch:
         if known := usable(q_d):
             last[:] = q_d
         q, qd = (state[:n], state[n:]) if measured else (q_d, v_d)
-        settled = following[-1] * self.period >= self.settling_time
+        settled = following[-2] * self.period >= self.settling_time
         both = measured and asked
         trusted = both and new and bool(settled)
-        return Seen(q, qd, q_d, v_d, a_d, trusted, both and not new, known), following
+        return Seen(
+            q, qd, q_d, v_d, a_d, trusted, both and not new, known, bool(following[-1] >= 0.0)
+        ), following
+
+    def interrupt(self, memory: Array) -> bool:
+        """Return whether a loop that had gone on for a quarter of a second is interrupted.
+
+        Adaptation waits from then on until the loop has gone on for the settling time. One that has
+        just begun is no less settled than it was.
+        """
+        surprised = self.settling_time > 0 and memory[-1] * self.period >= SUSPECT
+        waits = surprised or memory[-1] < 0.0
+        memory[-1] = -self.settling_time / self.period if waits else 0.0
+        return surprised
 
 
 @compiled
@@ -191,13 +229,13 @@ def calc_measured(
     Args:
         state: (2 n,) measured positions and velocities.
         times: Period, stale time and drift of a `Watch`.
-        memory: (4 n + 3,) of the last sample, then of this one.
+        memory: (4 n + 4,) of the last sample, then of this one.
     """
     period, stale, most = times
     n = len(state) // 2
     drift, counts = memory[3 * n : 4 * n], memory[4 * n :]
     counts[0] += 1.0
-    counts[2] += 1.0
+    counts[2:] += 1.0
     size, changed, moving = 0.0, False, False
     for i in range(2 * n):
         size += state[i] * state[i]
@@ -209,10 +247,10 @@ def calc_measured(
         counts[1] = counts[1] + 1.0 if moving else 0.0
         return counts[1] == 0.0 or counts[1] * period < stale, False
     gap, following, believed = counts[0] * period, np.zeros(n), True
-    oldest = _FORGOTTEN if counts[2] < counts[0] else min(stale, _FORGOTTEN)
+    oldest = SUSPECT if counts[2] < counts[0] else min(stale, SUSPECT)
     for i in range(n) if gap <= oldest else range(0):
         off = state[i] - memory[i] - 0.5 * gap * (state[n + i] + memory[n + i])
-        following[i] = np.exp(-gap / _FORGOTTEN) * drift[i] + off
+        following[i] = np.exp(-gap / SUSPECT) * drift[i] + off
         believed &= not abs(following[i]) > most
     if not believed:
         counts[2] = 0.0
