@@ -27,7 +27,7 @@ from geodrake.diagnosis.contact_window import (
 from geodrake.diagnosis.residuals import full_motion, joint_residuals
 from geodrake.effects import Effect
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.episode import Episode
+from geodrake.effects.episode import PointEpisode
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case, error_table, reduced
 from geodrake.identification.logs.criteria import ALARM, FIXED
@@ -64,7 +64,7 @@ class _Scale:
 
 def find_episodes(
     case: Case, hypothesis: Hypothesis, *, alarm: float = ALARM
-) -> tuple[Episode, ...]:
+) -> tuple[PointEpisode, ...]:
     """Contacts that stand out of the held-out residuals of a hypothesis.
 
     Args:
@@ -99,14 +99,14 @@ def _unknown_windows(
     """Windows of the residuals where the hypothesis has no contact; none if there are many."""
     logs = enumerate(zip(scale.grids, scale.periods, strict=True))
     windows = [w for log, (grid, period) in logs for w in _windows(log, grid, period)]
-    known = [e for e in hypothesis.unknowns.effects if isinstance(e, Episode)]
+    known = [e for e in hypothesis.unknowns.effects if isinstance(e, PointEpisode)]
     windows = [w for w in windows if not any(_overlap(case, w, contact) for contact in known)]
     return windows if len(windows) <= _MOST else []
 
 
 def _contacts(
     case: Case, scale: _Scale, windows: Sequence[tuple[int, float, float]], alarm: float
-) -> tuple[tuple[Episode, ...], bool]:
+) -> tuple[tuple[PointEpisode, ...], bool]:
     """The contacts that explain windows, and whether one explains at least a good part of one."""
     motion = full_motion(case) if windows else []
     cut = [_cut_out(case, scale, motion, place) for place in windows]
@@ -115,9 +115,9 @@ def _contacts(
     return found, any(share >= 0.5 * _LEAST_SHARE for _, share in tried)
 
 
-def _overlap(case: Case, window: tuple[int, float, float], contact: Episode) -> bool:
+def _overlap(case: Case, window: tuple[int, float, float], contact: PointEpisode) -> bool:
     log, start, end = window
-    same = contact.log in (0, log_number(case.trajectories[log].name))
+    same = contact.is_of(log_number(case.trajectories[log].name))
     return same and start < contact.end and contact.start < end
 
 
@@ -204,11 +204,11 @@ def _cut_out(
 
 def _contact(
     case: Case, window: ResidualWindow, tried: int, alarm: float
-) -> tuple[Episode | None, float]:
+) -> tuple[PointEpisode | None, float]:
     """The contact that explains a window, if one does, and the share that the best one does."""
     bodies = sorted(case.model.bodies, key=lambda name: len(window.bodies.motion(name).dofs))
     number = log_number(case.trajectories[window.log].name)
-    kinds = [kind for kind in case.effect_classes if issubclass(kind, Episode)]
+    kinds = [kind for kind in case.effect_classes if issubclass(kind, PointEpisode)]
     window_of = {"rise": _RISE, "log": number}
     guesses = [
         guess

@@ -13,6 +13,7 @@ from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.climbing import climb, settled
 from geodrake.diagnosis.contact_window import PIECES
 from geodrake.diagnosis.episodes import find_episodes
+from geodrake.diagnosis.handling import instants
 from geodrake.diagnosis.log_model import Choice, Delay, Fit, LogModel
 from geodrake.diagnosis.proposals import proposed
 from geodrake.diagnosis.refinements import (
@@ -353,6 +354,7 @@ class _Search:
                 self._zooms[term.key] = self._zooms.get(term.key, 0) + 1
         self._effects += near
         moved = expansions(self.case, self.model, self.fit)
+        moved |= instants(self.case, self.model, self.fit)
         if moved:
             self._effects = [moved.get(effect, effect) for effect in self._effects]
         loads = fitted_loads(self.case, self.model, self.fit)
