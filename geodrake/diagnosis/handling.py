@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -67,8 +67,14 @@ def handled(case: Case, model: LogModel, fit: Fit) -> list[Episode]:
                     start, end = window
                     held = make(body, start=start, end=end, rise=_RISE, log=number)
                     found.append(_timed(case, model, around, held))
-    known = [term.effect for term in model.terms if isinstance(term.effect, Episode)]
-    return [each for each in found if not any(_is_alike(each, other) for other in known)]
+    tried = [term.effect for term in model.terms if isinstance(term.effect, Episode)]
+    known = [term.effect for term in fit.terms if isinstance(term.effect, Episode)]
+    return [
+        each
+        for each in found
+        if not any(_is_alike(each, other) for other in tried)
+        and not any(_shares_an_edge(each, other) for other in known)
+    ]
 
 
 def instants(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
@@ -91,10 +97,20 @@ def instants(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
 
 def _is_alike(one: Episode, other: Episode) -> bool:
     """Whether two episodes are of one body, and nearly of one window."""
-    same = type(one) is type(other) and one.where == other.where
     pairs = list(zip(one.window, other.window, strict=True))
     open_alike = all((a is None) == (b is None) for a, b in pairs)
-    return same and pairs[3][0] == pairs[3][1] and open_alike and _distance(one, other) < _ALIKE
+    return _is_of_same(one, other) and open_alike and _distance(one, other) < _ALIKE
+
+
+def _shares_an_edge(one: Episode, other: Episode) -> bool:
+    """Whether two episodes of one body have an edge in common, of which either tells the rest."""
+    pairs = product(one.window[:2], other.window[:2])
+    near = any(abs(a - b) < _ALIKE for a, b in pairs if a is not None and b is not None)
+    return _is_of_same(one, other) and near
+
+
+def _is_of_same(one: Episode, other: Episode) -> bool:
+    return type(one) is type(other) and one.where == other.where and one.is_of(other.window[3])
 
 
 def _distance(one: Episode, other: Episode) -> float:
@@ -230,14 +246,16 @@ class _Sums:
     Attributes:
         edges: (B + 1,) instants between which rows are summed, s since the log began.
         total: (B + 1, 10, n + 11) sums up to each.
-        counts: (B + 1,) rows up to each.
+        share: (B + 1,) share of the rows up to each.
         known: (10, 10) prior information of what is held.
+        price: Evidence that an instant must be worth.
     """
 
     edges: Array
     total: Array
-    counts: Array
+    share: Array
     known: Array
+    price: float
 
     @classmethod
     def of(cls, case: Case, model: LogModel, around: _Around, log: int, body: str) -> _Sums | None:
@@ -265,11 +283,12 @@ class _Sums:
         edges = np.append((first - 0.5) * period, (every[-1] + 0.5) * period)
         total = np.concatenate([np.zeros((1, *sums.shape[1:])), np.cumsum(sums, axis=0)])
         counts = np.concatenate([[0.0], np.cumsum(counts)])
-        return cls(edges, total, counts, _prior(model))
+        price = 2.0 * float(np.log(model.beliefs.order))  # it is one of many
+        return cls(edges, total, counts / counts[-1], _prior(model), price)
 
     def best_windows(self) -> list[tuple[float | None, float | None]]:
         """Return the windows whose columns add most: from an instant on, until one, between two."""
-        last, share = len(self.edges) - 1, self.counts / self.counts[-1]
+        last, share = len(self.edges) - 1, self.share
         inside = np.flatnonzero((share >= _LEAST) & (share <= 1.0 - _LEAST))
         if not len(inside):
             return []
@@ -277,12 +296,13 @@ class _Sums:
         kinds = [
             [(k, last) for k in grid],
             [(0, k) for k in grid],
-            [pair for pair in combinations(grid, 2) if share[pair[1]] - share[pair[0]] >= _LEAST],
+            [pair for pair in combinations(grid, 2) if self._is_long(pair)],
         ]
         found = []
         for windows in kinds:
             best = self._finer(self._best(windows), inside)
-            gain = float(self._gain([best])[0])
+            edges = (best[0] > 0) + (best[1] < last)
+            gain = float(self._gain([best])[0]) - edges * self.price
             if gain > 0.0:
                 start = None if best[0] == 0 else float(self.edges[best[0]])
                 end = None if best[1] == last else float(self.edges[best[1]])
@@ -294,6 +314,9 @@ class _Sums:
         first, end = np.array(windows).T
         gain, mass = _gains(self.total[end] - self.total[first], self.known)
         return np.where(mass > 0.0, gain, -np.inf)
+
+    def _is_long(self, window: tuple[int, int]) -> bool:
+        return bool(self.share[window[1]] - self.share[window[0]] >= _LEAST)
 
     def _best(self, windows: Sequence[tuple[int, int]]) -> tuple[int, int]:
         return windows[int(np.argmax(self._gain(windows)))]
@@ -307,7 +330,7 @@ class _Sums:
                     continue
                 near = inside[np.abs(inside - window[side]) <= reach].tolist()
                 tried = [(k, window[1]) if side == 0 else (window[0], k) for k in near]
-                window = self._best([each for each in tried if each[0] < each[1]])
+                window = self._best([*filter(self._is_long, tried)])
         return window
 
 

@@ -69,7 +69,7 @@ class Term:
     def __repr__(self) -> str:
         return f"{self.name}@{'+'.join(self.where)}"
 
-    @property
+    @cached_property
     def key(self) -> Key:
         """Its name and place."""
         return (self.name, self.where) if self.effect is None else key_of(self.effect)

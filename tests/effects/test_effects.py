@@ -24,6 +24,7 @@ from geodrake.manifolds import PhysicalInertia
 NAMES_OF_DESIGN = (
     "viscous_friction",
     "coulomb_friction",
+    "friction_overcompensation",
     "asymmetric_friction",
     "stribeck_friction",
     "nonlinear_viscous_friction",
@@ -34,6 +35,7 @@ NAMES_OF_DESIGN = (
     "thermal_friction",
     "hysteresis",
     "effort_offset",
+    "thermal_offset",
     "effort_scale",
     "effort_delay",
     "joint_spring",
@@ -44,6 +46,7 @@ NAMES_OF_DESIGN = (
     "joint_elasticity",
     "backlash",
     "payload",
+    "temporary_payload",
     "wrong_inertia",
     "gravity_tilt",
     "contact",
@@ -74,7 +77,7 @@ class TestEveryEffect:
 
     def test_manifold(self, effect):
         assert effect.manifold.dimension == len(effect.parameters)
-        if isinstance(effect, effects.Payload):
+        if isinstance(effect, (effects.Payload, effects.TemporaryPayload)):
             assert effect.manifold == PhysicalInertia()
             assert [p.lower for p in effect.parameters] == [
                 0,
