@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geodrake.effects.base import Array, Parameter, Proposer, RobotMotion, Shape, Values
+from geodrake.effects.base import Array, Proposer, RobotMotion, Shape, Values
 from geodrake.effects.episode import Episode
 from geodrake.effects.payload import Payload
 from geodrake.manifolds import Manifold
@@ -40,7 +40,7 @@ class TemporaryPayload(Episode):
     proposer = Proposer.HANDLING
     summary = Payload.summary
     shapes = tuple(Shape(name, "s") for name in ("start", "end", "rise"))
-    parameters: tuple[Parameter, ...] = Payload.parameters
+    parameters = Payload.parameters
     signature = "a load that is another one from some instant on"
     depends_on = frozenset({"q", "v", "vd", "time"})
 
