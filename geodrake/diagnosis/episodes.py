@@ -27,7 +27,7 @@ from geodrake.diagnosis.contact_window import (
 from geodrake.diagnosis.residuals import full_motion, joint_residuals
 from geodrake.effects import Effect
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.episode import PointEpisode
+from geodrake.effects.episode import Episode, PointEpisode
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case, error_table, reduced
 from geodrake.identification.logs.criteria import ALARM, FIXED
@@ -35,6 +35,7 @@ from geodrake.identification.logs.evidence import chi2_tail
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.logs.folds import set_apart
 from geodrake.logs.smoothing import Segment
+from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -51,6 +52,7 @@ _MODEL = 0.05  # share of its effort that even a right contact leaves unexplaine
 _REST = 1.0  # s, of standing still that do not end an episode
 _MARGIN = 0.3  # s, around a window that is set apart
 _RISE = 0.03  # s, at first
+_LATE = 0.005  # s, by which the clock of a log that begins is said not to be at zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +93,28 @@ def find_episodes(
     apart = replace(apart, dataset=dataset)
     scale = _scaled(apart, blind)
     return _contacts(apart, scale, _unknown_windows(apart, blind, scale), alarm)[0]
+
+
+def episode_notes(case: Case, model: RobotModel) -> list[str]:
+    """Return in which log episodes are, and when by its clock, where that is not plain.
+
+    Args:
+        case: The case.
+        model: The fitted model.
+    """
+    found = list[str]()
+    for effect in (fitted.effect for fitted in model.effects):
+        for log in case.trajectories if isinstance(effect, Episode) else ():
+            if effect.window[3] != log_number(log.name):
+                continue
+            where = f" of {log.name}" if len(case.trajectories) > 1 else ""
+            edges = [edge for edge in effect.window[:2] if edge is not None]
+            clock = " and ".join(f"{log.began + edge:.2f} s" for edge in edges)
+            by_clock = f", which is {clock} by its clock" if abs(log.began) >= _LATE else ""
+            if where or by_clock:
+                what = f"{effect.name} of {effect.place}"
+                found.append(f"{what} counts from the beginning{where or ' of the log'}{by_clock}")
+    return found
 
 
 def _unknown_windows(

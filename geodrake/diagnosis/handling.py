@@ -33,6 +33,7 @@ from geodrake.robot.regressor import body_regressor
 Array = NDArray[np.float64]
 
 _INSTANTS = 48  # of the grid between which windows are tried
+_FEWEST = 20  # rows of a joint, with fewer of which nothing is tried
 _LEAST = 0.03  # share of a log's rows before and after an instant
 _MOST = 3  # windows of a log and body that are tried
 _RISE = 0.02  # s, at first
@@ -265,7 +266,7 @@ class _Sums:
             return None
         period = case.trajectories[log].filter.output_period
         every = np.unique(np.rint(np.concatenate([each.time for each in rows]) / period))
-        if len(every) < 2 * _INSTANTS:
+        if len(every) < _FEWEST:
             return None
         step = max(1, len(every) // (16 * _INSTANTS))
         first = every[::step]  # outputs at which bins begin

@@ -102,8 +102,9 @@ def test_found(pendulum, seed, start, end, tmp_path):
     assert place in finding(step, Units.of(found.model))
     np.testing.assert_allclose(found.model.phi[:, 0], pendulum.phi[:, 0], rtol=0.05)
     told = json.loads(to_json(explanation_dict(found)))
-    assert told["steps"][0]["where"] == [BODY]
-    assert place in told["steps"][0]["parameters"]
+    (told,) = [each for each in told["steps"] if each["effect"] == "temporary_payload"]
+    assert told["where"] == [BODY]
+    assert place in told["parameters"]
     save_model(found.model, tmp_path / "fitted.yaml")
     again = load_model(tmp_path / "fitted.yaml")
     assert [f.effect for f in again.effects] == [f.effect for f in found.model.effects]
@@ -119,8 +120,13 @@ def test_is_none_of_another_log(pendulum):
     (effect,) = [f.effect for f in first.effects if isinstance(f.effect, TemporaryPayload)]
     assert not dataset.column_peak[dataset.effect_columns(effect)].any()
     assert explain(first, [quiet]).steps == ()
-    again = explain(first, [a_log(5, lambda t: (t >= 9.0).astype(float))])
+    late = a_log(5, lambda t: (t >= 9.0).astype(float))
+    again = explain(first, [dataclasses.replace(late, time=late.time + 1000.0)])
+    ((place, _),) = again.steps[0].parameters.items()
     assert [step.effect for step in again.steps] == ["temporary_payload"]
+    (told,) = [note for note in again.notes if "clock" in note]
+    assert place in told
+    assert "which is 1009.0" in told or "which is 1008.9" in told
 
 
 def test_ordinary_logs_show_none(pendulum):
