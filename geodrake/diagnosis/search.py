@@ -232,13 +232,23 @@ class _Search:
     def _suggested(self) -> list[Effect]:
         """Return what the residual suggests: shared actuators, ripples, contacts."""
         found = proposed(self.case, self.model, self.fit)
-        contacts = find_episodes(self.case, self.model.hypothesis(self.fit))
+        contacts = find_episodes(self.case, self.model.hypothesis(self._with_nothing_held()))
         if contacts:
             numbers = [log_number(trajectory.name) for trajectory in self.case.trajectories]
             windows = [(numbers.index(c.log), c.start, c.end) for c in contacts]
             folds = dealt_out(self.case.folds, self.case.trajectories, windows, pieces=PIECES)
             self.case = replace(self.case, folds=folds)
         return [e for e in (*found, *contacts) if e not in self._effects]
+
+    def _with_nothing_held(self) -> Fit:
+        """Return the explanation without what is held for a while, which may be a contact."""
+        was, model = self.fit, self.model
+        held = [t for t in was.terms if t.effect and t.effect.proposer is Proposer.HANDLING]
+        if not held:
+            return was
+        kept = tuple(term for term in was.terms if term not in held)
+        choice = model.choice(kept, was.choice.width, was.choice.delay)
+        return model.fit(choice, model.shares(was), was.variance, bounded=False) or was
 
     def _start(self) -> Fit:
         """Return the model with nothing new, its bodies as near to the file as the logs say."""
