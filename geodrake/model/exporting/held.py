@@ -96,14 +96,23 @@ def reasons(effects: Sequence[FittedEffect]) -> list[str]:
     Args:
         effects: Effects that a file is without.
     """
-    found = list[str]()
-    for fitted in effects:
-        what = f"{fitted.effect.name} of {fitted.effect.place} is not in the files"
-        if fitted.effect.by_drive:
-            found.append(f"{what}: it is what the drive does, which pushes and does not resist")
-        if fitted.effect.role is Role.EPISODE:
-            found.append(f"{what}: it belongs to one log, and is no part of the robot")
-    return found
+    pushing, passing = dict[str, list[str]](), list[str]()
+    for effect in (fitted.effect for fitted in effects):
+        if effect.by_drive:
+            pushing.setdefault(effect.name, []).append(effect.place)
+        if effect.role is Role.EPISODE:
+            passing.append(f"{effect.name} of {effect.place}")
+    return [
+        *(
+            f"{name} of {', '.join(places)} is not in the files: it is what the drive does, which "
+            "pushes and does not resist"
+            for name, places in pushing.items()
+        ),
+        *(
+            f"{what} is not in the files: it belongs to one log, and is no part of the robot"
+            for what in passing
+        ),
+    ]
 
 
 def _is_inertia(effect: Effect) -> bool:
