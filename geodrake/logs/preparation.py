@@ -143,9 +143,9 @@ def _failed_sensors(log: JointLog, known: Temperatures | None) -> list[str]:
     """Return which joints have readings of temperature that are none, in words."""
     if log.temperature is None:
         return []
-    read = np.isfinite(log.temperature).any(axis=0)
+    read = np.asarray(np.isfinite(log.temperature).any(axis=0))
     courses = {} if known is None else known.courses
-    failed = [joint for joint, some in zip(log.joints, read, strict=True) if some]
+    failed = [joint for joint, some in zip(log.joints, read.tolist(), strict=True) if some]
     failed = [joint for joint in failed if joint not in courses]
     return [f"temperature of {', '.join(failed)}: the sensor fails"] if failed else []
 
