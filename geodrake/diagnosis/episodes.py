@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 _AVERAGE = 0.3  # s, over which squared residuals are averaged
 _HIGH, _LOW = 12.0, 4.0  # of their typical size: within an episode, and at its ends
 _LEAST_JOINTS = 2
-_MOST_TIME = 0.3  # share of a log: what is there longer is no episode
+MOST_TIME = 0.3  # share of a log: what is there longer is no contact
 _MOST = 8
 _LEAST_SHARE = 0.6  # of the squared error in the window that the wrench must predict
 _HOPELESS = 0.2  # share that the best guess predicts before its times and point are looked for
@@ -103,8 +103,8 @@ def episode_notes(case: Case, model: RobotModel) -> list[str]:
         model: The fitted model.
     """
     found = list[str]()
-    for effect in (fitted.effect for fitted in model.effects):
-        for log in case.trajectories if isinstance(effect, Episode) else ():
+    for effect in [f.effect for f in model.effects if isinstance(f.effect, Episode)]:
+        for log in case.trajectories:
             if effect.window[3] != log_number(log.name):
                 continue
             where = f" of {log.name}" if len(case.trajectories) > 1 else ""
@@ -177,7 +177,7 @@ def _windows(log: int, grid: Array, period: float) -> Iterator[tuple[int, float,
     parts = np.cumsum(np.diff(wide, prepend=False) | (np.diff(rows, prepend=0) * period > _REST))
     kept = [rows[parts == k] for k in np.unique(parts[wide & core]).tolist()]
     kept = [part for part in kept if np.ptp(part) * period >= SHORTEST]
-    if sum(map(len, kept)) <= _MOST_TIME * len(rows):
+    if sum(map(len, kept)) <= MOST_TIME * len(rows):
         for part in kept:
             yield log, float(part[0] * period), float(part[-1] * period)
 

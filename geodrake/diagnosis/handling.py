@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
+from geodrake.diagnosis.episodes import MOST_TIME
 from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.diagnosis.terms import Term
 from geodrake.effects.base import Effect, Proposer
@@ -94,6 +95,22 @@ def instants(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
             if _distance(effect, timed) > _MOVED:
                 moved[effect] = timed
     return moved
+
+
+def is_short(case: Case, effect: Effect | None) -> bool:
+    """Return whether an effect is held for so short a part of its log that it may be a contact.
+
+    Args:
+        case: The case.
+        effect: The effect; None for a body that is wrong.
+    """
+    if not isinstance(effect, Episode) or effect.proposer is not Proposer.HANDLING:
+        return False
+    start, end, _, number = effect.window
+    logs = [log for log in case.trajectories if log_number(log.name) == number]
+    last = max((float(log.segments[-1][-1:].time[0] - log.began) for log in logs), default=np.inf)
+    there = (last if end is None else end) - (0.0 if start is None else start)
+    return there <= MOST_TIME * last
 
 
 def _is_alike(one: Episode, other: Episode) -> bool:
@@ -232,7 +249,7 @@ def _gains(sums: Array, known: Array) -> tuple[Array, Array]:
     schur = own - half @ np.swapaxes(half, -1, -2) + known
     x = np.linalg.solve(schur, pull[..., None])[..., 0]
     logarithm = np.linalg.slogdet(known)[1] - np.linalg.slogdet(schur)[1]
-    return (pull * x).sum(-1) + logarithm, x[..., 0]
+    return np.asarray((pull * x).sum(-1) + logarithm), np.asarray(x[..., 0])
 
 
 def _prior(model: LogModel) -> Array:

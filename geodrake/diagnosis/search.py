@@ -13,7 +13,7 @@ from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.climbing import climb, settled
 from geodrake.diagnosis.contact_window import PIECES
 from geodrake.diagnosis.episodes import find_episodes
-from geodrake.diagnosis.handling import instants
+from geodrake.diagnosis.handling import instants, is_short
 from geodrake.diagnosis.log_model import Choice, Delay, Fit, LogModel
 from geodrake.diagnosis.proposals import proposed
 from geodrake.diagnosis.refinements import (
@@ -232,7 +232,7 @@ class _Search:
     def _suggested(self) -> list[Effect]:
         """Return what the residual suggests: shared actuators, ripples, contacts."""
         found = proposed(self.case, self.model, self.fit)
-        contacts = find_episodes(self.case, self.model.hypothesis(self._with_nothing_held()))
+        contacts = find_episodes(self.case, self.model.hypothesis(self._without_short_loads()))
         if contacts:
             numbers = [log_number(trajectory.name) for trajectory in self.case.trajectories]
             windows = [(numbers.index(c.log), c.start, c.end) for c in contacts]
@@ -240,10 +240,10 @@ class _Search:
             self.case = replace(self.case, folds=folds)
         return [e for e in (*found, *contacts) if e not in self._effects]
 
-    def _with_nothing_held(self) -> Fit:
-        """Return the explanation without what is held for a while, which may be a contact."""
+    def _without_short_loads(self) -> Fit:
+        """Return the explanation without what is held for a short while: it may be a contact."""
         was, model = self.fit, self.model
-        held = [t for t in was.terms if t.effect and t.effect.proposer is Proposer.HANDLING]
+        held = [term for term in was.terms if is_short(self.case, term.effect)]
         if not held:
             return was
         kept = tuple(term for term in was.terms if term not in held)
