@@ -79,6 +79,7 @@ def examples() -> list[Example]:
     return [
         Example(effects.ViscousFriction(ELBOW), (4.0,)),
         Example(effects.CoulombFriction(ELBOW), (6.0,)),
+        Example(effects.FrictionOvercompensation(ELBOW), (6.0,)),
         Example(effects.AsymmetricFriction(ELBOW), (7.0, 3.0, 3.0, 1.0)),
         Example(effects.StribeckFriction(ELBOW, 0.15, 2.0), (5.0,)),
         Example(effects.NonlinearViscousFriction(ELBOW, 0.5), (6.0,)),
@@ -89,6 +90,7 @@ def examples() -> list[Example]:
         Example(effects.ThermalFriction(ELBOW, 30.0), (-0.5, -0.2)),
         Example(effects.Hysteresis(ELBOW, 0.2), (6.0,)),
         Example(effects.EffortOffset(ELBOW), (3.0,)),
+        Example(effects.ThermalOffset(ELBOW, 30.0), (0.0, 0.5)),
         Example(effects.EffortScale(ELBOW), (0.1,)),
         Example(effects.JointSpring(ELBOW, 1, 0.0), (8.0, 0.0)),
         Example(effects.GravityCompensator(ELBOW), (0.0, 12.0)),
@@ -98,6 +100,7 @@ def examples() -> list[Example]:
         Example(effects.JointElasticity(ELBOW), (1.0 / 4000.0,)),
         Example(effects.Backlash(ELBOW, 2e-3), (1.0,)),
         Example(effects.Payload("flange"), phi_of(2.0, 0.02, 0.0, 0.08)),
+        Example(effects.TemporaryPayload("flange", 3.0), phi_of(2.0, 0.02, 0.0, 0.08)),
         Example(effects.GravityTilt(), (0.05, 0.03), SHOULDER),
         Example(
             effects.Contact("flange", 2.5, 5.0, 0.2, 0, 0.1), (10.0, 0.0, -25.0, 0.0, 0.0, 0.0)

@@ -61,6 +61,7 @@ def instances():
     return [
         effects.ViscousFriction("elbow"),
         effects.CoulombFriction("elbow"),
+        effects.FrictionOvercompensation("elbow"),
         effects.AsymmetricFriction("elbow"),
         effects.StribeckFriction("elbow", 0.1, 2.0),
         effects.NonlinearViscousFriction("elbow", 0.5),
@@ -71,6 +72,7 @@ def instances():
         effects.ThermalFriction("elbow", 30.0),
         effects.Hysteresis("elbow", 0.3),
         effects.EffortOffset("elbow"),
+        effects.ThermalOffset("elbow", 30.0),
         effects.EffortScale("elbow"),
         effects.EffortDelay(0.01),
         effects.JointSpring("elbow", 3, 0.2),
@@ -81,6 +83,7 @@ def instances():
         effects.JointElasticity("elbow"),
         effects.Backlash("elbow", 1e-3),
         effects.Payload("hand"),
+        effects.TemporaryPayload("hand", 0.05, 0.12, 0.02),
         effects.GravityTilt(),
         effects.Contact("hand", 0.05, 0.12, 0.02, 0, 0.1),
         effects.AerodynamicDrag("hand"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
-from geodrake.effects import effect_class, make_effect
+from geodrake.effects import Role, effect_class
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
 from geodrake.model.robot_model import RobotModel
@@ -25,8 +25,8 @@ def distinguishing_commands(found: Diagnosis | Explanation) -> tuple[str, ...]:
 
     Returns:
         `geodrake excite MODEL --tell-apart A,B[@PLACE]`, one for each pair that a motion can tell
-        apart, a few at most; a delay, a wrong inertia and a contact are none of these, nor a rival
-        of which no place is known.
+        apart, a few at most; a delay, a wrong inertia and what belongs to one log are none of
+        these, nor a rival of which no place is known.
     """
     findings = _of_diagnosis(found) if isinstance(found, Diagnosis) else _of_explanation(found)
     pairs = dict.fromkeys(pair for one, other in findings for pair in _pair(one, other))
@@ -103,11 +103,6 @@ def _placed(name: str, where: Sequence[str]) -> tuple[str, str, str] | None:
     place = tuple(where[:1] if cls.places == "body" else where)
     if len(place) != count:
         return None if cls.places == "body" else (name, "", cls.places)
-    if cls.places != "joint":  # shapes of one at a joint are tried
-        try:
-            make_effect(name, place)
-        except ArgumentError:  # a contact has a window, which is no property of the robot
-            return None
     return name, f"@{'+'.join(place)}" if place else "", cls.places
 
 
@@ -117,4 +112,5 @@ def _class(name: str) -> type[Effect] | None:
         cls = effect_class(name)
     except ArgumentError:  # an effect of the user's own
         return None
-    return cls if getattr(cls, "parameters", ()) and cls.places != "log" else None
+    is_of_robot = cls.places != "log" and cls.role is not Role.EPISODE
+    return cls if getattr(cls, "parameters", ()) and is_of_robot else None

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.episode import Episode
+from geodrake.effects.episode import PointEpisode
 from geodrake.identification.logs.evidence import effective_samples
 from geodrake.logs.filtering import ZeroPhaseFilter
 
@@ -61,7 +61,7 @@ class ResidualWindow:
     filter: ZeroPhaseFilter
 
 
-def columns(window: ResidualWindow, contact: Episode) -> Array:
+def columns(window: ResidualWindow, contact: PointEpisode) -> Array:
     """(K, nv, 6) filtered columns of a contact, over what is typical of each joint.
 
     Args:
@@ -93,7 +93,7 @@ class WrenchColumns:
     rows: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, window: ResidualWindow, contact: Episode) -> WrenchColumns:
+    def of(cls, window: ResidualWindow, contact: PointEpisode) -> WrenchColumns:
         """Those of a contact's body in a window.
 
         Args:
@@ -115,7 +115,7 @@ class WrenchColumns:
         rows = np.isfinite(window.residual[:, dofs])
         return cls(near, window.time, low_pass, rows)
 
-    def columns(self, contact: Episode) -> Array:
+    def columns(self, contact: PointEpisode) -> Array:
         """The known rows of `columns` at the joints that move the body."""
         edges = ((self.time - edge) / contact.rise for edge in (contact.start, contact.end))
         after, before = map(np.tanh, edges)
@@ -127,7 +127,7 @@ class WrenchColumns:
         return np.concatenate([force, parts[:, 4]], -1)[self.rows]
 
 
-def refined(window: ResidualWindow, contact: Episode, *, tries: int = ENOUGH) -> Episode:
+def refined(window: ResidualWindow, contact: PointEpisode, *, tries: int = ENOUGH) -> PointEpisode:
     """The contact with the times and the point at which it leaves least of the squared residual.
 
     Args:
@@ -142,7 +142,7 @@ def refined(window: ResidualWindow, contact: Episode, *, tries: int = ENOUGH) ->
     # A moment makes up for any point where it turns with the force.
     steps: Array = _STEPS[:_STEPS_IN_TIME] if contact.turning else _STEPS
 
-    def moved(step: Array) -> Episode | None:
+    def moved(step: Array) -> PointEpisode | None:
         start, end, rise, x, y, z = np.pad(step, (0, len(_STEPS) - len(step))).tolist()
         start, end, rise = contact.start + start, contact.end + end, contact.rise * np.exp(rise)
         point = [contact.x + x, contact.y + y, contact.z + z]
@@ -171,7 +171,7 @@ def refined(window: ResidualWindow, contact: Episode, *, tries: int = ENOUGH) ->
     return moved(found.x) or contact
 
 
-def with_point(window: ResidualWindow, contact: Episode) -> Episode:
+def with_point(window: ResidualWindow, contact: PointEpisode) -> PointEpisode:
     """A contact at the point, on the line of its force, that makes its moment smallest.
 
     Args:
@@ -234,7 +234,7 @@ class Predicted:
     felt: int
 
 
-def evidence(window: ResidualWindow, contact: Episode) -> Predicted:
+def evidence(window: ResidualWindow, contact: PointEpisode) -> Predicted:
     """What the wrench of every other piece of a window predicts of the rest.
 
     Args:

@@ -27,7 +27,7 @@ from geodrake.diagnosis.contact_window import (
 from geodrake.diagnosis.residuals import full_motion, joint_residuals
 from geodrake.effects import Effect
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.episode import Episode
+from geodrake.effects.episode import Episode, PointEpisode
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case, error_table, reduced
 from geodrake.identification.logs.criteria import ALARM, FIXED
@@ -35,13 +35,14 @@ from geodrake.identification.logs.evidence import chi2_tail
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.logs.folds import set_apart
 from geodrake.logs.smoothing import Segment
+from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
 _AVERAGE = 0.3  # s, over which squared residuals are averaged
 _HIGH, _LOW = 12.0, 4.0  # of their typical size: within an episode, and at its ends
 _LEAST_JOINTS = 2
-_MOST_TIME = 0.3  # share of a log: what is there longer is no episode
+MOST_TIME = 0.3  # share of a log: what is there longer is no contact
 _MOST = 8
 _LEAST_SHARE = 0.6  # of the squared error in the window that the wrench must predict
 _HOPELESS = 0.2  # share that the best guess predicts before its times and point are looked for
@@ -51,6 +52,7 @@ _MODEL = 0.05  # share of its effort that even a right contact leaves unexplaine
 _REST = 1.0  # s, of standing still that do not end an episode
 _MARGIN = 0.3  # s, around a window that is set apart
 _RISE = 0.03  # s, at first
+_LATE = 0.005  # s, by which the clock of a log that begins is said not to be at zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +66,7 @@ class _Scale:
 
 def find_episodes(
     case: Case, hypothesis: Hypothesis, *, alarm: float = ALARM
-) -> tuple[Episode, ...]:
+) -> tuple[PointEpisode, ...]:
     """Contacts that stand out of the held-out residuals of a hypothesis.
 
     Args:
@@ -93,20 +95,42 @@ def find_episodes(
     return _contacts(apart, scale, _unknown_windows(apart, blind, scale), alarm)[0]
 
 
+def episode_notes(case: Case, model: RobotModel) -> list[str]:
+    """Return in which log episodes are, and when by its clock, where that is not plain.
+
+    Args:
+        case: The case.
+        model: The fitted model.
+    """
+    found = list[str]()
+    for effect in [f.effect for f in model.effects if isinstance(f.effect, Episode)]:
+        for log in case.trajectories:
+            if effect.window[3] != log_number(log.name):
+                continue
+            where = f" of {log.name}" if len(case.trajectories) > 1 else ""
+            edges = [edge for edge in effect.window[:2] if edge is not None]
+            clock = " and ".join(f"{log.began + edge:.2f} s" for edge in edges)
+            by_clock = f", which is {clock} by its clock" if abs(log.began) >= _LATE else ""
+            if where or by_clock:
+                what = f"{effect.name} of {effect.place}"
+                found.append(f"{what} counts from the beginning{where or ' of the log'}{by_clock}")
+    return found
+
+
 def _unknown_windows(
     case: Case, hypothesis: Hypothesis, scale: _Scale
 ) -> list[tuple[int, float, float]]:
     """Windows of the residuals where the hypothesis has no contact; none if there are many."""
     logs = enumerate(zip(scale.grids, scale.periods, strict=True))
     windows = [w for log, (grid, period) in logs for w in _windows(log, grid, period)]
-    known = [e for e in hypothesis.unknowns.effects if isinstance(e, Episode)]
+    known = [e for e in hypothesis.unknowns.effects if isinstance(e, PointEpisode)]
     windows = [w for w in windows if not any(_overlap(case, w, contact) for contact in known)]
     return windows if len(windows) <= _MOST else []
 
 
 def _contacts(
     case: Case, scale: _Scale, windows: Sequence[tuple[int, float, float]], alarm: float
-) -> tuple[tuple[Episode, ...], bool]:
+) -> tuple[tuple[PointEpisode, ...], bool]:
     """The contacts that explain windows, and whether one explains at least a good part of one."""
     motion = full_motion(case) if windows else []
     cut = [_cut_out(case, scale, motion, place) for place in windows]
@@ -115,9 +139,9 @@ def _contacts(
     return found, any(share >= 0.5 * _LEAST_SHARE for _, share in tried)
 
 
-def _overlap(case: Case, window: tuple[int, float, float], contact: Episode) -> bool:
+def _overlap(case: Case, window: tuple[int, float, float], contact: PointEpisode) -> bool:
     log, start, end = window
-    same = contact.log in (0, log_number(case.trajectories[log].name))
+    same = contact.is_of(log_number(case.trajectories[log].name))
     return same and start < contact.end and contact.start < end
 
 
@@ -153,7 +177,7 @@ def _windows(log: int, grid: Array, period: float) -> Iterator[tuple[int, float,
     parts = np.cumsum(np.diff(wide, prepend=False) | (np.diff(rows, prepend=0) * period > _REST))
     kept = [rows[parts == k] for k in np.unique(parts[wide & core]).tolist()]
     kept = [part for part in kept if np.ptp(part) * period >= SHORTEST]
-    if sum(map(len, kept)) <= _MOST_TIME * len(rows):
+    if sum(map(len, kept)) <= MOST_TIME * len(rows):
         for part in kept:
             yield log, float(part[0] * period), float(part[-1] * period)
 
@@ -204,11 +228,11 @@ def _cut_out(
 
 def _contact(
     case: Case, window: ResidualWindow, tried: int, alarm: float
-) -> tuple[Episode | None, float]:
+) -> tuple[PointEpisode | None, float]:
     """The contact that explains a window, if one does, and the share that the best one does."""
     bodies = sorted(case.model.bodies, key=lambda name: len(window.bodies.motion(name).dofs))
     number = log_number(case.trajectories[window.log].name)
-    kinds = [kind for kind in case.effect_classes if issubclass(kind, Episode)]
+    kinds = [kind for kind in case.effect_classes if issubclass(kind, PointEpisode)]
     window_of = {"rise": _RISE, "log": number}
     guesses = [
         guess

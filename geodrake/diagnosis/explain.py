@@ -11,6 +11,7 @@ import numpy as np
 from geodrake.boundary.arguments import function, instance
 from geodrake.boundary.showing import Short
 from geodrake.diagnosis.beliefs import Beliefs
+from geodrake.diagnosis.episodes import episode_notes
 from geodrake.diagnosis.final_fit import companion_notes, final_fit
 from geodrake.diagnosis.refinements import fading_notes
 from geodrake.diagnosis.results import Explanation, Step, Verdict
@@ -143,6 +144,7 @@ def explained(
         said += companion_notes(found.model.unknowns_of(found.fit.choice), fit)
         said += fit.result.notes
         said += fading_notes(model, fit.model)
+        said += episode_notes(case, fit.model)
         said += [*stated_mass_notes(case, fit.model), *common_factor_notes(bodies)]
     explanation = Explanation(
         verdict_of(after.errors, bool(steps), left=_left(found)),

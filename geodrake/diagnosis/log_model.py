@@ -25,6 +25,7 @@ from geodrake.diagnosis.terms import (
     Term,
     Terms,
     are_compatible,
+    key_of,
     odds_against,
     terms_of,
 )
@@ -142,7 +143,7 @@ class LogModel:
         self.model, self.dataset, self.beliefs, self.on_time = model, dataset, beliefs, on_time
         self.unknowns = model_unknowns(dataset, model)
         self.known = frozenset(
-            (kind.name, effect.where)
+            key_of(effect, kind)
             for effect in self.unknowns.effects
             if not is_payload(effect)  # it may have been put down, or changed
             for kind in (type(effect), *effect.contains)
@@ -415,14 +416,32 @@ class LogModel:
         mean = fit.x[at]
         return np.linalg.inv(fit.hessian)[np.ix_(at, at)] + np.outer(mean, mean)
 
-    def parameters(self, fit: Fit, term: Term) -> Array:
-        """Return the parameters (k,) of a term of a fit."""
+    def span(self, fit: Fit, term: Term) -> slice:
+        """Return where the parameters of a term of a fit are among its own."""
         at = self._first_term
         for each in fit.terms:
             if each is term:
-                return fit.x[at : at + len(term.columns)]
+                return slice(at, at + len(term.columns))
             at += len(each.columns)
         raise KeyError(term)
+
+    def parameters(self, fit: Fit, term: Term) -> Array:
+        """Return the parameters (k,) of a term of a fit."""
+        return fit.x[self.span(fit, term)]
+
+    def row_columns(self, fit: Fit, joint: int, A: Array, b: Array) -> tuple[Array, Array]:
+        """Return the columns (K, n) of a fit, and the efforts (K,), in rows of a joint.
+
+        Args:
+            fit: The fit.
+            joint: Index of the joint.
+            A: (K, p) columns of the rows, in the order of the joint's.
+            b: (K, d) their efforts, for each delay.
+        """
+        bodies = self.dataset.data[joint].local(np.arange(self._bodies))
+        load = A[:, bodies[bodies >= 0]] @ self.unknowns.mean[: self._bodies][bodies >= 0]
+        wide = np.hstack([A, b, load[:, None], np.zeros((len(A), 1))])
+        return wide[:, self._places[joint][fit.columns]], b[:, fit.choice.delay[joint]]
 
     def bodies(self, fit: Fit) -> Array:
         """Return the bodies (nb, 10) of a fit, wrong ones as they were found, without payloads."""

@@ -240,7 +240,7 @@ class _Finder:
         present, last = self.fit.terms, set(self.model.model.last_bodies)
         for term in self.model.terms:
             whole = term.effect is not None and term.effect.places == "robot"
-            held = term.is_whole and term.where[0] in last
+            held = term.is_body and term.is_whole and term.where[0] in last
             if (whole or held) and self.model.are_compatible((*present, term)):
                 yield self._choice((*present, term))
 

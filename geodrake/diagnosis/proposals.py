@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from geodrake.diagnosis.coupled import coupled_joints
+from geodrake.diagnosis.handling import handled
 from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.diagnosis.position_spectrum import LEAST_WAVES, highest_peak
 from geodrake.diagnosis.proposal import Proposal
@@ -41,7 +42,8 @@ def proposed(case: Case, model: LogModel, fit: Fit) -> list[Effect]:
     known = [term.effect for term in fit.terms if term.effect is not None]
     proposals = [*coupled_joints(case, joints, motion), *_ripples(case, joints, known)]
     tried = [each for each in proposals if each.alarm <= _CHANCE or each.share >= _NOTABLE]
-    return [effect for each in tried for effect in each.effects]
+    suggested = [effect for each in tried for effect in each.effects]
+    return [*suggested, *handled(case, model, fit)]
 
 
 def _ripples(

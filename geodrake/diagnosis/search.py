@@ -13,6 +13,7 @@ from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.climbing import climb, settled
 from geodrake.diagnosis.contact_window import PIECES
 from geodrake.diagnosis.episodes import find_episodes
+from geodrake.diagnosis.handling import instants, is_short
 from geodrake.diagnosis.log_model import Choice, Delay, Fit, LogModel
 from geodrake.diagnosis.proposals import proposed
 from geodrake.diagnosis.refinements import (
@@ -231,13 +232,23 @@ class _Search:
     def _suggested(self) -> list[Effect]:
         """Return what the residual suggests: shared actuators, ripples, contacts."""
         found = proposed(self.case, self.model, self.fit)
-        contacts = find_episodes(self.case, self.model.hypothesis(self.fit))
+        contacts = find_episodes(self.case, self.model.hypothesis(self._without_short_loads()))
         if contacts:
             numbers = [log_number(trajectory.name) for trajectory in self.case.trajectories]
             windows = [(numbers.index(c.log), c.start, c.end) for c in contacts]
             folds = dealt_out(self.case.folds, self.case.trajectories, windows, pieces=PIECES)
             self.case = replace(self.case, folds=folds)
         return [e for e in (*found, *contacts) if e not in self._effects]
+
+    def _without_short_loads(self) -> Fit:
+        """Return the explanation without what is held for a short while: it may be a contact."""
+        was, model = self.fit, self.model
+        held = [term for term in was.terms if is_short(self.case, term.effect)]
+        if not held:
+            return was
+        kept = tuple(term for term in was.terms if term not in held)
+        choice = model.choice(kept, was.choice.width, was.choice.delay)
+        return model.fit(choice, model.shares(was), was.variance, bounded=False) or was
 
     def _start(self) -> Fit:
         """Return the model with nothing new, its bodies as near to the file as the logs say."""
@@ -353,6 +364,7 @@ class _Search:
                 self._zooms[term.key] = self._zooms.get(term.key, 0) + 1
         self._effects += near
         moved = expansions(self.case, self.model, self.fit)
+        moved |= instants(self.case, self.model, self.fit)
         if moved:
             self._effects = [moved.get(effect, effect) for effect in self._effects]
         loads = fitted_loads(self.case, self.model, self.fit)

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects.base import Effect, Proposer
+from geodrake.effects.episode import Episode
 from geodrake.effects.lookup import effect_of
 from geodrake.effects.role import Role
-from geodrake.identification.logs.dataset import Dataset, is_payload
+from geodrake.identification.logs.dataset import Dataset, is_body, is_payload
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.model.robot_model import RobotModel
@@ -23,7 +24,7 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Key = tuple[str, tuple[str, ...]]
-"""Name and place of an effect."""
+"""Name and place of an effect; one of an episode in a log is not one of another log."""
 
 _REACH = 3.0  # of a tool, over that of a dataset's payload: as large as a link
 _PHYSICAL = 0.0025
@@ -68,10 +69,10 @@ class Term:
     def __repr__(self) -> str:
         return f"{self.name}@{'+'.join(self.where)}"
 
-    @property
+    @cached_property
     def key(self) -> Key:
         """Its name and place."""
-        return self.name, self.where
+        return (self.name, self.where) if self.effect is None else key_of(self.effect)
 
     @cached_property
     def is_body(self) -> bool:
@@ -81,7 +82,7 @@ class Term:
     @cached_property
     def is_whole(self) -> bool:
         """Whether it is a body that must be physical: a payload that the model does not have."""
-        return self.effect is not None and self.is_body and len(self.positive) > 0
+        return self.effect is not None and is_body(self.effect) and len(self.positive) > 0
 
     @cached_property
     def joint(self) -> str | None:
@@ -93,6 +94,17 @@ class Term:
     def contains(self) -> frozenset[Key]:
         """Names and places of what it replaces."""
         return self.says - {self.key}
+
+
+def key_of(effect: Effect, kind: type[Effect] | None = None) -> Key:
+    """Return the key of an effect, or of one of another kind at its place.
+
+    Args:
+        effect: The effect.
+        kind: The other kind.
+    """
+    log = [str(effect.window[3])] if isinstance(effect, Episode) else []
+    return (kind or type(effect)).name, (*effect.where, *log)
 
 
 def terms_of(
@@ -114,7 +126,7 @@ def terms_of(
     loads = [pullback_information(load[None], width) for width in beliefs.payloads]
     for effect in effects:
         columns, odds = dataset.effect_columns(effect), float(len(places[type(effect)]))
-        if is_payload(effect):
+        if is_body(effect):
             odds *= 1.0 if effect.where[0] in model.last_bodies else beliefs.inner
             odds *= len(loads)  # light or heavy
             held = any(fitted.effect == effect for fitted in model.effects)
@@ -124,7 +136,7 @@ def terms_of(
             known = [_slab(effect, sizes[columns], beliefs)]
             positive = [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
         first, again = _prices(effect, odds, beliefs)
-        says = frozenset((e.name, effect.where) for e in (type(effect), *effect.contains))
+        says = frozenset(key_of(effect, kind) for kind in (type(effect), *effect.contains))
         needs = tuple(frozenset((e.name, effect.where) for e in bases) for bases in effect.refines)
         least = np.array(positive, np.intp)
         terms += [
@@ -141,6 +153,8 @@ def _slab(effect: Effect, sizes: Array, beliefs: Beliefs) -> Array:
     return np.diag(np.minimum(size / np.maximum(sizes, 1e-12), spread) ** -2.0)
 
 
+_IN_MANY = Proposer.WAVES, Proposer.HANDLING
+"""What proposes effects of one of many orders or instants."""
 _ODD_SHAPE = 4.0
 """Price of an exponent that is no multiple of one half, as those of laws are."""
 
@@ -149,10 +163,10 @@ def _prices(effect: Effect, odds: float, beliefs: Beliefs) -> tuple[float, float
     """Prices of an effect that is nowhere else, by the odds against its place, and of one more."""
     exponent = effect.shape.get("exponent")
     odd = isinstance(exponent, float) and not (2.0 * exponent).is_integer()
-    shape = beliefs.order if effect.proposer is Proposer.WAVES else beliefs.shape
+    shape = beliefs.order if effect.proposer in _IN_MANY else beliefs.shape
     price = 2.0 * np.log(shape) * effect.free_shapes + _ODD_SHAPE * odd
     first = price + 2.0 * (np.log(odds) + effect.complexity * np.log(beliefs.rarer))
-    again = first if is_payload(effect) else min(first, price + 2.0 * np.log(beliefs.again))
+    again = first if is_body(effect) else min(first, price + 2.0 * np.log(beliefs.again))
     return float(first), float(again)
 
 

@@ -13,6 +13,7 @@ from geodrake.effects.effort_offset import EffortOffset
 from geodrake.effects.effort_scale import EffortScale
 from geodrake.effects.fitted_effect import FittedEffect
 from geodrake.effects.friction_drift import FrictionDrift
+from geodrake.effects.friction_overcompensation import FrictionOvercompensation
 from geodrake.effects.gear_efficiency import GearEfficiency
 from geodrake.effects.gravity_compensator import GravityCompensator
 from geodrake.effects.gravity_tilt import GravityTilt
@@ -30,7 +31,9 @@ from geodrake.effects.role import Proposer, Role
 from geodrake.effects.rotor_inertia import RotorInertia
 from geodrake.effects.shape import Shape
 from geodrake.effects.stribeck_friction import StribeckFriction
+from geodrake.effects.temporary_payload import TemporaryPayload
 from geodrake.effects.thermal_friction import ThermalFriction
+from geodrake.effects.thermal_offset import ThermalOffset
 from geodrake.effects.torque_ripple import TorqueRipple
 from geodrake.effects.user_code import load_effect_file
 from geodrake.effects.viscous_friction import ViscousFriction
@@ -51,6 +54,7 @@ __all__ = [
     "EffortScale",
     "FittedEffect",
     "FrictionDrift",
+    "FrictionOvercompensation",
     "GearEfficiency",
     "GravityCompensator",
     "GravityTilt",
@@ -71,7 +75,9 @@ __all__ = [
     "RotorInertia",
     "Shape",
     "StribeckFriction",
+    "TemporaryPayload",
     "ThermalFriction",
+    "ThermalOffset",
     "TorqueRipple",
     "ViscousFriction",
     "WrongInertia",

@@ -98,6 +98,7 @@ class Effect(CheckedFields, abc.ABC):
         beside_gains: Whether unknown gains of efforts are found beside it, as any joint may have
             it.
         taken_out_as: What drives that take it out of the efforts that they report call it.
+        by_drive: Whether it is the drive that does it, so that nothing in a robot's file can.
     """
 
     name: ClassVar[str]
@@ -127,6 +128,7 @@ class Effect(CheckedFields, abc.ABC):
     damps: ClassVar[bool] = False
     beside_gains: ClassVar[bool] = False
     taken_out_as: ClassVar[str] = ""
+    by_drive: ClassVar[bool] = False
 
     @property
     @abc.abstractmethod

@@ -11,7 +11,7 @@ from typing import Any
 
 from geodrake.effects.base import SIGNALS, Effect, JointEffect
 from geodrake.effects.deflection import DeflectionEffect
-from geodrake.effects.episode import Episode
+from geodrake.effects.episode import Episode, PointEpisode
 from geodrake.effects.lookup import effect_of
 from geodrake.effects.parameter import Parameter
 from geodrake.effects.role import Proposer, Role
@@ -46,7 +46,8 @@ _PROPOSED: Mapping[Proposer, type] = {
     Proposer.WAVES: JointEffect,
     Proposer.WARMING: JointEffect,
     Proposer.BRISTLES: JointEffect,
-    Proposer.EPISODE: Episode,
+    Proposer.EPISODE: PointEpisode,
+    Proposer.HANDLING: Episode,
 }
 """What an effect of a proposer derives from."""
 _BY_COURSE = (Proposer.WARMING, Proposer.BRISTLES)

@@ -8,11 +8,11 @@ import numpy as np
 
 from geodrake.effects.base import Array, Parameter
 from geodrake.effects.body_motion import BodyMotion
-from geodrake.effects.episode import Episode
+from geodrake.effects.episode import PointEpisode
 
 
 @dataclass(frozen=True)
-class Contact(Episode):
+class Contact(PointEpisode):
     """Contact of a body during a window of time.
 
     effort = w(t) (J_vᵀ f + J_ωᵀ m), with the weight w of the window (see `Episode`).

@@ -1,4 +1,4 @@
-"""What acts during a window of one log."""
+"""What acts during a part of one log."""
 
 from __future__ import annotations
 
@@ -22,13 +22,60 @@ from geodrake.effects.body_motion import BodyMotion
 from geodrake.errors import ArgumentError
 
 
-@dataclass(frozen=True)
 class Episode(BodyEffect):
-    """What acts at a point P of a body during a window of time. Subclasses define `columns`.
+    """What acts on a body during a part of one log.
 
-    It is an event of one log, no property of the robot: where time is not known, or the log is
+    It is an event of that log, no property of the robot: where time is not known, or the log is
     another one, there is none. Its weight is w = ½ tanh((t − t₀)/r) − ½ tanh((t − t₁)/r): one from
     the start t₀ to the end t₁, zero before and after, with edges of duration r.
+
+    Subclasses are dataclasses with the fields `start` and `end`, s since the log began, or None
+    where the episode began before the log or goes on after it; `rise`, r in s; and `log`, the
+    number of the log from `log_number`, or 0 for any.
+    """
+
+    role = Role.EPISODE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        start, end = self._edges
+        if not start < end:
+            raise ArgumentError(
+                f"{self.name} needs a start before its end; it got {start} and {end} s."
+            )
+        require_positive(self, "rise")
+
+    @property
+    @abc.abstractmethod
+    def window(self) -> tuple[float | None, float | None, float, int]:
+        """Start and end, rise, and number of the log."""
+
+    @property
+    def _edges(self) -> tuple[float, float]:
+        start, end, _, _ = self.window
+        return -np.inf if start is None else start, np.inf if end is None else end
+
+    def weight(self, time: Array) -> Array:
+        """W (N,) at instants since the log began, s."""
+        after, before = ((time - edge) / self.window[2] for edge in self._edges)
+        return np.asarray(0.5 * (np.tanh(after) - np.tanh(before)))
+
+    def is_of(self, log: int) -> bool:
+        """Return whether it is an event of the log with a number."""
+        return self.window[3] in (0, log)
+
+    @property
+    def when(self) -> str:
+        """When it is there, in words."""
+        start, end, _, _ = self.window
+        if end is None:
+            return "throughout" if start is None else f"from {start:.2f} s on"
+        return f"until {end:.2f} s" if start is None else f"{start:.2f}–{end:.2f} s"
+
+
+@dataclass(frozen=True)
+class PointEpisode(Episode):
+    """What acts at a point P of a body during an episode. Subclasses define `columns`.
 
     Attributes:
         start: t₀, s since the log began.
@@ -50,7 +97,6 @@ class Episode(BodyEffect):
     z: float = 0.0
     turning: int = 0
 
-    role = Role.EPISODE
     proposer = Proposer.EPISODE
     shapes = (
         *(Shape(name, "s") for name in ("start", "end", "rise")),
@@ -59,11 +105,6 @@ class Episode(BodyEffect):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not -np.inf < self.start < self.end < np.inf:
-            raise ArgumentError(
-                f"{self.name} needs a start before its end; it got {self.start} and {self.end} s."
-            )
-        require_positive(self, "rise")
         if self.turning not in (0, 1):
             raise ArgumentError(f"turning of {self.name} must be 0 or 1; it is {self.turning}.")
 
@@ -76,16 +117,16 @@ class Episode(BodyEffect):
             time: (N,) instants since the log began, s.
         """
 
-    def weight(self, time: Array) -> Array:
-        """W (N,) at instants since the log began, s."""
-        after, before = ((time - edge) / self.rise for edge in (self.start, self.end))
-        return np.asarray(0.5 * (np.tanh(after) - np.tanh(before)))
+    @property
+    def window(self) -> tuple[float, float, float, int]:
+        """Start and end, rise, and number of the log."""
+        return self.start, self.end, self.rise, self.log
 
     def rows(self, motion: RobotMotion) -> dict[str, Array]:
         """The columns in the window, at the joints that move the body."""
         body = motion.body_motions(self.name).motion(self.body)
         columns = np.zeros((len(motion.v), len(motion.joints), len(self.parameters)))
-        if motion.time is not None and self.log in (0, motion.log):
+        if motion.time is not None and self.is_of(motion.log):
             columns = self.columns(body, motion.time)
         return {motion.joints[i]: columns[:, i] for i in body.dofs}
 
@@ -93,7 +134,7 @@ class Episode(BodyEffect):
     def place(self) -> str:
         """The body and the window."""
         turning = " turning with it," if self.turning else ""
-        return f"{self.body},{turning} {self.start:.2f}–{self.end:.2f} s"
+        return f"{self.body},{turning} {self.when}"
 
     @property
     def point(self) -> Array:

@@ -26,8 +26,8 @@ class Proposer(Enum):
     """What in the residual of a model proposes an effect.
 
     BENDING and PLAY propose a `DeflectionEffect`, SHARED_ACTUATOR a `SharedActuatorEffect`, EPISODE
-    an `Episode`, the others a `JointEffect`: WAVES one whose one shape parameter is their order,
-    WARMING and BRISTLES one that defines `course`.
+    a `PointEpisode`, HANDLING another `Episode`, the others a `JointEffect`: WAVES one whose one
+    shape parameter is their order, WARMING and BRISTLES one that defines `course`.
     """
 
     BENDING = "all joints go with what the load of one joint would bend"
@@ -37,3 +37,4 @@ class Proposer(Enum):
     WARMING = "friction that fades with time"
     BRISTLES = "dry friction that builds up over a way"
     EPISODE = "several joints err for a while"
+    HANDLING = "the load of a body changes at an instant"

@@ -115,6 +115,8 @@ def _prepare(
     _check_outputs(uniform, low_pass, sum(low_pass.output_count(len(p)) for p in long))
     stretches = _smooth(replace(uniform, pieces=long), low_pass, smoother, notes) if long else ()
     derived = any(stretch.derived for stretch in stretches)
+    temperatures = Temperatures.of(log.joints, log.time, log.temperature)
+    notes += _failed_sensors(log, temperatures)
     trajectory = Trajectory(
         log.name,
         log.joints,
@@ -127,7 +129,7 @@ def _prepare(
         log.payloads,
         log.gain_deviations,
         (bandwidth, motion_bandwidth),
-        Temperatures.of(log.joints, log.time, log.temperature),
+        temperatures,
     )
     _check_outputs(uniform, low_pass, sum(trajectory.output_counts))
     dropped = len(uniform.pieces) - len(stretches)
@@ -135,6 +137,17 @@ def _prepare(
         note = f"left out {dropped} of {len(uniform.pieces)} pieces: still, or short for the filter"
         return replace(trajectory, notes=(*notes, note))
     return trajectory
+
+
+def _failed_sensors(log: JointLog, known: Temperatures | None) -> list[str]:
+    """Return which joints have readings of temperature that are none, in words."""
+    if log.temperature is None:
+        return []
+    read = np.asarray(np.isfinite(log.temperature).any(axis=0))
+    courses = {} if known is None else known.courses
+    failed = [joint for joint, some in zip(log.joints, read.tolist(), strict=True) if some]
+    failed = [joint for joint in failed if joint not in courses]
+    return [f"temperature of {', '.join(failed)}: the sensor fails"] if failed else []
 
 
 def _check_outputs(uniform: UniformLog, low_pass: ZeroPhaseFilter, outputs: int) -> None:

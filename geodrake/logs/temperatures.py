@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+_FAILED = (-1.0, 0.0, 255.0)  # °C, what sensors that fail read
+_NEAR = 5.0  # °C, from one of these within which another reading may make it a true one
 _SECOND = 1.0  # over which readings are averaged, as they come in whole degrees and change slowly
 
 
@@ -27,6 +29,9 @@ class Temperatures:
     def of(cls, joints: Sequence[str], time: Array, readings: Array | None) -> Temperatures | None:
         """The courses of measured temperatures, averaged second by second.
 
+        Readings of −1, 0 and 255 °C far from all others of their joint, or without any, are those
+        of a sensor that fails: they are left out.
+
         Args:
             joints: Names of the n joints.
             time: (N,) time stamps of a log, s.
@@ -38,7 +43,7 @@ class Temperatures:
         if readings is None:
             return None
         since = time - time[np.isfinite(time)][0]
-        both = zip(joints, readings.T, strict=True)
+        both = zip(joints, map(_without_failed, readings.T), strict=True)
         courses = {joint: _averaged(since, own) for joint, own in both if np.isfinite(own).any()}
         return cls(courses) if courses else None
 
@@ -58,6 +63,15 @@ class Temperatures:
             if joint in self.courses:
                 found[:, j] = np.interp(instants, *self.courses[joint])
         return found
+
+
+def _without_failed(readings: Array) -> Array:
+    """Readings (N,) with NaN in the place of those of a sensor that fails."""
+    true = ~np.isin(readings, _FAILED) & np.isfinite(readings)
+    for value in _FAILED:
+        if not np.any(np.abs(readings[true] - value) <= _NEAR):
+            readings = np.where(readings == value, np.nan, readings)
+    return readings
 
 
 def _averaged(time: Array, readings: Array) -> tuple[Array, Array]:

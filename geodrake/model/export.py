@@ -24,6 +24,7 @@ from geodrake.inertia import (
     pseudo_inertia,
 )
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
+from geodrake.model.exporting.held import reasons
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_messages, read_description
 from geodrake.robot.files.inertia_text import link_names, with_inertias
@@ -258,7 +259,8 @@ def _left_out(model: RobotModel) -> list[str]:
         return []
     return [
         f"the exported file has the inertias only, not {', '.join(names)} (damping, friction "
-        "and armature in it stay as they are): --save keeps everything"
+        "and armature in it stay as they are): --save keeps everything",
+        *reasons(model.effects),
     ]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from geodrake.diagnosis.results import Candidate, Diagnosis, Explanation
 from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.report.numbers import number, shortened
-from geodrake.report.words import effect_label, places_label
+from geodrake.report.words import effect_label, places_label, step_place
 from geodrake.report.worst_joints import MOST_JOINTS, of_worst, worst_joints
 
 _LEAST = 1e-6  # nrms, so that a perfect model has a place on a logarithmic axis
@@ -105,7 +105,7 @@ def step_bars(explanation: Explanation) -> Bars:
         ("its own parameters refitted", explanation.refitted.nrms),
     ]
     for step in explanation.steps:
-        words = f"+ {effect_label(step.effect)}, {places_label(step.where, joints, most=3)}"
+        words = f"+ {effect_label(step.effect)}, {step_place(step, joints, most=3)}"
         errors.append((shortened(words, _MOST_LETTERS), step.error_after))
     axis = _LogAxis.of([nrms for _, nrms in errors], [floor])
     marks = axis.marks(floor)

@@ -14,7 +14,7 @@ from geodrake.diagnosis.results import Candidate, Diagnosis, Explanation
 from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.report import style
 from geodrake.report.numbers import number
-from geodrake.report.words import effect_label, places_label
+from geodrake.report.words import effect_label, places_label, step_place
 from geodrake.report.worst_joints import MOST_JOINTS, of_worst, worst_joints
 
 _LEAST = 1e-6  # nrms, so that a perfect model has a place on a logarithmic axis
@@ -105,7 +105,7 @@ def step_figure(explanation: Explanation) -> Figure:
     if explanation.steps:
         rows.append(("its own parameters refitted", start.nrms, explanation.refitted.nrms))
     for step in explanation.steps:
-        words = f"+ {effect_label(step.effect)}, {places_label(step.where, joints, most=3)}"
+        words = f"+ {effect_label(step.effect)}, {step_place(step, joints, most=3)}"
         rows.append((style.label(words, _MOST_WORDS), step.error_before, step.error_after))
     figure = style.new_figure(1.0 + 0.36 * len(rows))
     ax = style.polish(figure.subplots(), grid="x")

@@ -13,9 +13,9 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from geodrake.boundary.escaping import path_part, printable
 from geodrake.effects import FittedEffect
-from geodrake.effects.episode import Episode
+from geodrake.effects.episode import Episode, PointEpisode
 from geodrake.effects.robot_motion import log_number
-from geodrake.effects.role import Role
+from geodrake.identification.logs.dataset import is_body
 from geodrake.inertia import Array, is_physical
 from geodrake.model.robot_model import RobotModel
 from geodrake.report import style
@@ -112,19 +112,19 @@ class EffectMarks:
     ) -> None:
         self._meshcat, self._scene, self._size, self._units = meshcat, scene, size, units
         self._places = {place.joint: place for place in scene.joint_places()}
-        self._contacts: list[tuple[Episode, str]] = []
+        self._episodes: list[tuple[Episode, str]] = []
         self._context = model.plant.CreateDefaultContext()
         self._model, self.marks = model, []
         for k, fitted in enumerate(model.effects):
             self.marks += self._draw(k, fitted)
 
     def start(self, excerpts: Sequence[Excerpt]) -> None:
-        """Record when contacts are there.
+        """Record when contacts, and what is held for a while, are there.
 
         Args:
             excerpts: What is played.
         """
-        for effect, path in self._contacts:
+        for effect, path in self._episodes:
             shown = np.concatenate([_during(effect, excerpt) for excerpt in excerpts])
             last, changes = len(shown) - 1, 1 + np.flatnonzero(np.diff(shown))
             for frame in sorted({0, *changes.tolist(), last}):
@@ -138,8 +138,8 @@ class EffectMarks:
             q: (nq,) positions of the model.
         """
         (whole,) = self._model.plant_positions(np.atleast_2d(q))
-        for effect, path in self._contacts:
-            if not effect.turning:
+        for effect, path in self._episodes:
+            if isinstance(effect, PointEpisode) and not effect.turning:
                 plant = self._model.plant
                 plant.SetPositions(self._context, whole)
                 body = self._scene.body(effect.body)
@@ -150,11 +150,13 @@ class EffectMarks:
     def _draw(self, number_: int, fitted: FittedEffect) -> list[Mark]:
         effect, words = fitted.effect, effect_words(fitted, self._units)
         own = f"effects/{number_} {path_part(effect.name)}"
-        if effect.role is Role.BODY and is_physical(fitted.parameters):
+        if is_body(effect) and is_physical(fitted.parameters):
             path = f"{self._scene.body_path(effect.where[0])}/{own}"
             draw_ellipsoid(self._meshcat, path, fitted.parameters, _rgba(style.AFTER, 0.6))
+            if isinstance(effect, Episode):
+                self._episodes.append((effect, path))
             return [Mark(path, words, effect.place)]
-        if isinstance(effect, Episode):
+        if isinstance(effect, PointEpisode):
             return [Mark(self._draw_contact(effect, fitted, own), words, effect.place)]
         if effect.places == "body":
             path = f"{self._scene.body_path(effect.where[0])}/{own}"
@@ -170,7 +172,7 @@ class EffectMarks:
             marks.append(Mark(path, words, joint))
         return marks or [Mark(f"{self._scene.path}/floor", words, effect.place)]
 
-    def _draw_contact(self, effect: Episode, fitted: FittedEffect, own: str) -> str:
+    def _draw_contact(self, effect: PointEpisode, fitted: FittedEffect, own: str) -> str:
         """An arrow of the force that the robot applies, at the point where it does."""
         above = self._scene.body_path(effect.body) if effect.turning else self._scene.path
         path, force = f"{above}/{own}", fitted.parameters[:3]
@@ -181,7 +183,7 @@ class EffectMarks:
         turned = RigidTransform(RotationMatrix.MakeFromOneVector(axis, 2))
         draw_arrow(self._meshcat, f"{path}/arrow", 0.35 * self._size, CONTACT)
         self._meshcat.SetTransform(f"{path}/arrow", turned)
-        self._contacts.append((effect, path))
+        self._episodes.append((effect, path))
         return path
 
 
@@ -196,7 +198,7 @@ def effect_words(fitted: FittedEffect, units: Units) -> str:
     label = printable(effect.label or effect_label(effect.name))
     values, _ = effect.reported(fitted.parameters, np.full(len(fitted.parameters), np.nan))
     names = [effect.summary] if effect.summary in values else list(values)
-    if isinstance(effect, Episode):
+    if isinstance(effect, PointEpisode):
         return f"{label} {number(float(np.linalg.norm(fitted.parameters[:3])))} N"
     if not names:
         return label
@@ -250,8 +252,7 @@ def ring(radius: float, thickness: float) -> tuple[Array, NDArray[np.int32]]:
 def _during(effect: Episode, excerpt: Excerpt) -> NDArray[np.bool_]:
     """(F,) whether what acts in a window of one log is there."""
     since = excerpt.time - excerpt.began
-    same = effect.log in (0, log_number(excerpt.log))
-    return same & (since >= effect.start) & (since <= effect.end)
+    return np.asarray((effect.weight(since) >= 0.5) & effect.is_of(log_number(excerpt.log)))
 
 
 def _rgba(color: str, opaque: float = 1.0) -> Rgba:

@@ -32,6 +32,7 @@ from geodrake.report.words import (
     rivals,
     short_rivals,
     step_parameters,
+    step_place,
 )
 
 
@@ -160,7 +161,7 @@ def steps_table(explanation: Explanation, units: Units) -> Table:
         cells(
             str(count),
             effect_cell(step.effect, units),
-            places_label(step.where, joints),
+            step_place(step, joints),
             ", ".join(rivals(step, label=True)) or UNKNOWN,
             number(step.error_before),
             number(step.error_after),
@@ -194,7 +195,7 @@ def short_steps_table(explanation: Explanation, units: Units, *, details: bool =
         rows.append(cells("", "refitted", "its own parameters", *values, "", ""))
     for count, step in enumerate(explanation.steps, 1):
         lines = [
-            places_label(step.where, units.joints),
+            step_place(step, units.joints),
             *(_details(step, units) if details else ()),
         ]
         rows.append(

@@ -88,6 +88,12 @@ def places_label(where: Sequence[str], joints: Collection[str], *, most: int | N
     return listed(where)
 
 
+def step_place(step: Step, joints: Collection[str], *, most: int | None = None) -> str:
+    """Return where a step acts, and when, if that is a part of a log only; see `places_label`."""
+    timed = [p for p in step.parameters if any(p.startswith(f"{name}, ") for name in step.where)]
+    return listed(timed) if timed else places_label(step.where, joints, most=most)
+
+
 def parameter_value(step: Step, place: str, name: str, units: Units) -> str:
     """Return a parameter of a step with its standard deviation, in the unit in which it is shown.
 
@@ -132,7 +138,7 @@ def finding(step: Step, units: Units) -> str:
         step: The step.
         units: Units of the joints and effects of the model.
     """
-    words = f"{step.effect} on {places_label(step.where, units.joints)}"
+    words = f"{step.effect} on {step_place(step, units.joints)}"
     values = _by_name(step)
     if "mass" in values or len(values) == 1:
         name = "mass" if "mass" in values else next(iter(values))
@@ -637,6 +643,6 @@ def _list(steps: Sequence[Step], joints: Sequence[str]) -> str:
         return listed([effect_label(step.effect) for step in steps])
     return "; ".join(
         f"{listed([effect_label(step.effect) for step in group])} "
-        f"({places_label(group[0].where, joints, most=_MOST_NAMED)})"
+        f"({step_place(group[0], joints, most=_MOST_NAMED)})"
         for group in groups
     )

@@ -241,7 +241,7 @@ from geodrake.diagnosis import explain
 assert geodrake.__file__.startswith({folder!r}), geodrake.__file__
 cable = effects.WoundCable("elbow", 0.1)
 assert cable == effects.make_effect("wound_cable", ["elbow"], {{"width": 0.1}})
-assert [e.name for e in effects.catalogue()].index("wound_cable") == 17
+assert [e.name for e in effects.catalogue()].index("wound_cable") == 19
 log = pendulum_log(1, lambda q, v, vd, load: 0.4 * np.tanh(q / 0.1) * [0.0, 1.0], seconds=20.0)
 found = explain(geodrake.load_model(PENDULUM), [log], bandwidth=6.0)
 print([(step.effect, step.where) for step in found.steps])

@@ -24,6 +24,7 @@ from geodrake.manifolds import PhysicalInertia
 NAMES_OF_DESIGN = (
     "viscous_friction",
     "coulomb_friction",
+    "friction_overcompensation",
     "asymmetric_friction",
     "stribeck_friction",
     "nonlinear_viscous_friction",
@@ -34,6 +35,7 @@ NAMES_OF_DESIGN = (
     "thermal_friction",
     "hysteresis",
     "effort_offset",
+    "thermal_offset",
     "effort_scale",
     "effort_delay",
     "joint_spring",
@@ -44,6 +46,7 @@ NAMES_OF_DESIGN = (
     "joint_elasticity",
     "backlash",
     "payload",
+    "temporary_payload",
     "wrong_inertia",
     "gravity_tilt",
     "contact",
@@ -74,7 +77,7 @@ class TestEveryEffect:
 
     def test_manifold(self, effect):
         assert effect.manifold.dimension == len(effect.parameters)
-        if isinstance(effect, effects.Payload):
+        if isinstance(effect, (effects.Payload, effects.TemporaryPayload)):
             assert effect.manifold == PhysicalInertia()
             assert [p.lower for p in effect.parameters] == [
                 0,
@@ -103,7 +106,8 @@ def test_friction_brakes(name):
     effect = next(e for e in instances() if e.name == name)
     motion = random_motion(200, width=0.3)
     effort = effect.effort(motion, np.arange(1.0, 1 + len(effect.parameters)))
-    assert ((effort * motion.v).sum(-1) >= 0).all()
+    power = (effort * motion.v).sum(-1)
+    assert (power <= 0 if effect.by_drive else power >= 0).all()
     still = dataclasses.replace(motion, v=np.zeros_like(motion.v))
     np.testing.assert_array_equal(effect.effort(still, np.ones(len(effect.parameters))), 0.0)
 

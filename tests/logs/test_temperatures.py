@@ -81,6 +81,29 @@ def test_courses_are_means_over_seconds():
     assert Temperatures.of(JOINTS, TIME, np.full_like(WARMTH, np.nan)) is None
 
 
+@pytest.mark.parametrize("code", [-1.0, 0.0, 255.0])
+def test_readings_of_sensors_that_fail_are_none(code):
+    readings = np.round(WARMTH)
+    readings[:150, 0] = readings[300:303, 0] = code
+    readings[:, 1] = code
+    courses = Temperatures.of(JOINTS, TIME, readings)
+    assert list(courses.courses) == ["shoulder"]
+    found = courses.at(TIME, ["shoulder"])
+    assert found.min() > 29.0 and found.max() < 1.0 + WARMTH[:, 0].max()
+    cold = np.clip(np.round(WARMTH - 30.0), -3.0, 3.0)
+    np.testing.assert_array_equal(
+        Temperatures.of(JOINTS, TIME, cold).courses["shoulder"][0].size, np.unique(TIME // 1).size
+    )
+
+
+def test_a_prepared_log_says_which_sensors_fail():
+    readings = WARMTH.copy()
+    readings[:, 1] = 255.0
+    notes = prepare_log(log_with(readings), bandwidth=5.0).notes
+    assert "temperature of elbow: the sensor fails" in notes
+    assert not any("sensor" in note for note in prepare_log(log_with(WARMTH), bandwidth=5.0).notes)
+
+
 def test_columns_of_swapped_joints_take_theirs_along():
     swap = ColumnFinding("swapped_joints", JOINTS, (), 50.0, 0.99, (), 1.0, 0.1, "swapped", "")
     np.testing.assert_array_equal(corrected(log_with(WARMTH), [swap]).temperature, WARMTH[:, ::-1])

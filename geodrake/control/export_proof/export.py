@@ -20,7 +20,7 @@ from geodrake.control.export_proof.samples import (
 from geodrake.identification.logs.case import open_case
 from geodrake.logs.motion import JointLog
 from geodrake.model.exporting.export_format import Exported, ExportFormat
-from geodrake.model.exporting.held import held_by
+from geodrake.model.exporting.held import held_by, reasons
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import servos_of
 
@@ -124,6 +124,8 @@ def export_with_proof(
             "mjcf and isaac do, and PositionServo in a Drake diagram"
         )
     notes += lost_integrals(model, form, case)
+    gone = {lost.effect for lost in held.lost}
+    notes += reasons([fitted for fitted in model.effects if fitted.effect.name in gone])
     if "drake" in form.engines and (proof.ignored or held.lost):
         notes.append(_IN_DRAKE)
     return ProvenExport(form, exported, held.model, lacks, costs, proof, tuple(notes))

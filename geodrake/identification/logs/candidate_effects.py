@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 LONGEST_DELAY = 0.05
 """Delays between motion and effort are tried up to this one, s."""
 
+_FROM_RESIDUAL = (Proposer.WAVES, Proposer.EPISODE, Proposer.HANDLING)
 _LEAST_WARMING = 2.0  # °C; readings come in whole degrees, and friction changes by some % in one
 
 
@@ -61,7 +62,7 @@ def candidate_effects(
     duration = max(float(t.segments[-1][-1:].time[0] - t.began) for t in trajectories)
     for effect in (*catalogue(), *extra):
         unknown = effect.needs_known_inertia and model.information is None
-        from_residual = effect.proposer in (Proposer.WAVES, Proposer.EPISODE)
+        from_residual = effect.proposer in _FROM_RESIDUAL
         if from_residual or (unknown and effect.places != "joint"):
             continue
         if effect.places == "joint":

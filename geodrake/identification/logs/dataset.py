@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, Role
 from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.manifolds import PhysicalInertia
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -258,3 +259,8 @@ def column_starts(effects: tuple[Effect, ...], bodies: tuple[str, ...]) -> dict[
 def is_payload(effect: Effect) -> bool:
     """Whether an effect adds inertial parameters to a body, so that it shares its columns."""
     return effect.role is Role.BODY
+
+
+def is_body(effect: Effect) -> bool:
+    """Whether the parameters of an effect are those of a rigid body, held always or for a while."""
+    return isinstance(effect.manifold, PhysicalInertia)

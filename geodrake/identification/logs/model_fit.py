@@ -16,7 +16,7 @@ from geodrake.identification.conic_fit import solve_surely
 from geodrake.identification.fit import FitResult
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.cross_validation import HeldOut, hold_out
-from geodrake.identification.logs.dataset import Dataset, Delay, is_payload
+from geodrake.identification.logs.dataset import Dataset, Delay, is_body
 from geodrake.identification.logs.systematic import gain_shifts, unexplained_covariance
 from geodrake.identification.logs.unknowns import (
     Unknowns,
@@ -91,7 +91,7 @@ def fit_problem(
         rows[:, :p][:, used] = stacked[:, local[used]]
         rows[:, p] = stacked[:, len(data.columns) + late]
         triangle = triangular_factor([triangle, np.sqrt(weight) * rows])
-    payloads = [e for e in unknowns.effects if is_payload(e)]
+    payloads = [e for e in unknowns.effects if is_body(e)]
     scalar = np.ones(p, bool)  # P ≻ 0 bounds the inertial parameters
     for start in unknowns.inertia_blocks:
         scalar[start : start + PARAMETERS_PER_BODY] = False

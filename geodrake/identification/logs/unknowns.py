@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import LARGEST
-from geodrake.identification.logs.dataset import Dataset, is_payload
+from geodrake.identification.logs.dataset import Dataset, is_body
 from geodrake.inertia import PARAMETERS_PER_BODY, from_mass_com_inertia, pullback_metric
 
 Array = NDArray[np.float64]
@@ -59,14 +59,13 @@ class Unknowns:
             mean: (k,) prior mean, zero if not given.
         """
         start, k = len(self.columns), len(effect.parameters)
-        is_body = effect.places == "body" and k == PARAMETERS_PER_BODY
         return Unknowns(
             np.concatenate([self.columns, columns]),
             np.concatenate([self.mean, np.zeros(k) if mean is None else mean]),
             block_diag(self.information, information),
             np.concatenate([self.lower, [p.lower for p in effect.parameters]]),
             np.concatenate([self.upper, [p.upper for p in effect.parameters]]),
-            (*self.inertia_blocks, start) if is_body else self.inertia_blocks,
+            (*self.inertia_blocks, start) if is_body(effect) else self.inertia_blocks,
             (*self.effects, effect),
             (*self.starts, start),
         )
@@ -192,7 +191,7 @@ def effect_prior(dataset: Dataset, effect: Effect) -> tuple[Array, Array]:
         mean (k,) and information (k, k).
     """
     k = len(effect.parameters)
-    if is_payload(effect):
+    if is_body(effect):
         return np.zeros(k), pullback_information(dataset.payload[None], 10.0)
     peak = dataset.column_peak[dataset.effect_columns(effect)] / LARGEST
     spread = np.array([parameter.spread for parameter in effect.parameters])

@@ -64,7 +64,7 @@ def held_by(
     Effects of a kind at a joint become one. What the format cannot hold is approximated at each
     joint by least squares over the motion: friction that depends on load or direction, or that
     falls with speed, by damping and Coulomb friction, and inertia that couples joints by that of
-    rotors. All these stay positive.
+    rotors. All these stay positive. What a drive does is left out: nothing passive pushes.
 
     Args:
         model: The model.
@@ -88,6 +88,31 @@ def held_by(
                 into[effect] = tuple(dict.fromkeys([*into.get(effect, ()), *names]))
     effects = tuple(fitted for fitted in merged.values() if fitted.effect.role is not Role.INERTIA)
     return HeldModel(replace(model, effects=effects, information=None), _named(lost, into))
+
+
+def reasons(effects: Sequence[FittedEffect]) -> list[str]:
+    """Return why no model file can hold some effects, of those that are none of the robot's.
+
+    Args:
+        effects: Effects that a file is without.
+    """
+    pushing, passing = dict[str, list[str]](), list[str]()
+    for effect in (fitted.effect for fitted in effects):
+        if effect.by_drive:
+            pushing.setdefault(effect.name, []).append(effect.place)
+        if effect.role is Role.EPISODE:
+            passing.append(f"{effect.name} of {effect.place}")
+    return [
+        *(
+            f"{name} of {', '.join(places)} is not in the files: it is what the drive does, which "
+            "pushes and does not resist"
+            for name, places in pushing.items()
+        ),
+        *(
+            f"{what} is not in the files: it belongs to one log, and is no part of the robot"
+            for what in passing
+        ),
+    ]
 
 
 def _is_inertia(effect: Effect) -> bool:
@@ -160,7 +185,9 @@ def _stand_ins(
             [fitted.effect.effort(motion, fitted.parameters)[:, at] for motion in seen]
         )
         for fitted in lost
-        if fitted.effect.role is Role.FORCE and fitted.effect.depends_on & {"v", "vd"}
+        if fitted.effect.role is Role.FORCE
+        and fitted.effect.depends_on & {"v", "vd"}
+        and not fitted.effect.by_drive
     }
     wanted = {effect: effort for effect, effort in wanted.items() if effort.any()}
     signals = frozenset[str]().union(*(effect.depends_on for effect in wanted))

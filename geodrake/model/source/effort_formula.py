@@ -85,7 +85,7 @@ def effort_formula(model: RobotModel, sign_width: ArrayLike) -> EffortFormula:
         if not is_written(effect):
             warm = "temperature" in effect.depends_on
             left_out.append(
-                f"the temperature of {what}: it is that at which its effort is none"
+                f"the temperature of {what}: it is taken to be the reference"
                 if warm
                 else f"the history of {what}: it is as if the motion had gone on for long"
             )

@@ -1,0 +1,457 @@
+"""Payloads that a log shows to be picked up or put down, and when.
+
+A fit of one model to all of a log is wrong before an instant or after it, in the way in which a
+body of other inertia is. So the columns of a body are cut in time: what those of a window add to
+the evidence of a fit is a small Schur complement, whose parts are sums over the rows in it. All
+windows between the instants of a grid are tried at once. The instants are then moved to where the
+columns, filtered as the efforts are, add most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.optimize import minimize
+
+from geodrake.diagnosis.episodes import MOST_TIME
+from geodrake.diagnosis.log_model import Fit, LogModel
+from geodrake.diagnosis.terms import Term
+from geodrake.effects.base import Effect, Proposer
+from geodrake.effects.episode import Episode
+from geodrake.effects.robot_motion import log_number
+from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.unknowns import pullback_information
+from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.logs.smoothing import Segment
+from geodrake.robot.regressor import body_regressor
+
+Array = NDArray[np.float64]
+
+_INSTANTS = 48  # of the grid between which windows are tried
+_FEWEST = 20  # rows of a joint, with fewer of which nothing is tried
+_LEAST = 0.03  # share of a log's rows before and after an instant
+_MOST = 3  # windows of a log and body that are tried
+_RISE = 0.02  # s, at first
+_SHARPEST, _SLOWEST = 2e-3, 1.0  # s
+_STEP, _STEP_OF_RISE = 0.02, 0.7  # first: s of an instant, logarithm of the rise
+_TRIES = 80
+_ALIKE = 0.3  # s, between instants that are not tried twice
+_MOVED = 5e-4  # s, below which an instant stays
+
+
+def handled(case: Case, model: LogModel, fit: Fit) -> list[Episode]:
+    """Return bodies that a log shows to be held for a while.
+
+    Args:
+        case: The case.
+        model: The Gaussian model of its logs.
+        fit: The explanation so far, beside which friction and offsets may be.
+    """
+    kinds = [kind for kind in case.effect_classes if kind.proposer is Proposer.HANDLING]
+    usual = _beside(model, fit)
+    found = list[Episode]()
+    if usual is None or not kinds:
+        return found
+    around = _Around.of(model, usual, without=None)
+    for log, trajectory in enumerate(case.trajectories):
+        number = log_number(trajectory.name)
+        for body in case.model.last_bodies:
+            sums = _Sums.of(case, model, around, log, body)
+            for window in sums.best_windows() if sums is not None else ():
+                for kind in kinds:
+                    make: Callable[..., Any] = kind
+                    start, end = window
+                    held = make(body, start=start, end=end, rise=_RISE, log=number)
+                    found.append(_timed(case, model, around, held))
+    tried = [term.effect for term in model.terms if isinstance(term.effect, Episode)]
+    known = [term.effect for term in fit.terms if isinstance(term.effect, Episode)]
+    return [
+        each
+        for each in found
+        if not any(_is_alike(each, other) for other in tried)
+        and not any(_shares_an_edge(each, other) for other in known)
+    ]
+
+
+def instants(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
+    """Return the effects of a fit that are held for a while, at the instants that suit it best.
+
+    Args:
+        case: The case.
+        model: The Gaussian model of its logs.
+        fit: The explanation.
+    """
+    moved = dict[Effect, Effect]()
+    for term in fit.terms:
+        effect = term.effect
+        if isinstance(effect, Episode) and effect.proposer is Proposer.HANDLING:
+            timed = _timed(case, model, _Around.of(model, fit, without=term), effect)
+            if _distance(effect, timed) > _MOVED:
+                moved[effect] = timed
+    return moved
+
+
+def is_short(case: Case, effect: Effect | None) -> bool:
+    """Return whether an effect is held for so short a part of its log that it may be a contact.
+
+    Args:
+        case: The case.
+        effect: The effect; None for a body that is wrong.
+    """
+    if not isinstance(effect, Episode) or effect.proposer is not Proposer.HANDLING:
+        return False
+    start, end, _, number = effect.window
+    logs = [log for log in case.trajectories if log_number(log.name) == number]
+    last = max((float(log.segments[-1][-1:].time[0] - log.began) for log in logs), default=np.inf)
+    there = (last if end is None else end) - (0.0 if start is None else start)
+    return there <= MOST_TIME * last
+
+
+def _is_alike(one: Episode, other: Episode) -> bool:
+    """Whether two episodes are of one body, and nearly of one window."""
+    pairs = list(zip(one.window, other.window, strict=True))
+    open_alike = all((a is None) == (b is None) for a, b in pairs)
+    return _is_of_same(one, other) and open_alike and _distance(one, other) < _ALIKE
+
+
+def _shares_an_edge(one: Episode, other: Episode) -> bool:
+    """Whether two episodes of one body have an edge in common, of which either tells the rest."""
+    pairs = product(one.window[:2], other.window[:2])
+    near = any(abs(a - b) < _ALIKE for a, b in pairs if a is not None and b is not None)
+    return _is_of_same(one, other) and near
+
+
+def _is_of_same(one: Episode, other: Episode) -> bool:
+    return type(one) is type(other) and one.where == other.where and one.is_of(other.window[3])
+
+
+def _distance(one: Episode, other: Episode) -> float:
+    """Largest change of an edge or of the rise, s."""
+    pairs = zip(one.window[:3], other.window[:3], strict=True)
+    return max(abs(a - b) for a, b in pairs if a is not None and b is not None)
+
+
+def _beside(model: LogModel, fit: Fit) -> Fit | None:
+    """Fit what any joint may have beside an explanation, bodies as free as they may be."""
+    terms = fit.terms
+    for term in model.terms:
+        likely = term.effect is not None and term.effect.beside_gains
+        if likely and model.are_compatible((*terms, term)):
+            terms = (*terms, term)
+    choice = model.choice(terms, model.widths[-1], fit.choice.delay)
+    return model.fit(choice, model.shares(fit), bounded=False)
+
+
+@dataclass(frozen=True, eq=False)
+class _Around:
+    """A fit, perhaps less one of its terms, in the form that rows of further columns need.
+
+    Attributes:
+        fit: The fit, whose noise counts.
+        kept: Which of its parameters are left.
+        root: (n, n) lower triangle L with L Lᵀ = H, of those.
+        x: (n,) their values without the term.
+    """
+
+    fit: Fit
+    kept: NDArray[np.bool_]
+    root: Array
+    x: Array
+
+    @classmethod
+    def of(cls, model: LogModel, fit: Fit, *, without: Term | None) -> _Around:
+        """Return a fit less a term, at the noise of the fit."""
+        kept = np.ones(len(fit.x), bool)
+        if without is not None:
+            kept[model.span(fit, without)] = False
+        H, x = fit.hessian[np.ix_(kept, kept)], fit.x[kept]
+        scale = 1.0 / np.sqrt(np.diag(H))
+        root = np.linalg.cholesky(H * scale[:, None] * scale + 1e-11 * np.eye(len(H)))
+        root /= scale[:, None]
+        if without is not None:
+            pull = fit.hessian[np.ix_(kept, ~kept)] @ fit.x[~kept]
+            half = solve_triangular(root, pull, lower=True)
+            x = x + solve_triangular(root.T, half, lower=False)
+        return cls(fit, kept, root, x)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows of one joint in one log, over columns of a body and those of a fit.
+
+    Attributes:
+        joint: Index of the joint.
+        time: (K,) instants since the log began, s.
+        body: (K, 10) columns of the body.
+        known: (K, n) columns of the fit, each through its root: Σ wᵀ is a part of a complement.
+        left: (K,) what the fit leaves.
+        weight: Weight of a squared residual.
+    """
+
+    joint: int
+    time: Array
+    body: Array
+    known: Array
+    left: Array
+    weight: float
+
+    def part(self, rows: NDArray[np.bool_] | slice) -> _Rows:
+        """Return some of the rows."""
+        kept = {name: getattr(self, name)[rows] for name in ("time", "body", "known", "left")}
+        return replace(self, **kept)
+
+    def products(self, body: Array) -> Array:
+        """(10, n + 11) weighted products of columns (K, 10) of the body with all."""
+        return np.asarray(self.weight * body.T @ np.hstack([self.known, self.left[:, None], body]))
+
+
+def _rows_of(case: Case, model: LogModel, around: _Around, log: int, body: str) -> list[_Rows]:
+    began, found = case.trajectories[log].began, list[_Rows]()
+    start = PARAMETERS_PER_BODY * case.model.bodies.index(body)
+    own = np.arange(start, start + PARAMETERS_PER_BODY)
+    for j, data in enumerate(model.dataset.data):
+        local = data.local(own)
+        if not np.any(local >= 0):
+            continue
+        parts = [
+            rows
+            for fold, kept in zip(case.folds, data.rows, strict=True)
+            for block, rows in zip(fold.blocks, kept, strict=False)
+            if block.trajectory == log and len(rows.b)
+        ]
+        if not parts:
+            continue
+        A, b = np.concatenate([p.A for p in parts]), np.concatenate([p.b for p in parts])
+        known, effort = model.row_columns(around.fit, j, A, b)
+        known = known[:, around.kept]
+        left = effort - known @ around.x
+        wide = np.hstack([A, np.zeros((len(A), 1))])
+        turned = solve_triangular(around.root, known.T, lower=True).T
+        time = np.concatenate([p.time for p in parts]) - began
+        order = np.argsort(time, kind="stable")
+        weight = float(around.fit.weights[j])
+        found.append(
+            _Rows(j, time[order], wide[order][:, local], turned[order], left[order], weight)
+        )
+    return found
+
+
+def _gains(sums: Array, known: Array) -> tuple[Array, Array]:
+    """Evidence (m,) that bodies add by their sums (m, 10, n + 11), and their masses (m,)."""
+    k = sums.shape[1]
+    half, pull, own = sums[..., : -k - 1], sums[..., -k - 1], sums[..., -k:]
+    schur = own - half @ np.swapaxes(half, -1, -2) + known
+    x = np.linalg.solve(schur, pull[..., None])[..., 0]
+    logarithm = np.linalg.slogdet(known)[1] - np.linalg.slogdet(schur)[1]
+    return np.asarray((pull * x).sum(-1) + logarithm), np.asarray(x[..., 0])
+
+
+def _prior(model: LogModel) -> Array:
+    """(10, 10) prior information of a payload."""
+    return pullback_information(model.dataset.payload[None], max(model.beliefs.payloads))
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Sums of products over the time of a log.
+
+    Attributes:
+        edges: (B + 1,) instants between which rows are summed, s since the log began.
+        total: (B + 1, 10, n + 11) sums up to each.
+        share: (B + 1,) share of the rows up to each.
+        known: (10, 10) prior information of what is held.
+        price: Evidence that an instant must be worth.
+    """
+
+    edges: Array
+    total: Array
+    share: Array
+    known: Array
+    price: float
+
+    @classmethod
+    def of(cls, case: Case, model: LogModel, around: _Around, log: int, body: str) -> _Sums | None:
+        """Return the sums of a body's columns; None if there is no row."""
+        rows = _rows_of(case, model, around, log, body)
+        if not rows:
+            return None
+        period = case.trajectories[log].filter.output_period
+        every = np.unique(np.rint(np.concatenate([each.time for each in rows]) / period))
+        if len(every) < _FEWEST:
+            return None
+        step = max(1, len(every) // (16 * _INSTANTS))
+        first = every[::step]  # outputs at which bins begin
+        sums = np.zeros((len(first), *rows[0].products(rows[0].body).shape))
+        counts = np.zeros(len(first))
+        for each in rows:
+            output = np.rint(each.time / period)
+            at = np.searchsorted(first, output, side="right") - 1
+            starts = np.flatnonzero(np.diff(at, prepend=-1))
+            ends = np.append(starts[1:], len(at))
+            for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+                rows_of_bin = each.part(np.s_[start:end])
+                sums[at[start]] += rows_of_bin.products(rows_of_bin.body)
+            counts += np.bincount(at, minlength=len(first))
+        edges = np.append((first - 0.5) * period, (every[-1] + 0.5) * period)
+        total = np.concatenate([np.zeros((1, *sums.shape[1:])), np.cumsum(sums, axis=0)])
+        counts = np.concatenate([[0.0], np.cumsum(counts)])
+        price = 2.0 * float(np.log(model.beliefs.order))  # it is one of many
+        return cls(edges, total, counts / counts[-1], _prior(model), price)
+
+    def best_windows(self) -> list[tuple[float | None, float | None]]:
+        """Return the windows whose columns add most: from an instant on, until one, between two."""
+        last, share = len(self.edges) - 1, self.share
+        inside = np.flatnonzero((share >= _LEAST) & (share <= 1.0 - _LEAST))
+        if not len(inside):
+            return []
+        grid = np.unique(inside[np.linspace(0, len(inside) - 1, _INSTANTS).astype(int)]).tolist()
+        kinds = [
+            [(k, last) for k in grid],
+            [(0, k) for k in grid],
+            [pair for pair in combinations(grid, 2) if self._is_long(pair)],
+        ]
+        found = []
+        for windows in kinds:
+            best = self._finer(self._best(windows), inside)
+            edges = (best[0] > 0) + (best[1] < last)
+            gain = float(self._gain([best])[0]) - edges * self.price
+            if gain > 0.0:
+                start = None if best[0] == 0 else float(self.edges[best[0]])
+                end = None if best[1] == last else float(self.edges[best[1]])
+                found.append((gain, (start, end)))
+        return [window for _, window in sorted(found, key=lambda each: -each[0])[:_MOST]]
+
+    def _gain(self, windows: Sequence[tuple[int, int]]) -> Array:
+        """Evidence (m,) of windows by the indices of their edges; −∞ where the mass is negative."""
+        first, end = np.array(windows).T
+        gain, mass = _gains(self.total[end] - self.total[first], self.known)
+        return np.where(mass > 0.0, gain, -np.inf)
+
+    def _is_long(self, window: tuple[int, int]) -> bool:
+        return bool(self.share[window[1]] - self.share[window[0]] >= _LEAST)
+
+    def _best(self, windows: Sequence[tuple[int, int]]) -> tuple[int, int]:
+        return windows[int(np.argmax(self._gain(windows)))]
+
+    def _finer(self, window: tuple[int, int], inside: NDArray[np.intp]) -> tuple[int, int]:
+        """Move edges that are inside the log to the best one of all, one after the other."""
+        reach = 2 * len(inside) // _INSTANTS + 1
+        for _ in range(2):
+            for side in (0, 1):
+                if window[side] in (0, len(self.edges) - 1):
+                    continue
+                near = inside[np.abs(inside - window[side]) <= reach].tolist()
+                tried = [(k, window[1]) if side == 0 else (window[0], k) for k in near]
+                window = self._best([*filter(self._is_long, tried)])
+        return window
+
+
+# Instants between rows.
+
+
+def _timed(case: Case, model: LogModel, around: _Around, held: Episode) -> Episode:
+    """Return an episode with edges, and a rise, with which its columns add most."""
+    numbers = [log_number(trajectory.name) for trajectory in case.trajectories]
+    if held.window[3] not in numbers:
+        return held
+    log, body = numbers.index(held.window[3]), held.where[0]
+    inside = dict(zip(("start", "end"), held.window[:2], strict=True))
+    edges = {name: edge for name, edge in inside.items() if edge is not None}
+    near = [_Near.of(case, body, log, edge) for edge in edges.values()]
+    known = [each for each in near if each is not None]
+    if len(known) < len(edges):  # the log has a gap there
+        return held
+    far, cut = np.zeros(()), list[tuple[int, _Rows, NDArray[np.intp]]]()
+    for rows in _rows_of(case, model, around, log, body):
+        rest = np.ones(len(rows.time), bool)
+        for k, each in enumerate(known):
+            close = rest & (rows.time >= each.outputs[0]) & (rows.time <= each.outputs[-1])
+            rest &= ~close
+            at = np.rint((rows.time[close] - each.outputs[0]) / each.period).astype(np.intp)
+            cut.append((k, rows.part(close), np.clip(at, 0, len(each.outputs) - 1)))
+        away = rows.part(rest)
+        far = far + away.products(away.body * held.weight(away.time)[:, None])
+    values = np.array([*edges.values()])
+    make: Callable[..., Any] = replace
+
+    def moved(step: Array) -> Episode | None:
+        rise = held.window[2] * float(np.exp(step[-1]))
+        times = dict(zip(edges, (values + step[:-1]).tolist(), strict=True))
+        if not _SHARPEST <= rise <= _SLOWEST or np.abs(step[:-1]).max() > _SLOWEST:
+            return None
+        if len(times) == 2 and times["end"] - times["start"] <= rise:
+            return None
+        found: Episode = make(held, rise=rise, **times)
+        return found
+
+    def lost(step: Array) -> float:
+        other = moved(step)
+        if other is None:
+            return 0.0
+        columns = [each.columns(other) for each in known]
+        sums = far + sum(rows.products(columns[k][at, rows.joint]) for k, rows, at in cut)
+        gain, mass = _gains(np.asarray(sums)[None], prior)
+        return -float(gain[0]) if mass[0] > 0.0 else 0.0
+
+    prior, steps = _prior(model), np.array([*(_STEP for _ in edges), _STEP_OF_RISE])
+    simplex = np.vstack([np.zeros(len(steps)), np.diag(steps)])
+    options = {"initial_simplex": simplex, "maxiter": _TRIES, "xatol": 1e-4, "fatol": 1e-3}
+    found = minimize(lost, simplex[0], method="Nelder-Mead", options=options)
+    return moved(found.x) or held
+
+
+@dataclass(frozen=True, eq=False)
+class _Near:
+    """The columns of a body near an instant, at the full rate.
+
+    Attributes:
+        time: (N,) instants since the log began, s.
+        body: (N, nv, 10) columns of the body.
+        outputs: (K,) instants of the filtered samples.
+        period: Time from one of them to the next, s.
+        apply: The filter.
+    """
+
+    time: Array
+    body: Array
+    outputs: Array
+    period: float
+    apply: Callable[[Array], Array]
+
+    @classmethod
+    def of(cls, case: Case, body: str, log: int, edge: float) -> _Near | None:
+        """Return the columns near an edge; None where the log has a gap."""
+        trajectory = case.trajectories[log]
+        low_pass, model = trajectory.filter, case.load_model
+        step = low_pass.decimation
+        halfwidth = low_pass.halfwidth * low_pass.period
+        reach = 3.0 * halfwidth + 2.0 * _SLOWEST
+        for segment in trajectory.segments:
+            time = segment[:].time - trajectory.began
+            if not time[0] <= edge <= time[-1]:
+                continue
+            first, last = np.searchsorted(time, [edge - reach, edge + reach])
+            near: Segment = segment[int(first) // step * step : int(last)]
+            at = near.time - trajectory.began
+            if low_pass.output_count(len(near)) < 2:
+                return None
+            columns = body_regressor(
+                model.tree,
+                model.positions(near.position),
+                near.velocity,
+                near.acceleration,
+                model.bodies.index(body),
+            )
+            outputs = at[low_pass.output_indices(len(near))]
+            return cls(at, columns, outputs, low_pass.output_period, low_pass.apply)
+        return None
+
+    def columns(self, held: Episode) -> Array:
+        """(K, nv, 10) filtered columns of the body while it is held."""
+        return np.asarray(self.apply(held.weight(self.time)[:, None, None] * self.body))
