@@ -19,7 +19,7 @@ from geodrake.model.motor_limit import MotorLimit
 Array = NDArray[np.float64]
 
 _GAINS = ("effort_gains", "effort_gain", "effort_unit", "effort_sign")
-_MOST = 6  # mistakes of a log
+_MOST = 8  # steps of a search
 _SCREENED, _FINALISTS = 24, 8  # of motion and of efforts, that are fitted, and to the end
 _HOPELESS = -12.0  # score beside that of no mistake: less is not fitted to the end
 _PROMISING = 4  # joints whose gains, zeros or unknown efforts are looked for
@@ -77,7 +77,11 @@ class ColumnSearch:
             if step is None:
                 break
             _take(steps, step)
-            base = step.best.fit
+            base, found = step.best.fit, step.best.fit.assignment
+            if step.best.mistake.kind and found.apart | found.unknown:
+                # What seemed unknown before may be another mistake beside this one.
+                known = replace(found, apart=frozenset(), unknown=frozenset())
+                base = model.fit(known, model.hopeful(), base)
         return steps
 
     def _step(self, base: ColumnFit) -> MistakeFound | None:
