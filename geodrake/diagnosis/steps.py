@@ -225,7 +225,8 @@ def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bo
     """Return whether data that took no part in a fit agree with a finding.
 
     The squared error of the joints that feel it must fall, in the mean over the folds, by more than
-    the standard error of that mean: what shows in one fold alone just does.
+    the standard error of that mean: what shows in one fold alone just does. That of all joints, as
+    nrms counts them, must not rise by as much.
 
     Args:
         found: The search.
@@ -233,10 +234,14 @@ def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bo
         before: Held-out errors without it.
         after: Held-out errors with it.
     """
-    weight = _felt(found, finding) / np.maximum(before.mse, np.finfo(float).tiny)
-    fall = (before.sse - after.sse) @ weight
-    error = float(fall.std(ddof=1)) / np.sqrt(len(fall)) if len(fall) > 1 else 0.0
-    return bool(fall.mean() > (1.0 - _ROUNDING) * error)
+    scale = np.maximum(found.model.dataset.effort_std, np.finfo(float).tiny)
+    own = _felt(found, finding) / np.maximum(before.mse, np.finfo(float).tiny)
+    falls = (before.sse - after.sse) @ np.stack([own, scale**-2.0], 1)
+    errors = np.zeros(2)
+    if len(falls) > 1:
+        errors = (1.0 - _ROUNDING) * falls.std(axis=0, ddof=1) / np.sqrt(len(falls))
+    mean = falls.mean(axis=0)
+    return bool(mean[0] > errors[0] and mean[1] > -errors[1])
 
 
 _ROUNDING = 1e-6
