@@ -15,7 +15,8 @@ import numpy as np
 
 from geodrake.errors import ConvergenceError, IdentificationError
 from geodrake.identification.certificate import TOLERANCE, Certificate, Scope
-from geodrake.identification.fit import FitResult, fit_result, parameters_of, prior_weight_of
+from geodrake.identification.conic_fit import parameters_of, prior_weight_of
+from geodrake.identification.fit import FitResult, fit_result
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.program import FitProgram, build_fit
 from geodrake.identification.solvers import Tolerances, run_to_gap, solved_apart

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from geodrake.identification.fit import FitResult
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.regularizer import Regularizer
 from geodrake.inertia import Array, pseudo_inertia
@@ -39,9 +38,3 @@ class Entropic(Regularizer):
             entropic={start: (phi, gamma) for start, phi in priors},
             entropic_scalars={k: (x, gamma * w) for k, (x, w) in problem.scalar_priors.items()},
         )
-
-    def solve(
-        self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
-    ) -> FitResult:
-        """Solve the fit by Newton's method, or by Drake's conic solver of that name."""
-        return super().solve(problem, prior, gamma, solver or "newton")

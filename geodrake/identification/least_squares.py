@@ -10,8 +10,9 @@ from scipy.linalg import qr, solve_triangular
 
 from geodrake.boundary.arguments import integer, typed
 from geodrake.errors import IdentificationError
+from geodrake.identification.conic_fit import solve_fit
 from geodrake.identification.constraints import BodyConstraints
-from geodrake.identification.fit import FitResult, solve_fit
+from geodrake.identification.fit import FitResult
 from geodrake.identification.identify import build_problem, physical_prior
 from geodrake.identification.problem import whitened_factor
 from geodrake.inertia import PARAMETER_NAMES, PARAMETERS_PER_BODY, Array

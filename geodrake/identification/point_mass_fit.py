@@ -16,11 +16,12 @@ from scipy.special import rel_entr
 from geodrake.boundary.arguments import instance
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.coordinates import Coordinates
-from geodrake.identification.fit import FitResult, check_residual_bound, fit_result
+from geodrake.identification.fit import FitResult, fit_result
 from geodrake.identification.point_mass import PointMasses
 from geodrake.identification.point_mass_program import PointMassProgram
 from geodrake.identification.problem import FitProblem, LinearConstraints
 from geodrake.identification.regularizer import Regularizer
+from geodrake.identification.residual_path import check_residual_bound
 from geodrake.identification.solvers import ROUGHLY, Tolerances, solved_apart
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 

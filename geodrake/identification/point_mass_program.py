@@ -12,9 +12,9 @@ from scipy.linalg import block_diag
 from scipy.sparse import csc_matrix
 
 from geodrake.errors import IdentificationError
-from geodrake.identification.newton_root import out_of_reach
 from geodrake.identification.point_mass import PointMasses
 from geodrake.identification.problem import FitProblem
+from geodrake.identification.residual_path import out_of_reach
 from geodrake.identification.solvers import EXACTLY, Tolerances, cone_multiplier, run_solver
 from geodrake.inertia import Array
 from geodrake.robot.reduction import triangular_factor

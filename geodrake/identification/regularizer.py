@@ -10,8 +10,8 @@ import numpy as np
 
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.certification import certified
-from geodrake.identification.conic_fit import solve_exactly
-from geodrake.identification.fit import FitResult, solve_fit
+from geodrake.identification.conic_fit import solve_fit, solve_with_fallback
+from geodrake.identification.fit import FitResult
 from geodrake.identification.newton import solve_newton
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array
@@ -77,10 +77,9 @@ class Regularizer(ABC):
     ) -> FitResult:
         """Solve the fit with γ d(Φ, Φ⁰)² added.
 
-        With None, by the conic solver and Newton's method (`solve_exactly`); with "newton", by that
-        alone; else by Drake's conic solver of that name alone. Where such a solver is not exact
-        enough to keep bodies physical at the problem's margin, it tries ten and a hundred times
-        that margin.
+        With None, as `solve_with_fallback` does; with "newton", by that alone; else by Drake's
+        conic solver of that name alone. Where such a solver is not exact enough to keep bodies
+        physical at the problem's margin, it tries ten and a hundred times that margin.
 
         Args:
             problem: The data, bounds and constraints.
@@ -90,7 +89,7 @@ class Regularizer(ABC):
         """
         regularized = self.regularize(problem, prior, gamma)
         if solver is None:
-            return solve_exactly(regularized)
+            return solve_with_fallback(regularized)
         if solver == "newton":
             return solve_newton(regularized)
         for factor in _MARGINS[:-1]:
