@@ -16,11 +16,11 @@ from geodrake.identification.constraints import BodyConstraints, checked_bounds
 from geodrake.identification.entropic import Entropic
 from geodrake.identification.euclidean import Euclidean
 from geodrake.identification.fit import FitResult
-from geodrake.identification.local_minima import LocalMinima, RiemannianFit
 from geodrake.identification.problem import FitProblem, checked, whitened_factor
 from geodrake.identification.pullback import Pullback
 from geodrake.identification.regularizer import Regularizer
-from geodrake.identification.riemannian import Riemannian
+from geodrake.identification.riemannian import Riemannian, RiemannianFit
+from geodrake.identification.riemannian_search import LocalMinima
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical, pseudo_inertia
 from geodrake.robot.repairs import nearest_physical
 
@@ -56,7 +56,7 @@ class IdentificationResult(Short):
 
     @property
     def solver(self) -> str:
-        """Return what solved it: "closed form", "interior point", … or a conic solver's name."""
+        """Return what solved it: "closed form", "newton", … or a conic solver's name."""
         return self.fit.solver
 
     @property

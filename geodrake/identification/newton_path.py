@@ -114,9 +114,8 @@ def minimize(weighted: WeightedProgram, start: Iterate | None = None) -> Minimum
         if here.is_feasible and (best is None or gap < best[0]):
             stalled = 0 if best is None or gap < 0.5 * best[0] else stalled
             best = gap, count, here
-        if here.is_feasible and gap <= max(
-            _EXACT * gamma, min(_QUADRATIC * gamma, _ROUNDING * cost)
-        ):
+        least = max(_EXACT * gamma, min(_QUADRATIC * gamma, _ROUNDING * cost))
+        if here.is_feasible and gap <= (least if np.isfinite(gamma) else _ROUNDING * cost):
             break
         if best is not None and stalled > _PATIENCE and best[0] <= _GOOD * cost:
             break
@@ -215,12 +214,13 @@ class _Linearization:
         rows = np.zeros_like(self.weighted.factor)
         K = svec(inverse @ _BASIS @ np.swapaxes(inverse, 2, 3))
         rows[blocks[:, :, None], blocks[:, None, :]] = np.swapaxes(K, 1, 2)
-        p = len(rows)
-        R, V, t, _ = dtpqrt(p, min(_PANEL, p), self.weighted.factor, rows, overwrite_b=True)
-        self._reflectors = [(p, V, t)]
+        p, R, self._reflectors = len(rows), self.weighted.factor, []
+        if len(K):
+            R, V, t, _ = dtpqrt(p, min(_PANEL, p), R, rows, overwrite_b=True)
+            self._reflectors.append((p, V, t))
         if len(G):
             stiff = np.asfortranarray(np.sqrt(self._stiffness)[:, None] * G)
-            R, V, t, _ = dtpqrt(0, min(_PANEL, p), R, stiff, overwrite_a=True, overwrite_b=True)
+            R, V, t, _ = dtpqrt(0, min(_PANEL, p), R, stiff, overwrite_b=True)
             self._reflectors.append((0, V, t))
         self._R = R
 
@@ -230,8 +230,9 @@ class _Linearization:
         turned = np.swapaxes(self._turn, 1, 2) @ (matrices - self._prior_pull) @ self._turn
         below[self.weighted.program.blocks] = svec(turned)
         rows = (forces - self.weighted.targets) / np.sqrt(self._stiffness)
+        parts = (below, rows) if len(matrices) else (rows,)
         top = self._errors[:, None]
-        for (width, V, t), part in zip(self._reflectors, (below, rows), strict=False):
+        for (width, V, t), part in zip(self._reflectors, parts, strict=False):
             top, _, _ = dtpmqrt(width, V, t, top, part[:, None], side="L", trans="T")
         return np.asarray(top[:, 0], float)
 
