@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,8 +29,7 @@ class FitProgram:
         residual_cone: Constraint of the point-to-set form, or None.
         cost_scale: Value by which the cost was divided.
         residual_scale: Value by which the residual was divided in `residual_cone`.
-        triangle: (k, p + 1) rows [F f] of the quadratic cost ‖F z − f‖².
-        errors: (k,) variables F z − f.
+        errors: Variables F z − f with their rows [F f]: of the cost ‖F z − f‖² and of the bound.
         logarithms: Number of an entropic block -> the variables (10,) and (4,) of its log|S|.
         scalar_logarithms: (k,) variables, the logarithms of the entropic scalars over their priors.
     """
@@ -42,8 +41,7 @@ class FitProgram:
     residual_cone: Any
     cost_scale: float
     residual_scale: float
-    triangle: Array
-    errors: Any
+    errors: Sequence[tuple[Any, Array]]
     logarithms: Mapping[int, tuple[Any, Any]]
     scalar_logarithms: Any
 
@@ -60,8 +58,8 @@ class FitProgram:
             values[self.program.FindDecisionVariableIndices(variables)] = numbers
 
         put(self.z, z)
-        if len(self.errors):
-            put(self.errors, self.triangle @ np.append(z, -1.0))
+        for variables, triangle in self.errors:
+            put(variables, triangle @ np.append(z, -1.0))
         for i, (Z, t) in self.logarithms.items():
             start = self.problem.inertia_blocks[i]
             change = np.einsum("k,kij->ij", z[start : start + 10], SYMMETRIC_BASIS)
@@ -77,7 +75,9 @@ class FitProgram:
         return values
 
 
-def build_fit(problem: FitProblem, *, centre: Array | None = None) -> FitProgram:
+def build_fit(
+    problem: FitProblem, *, centre: Array | None = None, size: float | None = None
+) -> FitProgram:
     """The conic program of a problem; `solve_fit` solves it, with shortcuts where they are exact.
 
     The cost is the excess over the unconstrained least squares, which keeps the solver's
@@ -86,6 +86,7 @@ def build_fit(problem: FitProblem, *, centre: Array | None = None) -> FitProgram
     Args:
         problem: What is to be fitted.
         centre: (p,) parameters close to the solution, where it is scaled; None for the references.
+        size: What the cost is divided by; its size at the centre if None.
 
     Returns:
         The program and its variables.
@@ -98,19 +99,22 @@ def build_fit(problem: FitProblem, *, centre: Array | None = None) -> FitProgram
     z = program.NewContinuousVariables(problem.size, "z")
     M, d = coordinates.data()
     C = coordinates.prior_root()
-    cone, residual_scale = None, 1.0
+    cone, residual_scale, errors = None, 1.0, []
     if problem.residual_bound is None:
         rows = np.block([[M, d[:, None]], [C, np.zeros((len(C), 1))]])
     else:
         rows = np.column_stack([C, np.zeros(len(C))])
-        cone, residual_scale = _bound_residual(program, z, M, d, problem.residual_bound)
-    triangle = triangular_factor([rows])[: problem.size]
+        cone, residual_scale, parts = _bound_residual(program, z, M, d, problem.residual_bound)
+        errors.append(parts)
+    triangle = _without_floor(rows)
     priors = (*problem.entropic.values(), *problem.entropic_scalars.values())
     gammas = [gamma for _, gamma in priors]
     start = np.zeros(problem.size) if centre is None else coordinates.at(centre)
-    cost_scale = _cost_scale(triangle, gammas, start)
+    cost_scale = _cost_scale(triangle, gammas, start) if size is None else size
     triangle = triangle / np.sqrt(cost_scale)
-    errors = _add_squares(program, z, triangle)
+    if k := len(triangle):
+        errors.append(_add_errors(program, z, triangle))
+        program.AddQuadraticCost(2.0 * np.eye(k), np.zeros(k), errors[-1][0], is_convex=True)
     logarithms = _add_bodies(program, z, coordinates, cost_scale)
     scalar_logarithms = _add_scalars(program, z, coordinates, cost_scale)
     _add_bounds(program, z, coordinates)
@@ -122,11 +126,16 @@ def build_fit(problem: FitProblem, *, centre: Array | None = None) -> FitProgram
         residual_cone=cone,
         cost_scale=cost_scale,
         residual_scale=residual_scale,
-        triangle=triangle,
         errors=errors,
         logarithms=logarithms,
         scalar_logarithms=scalar_logarithms,
     )
+
+
+def _without_floor(rows: Array) -> Array:
+    """Return rows [F f] of the same least squares, without the residual that any z leaves."""
+    p = rows.shape[1] - 1
+    return triangular_factor([rows])[:p] if len(rows) > p else rows
 
 
 def _cost_scale(triangle: Array, gammas: list[float], z: Array) -> float:
@@ -137,34 +146,30 @@ def _cost_scale(triangle: Array, gammas: list[float], z: Array) -> float:
     return max([value, 1e-8 * curvature, *gammas]) or 1.0
 
 
-def _add_squares(program: MathematicalProgram, z: Any, triangle: Array) -> Any:
-    """Cost ‖F z − f‖² for the triangle [F f]; the variables F z − f.
+def _add_errors(program: MathematicalProgram, z: Any, triangle: Array) -> tuple[Any, Array]:
+    """Return new variables F z − f for the triangle [F f], and that.
 
-    The differences are variables of their own: with FᵀF as Hessian the solution is some hundred
-    times less exact.
+    With FᵀF as the Hessian of a cost instead, its minimum is some hundred times less exact.
     """
     p = len(z)
-    if not len(triangle):
-        return np.empty(0)
     errors = program.NewContinuousVariables(len(triangle), "e")
     matrix = csc_matrix(np.hstack([triangle[:, :p], -np.eye(len(triangle))]))
     program.AddLinearEqualityConstraint(matrix, triangle[:, p], np.concatenate([z, errors]))
-    hessian = 2.0 * np.eye(len(triangle))
-    program.AddQuadraticCost(hessian, np.zeros(len(triangle)), errors, is_convex=True)
-    return errors
+    return errors, triangle
 
 
 def _bound_residual(
     program: MathematicalProgram, z: Any, M: Array, d: Array, bound: float
-) -> tuple[Any, float]:
-    """Constraint ‖M z − d‖² ≤ bound, divided by the part of the bound that z can spend."""
+) -> tuple[Any, float, tuple[Any, Array]]:
+    """Constrain ‖M z − d‖² ≤ bound, divided by the part of the bound that z can spend."""
     p = len(z)
-    triangle = triangular_factor([np.column_stack([M, d])])
+    rows = np.column_stack([M, d])
+    triangle = triangular_factor([rows]) if len(rows) > p else rows
     floor = float(np.square(triangle[p:, p]).sum())
     scale = float(np.sqrt(max(bound - floor, np.finfo(float).tiny)))
-    cone = np.vstack([np.zeros(p), triangle[:p, :p] / scale])
-    offset = np.append(1.0, -triangle[:p, p] / scale)
-    return program.AddLorentzConeConstraint(cone, offset, z), scale
+    errors = _add_errors(program, z, triangle[:p] / scale)
+    cone = np.eye(len(errors[0]) + 1)
+    return program.AddLorentzConeConstraint(cone[:, 1:], cone[0], errors[0]), scale, errors
 
 
 def _add_bodies(
