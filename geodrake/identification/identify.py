@@ -13,12 +13,9 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.certificate import Certificate
 from geodrake.identification.constraints import BodyConstraints, checked_bounds
-from geodrake.identification.entropic import Entropic
-from geodrake.identification.euclidean import Euclidean
 from geodrake.identification.fit import FitResult
 from geodrake.identification.problem import FitProblem, checked, whitened_factor
-from geodrake.identification.pullback import Pullback
-from geodrake.identification.regularizer import Regularizer
+from geodrake.identification.regularizer import Entropic, Euclidean, Pullback, Regularizer
 from geodrake.identification.riemannian import Riemannian, RiemannianFit
 from geodrake.identification.riemannian_search import LocalMinima
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical, pseudo_inertia

@@ -87,7 +87,7 @@ def physical_minimizers(
     scaled = gram * scales[:, :, None] * scales[:, None, :]
     for f, factor in enumerate(choleskies(scaled[:, order[:, None], order], _RIDGE)):
         # ½ ‖U y − u‖² with the upper triangular U, of whose last rows the free ones drop out.
-        U = np.tril(factor).T / scales[f, order]
+        U = factor.T / scales[f, order]
         u = np.linalg.solve(U.T, rhs[f, order])
         problem = FitProblem(
             factor=np.column_stack([U[k:, k:], u[k:]]),

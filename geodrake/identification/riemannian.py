@@ -12,11 +12,9 @@ import numpy as np
 from geodrake.boundary.arguments import instances, integer
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.identification.certification import certified, uncertified
-from geodrake.identification.entropic import Entropic
 from geodrake.identification.fit import FitResult, fit_result
 from geodrake.identification.problem import FitProblem
-from geodrake.identification.pullback import Pullback
-from geodrake.identification.regularizer import Regularizer
+from geodrake.identification.regularizer import Entropic, Pullback, Regularizer
 from geodrake.identification.riemannian_search import LocalMinima, LocalMinimum, RiemannianSearch
 from geodrake.inertia import Array, pseudo_inertia
 from geodrake.inertia.positive_definite import relative_logarithms

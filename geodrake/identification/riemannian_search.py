@@ -348,7 +348,7 @@ class RiemannianSearch:
         return self.coordinates.problem.residual(x) - self.misfit(np.zeros(len(x)))
 
     def compared(self, found: Mapping[str, LocalMinimum | None], best: LocalMinimum) -> LocalMinima:
-        """Return what several starts led to (name -> minimum, or None), against the best of them."""
+        """Return what several starts led to (name -> minimum or None) against the best of them."""
         root = np.linalg.inv(np.linalg.cholesky(self.matrices(best.z)))
         own = self.scalars.ratios(best.z)
         costs, distances = np.full(len(found), np.inf), np.full(len(found), np.inf)
