@@ -21,7 +21,8 @@ import numpy as np
 from scipy.linalg.lapack import dtpmqrt, dtpqrt, dtrtrs
 
 from geodrake.errors import IdentificationError
-from geodrake.identification.newton_program import WeightedProgram, smat, svec
+from geodrake.identification.coordinates import smat, svec
+from geodrake.identification.newton_program import WeightedProgram
 from geodrake.inertia import Array
 
 _STEPS, _PATIENCE, _HALVINGS = 100, 3, 8

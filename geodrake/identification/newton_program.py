@@ -8,30 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError
-from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates, Rows
+from geodrake.identification.coordinates import IDENTITY, Coordinates, Rows, smat, svec
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array
 from geodrake.robot.reduction import triangular_factor
-
-_SVEC = SYMMETRIC_BASIS.reshape(10, 16)
-IDENTITY = _SVEC @ np.eye(4).ravel()
-"""Coordinates svec(I) of the 4×4 identity; shape (10,)."""
 
 _BARRIER = 1e-10
 """Weight of a barrier, relative to the curvature of the block's quadratic prior."""
 _LEAST = 1e-11
 """Least weight of a barrier, relative to the misfit at the prior."""
 _UNDETERMINED, _FIXING = 1e-11, 1e-5
-
-
-def smat(coordinates: Array) -> Array:
-    """Return symmetric matrices (..., 4, 4) of orthonormal coordinates (..., 10)."""
-    return (coordinates @ _SVEC).reshape(*coordinates.shape[:-1], 4, 4)
-
-
-def svec(matrices: Array) -> Array:
-    """Return orthonormal coordinates (..., 10) of symmetric matrices (..., 4, 4)."""
-    return matrices.reshape(*matrices.shape[:-2], 16) @ _SVEC.T
 
 
 @dataclass(frozen=True, eq=False)

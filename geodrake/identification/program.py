@@ -11,8 +11,7 @@ from pydrake.solvers import MathematicalProgram
 from scipy.sparse import csc_matrix
 
 from geodrake.boundary.arguments import instance, real_array
-from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates
-from geodrake.identification.newton_program import smat
+from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates, smat
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array
 from geodrake.robot.reduction import triangular_factor
@@ -85,7 +84,7 @@ class FitProgram:
         return errors
 
     def _bound_residual(self, rows: Array, bound: float) -> None:
-        """Constrain the residual of rows [M d], divided by the part of the bound that z can spend."""
+        """Bound the residual of rows [M d], divided by the part of it that z can spend."""
         triangle, p = _reduced(rows), len(self.z)
         floor = float(np.square(triangle[p:, p]).sum())
         self.residual_scale = float(np.sqrt(max(bound - floor, np.finfo(float).tiny)))

@@ -15,9 +15,16 @@ from scipy.linalg import null_space
 
 from geodrake.descent import PRECISION, is_within_rounding, step_length
 from geodrake.errors import IdentificationError
-from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates, Rows, Scalars
+from geodrake.identification.coordinates import (
+    SYMMETRIC_BASIS,
+    Coordinates,
+    Rows,
+    Scalars,
+    smat,
+    svec,
+)
 from geodrake.identification.newton_path import minimize
-from geodrake.identification.newton_program import NewtonProgram, smat, svec
+from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.problem import FitProblem, LinearConstraints
 from geodrake.identification.residual_path import meet_residual
 from geodrake.inertia import Array
