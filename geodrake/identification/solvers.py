@@ -111,7 +111,7 @@ def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
             ) from None
         except LostProcessError as error:
             lost = str(error)
-    raise _failure(solver, lost, f"its process {lost}", _OTHER_CAUSE)
+    raise _failure(solver, lost, f": its process {lost}", _OTHER_CAUSE)
 
 
 def run_solver(
@@ -158,12 +158,13 @@ def run_to_gap(
             return result, float(share) * max(1.0, abs(result.get_optimal_cost()))
         if status != SolutionResult.kSolverSpecificError:
             break
-    raise _failure(solver, status.name, f"({status.name})", _CAUSES.get(status, _OTHER_CAUSE))
+    raise _failure(solver, status.name, f" ({status.name})", _CAUSES.get(status, _OTHER_CAUSE))
 
 
 def _failure(solver: str, status: str, how: str, why: tuple[str, str]) -> IdentificationError:
-    found = f"{solver} found no parameters" + (f" {how}" if how[0] == "(" else f": {how}")
-    return IdentificationError(f"{found}. {why[0]}", advice=why[1], solver=solver, status=status)
+    return IdentificationError(
+        f"{solver} found no parameters{how}. {why[0]}", advice=why[1], solver=solver, status=status
+    )
 
 
 def cone_multiplier(result: MathematicalProgramResult, cone: Any) -> float:
