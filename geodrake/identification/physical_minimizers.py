@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
-from geodrake.identification.newton_path import minimize
-from geodrake.identification.newton_program import NewtonProgram
+from geodrake.identification.newton import solve_newton
 from geodrake.identification.normal_equations import choleskies
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import PARAMETERS_PER_BODY
@@ -55,15 +55,9 @@ def inner_bodies(x: Array, blocks: Sequence[int], small: Array) -> Array:
 
 
 def physical_minimizers(
-    gram: Array,
-    rhs: Array,
-    blocks: Sequence[int],
-    start: Array,
-    bounds: tuple[Array, Array],
+    gram: Array, rhs: Array, blocks: Sequence[int], start: Array, bounds: tuple[Array, Array]
 ) -> Array:
     """Return minimizers (F, p) of ½ xᵀ G x − rᵀ x with physical bodies within bounds.
-
-    Parameters without constraints are eliminated first.
 
     Args:
         gram: (F, p, p) positive definite matrices G.
@@ -75,33 +69,21 @@ def physical_minimizers(
     Raises:
         IdentificationError: Rounding gets in the way.
     """
-    lower, upper = bounds
-    held = np.isfinite(lower) | np.isfinite(upper)
-    held[_places(blocks)] = True
-    order = np.argsort(held, kind="stable")
-    k = np.count_nonzero(~held)
-    at = np.searchsorted(order[k:], blocks).tolist()
-    p = len(order) - k
-    x = np.empty_like(rhs)
+    x, p = np.empty_like(rhs), rhs.shape[1]
     scales = 1.0 / np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
-    scaled = gram * scales[:, :, None] * scales[:, None, :]
-    for f, factor in enumerate(choleskies(scaled[:, order[:, None], order], _RIDGE)):
-        # ½ ‖U y − u‖² with the upper triangular U, of whose last rows the free ones drop out.
-        U = factor.T / scales[f, order]
-        u = np.linalg.solve(U.T, rhs[f, order])
+    roots = choleskies(gram * scales[:, :, None] * scales[:, None, :], _RIDGE)
+    for f, (root, scale) in enumerate(zip(roots, scales, strict=True)):
+        target = solve_triangular(root, scale * rhs[f], lower=True)
         problem = FitProblem(
-            factor=np.column_stack([U[k:, k:], u[k:]]),
-            inertia_blocks=at,
-            prior_mean=start[f, order[k:]],
+            factor=np.column_stack([root.T / scale, target]),
+            inertia_blocks=tuple(blocks),
+            prior_mean=start[f],
             prior_information=np.zeros((p, p)),
-            lower=lower[order[k:]],
-            upper=upper[order[k:]],
-            entropic={i: (start[f, order[k:]][i : i + 10], _GAP) for i in at},
+            lower=bounds[0],
+            upper=bounds[1],
+            entropic={block: (start[f, block : block + 10], _GAP) for block in blocks},
         )
-        program = NewtonProgram.of(problem)
-        y = program.coordinates.parameters(minimize(program.weighted(1.0)).point.z)
-        x[f, order[k:]] = np.clip(y, problem.lower, problem.upper)
-        x[f, order[:k]] = np.linalg.solve(U[:k, :k], u[:k] - U[:k, k:] @ x[f, order[k:]])
+        x[f] = solve_newton(problem).x
     return x
 
 
