@@ -202,7 +202,7 @@ def _rounded(what: str) -> IdentificationError:
 
 
 def regularizer_of(regularizer: str | Regularizer) -> Regularizer:
-    """The regularizer of a name, with its default settings; a regularizer stays what it is."""
+    """Return the regularizer of a name, with default settings; one stays what it is."""
     if isinstance(regularizer, Regularizer):
         return regularizer
     return REGULARIZERS[one_of(regularizer, "regularizer", REGULARIZERS)]()
@@ -265,13 +265,8 @@ def build_problem(
 ) -> FitProblem:
     """Return the fit of bodies and extra parameters to data, without a regularizer.
 
-    Args:
-        factor: (k, 10·nb + extra + 1) factor of the data, as of `whitened_factor`.
-        prior: (nb, 10) physical prior.
-        constraints: Constraints on the bodies.
-        extra_bounds: (extra, 2) least and greatest extra parameters; ±inf for none.
-        extra_prior: (extra,) or (extra, 2) prior values of extra parameters, and their weights; see
-            `identify`.
+    The arguments are those of `identify`, with a factor (k, 10·nb + extra + 1) of the data, as of
+    `whitened_factor`.
 
     Raises:
         ArgumentError: Shapes do not match, or a constraint is impossible.
@@ -304,11 +299,7 @@ def build_problem(
 
 
 def _extra_priors(extra_prior: ArrayLike | None, bounds: Array) -> dict[int, tuple[float, float]]:
-    """Number of an extra parameter -> its prior value and weight.
-
-    Raises:
-        ArgumentError: A value is not positive, or is outside its bounds (extra, 2).
-    """
+    """Return number of an extra parameter -> its prior value and weight."""
     if extra_prior is None:
         return {}
     count = len(bounds)
@@ -317,9 +308,7 @@ def _extra_priors(extra_prior: ArrayLike | None, bounds: Array) -> dict[int, tup
         raise ArgumentError(
             f"extra_prior must have shape ({count},) or ({count}, 2); got {given.shape}."
         )
-    values, weights = given if given.ndim == 1 else given[:, 0], np.ones(count)
-    if given.ndim == 2:
-        weights = np.where(np.isnan(values), 1.0, given[:, 1])
+    values, weights = given.T if given.ndim == 2 else (given, np.ones(count))
     known = ~np.isnan(values)
     usable = np.isfinite(values) & (values > 0) & np.isfinite(weights) & (weights > 0)
     inside = (values >= bounds[:, 0]) & (values <= bounds[:, 1]) & (bounds[:, 1] > 0)
@@ -330,5 +319,4 @@ def _extra_priors(extra_prior: ArrayLike | None, bounds: Array) -> dict[int, tup
             advice="Give positive values inside the bounds; NaN for parameters without a prior.",
             places=wrong,
         )
-    pairs = zip(values.tolist(), weights.tolist(), strict=True)
-    return {k: pair for k, pair in enumerate(pairs) if known[k]}
+    return {k: (float(values[k]), float(weights[k])) for k in np.flatnonzero(known).tolist()}

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 
 import numpy as np
 
 from geodrake.boundary.arguments import instance
 from geodrake.errors import IdentificationError
 from geodrake.identification.fit import FitResult, fit_result
-from geodrake.identification.newton_path import Minimum, minimize, next_minimum
+from geodrake.identification.newton_path import Iterate, Minimum, continued, minimize
 from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.residual_path import check_residual_bound, meet_residual, out_of_reach
-from geodrake.inertia import is_physical
+from geodrake.inertia import Array, is_physical
 
 _INSIDE = (0.0, 1e-13, 1e-11, 1e-9)
 """Shares of the way to the prior, where every P(φ⁰)⁻¹ P(φ) is the identity, to be tried in turn."""
@@ -47,13 +48,36 @@ def solve_newton(problem: FitProblem) -> FitResult:
         minimum, weight = minimize(program.weighted(1.0)), 1.0
     else:
         minimum, weight = _bounded(program, problem.residual_bound)
-    coordinates, z = program.coordinates, minimum.point.z
+    x = _parameters(minimum)
+    return fit_result(program.coordinates, x, weight, "newton", time.perf_counter() - begin)
+
+
+def solve_alike(problems: Iterable[FitProblem], *, enough: float) -> Array:
+    """Return parameters (n, p) of similar fits, started on the way to the first one.
+
+    Args:
+        problems: n fits as for `solve_newton`, without residual bounds.
+        enough: Distance of the cost from its minimum that will do.
+    """
+    found: list[Array] = []
+    start: Iterate | None = None
+    for problem in problems:
+        minimum = minimize(NewtonProgram.of(problem).weighted(1.0), start, enough=enough)
+        start = start or minimum.early
+        found.append(_parameters(minimum))
+    return np.array(found)
+
+
+def _parameters(minimum: Minimum) -> Array:
+    """Return the parameters (p,) of a minimum, physical and within bounds."""
+    program = minimum.weighted.program
+    coordinates, problem = program.coordinates, program.coordinates.problem
     for share in _INSIDE:  # rounding alone can leave a tiny γ's bodies at the boundary
-        x = coordinates.parameters((1.0 - share) * z + share * program.middle)
-        x = np.clip(x, problem.lower, problem.upper)
+        z = (1.0 - share) * minimum.point.z + share * program.middle
+        x = np.clip(coordinates.parameters(z), problem.lower, problem.upper)
         blocks = [x[start : start + 10] for start in problem.inertia_blocks]
         if np.all(coordinates.smallest_eigenvalues(x) > 0) and np.all(is_physical(blocks)):
-            return fit_result(coordinates, x, weight, "newton", time.perf_counter() - begin)
+            return x
     raise IdentificationError(
         "Newton's parameters are not physical after rounding: a body of the prior is too flat for "
         "double precision.",
@@ -68,10 +92,8 @@ def _bounded(program: NewtonProgram, bound: float) -> tuple[Minimum, float]:
     scale = (program.excess(program.middle) + wanted) / program.strength
 
     def solve(weight: float, before: Minimum | None) -> tuple[Minimum, float]:
-        if before is None:
-            found = minimize(program.weighted(weight))
-        else:
-            found = next_minimum(before, weight)
+        weighted = program.weighted(weight)
+        found = minimize(weighted, None if before is None else continued(before, weighted))
         return found, found.excess
 
     minimum, weight, excess = meet_residual(

@@ -37,6 +37,8 @@ _EXACT, _QUADRATIC = 1e-11, 1e-4
 """Gaps, relative to the smallest γ: one more step is exact; Newton's method is quadratic."""
 _ROUNDING, _GOOD = 1e-16, 1e-9
 """Gaps, relative to the cost: only rounding is left; it will do where rounding ends the way."""
+_EARLY = 1e-4
+"""Gap, relative to the largest, down to which a point is still well inside."""
 _LIFT = 1e-2
 """Share of the smallest weight to which the next start lifts the products s λ."""
 _FLOOR = 1e-15
@@ -77,12 +79,14 @@ class Minimum:
     Attributes:
         weighted: The program.
         point: The minimum with its multipliers.
+        early: A point well inside on the way there, from where that of similar data is near too.
         steps: Newton steps that were taken.
         gap: Bound on how much lower the cost was before the last step, to first order.
     """
 
     weighted: WeightedProgram
     point: Iterate
+    early: Iterate
     steps: int
     gap: float
 
@@ -92,37 +96,52 @@ class Minimum:
         return self.weighted.program.excess(self.point.z)
 
 
-def minimize(weighted: WeightedProgram, start: Iterate | None = None) -> Minimum:
+def minimize(
+    weighted: WeightedProgram, start: Iterate | None = None, *, enough: float = 0.0
+) -> Minimum:
     """Return the minimum of a program, by damped Newton steps that stay strictly inside.
 
     Args:
         weighted: The program.
-        start: A point with positive definite S and Z and positive slacks and multipliers; the
-            prior by default.
+        start: A point with positive definite S and Z and positive slacks and multipliers, to save
+            some steps.
+        enough: Gap that will do.
 
     Raises:
         IdentificationError: The constraints contradict each other, or rounding got in the way.
     """
+    if start is not None:
+        try:
+            return _minimum(weighted, start, enough)
+        except IdentificationError:
+            pass  # A start can be too close to a boundary; from the prior there is always a way.
+    return _minimum(weighted, _cold_start(weighted), enough)
+
+
+def _minimum(weighted: WeightedProgram, start: Iterate, enough: float) -> Minimum:
     best: tuple[float, int, _Linearization] | None = None
+    early, first = start, 0.0
     gamma, stalled = weighted.weights.min(initial=np.inf), 0
-    last = _cold_start(weighted) if start is None else start
-    here = _linearized(weighted, last)
+    here, last = _linearized(weighted, start), start
     for count in range(_STEPS):
         if here is None:
             break
         last, gap, cost = here.at, here.gap, weighted.cost(here.at.z)
+        first = max(first, gap)
+        early = here.at if gap > _EARLY * first else early
         stalled += 1
         if here.is_feasible and (best is None or gap < best[0]):
             stalled = 0 if best is None or gap < 0.5 * best[0] else stalled
             best = gap, count, here
         least = max(_EXACT * gamma, min(_QUADRATIC * gamma, _ROUNDING * cost))
-        if here.is_feasible and gap <= (least if np.isfinite(gamma) else _ROUNDING * cost):
+        least = max(least if np.isfinite(gamma) else _ROUNDING * cost, enough)
+        if here.is_feasible and gap <= least:
             break
         if best is not None and stalled > _PATIENCE and best[0] <= _GOOD * cost:
             break
         here = _next(here)
-    if best is None or best[0] > _GOOD * max(
-        weighted.cost(best[2].at.z), float(weighted.weights.sum())
+    if best is None or best[0] > max(
+        enough, _GOOD * max(weighted.cost(best[2].at.z), float(weighted.weights.sum()))
     ):
         raise _failure(weighted, last)
     gap, count, here = best
@@ -130,26 +149,22 @@ def minimize(weighted: WeightedProgram, start: Iterate | None = None) -> Minimum
         # One more step on the factor at hand nearly squares the error that is left.
         step = here.direction(0.0)
         length = min(1.0, (1.0 - _LEAST_ROOM) * here.reach(step))
-        return Minimum(weighted, here.at.moved(step.step, length), count, gap)
-    return Minimum(weighted, here.at, count, gap)
+        return Minimum(weighted, here.at.moved(step.step, length), early, count, gap)
+    return Minimum(weighted, here.at, early, count, gap)
 
 
-def next_minimum(minimum: Minimum, weight: float) -> Minimum:
-    """Return the minimum for another weight of the regularizer, from the one before it."""
-    weighted, point = minimum.weighted.program.weighted(weight), minimum.point
+def continued(near: Minimum, weighted: WeightedProgram) -> Iterate:
+    """Return a start from the minimum of the same program with another weight."""
+    point = near.point
     s, y, mere = point.slack, point.multipliers.copy(), weighted.targets == 0
-    y[~mere] *= weighted.targets[~mere] / minimum.weighted.targets[~mere]
+    y[~mere] *= weighted.targets[~mere] / near.weighted.targets[~mere]
     # Products of nothing would hold the next steps at the boundary that is active here.
     push = _LIFT * min(weighted.weights.min(initial=np.inf), 1.0)
     active = mere & (s * weighted.gamma.max(initial=1.0) < y)
     slack = np.where(active, np.maximum(s, push / y), s)
     multipliers = np.where(mere & ~active, np.maximum(y, push / s), y)
-    ratios = (weighted.gamma / minimum.weighted.gamma)[:, None, None]
-    start = replace(point, Z=ratios * point.Z, slack=slack, multipliers=multipliers)
-    try:
-        return minimize(weighted, start)
-    except IdentificationError:
-        return minimize(weighted)
+    ratios = (weighted.gamma / near.weighted.gamma)[:, None, None]
+    return replace(point, Z=ratios * point.Z, slack=slack, multipliers=multipliers)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from geodrake.identification.newton import solve_newton
+from geodrake.identification.newton import solve_alike
 from geodrake.identification.normal_equations import choleskies
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import PARAMETERS_PER_BODY
@@ -69,22 +70,25 @@ def physical_minimizers(
     Raises:
         IdentificationError: Rounding gets in the way.
     """
-    x, p = np.empty_like(rhs), rhs.shape[1]
+    p, bodies = rhs.shape[1], start.mean(0)
     scales = 1.0 / np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
     roots = choleskies(gram * scales[:, :, None] * scales[:, None, :], _RIDGE)
-    for f, (root, scale) in enumerate(zip(roots, scales, strict=True)):
-        target = solve_triangular(root, scale * rhs[f], lower=True)
-        problem = FitProblem(
-            factor=np.column_stack([root.T / scale, target]),
-            inertia_blocks=tuple(blocks),
-            prior_mean=start[f],
-            prior_information=np.zeros((p, p)),
-            lower=bounds[0],
-            upper=bounds[1],
-            entropic={block: (start[f, block : block + 10], _GAP) for block in blocks},
-        )
-        x[f] = solve_newton(problem).x
-    return x
+    common = FitProblem(
+        factor=np.zeros((1, p + 1)),
+        inertia_blocks=tuple(blocks),
+        prior_mean=bodies,
+        prior_information=np.zeros((p, p)),
+        lower=bounds[0],
+        upper=bounds[1],
+        entropic={block: (bodies[block : block + 10], _GAP) for block in blocks},
+    )
+    targets = (
+        solve_triangular(L, s * r, lower=True) for L, s, r in zip(roots, scales, rhs, strict=True)
+    )
+    factors = (
+        np.column_stack([L.T / s, t]) for L, s, t in zip(roots, scales, targets, strict=True)
+    )
+    return solve_alike((replace(common, factor=factor) for factor in factors), enough=_GAP)
 
 
 def _places(blocks: Sequence[int]) -> NDArray[np.intp]:

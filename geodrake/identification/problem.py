@@ -199,8 +199,8 @@ class FitProblem(Short):
             references[start] = checked(f"reference[{start}]", given, (10,))
             if start in self.entropic:
                 references[start] = self.entropic[start][0]
-        wrong = [start for start, phi in references.items() if not is_physical(phi)]
-        if wrong:
+        physical = is_physical(np.reshape(list(references.values()), (-1, 10)))
+        if wrong := [start for start, ok in zip(references, physical, strict=True) if not ok]:
             raise ArgumentError(
                 f"The inertia blocks at columns {wrong} have no physical reference: their prior "
                 "mean does not belong to a body of positive density.",

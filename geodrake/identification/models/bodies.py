@@ -65,7 +65,7 @@ def _changes(
 
 
 def covariance_of(information: Array) -> Array:
-    """Return the inverse of an information matrix, whatever the units; infinite where nothing is known."""
+    """Return the inverse of an information matrix in any units; infinite where nothing is known."""
     size = np.sqrt(np.diagonal(information))
     known = np.flatnonzero(size > _NOTHING)
     covariance, size = np.diag(np.full(len(information), np.inf)), size[known]
