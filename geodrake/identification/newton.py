@@ -45,7 +45,7 @@ def solve_newton(problem: FitProblem) -> FitResult:
     check_residual_bound(instance(problem, "problem", FitProblem))
     program = NewtonProgram.of(problem)
     if problem.residual_bound is None:
-        minimum, weight = minimize(program.weighted(1.0)), 1.0
+        minimum, weight = minimize(program), 1.0
     else:
         minimum, weight = _bounded(program, problem.residual_bound)
     x = _parameters(minimum)
@@ -62,7 +62,7 @@ def solve_alike(problems: Iterable[FitProblem], *, enough: float) -> Array:
     found: list[Array] = []
     start: Iterate | None = None
     for problem in problems:
-        minimum = minimize(NewtonProgram.of(problem).weighted(1.0), start, enough=enough)
+        minimum = minimize(NewtonProgram.of(problem), start, enough=enough)
         start = start or minimum.early
         found.append(_parameters(minimum))
     return np.array(found)
@@ -70,7 +70,7 @@ def solve_alike(problems: Iterable[FitProblem], *, enough: float) -> Array:
 
 def _parameters(minimum: Minimum) -> Array:
     """Return the parameters (p,) of a minimum, physical and within bounds."""
-    program = minimum.weighted.program
+    program = minimum.program
     coordinates, problem = program.coordinates, program.coordinates.problem
     for share in _INSIDE:  # rounding alone can leave a tiny γ's bodies at the boundary
         z = (1.0 - share) * minimum.point.z + share * program.middle

@@ -1,6 +1,6 @@
 """Follow the central path of an entropic fit to its minimum, by primal–dual Newton steps.
 
-With dual matrices Z_i and multipliers λ, the minimum of a `WeightedProgram` is where
+With dual matrices Z_i and multipliers λ, the minimum of a `NewtonProgram` is where
 
     F'(F z − f) + γ svec(I) − svec(Z) + Gᵀ(γ − λ) − Eᵀ ν = 0,
     S_i Z_i = γ_i I,   s_k λ_k = γ_k,   s = G z − h
@@ -22,7 +22,7 @@ from scipy.linalg.lapack import dtpmqrt, dtpqrt, dtrtrs
 
 from geodrake.errors import IdentificationError
 from geodrake.identification.coordinates import smat, svec
-from geodrake.identification.newton_program import WeightedProgram
+from geodrake.identification.newton_program import NewtonProgram
 from geodrake.inertia import Array
 
 _STEPS, _PATIENCE, _HALVINGS = 100, 3, 8
@@ -74,17 +74,17 @@ class Iterate:
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Minimum of a `WeightedProgram`.
+    """Minimum of a `NewtonProgram`.
 
     Attributes:
-        weighted: The program.
+        program: The program.
         point: The minimum with its multipliers.
         early: A point well inside on the way there, from where that of similar data is near too.
         steps: Newton steps that were taken.
         gap: Bound on how much lower the cost was before the last step, to first order.
     """
 
-    weighted: WeightedProgram
+    program: NewtonProgram
     point: Iterate
     early: Iterate
     steps: int
@@ -93,16 +93,16 @@ class Minimum:
     @property
     def excess(self) -> float:
         """Squared residual beyond the least of any parameters."""
-        return self.weighted.program.excess(self.point.z)
+        return self.program.excess(self.point.z)
 
 
 def minimize(
-    weighted: WeightedProgram, start: Iterate | None = None, *, enough: float = 0.0
+    program: NewtonProgram, start: Iterate | None = None, *, enough: float = 0.0
 ) -> Minimum:
     """Return the minimum of a program, by damped Newton steps that stay strictly inside.
 
     Args:
-        weighted: The program.
+        program: The program.
         start: A point with positive definite S and Z and positive slacks and multipliers, to save
             some steps.
         enough: Gap that will do.
@@ -112,21 +112,21 @@ def minimize(
     """
     if start is not None:
         try:
-            return _minimum(weighted, start, enough)
+            return _minimum(program, start, enough)
         except IdentificationError:
             pass  # A start can be too close to a boundary; from the prior there is always a way.
-    return _minimum(weighted, _cold_start(weighted), enough)
+    return _minimum(program, _cold_start(program), enough)
 
 
-def _minimum(weighted: WeightedProgram, start: Iterate, enough: float) -> Minimum:
+def _minimum(program: NewtonProgram, start: Iterate, enough: float) -> Minimum:
     best: tuple[float, int, _Linearization] | None = None
     early, first = start, 0.0
-    gamma, stalled = weighted.weights.min(initial=np.inf), 0
-    here, last = _linearized(weighted, start), start
+    gamma, stalled = program.weights.min(initial=np.inf), 0
+    here, last = _linearized(program, start), start
     for count in range(_STEPS):
         if here is None:
             break
-        last, gap, cost = here.at, here.gap, weighted.cost(here.at.z)
+        last, gap, cost = here.at, here.gap, program.cost(here.at.z)
         first = max(first, gap)
         early = here.at if gap > _EARLY * first else early
         stalled += 1
@@ -141,29 +141,29 @@ def _minimum(weighted: WeightedProgram, start: Iterate, enough: float) -> Minimu
             break
         here = _next(here)
     if best is None or best[0] > max(
-        enough, _GOOD * max(weighted.cost(best[2].at.z), float(weighted.weights.sum()))
+        enough, _GOOD * max(program.cost(best[2].at.z), float(program.weights.sum()))
     ):
-        raise _failure(weighted, last)
+        raise _failure(program, last)
     gap, count, here = best
     if gap <= _QUADRATIC * gamma:
         # One more step on the factor at hand nearly squares the error that is left.
         step = here.direction(0.0)
         length = min(1.0, (1.0 - _LEAST_ROOM) * here.reach(step))
-        return Minimum(weighted, here.at.moved(step.step, length), early, count, gap)
-    return Minimum(weighted, here.at, early, count, gap)
+        return Minimum(program, here.at.moved(step.step, length), early, count, gap)
+    return Minimum(program, here.at, early, count, gap)
 
 
-def continued(near: Minimum, weighted: WeightedProgram) -> Iterate:
+def continued(near: Minimum, program: NewtonProgram) -> Iterate:
     """Return a start from the minimum of the same program with another weight."""
     point = near.point
-    s, y, mere = point.slack, point.multipliers.copy(), weighted.targets == 0
-    y[~mere] *= weighted.targets[~mere] / near.weighted.targets[~mere]
+    s, y, mere = point.slack, point.multipliers.copy(), program.targets == 0
+    y[~mere] *= program.targets[~mere] / near.program.targets[~mere]
     # Products of nothing would hold the next steps at the boundary that is active here.
-    push = _LIFT * min(weighted.weights.min(initial=np.inf), 1.0)
-    active = mere & (s * weighted.gamma.max(initial=1.0) < y)
+    push = _LIFT * min(program.weights.min(initial=np.inf), 1.0)
+    active = mere & (s * program.gamma.max(initial=1.0) < y)
     slack = np.where(active, np.maximum(s, push / y), s)
     multipliers = np.where(mere & ~active, np.maximum(y, push / s), y)
-    ratios = (weighted.gamma / near.weighted.gamma)[:, None, None]
+    ratios = (program.gamma / near.program.gamma)[:, None, None]
     return replace(point, Z=ratios * point.Z, slack=slack, multipliers=multipliers)
 
 
@@ -184,9 +184,9 @@ class _Linearization:
     would lose a tiny γ next to strong data.
     """
 
-    def __init__(self, weighted: WeightedProgram, at: Iterate) -> None:
-        program = weighted.program
-        self.weighted, self.at = weighted, at
+    def __init__(self, program: NewtonProgram, at: Iterate) -> None:
+        self.program, self.at = program, at
+        F, f = program.rows
         G, h = program.inequalities
         E, e = program.equalities
         self._slack_error = G @ at.z - h - at.slack
@@ -198,12 +198,12 @@ class _Linearization:
         self._products = self._d**2  # eigenvalues of S Z
         T = root_S @ np.swapaxes(V, 1, 2) / np.sqrt(self._d)[:, None, :]
         self._D = self._d[:, :, None] * _UNIT
-        self._prior_pull = weighted.gamma[:, None, None] * (np.swapaxes(T, 1, 2) @ T)
+        self._prior_pull = program.gamma[:, None, None] * (np.swapaxes(T, 1, 2) @ T)
         self._scaling = np.linalg.inv(T)
-        self._errors = weighted.target - weighted.factor @ at.z
+        self._errors = f - F @ at.z
         floor = _FLOOR * float(self._errors @ self._errors)
-        self._aim = np.maximum(weighted.gamma, floor)
-        self._targets = np.where(weighted.targets > 0, np.maximum(weighted.targets, floor), 0.0)
+        self._aim = np.maximum(program.gamma, floor)
+        self._targets = np.where(program.targets > 0, np.maximum(program.targets, floor), 0.0)
         self._stiffness = at.multipliers / at.slack
         self._factor(T, G)
         self._spread = _solve(self._R, E.T, transposed=True)
@@ -222,15 +222,15 @@ class _Linearization:
         K_i takes z_i to the change of S_i scaled by U⁻¹ and U⁻ᵀ, where U Uᵀ = T Tᵀ is upper
         triangular, which makes K_i upper triangular too.
         """
-        blocks = self.weighted.program.blocks
+        blocks = self.program.blocks
         flipped = (T @ np.swapaxes(T, 1, 2))[:, ::-1, ::-1]
         U = np.linalg.cholesky(flipped)[:, ::-1, ::-1]
         self._turn = self._scaling @ U
         inverse = np.triu(np.linalg.inv(U))[:, None]
-        rows = np.zeros_like(self.weighted.factor)
+        rows = np.zeros_like(self.program.rows[0])
         K = svec(inverse @ _BASIS @ np.swapaxes(inverse, 2, 3))
         rows[blocks[:, :, None], blocks[:, None, :]] = np.swapaxes(K, 1, 2)
-        p, R, self._reflectors = len(rows), self.weighted.factor, []
+        p, R, self._reflectors = len(rows), self.program.rows[0], []
         if len(K):
             R, V, t, _ = dtpqrt(p, min(_PANEL, p), R, rows, overwrite_b=True)
             self._reflectors.append((p, V, t))
@@ -244,8 +244,8 @@ class _Linearization:
         """Return the right side (p,) of R x = … for those of K as (n, 4, 4), and of λ."""
         below = np.zeros_like(self._errors)
         turned = np.swapaxes(self._turn, 1, 2) @ (matrices - self._prior_pull) @ self._turn
-        below[self.weighted.program.blocks] = svec(turned)
-        rows = (forces - self.weighted.targets) / np.sqrt(self._stiffness)
+        below[self.program.blocks] = svec(turned)
+        rows = (forces - self.program.targets) / np.sqrt(self._stiffness)
         parts = (below, rows) if len(matrices) else (rows,)
         top = self._errors[:, None]
         for (width, V, t), part in zip(self._reflectors, parts, strict=False):
@@ -269,7 +269,7 @@ class _Linearization:
             centre: How far from the solution on the path to stay.
             predicted: A first step, whose second-order terms are taken along.
         """
-        at, d, G = self.at, self._d, self.weighted.program.inequalities[0]
+        at, d, G = self.at, self._d, self.program.inequalities[0]
         wanted = (self._aim[:, None] + centre - self._products)[:, :, None] * _UNIT
         force = (self._targets + centre) / at.slack
         if predicted is not None:
@@ -285,7 +285,7 @@ class _Linearization:
             forces = np.linalg.lstsq(spread.T @ spread, missing)[0]
             right = right + spread @ forces
         dz = _solve(self._R, right)
-        change = smat(dz[self.weighted.program.blocks])
+        change = smat(dz[self.program.blocks])
         primal = self._scaling @ change @ np.swapaxes(self._scaling, 1, 2)
         dual = M - primal
         nearing = G @ dz
@@ -322,14 +322,14 @@ class _Linearization:
         return float(beyond) / max(self._d.size + len(s), 1)
 
 
-def _linearized(weighted: WeightedProgram, point: Iterate) -> _Linearization | None:
+def _linearized(program: NewtonProgram, point: Iterate) -> _Linearization | None:
     """Return the conditions at a point; None where rounding has put it at the boundary.
 
     Multipliers of constraints that contradict each other grow until they overflow.
     """
     try:
         with np.errstate(over="raise", divide="raise", invalid="raise"):
-            return _Linearization(weighted, point)
+            return _Linearization(program, point)
     except (np.linalg.LinAlgError, FloatingPointError):
         return None
 
@@ -354,35 +354,34 @@ def _next(here: _Linearization) -> _Linearization | None:
     # The closer to the solution, the closer to the boundary a step may end.
     length = min(1.0, (1.0 - min(_ROOM, max(ratio, _LEAST_ROOM))) * reach)
     for _ in range(_HALVINGS):
-        there = _linearized(here.weighted, here.at.moved(step.step, length))
+        there = _linearized(here.program, here.at.moved(step.step, length))
         if there is not None:
             return there
         length *= 0.5  # Rounding was more than the room.
     return None
 
 
-def _cold_start(weighted: WeightedProgram) -> Iterate:
+def _cold_start(program: NewtonProgram) -> Iterate:
     """Return the prior, with multipliers larger than all slopes of the cost there."""
-    program = weighted.program
-    z = program.middle
+    z, (F, f) = program.middle, program.rows
     G, h = program.inequalities
     slack = G @ z - h
-    push = _PUSH * float(np.abs(weighted.slope(z)).max(initial=0.0))
+    push = _PUSH * float(np.abs(program.slope(z)).max(initial=0.0))
     if np.any(slack < 0):
-        push = max(push, float(weighted.gamma.max(initial=0.0)))
+        push = max(push, float(program.gamma.max(initial=0.0)))
     push = push or 1.0
     # Columns of scalars have unit length, so a scalar moves about as far as the error is large.
-    error = np.linalg.norm(weighted.factor @ z - weighted.target)
+    error = np.linalg.norm(F @ z - f)
     scalars = np.ones(len(z))
     scalars[program.blocks] = 0.0
     slack = np.maximum(slack, _SLACK * (1.0 + error * np.linalg.norm(G * scalars, axis=1)))
-    Z = (weighted.gamma + push)[:, None, None] * _UNIT
-    multipliers = (push + weighted.targets) / slack
+    Z = (program.gamma + push)[:, None, None] * _UNIT
+    multipliers = (push + program.targets) / slack
     return Iterate(z, Z, slack, multipliers, np.zeros(len(program.equalities[1])))
 
 
-def _failure(weighted: WeightedProgram, point: Iterate) -> IdentificationError:
-    (G, h), (E, e) = weighted.program.inequalities, weighted.program.equalities
+def _failure(program: NewtonProgram, point: Iterate) -> IdentificationError:
+    (G, h), (E, e) = program.inequalities, program.equalities
     missed = np.append(h - G @ point.z, np.abs(E @ point.z - e)).max(initial=0.0)
     cause = "Most often the data and the prior differ by very many orders of magnitude."
     advice = "Check units and noise levels, raise gamma, or use the solver clarabel."

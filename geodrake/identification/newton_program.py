@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,13 +37,15 @@ class NewtonProgram:
         fixing: (j, p) weak rows that fix directions which neither data nor prior determine.
         blocks: (n, 10) indices of the inertia blocks in z.
         begin: (n, 4, 4) matrices B.
-        gamma: (n,) weights γ.
+        gammas: (n,) weights γ_i.
         barrier: (n,) which of them are of barriers.
         strength: Size of the prior, to which weights w are relative.
-        targets: (m,) weights γ_k of the inequalities.
-        inequalities: G (m, p) and h (m,), with rows of unit length but those of positive scalars.
+        scalar_gammas: (k,) weights γ_k of the positive scalars.
+        inequalities: G (m, p) and h (m,), with rows of unit length but those of the positive
+            scalars, which come first.
         equalities: E (l, p) and e (l,), with independent rows of unit length.
         floor: Least squared residual of any parameters, also unphysical ones.
+        weight: Weight w of the prior.
     """
 
     coordinates: Coordinates
@@ -51,13 +54,14 @@ class NewtonProgram:
     fixing: Array
     blocks: NDArray[np.intp]
     begin: Array
-    gamma: Array
+    gammas: Array
     barrier: NDArray[np.bool_]
     strength: float
-    targets: Array
+    scalar_gammas: Array
     inequalities: Rows
     equalities: Rows
     floor: float
+    weight: float = 1.0
 
     @classmethod
     def of(cls, problem: FitProblem) -> NewtonProgram:
@@ -72,8 +76,7 @@ class NewtonProgram:
         starts = np.array(problem.inertia_blocks, np.intp)
         blocks = starts[:, None] + np.arange(10)
         barrier = np.array([start not in problem.entropic for start in starts], bool)
-        gamma, strengths = _weights(problem, prior, blocks)
-        # Positive scalars come first among the inequalities.
+        gammas, strengths = _weights(problem, prior, blocks)
         scalars = coordinates.scalars(problem.entropic_scalars)
         (G, h), equalities = coordinates.rows()
         positive = np.zeros((len(scalars.columns), p))
@@ -87,16 +90,16 @@ class NewtonProgram:
             fixing=_undetermined(np.vstack([triangle[:p, :p], prior]), known),
             blocks=blocks,
             begin=coordinates.starts - margins * coordinates.references,
-            gamma=gamma,
+            gammas=gammas,
             barrier=barrier,
             strength=float(np.append(strengths, scalars.weights).max(initial=0.0)) or 1.0,
-            targets=np.append(scalars.weights, np.zeros(len(h))),
+            scalar_gammas=scalars.weights,
             inequalities=(np.vstack([positive, G]), np.append(-scalars.begin, h)),
             equalities=equalities,
             floor=float(triangle[p, p] ** 2) if len(triangle) > p else 0.0,
         )
 
-    @property
+    @cached_property
     def middle(self) -> Array:
         """Coordinates (p,) where every S is the identity."""
         z = np.zeros(self.data.shape[1] - 1)
@@ -111,49 +114,33 @@ class NewtonProgram:
         """Return S_i of every block, (n, 4, 4), at z (p,)."""
         return self.begin + smat(z[self.blocks])
 
-    def weighted(self, weight: float) -> WeightedProgram:
-        """Return the program with the prior's weight w in its factor.
+    def weighted(self, weight: float) -> NewtonProgram:
+        """Return the program with another weight w of the prior."""
+        return replace(self, weight=weight)
 
-        A barrier has a least weight whatever w, so that rounding does not drown it.
-        """
+    @cached_property
+    def rows(self) -> Rows:
+        """Upper triangular F (p, p), in Fortran's order, and f (p,) of the quadratic cost."""
         p = len(self.middle)
-        extra = np.vstack([np.sqrt(weight) * self.prior, self.fixing])
+        extra = np.vstack([np.sqrt(self.weight) * self.prior, self.fixing])
         triangle = self.data
         if len(extra):
             rows = np.column_stack([extra, np.zeros(len(extra))])
             triangle = triangular_factor([triangle, rows])[:p]
+        factor = np.asfortranarray(np.sqrt(2.0) * np.triu(triangle[:, :p]))
+        return factor, np.sqrt(2.0) * triangle[:, p]
+
+    @cached_property
+    def gamma(self) -> Array:
+        """(n,) weights w γ_i; a barrier has a least one, so that rounding does not drown it."""
         least = np.where(self.barrier, _LEAST * self.excess(self.middle), 0.0)
-        return WeightedProgram(
-            program=self,
-            weight=weight,
-            factor=np.asfortranarray(np.sqrt(2.0) * np.triu(triangle[:, :p])),
-            target=np.sqrt(2.0) * triangle[:, p],
-            gamma=np.maximum(weight * self.gamma, least),
-            targets=weight * self.targets,
-        )
+        return np.maximum(self.weight * self.gammas, least)
 
-
-@dataclass(frozen=True, eq=False)
-class WeightedProgram:
-    """A `NewtonProgram` with one weight.
-
-        ½‖F z − f‖² + Σ_i γ_i (tr S_i − log|S_i|) + Σ_k γ_k (s_k − log s_k)
-
-    Attributes:
-        program: The program.
-        weight: The weight w.
-        factor: (p, p) upper triangular F, in Fortran's order.
-        target: (p,) f.
-        gamma: (n,) weights w γ_i, or those of barriers.
-        targets: (m,) weights w γ_k of the inequalities.
-    """
-
-    program: NewtonProgram
-    weight: float
-    factor: Array
-    target: Array
-    gamma: Array
-    targets: Array
+    @cached_property
+    def targets(self) -> Array:
+        """(m,) weights w γ_k of the inequalities."""
+        given = self.scalar_gammas
+        return np.append(self.weight * given, np.zeros(len(self.inequalities[1]) - len(given)))
 
     @property
     def weights(self) -> Array:
@@ -162,18 +149,16 @@ class WeightedProgram:
 
     def slope(self, z: Array) -> Array:
         """Return the gradient (p,) at z (p,) of all but the logarithms and traces of blocks."""
-        gradient = self.factor.T @ (self.factor @ z - self.target)
-        return gradient + self.program.inequalities[0].T @ self.targets
+        F, f = self.rows
+        return F.T @ (F @ z - f) + self.inequalities[0].T @ self.targets
 
     def cost(self, z: Array) -> float:
         """Return the cost at z (p,), counted from a perfect fit at the prior."""
-        S = self.program.matrices(z)
+        S, (F, f), (G, h) = self.matrices(z), self.rows, self.inequalities
         divergences = np.trace(S, axis1=1, axis2=2) - np.linalg.slogdet(S)[1] - 4.0
-        errors = self.factor @ z - self.target
-        G, h = self.program.inequalities
-        weighty = self.targets > 0
-        slack = G[weighty] @ z - h[weighty]
-        scalars = self.targets[weighty] @ (slack - np.log(slack) - 1.0)
+        k, errors = len(self.scalar_gammas), F @ z - f
+        slack = G[:k] @ z - h[:k]
+        scalars = self.targets[:k] @ (slack - np.log(slack) - 1.0)
         return float(0.5 * errors @ errors + self.gamma @ divergences + scalars)
 
 

@@ -282,7 +282,7 @@ class RiemannianSearch:
             constraints=LinearConstraints(matrix=G @ N, lower=room, upper=np.full(len(h), np.inf)),
         )
         program = NewtonProgram.of(quadratic)
-        found = minimize(program.weighted(1.0)).point.z
+        found = minimize(program).point.z
         return np.asarray(N @ program.coordinates.parameters(found))
 
     def second_order(self, x: Array) -> tuple[FitProblem, float]:
