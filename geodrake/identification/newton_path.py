@@ -126,7 +126,7 @@ def _minimum(program: NewtonProgram, start: Iterate, enough: float) -> Minimum:
     for count in range(_STEPS):
         if here is None:
             break
-        last, gap, cost = here.at, here.gap, program.cost(here.at.z)
+        last, gap, cost = here.at, here.gap(), program.cost(here.at.z)
         first = max(first, gap)
         early = here.at if gap > _EARLY * first else early
         stalled += 1
@@ -207,7 +207,6 @@ class _Linearization:
         self._stiffness = at.multipliers / at.slack
         self._factor(T, G)
         self._spread = _solve(self._R, E.T, transposed=True)
-        self.gap = self._gap()
 
     @property
     def is_feasible(self) -> bool:
@@ -252,8 +251,15 @@ class _Linearization:
             top, _, _ = dtpmqrt(width, V, t, top, part[:, None], side="L", trans="T")
         return np.asarray(top[:, 0], float)
 
+    def gap(self) -> float:
+        """Return the distance of the cost from its minimum, to first order; inf if it overflows."""
+        try:
+            with np.errstate(over="raise", divide="raise", invalid="raise"):
+                return self._gap()
+        except FloatingPointError:
+            return np.inf
+
     def _gap(self) -> float:
-        """Return the distance of the cost from its minimum, to first order."""
         at, weighty = self.at, self._targets > 0
         error = self._reduced(self._D, at.multipliers) + self._spread @ at.forces
         products = at.slack * at.multipliers
@@ -323,34 +329,38 @@ class _Linearization:
 
 
 def _linearized(program: NewtonProgram, point: Iterate) -> _Linearization | None:
-    """Return the conditions at a point; None where rounding has put it at the boundary.
+    """Return the conditions at a point; None where rounding has put it at the boundary."""
+    try:
+        return _Linearization(program, point)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _next(here: _Linearization) -> _Linearization | None:
+    """Return the conditions one step further; None where rounding leaves no way.
 
     Multipliers of constraints that contradict each other grow until they overflow.
     """
     try:
         with np.errstate(over="raise", divide="raise", invalid="raise"):
-            return _Linearization(program, point)
-    except (np.linalg.LinAlgError, FloatingPointError):
-        return None
-
-
-def _next(here: _Linearization) -> _Linearization | None:
-    """Return the conditions after a predictor and a corrector; None where no way is left."""
-    try:
-        with np.errstate(over="raise", divide="raise", invalid="raise"):
-            predictor = here.direction(0.0)
-            excess = here.excess(predictor, 0.0)
-            length = min(1.0, (1.0 - _LEAST_ROOM) * here.reach(predictor))
-            ratio = min(1.0, here.excess(predictor, length) / excess) if excess > 0 else 0.0
-            step = here.direction(ratio**3 * excess, predictor)
-            reach = here.reach(step)
-            if reach < _SHORT:
-                # Second-order terms can mislead far from the path; go back towards it.
-                back = here.direction(_BACK * excess)
-                ways = (step, reach), (back, here.reach(back))
-                step, reach = max(ways, key=lambda way: way[1])
+            return _stepped(here)
     except FloatingPointError:
         return None
+
+
+def _stepped(here: _Linearization) -> _Linearization | None:
+    """Return the conditions after a predictor and a corrector; None where no way is left."""
+    predictor = here.direction(0.0)
+    excess = here.excess(predictor, 0.0)
+    length = min(1.0, (1.0 - _LEAST_ROOM) * here.reach(predictor))
+    ratio = min(1.0, here.excess(predictor, length) / excess) if excess > 0 else 0.0
+    step = here.direction(ratio**3 * excess, predictor)
+    reach = here.reach(step)
+    if reach < _SHORT:
+        # Second-order terms can mislead far from the path; go back towards it.
+        back = here.direction(_BACK * excess)
+        ways = (step, reach), (back, here.reach(back))
+        step, reach = max(ways, key=lambda way: way[1])
     # The closer to the solution, the closer to the boundary a step may end.
     length = min(1.0, (1.0 - min(_ROOM, max(ratio, _LEAST_ROOM))) * reach)
     for _ in range(_HALVINGS):

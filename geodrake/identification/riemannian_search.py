@@ -35,6 +35,8 @@ _SAME = 1e-4
 _ACCURACY = 1e-14
 """Decrease that a step must promise to be worth taking, as a share of the size of the cost."""
 _MOST_STEPS, _GUESSES = 300, 10
+_RIDGES = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6)
+"""Shares of its diagonal to be added in turn to a Hessian that rounding left indefinite."""
 _ROUNDING = 1e-13
 """How far beyond a constraint counts as on it, relative to the coordinates."""
 _LEAST_CURVATURE = 0.1
@@ -233,7 +235,7 @@ class RiemannianSearch:
             try:
                 step = self._step(z, gradient, hessian)
             except np.linalg.LinAlgError:
-                step, strict = self._step(z, *self.derivatives(z, convex=True)), False
+                step, strict = self._convex_step(z), False
             promise, rounding = -float(gradient @ step), PRECISION * max(abs(value), size)
             ends = promise <= _ACCURACY * size or is_within_rounding(promise, before, rounding)
 
@@ -252,6 +254,21 @@ class RiemannianSearch:
         value = self.cost(z)
         return float(
             step_length(lambda share: value - self.cost(z + share * step), promise, rounding)
+        )
+
+    def _convex_step(self, z: Array) -> Array:
+        """Return a step downhill where the cost is not convex, or is so but for rounding."""
+        gradient, hessian = self.derivatives(z, convex=True)
+        size = np.diagonal(hessian)
+        size = np.diag(np.where(size > 0.0, size, 1.0))
+        for ridge in _RIDGES:
+            try:
+                return self._step(z, gradient, hessian + ridge * size)
+            except np.linalg.LinAlgError:
+                continue
+        raise IdentificationError(
+            "The parameters cannot be distinguished by data and prior: no Newton step is defined.",
+            advice="Add data or a prior for them, or leave their columns out.",
         )
 
     def _step(self, z: Array, gradient: Array, hessian: Array) -> Array:
