@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -196,7 +197,7 @@ def _references(problem: FitProblem) -> Array:
     return pseudo_inertia(np.reshape(blocks, (-1, 10)))
 
 
-def _congruent(roots: Array, matrices: Array) -> Array:
+def _congruent(roots: NDArray[np.floating[Any]], matrices: Array) -> Array:
     """Return L⁻¹ M L⁻ᵀ for roots L and symmetric matrices M (n, 4, 4), symmetric to the last digit.
 
     For a body that is nearly flat, rounding alone would not leave it so.

@@ -102,9 +102,9 @@ def identify_model(
         alternatives = _alternatives(fits, settings.regularizer, result, folds)
     held_out = fits.held_out(folds)
     stands = fits.unknowns.mean.copy()  # the prior's parameters; a new payload is not there yet
-    for given in prior.effects:
-        if given.effect in unknowns.effects:
-            stands[unknowns.span(given.effect)] = given.parameters
+    for known in prior.effects:
+        if known.effect in unknowns.effects:
+            stands[unknowns.span(known.effect)] = known.parameters
     before = hold_out(case.dataset, unknowns.columns, np.tile(stands, (len(fits.folds), 1)))
     fitted = _fitted(fits, result, held_out, prior, case)
     return ModelIdentification(
