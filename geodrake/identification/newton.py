@@ -18,8 +18,8 @@ from geodrake.inertia import Array, is_physical
 
 _INSIDE = (0.0, 1e-13, 1e-11, 1e-9)
 """Shares of the way to the prior, where every P(φ⁰)⁻¹ P(φ) is the identity, to be tried in turn."""
-_SAME_RESIDUAL = 1e-10
-"""Relative difference from the residual bound at which the root is found."""
+_SAME_RESIDUAL, _NEARLY = 1e-10, 1e-7
+"""Relative differences from the residual bound: that aimed at, and that rounding may leave."""
 _RIGID, _IDLE = 1e-12, 1e10
 """Weights, relative to the cost of the prior, at which prior and data no longer matter."""
 
@@ -103,13 +103,13 @@ def _bounded(program: NewtonProgram, bound: float) -> tuple[Minimum, float]:
         limits=(_RIGID * scale, _IDLE * scale),
         enough=_SAME_RESIDUAL * bound,
     )
-    if np.isinf(weight) or abs(excess - wanted) <= _SAME_RESIDUAL * bound:
+    if np.isinf(weight) or abs(excess - wanted) <= _NEARLY * bound:
         return minimum, weight
     if weight == 0.0:
         raise out_of_reach(bound, program.floor + excess)
     raise IdentificationError(
-        f"newton found no weight of the prior with the residual {bound:.6g}; the nearest residual "
-        f"was {program.floor + excess:.6g}.",
+        f"newton found no weight of the prior with the residual {bound:.10g}; the nearest residual "
+        f"was {program.floor + excess:.10g}.",
         advice="Check units and noise levels, or use the solver clarabel.",
         solver="newton",
     )
