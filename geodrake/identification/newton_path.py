@@ -129,13 +129,13 @@ def _minimum(program: NewtonProgram, start: Iterate, enough: float) -> Minimum:
         last, gap, cost = here.at, here.gap(), program.cost(here.at.z)
         first = max(first, gap)
         early = here.at if gap > _EARLY * first else early
-        stalled += 1
-        if here.is_feasible and (best is None or gap < best[0]):
+        feasible, stalled = here.is_feasible, stalled + 1
+        if feasible and (best is None or gap < best[0]):
             stalled = 0 if best is None or gap < 0.5 * best[0] else stalled
             best = gap, count, here
         least = max(_EXACT * gamma, min(_QUADRATIC * gamma, _ROUNDING * cost))
         least = max(least if np.isfinite(gamma) else _ROUNDING * cost, enough)
-        if here.is_feasible and gap <= least:
+        if feasible and gap <= least:
             break
         if best is not None and stalled > _PATIENCE and best[0] <= _GOOD * cost:
             break
