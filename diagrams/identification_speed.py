@@ -27,7 +27,7 @@ from public_data import add_folder_option
 from rich.progress import track
 
 from geodrake.identification import geodesic_least_squares, identify, solve_fit
-from geodrake.identification.newton import newton_sweep, solve_newton
+from geodrake.identification.newton import solve_newton
 from geodrake.identification.own_process import end_waiting
 from geodrake.inertia import pseudo_inertia
 from geodrake.inertia.positive_definite import distance
@@ -75,9 +75,8 @@ def solver_ratios(case: Case, *, repeats: int) -> dict[str, Any]:
 
 
 def sweep_ratio(case: Case, *, count: int, repeats: int) -> dict[str, Any]:
-    """One warm-started Newton sweep over γ against as many cold solves of Drake's program."""
+    """A sweep over γ by Newton's method against one by Drake's program, each solve cold."""
     gammas = case.gamma * np.logspace(1.0, -4.0, count)
-    problem = case.problem(1.0)
     problems = [case.problem(gamma) for gamma in gammas]
     found: dict[str, Any] = {}
 
@@ -85,7 +84,7 @@ def sweep_ratio(case: Case, *, count: int, repeats: int) -> dict[str, Any]:
         found[name] = results
 
     methods = {
-        "newton": lambda: keep("newton", newton_sweep(problem, gammas)),
+        "newton": lambda: keep("newton", [solve_newton(single) for single in problems]),
         "drake": lambda: keep("drake", [solve_fit(single) for single in problems]),
     }
     rounds = [[cpu_time(work) for work in methods.values()] for _ in range(repeats)]

@@ -12,9 +12,9 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia
 
 from geodrake.identification import BodyConstraints, FitProblem, identify
-from geodrake.identification.entropic import Entropic
 from geodrake.identification.identify import build_problem
 from geodrake.identification.problem import whitened_factor
+from geodrake.identification.regularizer import Entropic
 from geodrake.inertia import inertial_parameters
 from geodrake.robot import KinematicTree, inverse_dynamics_regressor
 

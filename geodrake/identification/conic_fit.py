@@ -1,56 +1,186 @@
-"""Fits by Drake's conic solver, exact to rounding, and where the solver gives up."""
+"""Solve a fit: in closed form where that is exact, by Newton's method, or as a conic program."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
-from geodrake.errors import ConvergenceError, GeodrakeError, IdentificationError
-from geodrake.identification.fit import FitResult, solve_fit
+import numpy as np
+from pydrake.solvers import MathematicalProgramResult
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
+
+from geodrake.boundary.arguments import typed
+from geodrake.errors import GeodrakeError, IdentificationError
+from geodrake.identification.coordinates import Coordinates
+from geodrake.identification.fit import FitResult, fit_result
 from geodrake.identification.newton import solve_newton
 from geodrake.identification.problem import FitProblem
+from geodrake.identification.program import FitProgram, build_fit
+from geodrake.identification.residual_path import check_residual_bound
+from geodrake.identification.solvers import (
+    ROUGHLY,
+    Tolerances,
+    check_solver,
+    cone_multiplier,
+    run_solver,
+    solved_apart,
+)
+from geodrake.inertia import Array
+from geodrake.robot.reduction import triangular_factor
 
-_CONIC = "clarabel"
 
+@typed
+def solve_fit(
+    problem: FitProblem, *, solver: str = "clarabel", shortcuts: bool = True
+) -> FitResult:
+    """Fit the parameters.
 
-def solve_surely(problem: FitProblem) -> FitResult:
-    """The fit by Drake's conic solver, or by Newton's method where that gives up.
+    A quadratic problem is first solved in closed form and then as bounded least squares; when all
+    bodies come out physical, that is the solution of the full problem too.
 
     Args:
-        problem: What to fit; every inertia block has an entropic or quadratic prior.
+        problem: What to fit.
+        solver: Drake's conic solver, "clarabel" or "scs" (slower, less exact).
+        shortcuts: Whether to try the exact solutions without a conic solver first.
+
+    Returns:
+        The unique minimum, with the information of data and prior together.
+
+    Raises:
+        ArgumentError: There is no such solver, or the residual bound is below what any parameters
+            reach.
+        IdentificationError: The solver found no solution.
+    """
+    begin = time.perf_counter()
+    check_solver(solver)
+    quick = _in_closed_form(problem) if shortcuts else None
+    if quick is not None:
+        return quick
+    check_residual_bound(problem)
+    coordinates, x, weight = solved_apart(partial(_by_conic_solver, problem, solver), solver)
+    return fit_result(coordinates, x, weight, solver, time.perf_counter() - begin)
+
+
+def solve_with_fallback(problem: FitProblem) -> FitResult:
+    """Return the fit in closed form or by Newton's method, or by Clarabel where that gives up.
 
     Raises:
         ArgumentError: No physical bodies inside all constraints reach the residual bound; its
             evidence has the `minimum` that they reach.
         IdentificationError: Neither solver found a solution, most often because there is none.
-        ConvergenceError: The conic solver found none in time, and Newton's method none either.
+        ConvergenceError: Newton's method found none, and the conic solver none in time.
     """
     begin = time.perf_counter()
+    quick = _in_closed_form(problem)
+    if quick is not None:
+        return quick
     try:
-        return solve_fit(problem, solver=_CONIC)
-    except (IdentificationError, ConvergenceError) as error:
-        failure: GeodrakeError = error
-    try:
-        fit = solve_newton(problem)
-    except GeodrakeError as error:
-        raise (error if "minimum" in error.evidence else failure) from None
-    note = f"By Newton's method, as {_CONIC} gave up: {failure.problem}"
+        return solve_newton(problem)
+    except GeodrakeError as failure:
+        if "minimum" in failure.evidence:
+            raise
+        fit, note = solve_fit(problem, shortcuts=False), failure.problem
+    note = f"By {fit.solver}, as Newton's method gave up: {note}"
     return replace(fit, note=note, solve_time=time.perf_counter() - begin)
 
 
-def solve_exactly(problem: FitProblem) -> FitResult:
-    """The minimum of a fit to the last digit, whatever the frames and units.
+def _by_conic_solver(
+    problem: FitProblem, solver: str, accuracies: Sequence[Tolerances]
+) -> tuple[Coordinates, Array, float]:
+    """Return coordinates of the program, parameters (p,), and the weight of the prior."""
+    # The first solution only says where and how to scale the program for the second.
+    fit = build_fit(problem, centre=_centre(problem, solver))
+    solution = run_solver(fit.program, solver, accuracies)
+    x = parameters_of(fit, solution)
+    return fit.coordinates, x, prior_weight_of(fit, solution, x)
 
-    At the boundary of physical bodies a conic solver is good to some 1e-6 of a body; Newton's
-    method from its solution adds the rest. Arguments and errors are those of `solve_surely`.
+
+def _centre(problem: FitProblem, solver: str) -> Array:
+    """Return parameters (p,) close to the solution: by Newton's method where it serves."""
+    if problem.inertia_blocks and len(problem.entropic) == len(problem.inertia_blocks):
+        try:
+            return solve_newton(problem).x
+        except IdentificationError:
+            pass  # The conic solver says why.
+    rough = build_fit(problem)
+    return parameters_of(rough, run_solver(rough.program, solver, ROUGHLY))
+
+
+def parameters_of(fit: FitProgram, solution: MathematicalProgramResult) -> Array:
+    """Return the parameters (p,) of a conic solution, inside bounds and physical.
+
+    Raises:
+        IdentificationError: A body is not physical, as the solver was not exact enough.
     """
+    x = fit.coordinates.parameters(solution.GetSolution(fit.z))
+    x = np.clip(x, fit.problem.lower, fit.problem.upper)
+    scalars = np.array(list(fit.problem.entropic_scalars), int)
+    if not np.all(x[scalars] > 0):
+        raise IdentificationError(
+            f"The solver's parameters at columns {scalars[x[scalars] <= 0].tolist()} are not "
+            "positive: it did not reach the accuracy that the data and prior need.",
+            advice="Raise gamma, or check units and noise levels.",
+        )
+    smallest = fit.coordinates.smallest_eigenvalues(x)
+    if not np.all(smallest > 0):
+        wrong = np.array(fit.problem.inertia_blocks)[~(smallest > 0)].tolist()
+        raise IdentificationError(
+            f"The solver's parameters are not physical in the blocks at columns {wrong}: it did "
+            "not reach the accuracy that the data and prior need.",
+            advice="Raise `margin` or gamma, or check units and noise levels.",
+            columns=wrong,
+        )
+    return x
+
+
+def prior_weight_of(fit: FitProgram, solution: MathematicalProgramResult, x: Array) -> float:
+    """Return the γ of the regularized problem with the same solution x (p,).
+
+    It comes from the residual cone's multiplier μ: at the boundary ‖u‖ = s of the cone,
+    d² + μ (‖u‖ − s)/s is stationary, and so is d² + ‖u‖²/γ with γ = 2 s²/μ.
+    """
+    bound = fit.problem.residual_bound
+    if bound is None:
+        return 1.0
+    if fit.problem.residual(x) < bound * (1.0 - 1e-6):
+        return np.inf
+    multiplier = cone_multiplier(solution, fit.residual_cone) * fit.cost_scale
+    return 2.0 * fit.residual_scale**2 / multiplier if multiplier else np.inf
+
+
+def _in_closed_form(problem: FitProblem) -> FitResult | None:
+    """Return the fit by least squares alone; None where that does not solve the problem."""
     begin = time.perf_counter()
-    fit = solve_surely(problem)
-    if fit.solver != _CONIC:
-        return fit
-    try:
-        exact = solve_newton(problem, start=fit.x, weight=fit.prior_weight)
-    except GeodrakeError:  # rounding got in the way of the last digits
-        return fit
-    elapsed = time.perf_counter() - begin
-    return replace(exact, solver=f"{_CONIC}, newton", solve_time=elapsed)
+    entropic = problem.entropic or problem.entropic_scalars
+    if entropic or problem.constraints is not None or problem.residual_bound is not None:
+        return None
+    coordinates = Coordinates.of(problem)
+    lower, upper = coordinates.bounds()
+    bounded = np.isfinite(lower) | np.isfinite(upper)
+    order = np.argsort(bounded, kind="stable")
+    M, d = coordinates.data()
+    C = coordinates.prior_root()
+    rows = np.block([[M[:, order], d[:, None]], [C[:, order], np.zeros((len(C), 1))]])
+    triangle = triangular_factor([rows])[: problem.size]
+    F, f = triangle[:, :-1], triangle[:, -1]
+    diagonal = np.abs(np.diagonal(F))
+    if len(F) < problem.size or diagonal.min() <= 1e-12 * diagonal.max():
+        return None
+    z, name = np.empty(problem.size), "closed form"
+    z[order] = solve_triangular(F, f)
+    if np.any((z < lower) | (z > upper)):
+        if np.any(lower == upper):
+            return None
+        # The bounded columns are the last ones of the triangle, so the others drop out.
+        free, last = order[~bounded[order]], order[bounded[order]]
+        k, box = len(free), (lower[last], upper[last])
+        z[last] = lsq_linear(F[k:, k:], f[k:], box, method="bvls", tol=1e-14).x
+        z[free] = solve_triangular(F[:k, :k], f[:k] - F[:k, k:] @ z[last])
+        name = "bounded least squares"
+    x = np.clip(coordinates.parameters(z), problem.lower, problem.upper)
+    if np.any(coordinates.smallest_eigenvalues(x) < problem.margin):
+        return None
+    return fit_result(coordinates, x, 1.0, name, time.perf_counter() - begin)

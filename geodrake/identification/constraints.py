@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 
 from geodrake.boundary.arguments import number, real_array
 from geodrake.boundary.showing import Short
@@ -35,28 +36,21 @@ class BodyConstraints(Short):
     com_bounds: ArrayLike | None = None
 
     def rows(self, prior: Array, size: int) -> LinearConstraints | None:
-        """The constraints as rows for parameters x = [Φ, extra].
-
-        Args:
-            prior: (nb, 10) physical prior.
-            size: Number of parameters x.
-
-        Returns:
-            The rows, or None if there are no constraints.
+        """Return the constraints on x = [Φ, extra] (size,) with a prior Φ⁰ (nb, 10); None of none.
 
         Raises:
             ArgumentError: A shape or value is wrong, bounds contradict each other, or an ellipsoid
                 does not contain the prior's body.
         """
         parts = [
-            _ellipsoid_rows(self.ellipsoids, prior),
-            _total_mass_row(self.total_mass, prior),
-            _mass_rows(self.mass_bounds, prior),
+            *_ellipsoid_rows(self.ellipsoids, prior),
+            *_total_mass_row(self.total_mass, prior),
+            *_mass_rows(self.mass_bounds, prior),
             *_com_rows(self.com_bounds, prior),
         ]
-        matrix = np.vstack([part.matrix for part in parts])
-        lower = np.concatenate([part.lower for part in parts])
-        upper = np.concatenate([part.upper for part in parts])
+        if not parts:
+            return None
+        matrix, lower, upper = (np.concatenate(part) for part in zip(*parts, strict=True))
         used = np.isfinite(lower) | np.isfinite(upper)
         if not used.any():
             return None
@@ -65,21 +59,18 @@ class BodyConstraints(Short):
         return LinearConstraints(matrix=wide, lower=lower[used], upper=upper[used])
 
 
+Part = tuple[Array, Array, Array]
+"""Rows (k, 10·nb) on the bodies, with their lower and upper values (k,)."""
+
+
 def _of_bodies(rows: Array) -> Array:
-    """(nb, 10·nb) matrix with one row (nb, 10) a body."""
-    nb = len(rows)
-    blocks = np.zeros((nb, nb, PARAMETERS_PER_BODY))
-    blocks[range(nb), range(nb)] = rows
-    return blocks.reshape(nb, -1)
+    """Return a matrix (nb, 10·nb) with one row (nb, 10) a body."""
+    return np.asarray(block_diag(*rows))
 
 
-def _none(prior: Array) -> LinearConstraints:
-    return LinearConstraints(matrix=np.zeros((0, prior.size)), lower=np.empty(0), upper=np.empty(0))
-
-
-def _ellipsoid_rows(ellipsoids: ArrayLike | None, prior: Array) -> LinearConstraints:
+def _ellipsoid_rows(ellipsoids: ArrayLike | None, prior: Array) -> list[Part]:
     if ellipsoids is None:
-        return _none(prior)
+        return []
     nb = len(prior)
     Q = checked("ellipsoids", ellipsoids, (nb, 4, 4))
     Q = 0.5 * (Q + np.swapaxes(Q, 1, 2))
@@ -104,22 +95,22 @@ def _ellipsoid_rows(ellipsoids: ArrayLike | None, prior: Array) -> LinearConstra
             trace=inside[wrong].tolist(),
         )
     rows = _of_bodies(np.einsum("bij,kji->bk", Q, pseudo_inertia_basis()))
-    return LinearConstraints(matrix=rows, lower=np.zeros(nb), upper=np.full(nb, np.inf))
+    return [(rows, np.zeros(nb), np.full(nb, np.inf))]
 
 
-def _total_mass_row(total_mass: float | None, prior: Array) -> LinearConstraints:
+def _total_mass_row(total_mass: float | None, prior: Array) -> list[Part]:
     if total_mass is None:
-        return _none(prior)
+        return []
     number(total_mass, "total_mass", lower=0.0, strict=True, finite=False)
     row = np.zeros((1, prior.size))
     row[0, ::PARAMETERS_PER_BODY] = 1.0
     total = np.array([float(total_mass)])
-    return LinearConstraints(matrix=row, lower=total, upper=total)
+    return [(row, total, total)]
 
 
-def _mass_rows(mass_bounds: ArrayLike | None, prior: Array) -> LinearConstraints:
+def _mass_rows(mass_bounds: ArrayLike | None, prior: Array) -> list[Part]:
     if mass_bounds is None:
-        return _none(prior)
+        return []
     bounds = checked_bounds("mass_bounds", mass_bounds, (len(prior), 2))
     wrong = np.flatnonzero(bounds[:, 1] <= 0).tolist()
     if wrong:
@@ -127,37 +118,33 @@ def _mass_rows(mass_bounds: ArrayLike | None, prior: Array) -> LinearConstraints
             f"mass_bounds leave no positive mass to bodies {wrong}; masses are in kg.",
             bodies=wrong,
         )
-    rows = np.zeros_like(prior)
-    rows[:, 0] = 1.0
-    return LinearConstraints(matrix=_of_bodies(rows), lower=bounds[:, 0], upper=bounds[:, 1])
+    rows = np.eye(1, PARAMETERS_PER_BODY).repeat(len(prior), axis=0)
+    return [(_of_bodies(rows), bounds[:, 0], bounds[:, 1])]
 
 
-def _com_rows(com_bounds: ArrayLike | None, prior: Array) -> list[LinearConstraints]:
-    """h_k − l m ≥ 0 and h_k − u m ≤ 0, linear where h/m would not be."""
+def _com_rows(com_bounds: ArrayLike | None, prior: Array) -> list[Part]:
+    """Return h_k − l m ≥ 0 and h_k − u m ≤ 0, linear where h/m would not be."""
     if com_bounds is None:
         return []
     bounds, parts = checked_bounds("com_bounds", com_bounds, (len(prior), 3, 2)), []
+    none = np.full(len(prior), np.inf)
     for axis in range(3):
-        for side in range(2):
-            limit = bounds[:, axis, side]
+        for side, limit in enumerate(bounds[:, axis].T):
             finite = np.isfinite(limit)
             rows = np.zeros_like(prior)
             rows[:, 1 + axis] = 1.0
             rows[:, 0] = -np.where(finite, limit, 0.0)
-            zero, none = np.zeros(len(prior)), np.full(len(prior), np.inf)
-            lower = np.where(finite, zero, -none) if side == 0 else -none
-            upper = np.where(finite, zero, none) if side == 1 else none
-            parts.append(LinearConstraints(matrix=_of_bodies(rows), lower=lower, upper=upper))
+            ends = np.where(finite, 0.0, none)
+            lower, upper = (-ends, none) if side == 0 else (-none, ends)
+            parts.append((_of_bodies(rows), lower, upper))
     return parts
 
 
 def checked_bounds(name: str, bounds: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Bounds as an array of a shape whose last axis is (least, greatest); infinite for none.
+    """Return bounds as an array of a shape whose last axis is (least, greatest), which may be ±inf.
 
-    Args:
-        name: What messages call the bounds.
-        bounds: What the caller passed.
-        shape: Shape they must have; its last axis is 2.
+    Raises:
+        ArgumentError: The shape is another, or nothing is between two bounds.
     """
     array = real_array(bounds, name, shape, finite=False)
     low, high = array[..., 0], array[..., 1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +15,30 @@ from geodrake.inertia import Array, from_pseudo_inertia, pseudo_inertia
 
 Rows = tuple[Array, Array]
 """Rows (m, p) of linear constraints, and their values (m,)."""
+
+_ROWS, _COLUMNS = np.tril_indices(4)
+_UNITS = np.eye(4)[_ROWS][:, :, None] * np.eye(4)[_COLUMNS][:, None]
+SYMMETRIC_BASIS = (_UNITS + np.swapaxes(_UNITS, 1, 2)) / np.where(
+    _ROWS == _COLUMNS, 2.0, np.sqrt(2.0)
+)[:, None, None]
+"""Orthonormal basis of the symmetric 4×4 matrices; shape (10, 4, 4)."""
+
+_FLAT = SYMMETRIC_BASIS.reshape(10, 16)
+IDENTITY = _FLAT @ np.eye(4).ravel()
+"""Coordinates svec(I) of the 4×4 identity; shape (10,)."""
+
+_CENTRE_FLOOR = 0.01
+"""Share of the reference in a centred scale, which keeps it regular at the boundary."""
+
+
+def smat(coordinates: Array) -> Array:
+    """Return symmetric matrices (..., 4, 4) of orthonormal coordinates (..., 10)."""
+    return (coordinates @ _FLAT).reshape(*coordinates.shape[:-1], 4, 4)
+
+
+def svec(matrices: Array) -> Array:
+    """Return orthonormal coordinates (..., 10) of symmetric matrices (..., 4, 4)."""
+    return matrices.reshape(*matrices.shape[:-2], 16) @ _FLAT.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,22 +58,8 @@ class Scalars:
     weights: Array
 
     def ratios(self, z: Array) -> Array:
-        """Y (k,) at z (p,)."""
+        """Return y (k,) at z (p,)."""
         return self.begin + self.slope * z[self.columns]
-
-
-def _symmetric_basis() -> Array:
-    matrices = np.zeros((10, 4, 4))
-    for matrix, (i, j) in zip(matrices, zip(*np.tril_indices(4), strict=True), strict=True):
-        matrix[i, j] = matrix[j, i] = 1.0 if i == j else np.sqrt(0.5)
-    return matrices
-
-
-SYMMETRIC_BASIS = _symmetric_basis()
-"""Orthonormal basis of the symmetric 4×4 matrices; shape (10, 4, 4)."""
-
-_CENTRE_FLOOR = 0.01
-"""Share of the reference in a centred scale, which keeps it regular at the boundary."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +85,7 @@ class Coordinates:
 
     @classmethod
     def of(cls, problem: FitProblem, *, centre: Array | None = None) -> Coordinates:
-        """The coordinates of a problem.
+        """Return the coordinates of a problem.
 
         Args:
             problem: What is to be fitted.
@@ -92,7 +103,7 @@ class Coordinates:
         references = scales = _references(problem)
         if centre is not None:
             scales = _pseudo_inertias(problem, centre) + _CENTRE_FLOOR * references
-        roots = _cholesky(scales)
+        roots = np.linalg.cholesky(scales)
         for start, L in zip(problem.inertia_blocks, roots, strict=True):
             block = slice(start, start + 10)
             transform[block, block] = from_pseudo_inertia(L @ SYMMETRIC_BASIS @ L.T).T
@@ -100,20 +111,20 @@ class Coordinates:
         return cls(problem, transform, starts, _congruent(roots, references))
 
     def parameters(self, z: Array) -> Array:
-        """Parameters x (p,) of coordinates z (p,)."""
+        """Return parameters x (p,) of coordinates z (p,)."""
         return self.problem.prior_mean + self.transform @ z
 
     def at(self, x: Array) -> Array:
-        """Coordinates z (p,) of parameters x (p,)."""
+        """Return coordinates z (p,) of parameters x (p,)."""
         return np.asarray(np.linalg.solve(self.transform, x - self.problem.prior_mean), float)
 
     def data(self) -> tuple[Array, Array]:
-        """R T (k, p) and r − R x₀ (k,), so that the residual is ‖(R T) z − (r − R x₀)‖²."""
+        """Return R T (k, p) and r − R x₀ (k,), whose residual is ‖(R T) z − (r − R x₀)‖²."""
         R, r = self.problem.factor[:, :-1], self.problem.factor[:, -1]
         return R @ self.transform, r - R @ self.problem.prior_mean
 
     def prior_root(self) -> Array:
-        """Some C (k, p) with Cᵀ C = Tᵀ Λ T."""
+        """Return some C (k, p) with Cᵀ C = Tᵀ Λ T."""
         metric = self.transform.T @ self.problem.prior_information @ self.transform
         known = np.flatnonzero(np.diagonal(metric))
         root = np.zeros((len(known), len(metric)))
@@ -130,11 +141,7 @@ class Coordinates:
         return root
 
     def scalars(self, priors: Mapping[int, tuple[float, float]]) -> Scalars:
-        """Positive scalars relative to their priors, as functions of z.
-
-        Args:
-            priors: Column -> (x⁰, weight).
-        """
+        """Return positive scalars with priors, column -> (x⁰, weight), as functions of z."""
         columns = np.array(list(priors), int)
         values = np.reshape([priors[k] for k in priors], (-1, 2)).astype(float)
         begin = self.problem.prior_mean[columns] / values[:, 0]
@@ -142,7 +149,7 @@ class Coordinates:
         return Scalars(columns, begin, slope, values[:, 1])
 
     def bounds(self) -> tuple[Array, Array]:
-        """Bounds (p,) and (p,) of z that belong to those of x."""
+        """Return bounds (p,) and (p,) of z that belong to those of x."""
         scale = np.ones(self.problem.size)
         scalar = np.isfinite(self.problem.lower) | np.isfinite(self.problem.upper)
         scale[scalar] = np.diagonal(self.transform)[scalar]
@@ -152,10 +159,9 @@ class Coordinates:
         return (least - mean) / scale, (self.problem.upper - mean) / scale
 
     def rows(self) -> tuple[Rows, Rows]:
-        """Bounds and constraints as inequalities G z ≥ h and equalities E z = e.
+        """Return bounds and constraints as inequalities G z ≥ h and equalities E z = e.
 
-        Returns:
-            G (m, p) with h (m,) and E (l, p) with e (l,), all rows of unit length.
+        All rows of G (m, p) and E (l, p) are of unit length.
         """
         lower, upper = self.bounds()
         matrix = np.eye(self.problem.size)
@@ -170,21 +176,18 @@ class Coordinates:
         matrix, lower, upper = scale[:, None] * matrix, scale * lower, scale * upper
         fixed = np.isfinite(lower) & (lower == upper)
         above, below = np.isfinite(lower) & ~fixed, np.isfinite(upper) & ~fixed
-        inequalities = (
-            np.vstack([matrix[above], -matrix[below]]),
-            np.append(lower[above], -upper[below]),
-        )
-        return inequalities, (matrix[fixed], lower[fixed])
+        G = np.vstack([matrix[above], -matrix[below]])
+        return (G, np.append(lower[above], -upper[below])), (matrix[fixed], lower[fixed])
 
     def smallest_eigenvalues(self, x: ArrayLike) -> Array:
-        """Smallest eigenvalue of P(reference)⁻¹ P(φ) for each block of x (p,); (n_blocks,)."""
-        roots = _cholesky(_references(self.problem))
+        """Return the smallest eigenvalue of P(reference)⁻¹ P(φ) of each block (n_blocks,) of x."""
+        roots = np.linalg.cholesky(_references(self.problem))
         relative = _congruent(roots, _pseudo_inertias(self.problem, np.asarray(x, float)))
         return np.asarray(np.linalg.eigvalsh(relative), float)[..., 0]
 
 
 def _pseudo_inertias(problem: FitProblem, x: Array) -> Array:
-    """P(φ_i) of every block of x (p,); (n_blocks, 4, 4)."""
+    """Return P(φ_i) of every block of x (p,); (n_blocks, 4, 4)."""
     blocks = [x[start : start + 10] for start in problem.inertia_blocks]
     return pseudo_inertia(np.reshape(blocks, (-1, 10)))
 
@@ -194,12 +197,8 @@ def _references(problem: FitProblem) -> Array:
     return pseudo_inertia(np.reshape(blocks, (-1, 10)))
 
 
-def _cholesky(matrices: Array) -> Array:
-    return np.asarray(np.linalg.cholesky(matrices), float)
-
-
-def _congruent(roots: Array, matrices: Array) -> Array:
-    """L⁻¹ M L⁻ᵀ for roots L and symmetric matrices M, both (n, 4, 4); symmetric to the last digit.
+def _congruent(roots: NDArray[np.floating[Any]], matrices: Array) -> Array:
+    """Return L⁻¹ M L⁻ᵀ for roots L and symmetric matrices M (n, 4, 4), symmetric to the last digit.
 
     For a body that is nearly flat, rounding alone would not leave it so.
     """

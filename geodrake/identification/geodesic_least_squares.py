@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from geodrake.boundary.arguments import integer, one_of, positive
 from geodrake.descent import is_within_rounding, rounding_of_squares, step_length
 from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
-from geodrake.identification.coordinates import SYMMETRIC_BASIS
+from geodrake.identification.coordinates import SYMMETRIC_BASIS, smat
 from geodrake.identification.hyperplanes import Projections, covectors, flat, pairwise, project
 from geodrake.identification.identify import identify, physical_prior
 from geodrake.identification.problem import whitened
@@ -116,7 +116,8 @@ def geodesic_least_squares(
     before = np.inf
     for count in range(max_iterations + 1):
         if point.distance <= tolerance or point.is_settled(before):
-            returning = point.reachable & ~(point.used | readmitted)
+            reachable = project(point.root, problem.X, problem.b).exists
+            returning = reachable & ~(point.used | readmitted)
             if not returning.any():
                 return _result(point, rows, count)
             # (Once each, so that there is an end.)
@@ -125,27 +126,18 @@ def geodesic_least_squares(
         if count < max_iterations:
             before = point.promise
             point = point.mean() if method == "cyclic" else point.newton_step()
-    raise ConvergenceError(
-        f"Geodesic least squares is still {point.distance:.2g} from its minimum after "
-        f"{max_iterations} iterations.",
-        advice='Raise gamma or max_iterations, or take method="newton".',
-        distance=point.distance,
+    raise point.failure(
+        f"is still {point.distance:.2g} from its minimum after {max_iterations} iterations",
+        'Raise gamma or max_iterations, or take method="newton".',
     )
 
 
 def _result(point: _GeodesicPoint, rows: Array, iterations: int) -> GeodesicLeastSquaresResult:
-    """Return what was found.
-
-    Raises:
-        ConvergenceError: It is no minimum.
-    """
     curvature = float(point.spectrum[0][0] / point.problem.gamma)
     if not curvature > 0:
-        raise ConvergenceError(
-            f"Geodesic least squares ended where its cost has a curvature of {curvature:.2g} γ: a "
-            "saddle.",
-            advice="Raise gamma, or begin at another prior.",
-            distance=point.distance,
+        raise point.failure(
+            f"ended where its cost has a curvature of {curvature:.2g} γ: a saddle",
+            "Raise gamma, or begin at another prior.",
         )
     phi = from_pseudo_inertia(point.root @ np.swapaxes(point.root, -1, -2))
     errors = rows @ np.append(phi.ravel(), -1.0)
@@ -162,15 +154,7 @@ def _result(point: _GeodesicPoint, rows: Array, iterations: int) -> GeodesicLeas
 
 @dataclass(frozen=True, eq=False)
 class _GeodesicProblem:
-    """What is minimized.
-
-    Attributes:
-        prior: (nb, 4, 4) L⁰ with P⁰ = L⁰ L⁰ᵀ of the prior.
-        X: (m, nb, 4, 4) rows of the regressor.
-        b: (m,) values.
-        weights: (m,) γ_i.
-        gamma: γ.
-    """
+    """What is minimized: roots L⁰ (nb, 4, 4) of the prior P⁰, rows X (m, nb, 4, 4), b, γ_i, γ."""
 
     prior: Array
     X: Array
@@ -199,34 +183,28 @@ class _GeodesicProblem:
         for _ in range(_MOST_ROUNDS):
             A, b = rows[used, :-1], rows[used, -1]
             try:
-                fit = identify(A, b, prior, regularizer="entropic", gamma=self.gamma)
+                fit = identify(A, b, prior, regularizer="entropic", gamma=self.gamma, certify=False)
             except IdentificationError:  # of data that are too much for double precision
                 break
             found = whitening(pseudo_inertia(fit.phi))[0]
-            before, reached = used, project(found, self.X, self.b).exists
+            reached = project(found, self.X, self.b).exists
             if not reached.any():
                 break
-            root, used = found, reached
-            if np.array_equal(used, before):
+            same, root, used = np.array_equal(used, reached), found, reached
+            if same:
                 break
         return self.at(root, used)
 
     def at(self, root: Array, used: NDArray[np.bool_]) -> _GeodesicPoint:
-        """Bodies with some of the rows, all of which must have projections."""
+        """Return bodies with some of the rows, all of which must have projections."""
         return _GeodesicPoint(self, root, used, project(root, self.X[used], self.b[used]))
 
 
 @dataclass(frozen=True, eq=False)
 class _GeodesicPoint:
-    """Bodies, and their projections onto the rows in use.
+    """Bodies P = L Lᵀ, and their projections onto the rows in use (m,).
 
-    P = L Lᵀ is kept as its root, which stays one however far a step leads.
-
-    Attributes:
-        problem: What is minimized.
-        root: (nb, 4, 4) L.
-        used: (m,) rows in use.
-        projections: Onto these.
+    P is kept as its root L (nb, 4, 4), which stays one however far a step leads.
     """
 
     problem: _GeodesicProblem
@@ -236,7 +214,6 @@ class _GeodesicPoint:
 
     @cached_property
     def weights(self) -> Array:
-        """γ_i of the rows in use."""
         return self.problem.weights[self.used]
 
     @cached_property
@@ -245,14 +222,8 @@ class _GeodesicPoint:
         axes, ratios, _ = np.linalg.svd(np.linalg.solve(self.root, self.problem.prior))
         return 2.0 * np.log(ratios), axes
 
-    @property
-    def reachable(self) -> NDArray[np.bool_]:
-        """(m,) which rows have projections here, in use or not."""
-        return project(self.root, self.problem.X, self.problem.b).exists
-
     @cached_property
     def cost(self) -> float:
-        """Return the cost over the rows in use."""
         data = self.weights @ self.projections.half_squared_distances
         return float(data + 0.5 * self.problem.gamma * np.square(self.to_prior[0]).sum())
 
@@ -272,7 +243,7 @@ class _GeodesicPoint:
         curvature = np.where(half < _SMALL, 1.0 + half**2 / 3.0, safe / np.tanh(safe))
         own = pairwise(self.problem.gamma * curvature[None], axes[None])
         # To second order, L (𝟙 + V) Lᵀ is on the geodesic of velocity V − ½ V².
-        pull = np.einsum("bk,kij->bij", self.downhill.reshape(len(axes), -1), SYMMETRIC_BASIS)
+        pull = smat(self.downhill.reshape(len(axes), -1))
         bent = block_diag(*np.einsum("bca,iad,jdc->bij", pull, SYMMETRIC_BASIS, SYMMETRIC_BASIS))
         own += self.projections.hessian(self.weights) + 0.5 * (bent + bent.T)
         values, vectors = np.linalg.eigh(own)
@@ -288,52 +259,44 @@ class _GeodesicPoint:
 
     @property
     def distance(self) -> float:
-        """Length of Newton's step."""
         return float(np.linalg.norm(self.step))
 
     @property
     def promise(self) -> float:
-        """Return what the slope promises of Newton's step."""
+        """What the slope promises of Newton's step."""
         return float(self.step @ self.downhill)
 
     @property
     def rounding(self) -> float:
-        """Return what the cost is not known better than."""
+        """What the cost is not known better than."""
         total = self.weights.sum() + self.problem.gamma
         return float(rounding_of_squares(self.cost, total))
 
     def is_settled(self, before: float) -> bool:
-        """Return whether rounding hides the rest of the way.
-
-        Args:
-            before: What the last step promised.
-        """
+        """Return whether rounding hides the rest of the way, after what the last step promised."""
         near = self.distance < _SETTLED
         return bool(near and is_within_rounding(self.promise, before, self.rounding))
 
     def moved(self, change: Array) -> _GeodesicPoint:
-        """Bodies P = L (𝟙 + V) Lᵀ, without the rows that have no projection there.
-
-        Args:
-            change: (nb, 4, 4) symmetric V, its eigenvalues above −1.
-        """
+        """Return bodies L (𝟙 + V) Lᵀ, without the rows that have no projection there."""
         values, axes = np.linalg.eigh(change)
         turned = (axes * np.sqrt(1.0 + values)[:, None, :]) @ np.swapaxes(axes, -1, -2)
-        return self.problem.at(self.root @ turned, self.used).with_projections()
+        there = self.problem.at(self.root @ turned, self.used)
+        return there.only(there.projections.exists)
 
-    def with_projections(self) -> _GeodesicPoint:
-        """Return the same without the rows that have no projection."""
-        exists, used = self.projections.exists, self.used.copy()
-        used[used] = exists
-        return replace(self, used=used, projections=self.projections.of(exists))
+    def only(self, kept: NDArray[np.bool_]) -> _GeodesicPoint:
+        """Return the same with some of the rows in use."""
+        used = self.used.copy()
+        used[used] = kept
+        return replace(self, used=used, projections=self.projections.of(kept))
 
     def newton_step(self) -> _GeodesicPoint:
-        """Bodies of lower cost along Newton's step; rows are lost only where nothing else helps.
+        """Return bodies of lower cost along Newton's step; rows are lost if nothing else helps.
 
         Raises:
             ConvergenceError: There are none.
         """
-        change = np.einsum("bk,kij->bij", self.step.reshape(len(self.root), -1), SYMMETRIC_BASIS)
+        change = smat(self.step.reshape(len(self.root), -1))
         longest = _SHARE / max(_SHARE, -float(np.linalg.eigvalsh(change).min()))
         trial = self
 
@@ -341,20 +304,15 @@ class _GeodesicPoint:
             nonlocal trial
             trial = self.moved(share * change)
             kept = trial.used[self.used]
-            if kept.all():
-                return self.cost - trial.cost
-            if share > _SHORT * longest or not kept.any():
+            if not kept.all() and (share > _SHORT * longest or not kept.any()):
                 return -np.inf
-            rest = replace(self, used=trial.used, projections=self.projections.of(kept))
-            return rest.cost - trial.cost
+            return self.only(kept).cost - trial.cost
 
         if step_length(decrease, self.promise, self.rounding, longest=longest):
             return trial
-        raise ConvergenceError(
-            "No step along Newton's lowers the cost of geodesic least squares, "
-            f"{self.distance:.2g} from its minimum.",
-            advice="Raise gamma, sigma or the tolerance.",
-            distance=self.distance,
+        raise self.failure(
+            f"has no lower cost along Newton's step, {self.distance:.2g} from its minimum",
+            "Raise gamma, sigma or the tolerance.",
         )
 
     def mean(self) -> _GeodesicPoint:
@@ -374,9 +332,12 @@ class _GeodesicPoint:
             mean = karcher_mean(np.swapaxes(points, 0, 1), weights)
             return self.moved(mean - np.eye(4))
         except (ArgumentError, ConvergenceError) as error:
-            raise ConvergenceError(
-                f"The mean of the projections is not found, {self.distance:.2g} from the minimum "
-                f"of geodesic least squares: {error}",
-                advice='Raise gamma, or take method="newton".',
-                distance=self.distance,
+            raise self.failure(
+                f"finds no mean of its projections, {self.distance:.2g} from its minimum: {error}",
+                'Raise gamma, or take method="newton".',
             ) from error
+
+    def failure(self, what: str, advice: str) -> ConvergenceError:
+        return ConvergenceError(
+            f"Geodesic least squares {what}.", advice=advice, distance=self.distance
+        )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.special import lambertw
 
-from geodrake.identification.coordinates import SYMMETRIC_BASIS
+from geodrake.identification.coordinates import SYMMETRIC_BASIS, svec
 from geodrake.inertia import Array, pseudo_inertia_basis
 
 _ROOT = 1e-14
@@ -54,31 +54,19 @@ class Projections:
         return 0.5 * np.square(self.rates).sum((1, 2))
 
     def of(self, rows: NDArray[np.bool_]) -> Projections:
-        """Those onto some of the hyperplanes.
-
-        Args:
-            rows: (m,) which.
-        """
-        parts = (self.sigma[rows], self.axes[rows], self.rates[rows])
-        return Projections(self.exists[rows], *parts)
+        """Return those onto some of the hyperplanes."""
+        return Projections(self.exists[rows], self.sigma[rows], self.axes[rows], self.rates[rows])
 
     def gradient(self, weights: Array) -> Array:
-        """Of Σ γ_i ½ d_i² as P moves along L exp(t V) Lᵀ, (nb, 4, 4).
-
-        Args:
-            weights: (m,) γ_i.
-        """
+        """Return that of Σ γ_i ½ d_i² as P moves along L exp(t V) Lᵀ, (nb, 4, 4)."""
         return -np.asarray(np.einsum("m,mbij->bij", weights, self.velocities))
 
     def hessian(self, weights: Array) -> Array:
-        """Of the same, (10 nb, 10 nb) in the coordinates of `flat`.
+        """Return that of the same, (10 nb, 10 nb) in the coordinates of `flat`.
 
         L exp(½ t V) is a frame that is parallel along the geodesic, so Hess[V] = −dQ with
         dN = ½ (V N + N V), where λ changes so that P̂ stays on its hyperplane. In the axes of N,
         that of each row is diagonal, plus a term of rank one.
-
-        Args:
-            weights: (m,) γ_i.
         """
         W = -self.rates
         decay = np.exp(-W) / np.maximum(1.0 + W, _LEAST_ROOM)  # W'(λ σ)
@@ -98,21 +86,21 @@ class Projections:
         return np.asarray(hessian + pull.T @ pull)
 
     def _functions(self, values: Array) -> Array:
-        """Matrices of other eigenvalues (m, nb, 4) in the axes of N."""
+        """Return matrices of other eigenvalues (m, nb, 4) in the axes of N."""
         return np.asarray((self.axes * values[..., None, :]) @ np.swapaxes(self.axes, -1, -2))
 
 
 def flat(matrices: Array) -> Array:
-    """Coordinates (…, 10 nb) of symmetric matrices (…, nb, 4, 4) in `SYMMETRIC_BASIS`."""
-    coordinates = np.einsum("...ij,kij->...k", matrices, SYMMETRIC_BASIS)
-    return np.asarray(coordinates.reshape(*matrices.shape[:-3], -1), float)
+    """Return coordinates (…, 10 nb) of symmetric matrices (…, nb, 4, 4)."""
+    coordinates = svec(np.ascontiguousarray(matrices))
+    return coordinates.reshape(*coordinates.shape[:-2], -1)
 
 
 def pairwise(values: Array, axes: Array) -> Array:
-    """Sum of m quadratic forms that are diagonal in pairs of axes, (10 nb, 10 nb) as of `flat`.
+    """Return the sum of m quadratic forms Σ values_ab (uₐᵀ V u_b)², (10 nb, 10 nb) as of `flat`.
 
     Args:
-        values: (m, nb, 4, 4) symmetric; what the form has of V is Σ values_ab (uₐᵀ V u_b)².
+        values: (m, nb, 4, 4) symmetric.
         axes: (m, nb, 4, 4) u, one a column.
     """
     turned = np.swapaxes(axes, -1, -2)[..., None, :, :] @ SYMMETRIC_BASIS @ axes[..., None, :, :]
@@ -124,18 +112,17 @@ def pairwise(values: Array, axes: Array) -> Array:
 
 
 def covectors(A: Array) -> Array:
-    """Symmetric X with aᵀ Φ = Σ_j tr(P(φ_j) X_j) for rows a of A (m, 10·nb); (m, nb, 4, 4).
+    """Return X (m, nb, 4, 4) with aᵀ Φ = Σ_j tr(P(φ_j) X_j) for rows a of A (m, 10·nb).
 
     [Lee2019] Eq. (B.1.8).
     """
     basis = pseudo_inertia_basis()
-    gram = np.einsum("iab,jab->ij", basis, basis)
-    dual = np.einsum("ij,jab->iab", np.linalg.inv(gram), basis)
+    dual = np.linalg.pinv(basis.reshape(10, 16)).T.reshape(10, 4, 4)
     return np.asarray(np.einsum("mbi,ijk->mbjk", A.reshape(len(A), -1, len(basis)), dual))
 
 
 def project(roots: Array, X: Array, b: Array) -> Projections:
-    """Projections of bodies P_j = L_j L_jᵀ onto the hyperplanes Σ_j tr(P_j X_ij) = b_i.
+    """Return projections of bodies P_j = L_j L_jᵀ onto the hyperplanes Σ_j tr(P_j X_ij) = b_i.
 
     Args:
         roots: (nb, 4, 4) matrices L.
@@ -150,7 +137,7 @@ def project(roots: Array, X: Array, b: Array) -> Projections:
 
 
 def _multipliers(sigma: Array, b: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Roots λ (m,) of C(λ) = Σ_k σ_k exp(−W(λ σ_k)) − b, and whether there are any.
+    """Return roots λ (m,) of C(λ) = Σ_k σ_k exp(−W(λ σ_k)) − b, and whether there are any.
 
     [Lee2019] Eq. (3.4.40): C decreases from one end of the interval where all λ σ_k ≥ −1/e to the
     other, so that its values there tell whether it has a root. Newton's method, kept in a bracket.
@@ -160,14 +147,10 @@ def _multipliers(sigma: Array, b: Array) -> tuple[Array, NDArray[np.bool_]]:
     safe = np.where(usable, scale, 1.0)
     sigma, b = sigma / safe[:, None], b / safe
     low, high = -_limit(sigma.max(1)), _limit(-sigma.min(1))
-    ends = [
-        np.where(np.isfinite(end), _excess(sigma, b, np.where(np.isfinite(end), end, 0.0)), -b)
-        for end in (low, high)
-    ]
     # At an infinite end C comes close to −b, but does not reach it.
-    above = np.where(np.isfinite(low), ends[0] >= 0, ends[0] > 0)
-    below = np.where(np.isfinite(high), ends[1] <= 0, ends[1] < 0)
-    exists = usable & above & below
+    above, below = (_excess(sigma, b, end) for end in (low, high))
+    exists = usable & np.where(np.isfinite(low), above >= 0, b < 0)
+    exists &= np.where(np.isfinite(high), below <= 0, b > 0)
     at = (sigma.sum(1) - b) / np.where(usable, np.square(sigma).sum(1), 1.0)
     at = np.where((at > low) & (at < high), at, _middle(low, high))
     active, last = exists.copy(), np.full(len(b), np.inf)
@@ -186,35 +169,32 @@ def _multipliers(sigma: Array, b: Array) -> tuple[Array, NDArray[np.bool_]]:
         poor = (following <= low[rows]) | (following >= high[rows])
         poor |= np.abs(error) > 0.5 * last[rows]
         last[rows] = np.abs(error)
-        met = np.abs(error) <= _ROOT * (1.0 + np.abs(b[rows]))
-        narrow = high[rows] - low[rows] <= _ROOT * np.abs(x)
-        active[rows] = ~(met | narrow)
         following = np.where(poor, _middle(low[rows], high[rows]), following)
-        at[rows] = np.where(met | narrow, x, following)
+        done = np.abs(error) <= _ROOT * (1.0 + np.abs(b[rows]))
+        done |= high[rows] - low[rows] <= _ROOT * np.abs(x)
+        active[rows], at[rows] = ~done, np.where(done, x, following)
     return np.where(exists, at, 0.0) / safe, exists
 
 
 def _limit(sigma: Array) -> Array:
-    """g(σ) of [Lee2019] Proposition 3.2."""
-    positive = sigma > 0
-    return np.where(positive, 1.0 / (np.e * np.where(positive, sigma, 1.0)), np.inf)
+    """Return g(σ) of [Lee2019] Proposition 3.2."""
+    return np.where(sigma > 0, 1.0 / (np.e * np.where(sigma > 0, sigma, 1.0)), np.inf)
 
 
 def _middle(low: Array, high: Array) -> Array:
-    """A point between ends that may be infinite."""
-    bounded = np.isfinite(low) & np.isfinite(high)
-    inner = 0.5 * (np.where(bounded, low, 0.0) + np.where(bounded, high, 0.0))
-    upwards = 2.0 * np.where(np.isfinite(low), low, 0.0) + 1.0
-    downwards = 2.0 * np.where(np.isfinite(high), high, 0.0) - 1.0
-    return np.where(bounded, inner, np.where(np.isfinite(low), upwards, downwards))
+    """Return a point between ends, or beyond the one that is finite."""
+    least, most = (np.where(np.isfinite(end), end, 0.0) for end in (low, high))
+    inner = np.where(np.isfinite(low), 2.0 * least + 1.0, 2.0 * most - 1.0)
+    return np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (least + most), inner)
 
 
 def _excess(sigma: Array, b: Array, at: Array) -> Array:
+    at = np.where(np.isfinite(at), at, 0.0)
     return (sigma * np.exp(-_lambert(at[:, None] * sigma))).sum(1) - b
 
 
 def _lambert(x: Array) -> Array:
-    """W(x) ≥ −1 with W eᵂ = x ≥ −1/e; by a series close to −1/e, where SciPy's is not a number."""
+    """Return W(x) ≥ −1 with W eᵂ = x ≥ −1/e; by a series close to −1/e, where SciPy gives NaN."""
     beyond = np.maximum(1.0 + np.e * x, 0.0)
     near = beyond < _BRANCH
     p = np.sqrt(2.0 * np.where(near, beyond, 0.0))

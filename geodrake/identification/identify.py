@@ -13,14 +13,11 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.certificate import Certificate
 from geodrake.identification.constraints import BodyConstraints, checked_bounds
-from geodrake.identification.entropic import Entropic
-from geodrake.identification.euclidean import Euclidean
 from geodrake.identification.fit import FitResult
-from geodrake.identification.local_minima import LocalMinima, RiemannianFit
 from geodrake.identification.problem import FitProblem, checked, whitened_factor
-from geodrake.identification.pullback import Pullback
-from geodrake.identification.regularizer import Regularizer
-from geodrake.identification.riemannian import Riemannian
+from geodrake.identification.regularizer import Entropic, Euclidean, Pullback, Regularizer
+from geodrake.identification.riemannian import Riemannian, RiemannianFit
+from geodrake.identification.riemannian_search import LocalMinima
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical, pseudo_inertia
 from geodrake.robot.repairs import nearest_physical
 
@@ -56,7 +53,7 @@ class IdentificationResult(Short):
 
     @property
     def solver(self) -> str:
-        """Return what solved it: "closed form", "interior point", … or a conic solver's name."""
+        """Return what solved it: "closed form", "newton", … or a conic solver's name."""
         return self.fit.solver
 
     @property
@@ -135,10 +132,9 @@ def identify(  # noqa: PLR0913 - the stable interface
             masses.
         constraints: Bounds on masses and centres of mass; ellipsoids and total mass may be there
             too instead.
-        solver: By default Newton's method for "entropic" and "riemannian", and Clarabel for the
-            rest, whose last digits Newton's method adds, and which takes its place where it gives
-            up (`note` of the result). Or one alone: "newton", but for point masses, or a name of
-            `SOLVERS`; SCS and CSDP are there to cross-check Clarabel.
+        solver: By default a closed form or Newton's method, and Clarabel where that gives up
+            (`note` of the result) and for point masses. Or one alone: "newton", but for point
+            masses, or a name of `SOLVERS`; SCS and CSDP are there to cross-check Clarabel.
         certify: Whether, without a `solver`, the MathematicalProgram of the fit is solved too, and
             its better solution taken if there is one (`certificate` of the result); some 0.1 s,
             which series of fits can save.
@@ -206,7 +202,7 @@ def _rounded(what: str) -> IdentificationError:
 
 
 def regularizer_of(regularizer: str | Regularizer) -> Regularizer:
-    """The regularizer of a name, with its default settings; a regularizer stays what it is."""
+    """Return the regularizer of a name, with default settings; one stays what it is."""
     if isinstance(regularizer, Regularizer):
         return regularizer
     return REGULARIZERS[one_of(regularizer, "regularizer", REGULARIZERS)]()
@@ -269,13 +265,8 @@ def build_problem(
 ) -> FitProblem:
     """Return the fit of bodies and extra parameters to data, without a regularizer.
 
-    Args:
-        factor: (k, 10·nb + extra + 1) factor of the data, as of `whitened_factor`.
-        prior: (nb, 10) physical prior.
-        constraints: Constraints on the bodies.
-        extra_bounds: (extra, 2) least and greatest extra parameters; ±inf for none.
-        extra_prior: (extra,) or (extra, 2) prior values of extra parameters, and their weights; see
-            `identify`.
+    The arguments are those of `identify`, with a factor (k, 10·nb + extra + 1) of the data, as of
+    `whitened_factor`.
 
     Raises:
         ArgumentError: Shapes do not match, or a constraint is impossible.
@@ -308,11 +299,7 @@ def build_problem(
 
 
 def _extra_priors(extra_prior: ArrayLike | None, bounds: Array) -> dict[int, tuple[float, float]]:
-    """Number of an extra parameter -> its prior value and weight.
-
-    Raises:
-        ArgumentError: A value is not positive, or is outside its bounds (extra, 2).
-    """
+    """Return number of an extra parameter -> its prior value and weight."""
     if extra_prior is None:
         return {}
     count = len(bounds)
@@ -321,9 +308,7 @@ def _extra_priors(extra_prior: ArrayLike | None, bounds: Array) -> dict[int, tup
         raise ArgumentError(
             f"extra_prior must have shape ({count},) or ({count}, 2); got {given.shape}."
         )
-    values, weights = given if given.ndim == 1 else given[:, 0], np.ones(count)
-    if given.ndim == 2:
-        weights = np.where(np.isnan(values), 1.0, given[:, 1])
+    values, weights = given.T if given.ndim == 2 else (given, np.ones(count))
     known = ~np.isnan(values)
     usable = np.isfinite(values) & (values > 0) & np.isfinite(weights) & (weights > 0)
     inside = (values >= bounds[:, 0]) & (values <= bounds[:, 1]) & (bounds[:, 1] > 0)
@@ -334,5 +319,4 @@ def _extra_priors(extra_prior: ArrayLike | None, bounds: Array) -> dict[int, tup
             advice="Give positive values inside the bounds; NaN for parameters without a prior.",
             places=wrong,
         )
-    pairs = zip(values.tolist(), weights.tolist(), strict=True)
-    return {k: pair for k, pair in enumerate(pairs) if known[k]}
+    return {k: (float(values[k]), float(weights[k])) for k in np.flatnonzero(known).tolist()}

@@ -10,8 +10,9 @@ from scipy.linalg import qr, solve_triangular
 
 from geodrake.boundary.arguments import integer, typed
 from geodrake.errors import IdentificationError
+from geodrake.identification.conic_fit import solve_fit
 from geodrake.identification.constraints import BodyConstraints
-from geodrake.identification.fit import FitResult, solve_fit
+from geodrake.identification.fit import FitResult
 from geodrake.identification.identify import build_problem, physical_prior
 from geodrake.identification.problem import whitened_factor
 from geodrake.inertia import PARAMETER_NAMES, PARAMETERS_PER_BODY, Array
@@ -118,13 +119,9 @@ def physical_least_squares(
 
 
 def open_directions(factor: Array) -> Array:
-    """Directions (k, p) that leave ‖R x − r‖ as it is, each as few parameters as can be.
+    """Return directions (k, p) that leave ‖R x − r‖ as it is, each as few parameters as can be.
 
-    Args:
-        factor: (n, p + 1) factor [R r] of the data.
-
-    Returns:
-        Rows of greatest value 1; none if the data identify all parameters.
+    They have the greatest value 1; there are none if the data (n, p + 1) identify all parameters.
     """
     R = factor[:, :-1]
     p = R.shape[1]
@@ -144,7 +141,18 @@ def open_directions(factor: Array) -> Array:
 
 def _undetermined(directions: Array, bodies: int) -> IdentificationError:
     count, p = directions.shape
-    named = "; ".join(_described(direction, bodies) for direction in directions[:_NAMED])
+
+    def name(column: int) -> str:
+        body, parameter = divmod(column, PARAMETERS_PER_BODY)
+        return f"{PARAMETER_NAMES[parameter]}[{body}]" if body < bodies else f"x[{column}]"
+
+    def described(direction: Array) -> str:
+        order = np.argsort(-np.abs(direction), kind="stable")
+        parts = [int(i) for i in order if abs(direction[i]) > 1e-6]
+        text = " ".join(f"{direction[i]:+.2g} {name(i)}" for i in parts[:_MOST_PARTS])
+        return f"{text} …" if len(parts) > _MOST_PARTS else text
+
+    named = "; ".join(described(direction) for direction in directions[:_NAMED])
     more = f"; and {count - _NAMED} more" if count > _NAMED else ""
     return IdentificationError(
         f"The data do not identify {count} of {p} directions of the parameters: {named}{more}.",
@@ -152,17 +160,3 @@ def _undetermined(directions: Array, bodies: int) -> IdentificationError:
         "minimum_norm=True of `least_squares` sets them to zero.",
         directions=directions,
     )
-
-
-def _described(direction: Array, bodies: int) -> str:
-    """Return the greatest parts of a direction, by name."""
-    order = np.argsort(-np.abs(direction), kind="stable")
-    parts = [i for i in order if abs(direction[i]) > 1e-6]
-    text = " ".join(f"{direction[i]:+.2g} {_name(int(i), bodies)}" for i in parts[:_MOST_PARTS])
-    return f"{text} …" if len(parts) > _MOST_PARTS else text
-
-
-def _name(column: int, bodies: int) -> str:
-    if column >= PARAMETERS_PER_BODY * bodies:
-        return f"x[{column}]"
-    return f"{PARAMETER_NAMES[column % PARAMETERS_PER_BODY]}[{column // PARAMETERS_PER_BODY}]"

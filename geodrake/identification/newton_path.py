@@ -1,14 +1,28 @@
-"""Follow the central path of an entropic fit to its minimum, from anywhere inside."""
+"""Follow the central path of an entropic fit to its minimum, by primal–dual Newton steps.
+
+With dual matrices Z_i and multipliers λ, the minimum of a `NewtonProgram` is where
+
+    F'(F z − f) + γ svec(I) − svec(Z) + Gᵀ(γ − λ) − Eᵀ ν = 0,
+    S_i Z_i = γ_i I,   s_k λ_k = γ_k,   s = G z − h
+
+with γ_k = 0 for a mere inequality and the weight of its prior for a positive scalar s_k. So the
+entropic divergence is the point γ on the central path of S ⪰ 0, and a method that follows
+the path stops there: it needs as few steps for a tiny γ, which leaves S nearly singular, as for a
+large one. Steps are those of Nesterov and Todd with Mehrotra's predictor and corrector; S, Z, s
+and λ stay strictly positive.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
+from scipy.linalg.lapack import dtpmqrt, dtpqrt, dtrtrs
 
 from geodrake.errors import IdentificationError
-from geodrake.identification.newton_program import IDENTITY, WeightedProgram, smat, svec
-from geodrake.identification.newton_step import Iterate, Linearization
+from geodrake.identification.coordinates import smat, svec
+from geodrake.identification.newton_program import NewtonProgram
 from geodrake.inertia import Array
 
 _STEPS, _PATIENCE, _HALVINGS = 100, 3, 8
@@ -19,110 +33,311 @@ _PUSH, _SLACK = 10.0, 0.1
 _SHORT, _BACK = 0.4, 0.7
 """Length below which a step is bad, and the share of the excess that is kept to go back."""
 _FEASIBLE = 1e-9
-_EXACT = 1e-11
-"""Gap, relative to the smallest γ, from which one more step is exact to rounding."""
-_QUADRATIC = 1e-4
-"""Gap, relative to the smallest γ, below which Newton's method converges quadratically."""
-_ROUNDING = 1e-16
-"""Gap, relative to the cost, below which there is only rounding."""
-_GOOD = 1e-9
-"""Gap, relative to the cost, that will do when rounding leaves no way further."""
-_ACTIVE = 1e-3
-"""Slack, relative to the coordinates, below which an inequality counts as active at a start."""
-_LEAST_EIGENVALUE = 1e-9
-"""Eigenvalue of P(φ⁰)⁻¹ P(φ) to which a warm start is lifted."""
-_WELL_INSIDE = 0.1
-"""Least product S Z of a warm start, relative to γ."""
+_EXACT, _QUADRATIC = 1e-11, 1e-4
+"""Gaps, relative to the smallest γ: one more step is exact; Newton's method is quadratic."""
+_ROUNDING, _GOOD = 1e-16, 1e-9
+"""Gaps, relative to the cost: only rounding is left; it will do where rounding ends the way."""
+_EARLY = 1e-4
+"""Gap, relative to the largest, down to which a point is still well inside."""
 _LIFT = 1e-2
-"""Share of the smallest weight to which a warm start lifts the products s λ."""
+"""Share of the smallest weight to which the next start lifts the products s λ."""
+_FLOOR = 1e-15
+"""Products S Z, relative to the misfit, below which rounding would make Z or S indefinite."""
+_PANEL = 16
+_UNIT = np.eye(4)
+_BASIS = smat(np.eye(10))
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """A point between start and solution, or a step from it.
+
+    Attributes:
+        z: (p,) coordinates.
+        Z: (n, 4, 4) dual matrices of the blocks.
+        slack: (m,) slacks s of the inequalities.
+        multipliers: (m,) multipliers λ of the inequalities.
+        forces: (l,) multipliers ν of the equalities.
+    """
+
+    z: Array
+    Z: Array
+    slack: Array
+    multipliers: Array
+    forces: Array
+
+    def moved(self, step: Iterate, length: float) -> Iterate:
+        """Return this point, a length of a step further."""
+        names = [field.name for field in fields(self)]
+        return Iterate(*(getattr(self, n) + length * getattr(step, n) for n in names))
 
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Minimum of a `WeightedProgram`.
+    """Minimum of a `NewtonProgram`.
 
     Attributes:
-        weighted: The program.
+        program: The program.
         point: The minimum with its multipliers.
+        early: A point well inside on the way there, from where that of similar data is near too.
         steps: Newton steps that were taken.
         gap: Bound on how much lower the cost was before the last step, to first order.
-        linearization: The conditions next to the point.
     """
 
-    weighted: WeightedProgram
+    program: NewtonProgram
     point: Iterate
+    early: Iterate
     steps: int
     gap: float
-    linearization: Linearization
 
     @property
     def excess(self) -> float:
         """Squared residual beyond the least of any parameters."""
-        return self.weighted.program.excess(self.point.z)
-
-    def derivative(self) -> float:
-        """Derivative of the squared residual by the logarithm of the prior's weight."""
-        data, z = self.weighted.program.data, self.point.z
-        errors = data @ np.append(z, -1.0)
-        return float(2.0 * errors @ (data[:, :-1] @ self.linearization.tangent()))
+        return self.program.excess(self.point.z)
 
 
-def minimize(weighted: WeightedProgram, start: Iterate) -> Minimum:
-    """The minimum of a program, by damped Newton steps that stay strictly inside.
+def minimize(
+    program: NewtonProgram, start: Iterate | None = None, *, enough: float = 0.0
+) -> Minimum:
+    """Return the minimum of a program, by damped Newton steps that stay strictly inside.
 
     Args:
-        weighted: The program.
-        start: A point with positive definite S and Z and positive slacks and multipliers.
+        program: The program.
+        start: A point with positive definite S and Z and positive slacks and multipliers, to save
+            some steps.
+        enough: Gap that will do.
 
     Raises:
         IdentificationError: The constraints contradict each other, or rounding got in the way.
     """
-    best: Minimum | None = None
-    gamma = weighted.least_weight
-    stalled = 0
-    here, last = _linearized(weighted, start), start
+    if start is not None:
+        try:
+            return _minimum(program, start, enough)
+        except IdentificationError:
+            pass  # A start can be too close to a boundary; from the prior there is always a way.
+    return _minimum(program, _cold_start(program), enough)
+
+
+def _minimum(program: NewtonProgram, start: Iterate, enough: float) -> Minimum:
+    best: tuple[float, int, _Linearization] | None = None
+    early, first = start, 0.0
+    gamma, stalled = program.weights.min(initial=np.inf), 0
+    here, last = _linearized(program, start), start
     for count in range(_STEPS):
         if here is None:
             break
-        last, gap, cost = here.at, _gap(here), weighted.cost(here.at.z)
-        feasible = _feasible(here)
-        stalled += 1
-        if feasible and (best is None or gap < best.gap):
-            stalled = 0 if best is None or gap < 0.5 * best.gap else stalled
-            best = Minimum(weighted, here.at, count, gap, here)
-        if feasible and gap <= max(_EXACT * gamma, min(_QUADRATIC * gamma, _ROUNDING * cost)):
+        last, gap, cost = here.at, here.gap(), program.cost(here.at.z)
+        first = max(first, gap)
+        early = here.at if gap > _EARLY * first else early
+        feasible, stalled = here.is_feasible, stalled + 1
+        if feasible and (best is None or gap < best[0]):
+            stalled = 0 if best is None or gap < 0.5 * best[0] else stalled
+            best = gap, count, here
+        least = max(_EXACT * gamma, min(_QUADRATIC * gamma, _ROUNDING * cost))
+        least = max(least if np.isfinite(gamma) else _ROUNDING * cost, enough)
+        if feasible and gap <= least:
             break
-        if best is not None and stalled > _PATIENCE and best.gap <= _GOOD * cost:
+        if best is not None and stalled > _PATIENCE and best[0] <= _GOOD * cost:
             break
         here = _next(here)
-    if best is None or best.gap > _GOOD * max(weighted.cost(best.point.z), weighted.total_weight):
-        raise _failure(weighted, last)
-    if best.gap > _QUADRATIC * gamma:
-        return best
-    # One more step on the factor at hand, which nearly squares the error that is left.
-    step = best.linearization.direction(0.0)
-    length = min(1.0, (1.0 - _LEAST_ROOM) * best.linearization.reach(step))
-    return replace(best, point=best.point.moved(step.step, length))
+    if best is None or best[0] > max(
+        enough, _GOOD * max(program.cost(best[2].at.z), float(program.weights.sum()))
+    ):
+        raise _failure(program, last)
+    gap, count, here = best
+    if gap <= _QUADRATIC * gamma:
+        # One more step on the factor at hand nearly squares the error that is left.
+        step = here.direction(0.0)
+        length = min(1.0, (1.0 - _LEAST_ROOM) * here.reach(step))
+        return Minimum(program, here.at.moved(step.step, length), early, count, gap)
+    return Minimum(program, here.at, early, count, gap)
 
 
-def _linearized(weighted: WeightedProgram, point: Iterate) -> Linearization | None:
-    """The conditions at a point; None where rounding has put it at the boundary."""
+def continued(near: Minimum, program: NewtonProgram) -> Iterate:
+    """Return a start from the minimum of the same program with another weight."""
+    point = near.point
+    s, y, mere = point.slack, point.multipliers.copy(), program.targets == 0
+    y[~mere] *= program.targets[~mere] / near.program.targets[~mere]
+    # Products of nothing would hold the next steps at the boundary that is active here.
+    push = _LIFT * min(program.weights.min(initial=np.inf), 1.0)
+    active = mere & (s * program.gamma.max(initial=1.0) < y)
+    slack = np.where(active, np.maximum(s, push / y), s)
+    multipliers = np.where(mere & ~active, np.maximum(y, push / s), y)
+    ratios = (program.gamma / near.program.gamma)[:, None, None]
+    return replace(point, Z=ratios * point.Z, slack=slack, multipliers=multipliers)
+
+
+@dataclass(frozen=True, eq=False)
+class _Direction:
+    """A step, and what it does to the scaled S and Z, (n, 4, 4)."""
+
+    step: Iterate
+    primal: Array
+    dual: Array
+
+
+class _Linearization:
+    """The optimality conditions of a program linearized at a point, factored once.
+
+    With Newton's matrix FᵀF + KᵀK + Gᵀ(λ/s)G a step is the solution of a least squares problem
+    with the rows F, K and √(λ/s) G. It is solved as such: its right side in products like Fᵀ f
+    would lose a tiny γ next to strong data.
+    """
+
+    def __init__(self, program: NewtonProgram, at: Iterate) -> None:
+        self.program, self.at = program, at
+        F, f = program.rows
+        G, h = program.inequalities
+        E, e = program.equalities
+        self._slack_error = G @ at.z - h - at.slack
+        self._equality_error = E @ at.z - e
+        # Nesterov–Todd scaling: T⁻¹ S T⁻ᵀ = Tᵀ Z T = diag(d).
+        root_S = np.linalg.cholesky(program.matrices(at.z))
+        root_Z = np.linalg.cholesky(at.Z)
+        _, self._d, V = np.linalg.svd(np.swapaxes(root_Z, 1, 2) @ root_S)
+        self._products = self._d**2  # eigenvalues of S Z
+        T = root_S @ np.swapaxes(V, 1, 2) / np.sqrt(self._d)[:, None, :]
+        self._D = self._d[:, :, None] * _UNIT
+        self._prior_pull = program.gamma[:, None, None] * (np.swapaxes(T, 1, 2) @ T)
+        self._scaling = np.linalg.inv(T)
+        self._errors = f - F @ at.z
+        floor = _FLOOR * float(self._errors @ self._errors)
+        self._aim = np.maximum(program.gamma, floor)
+        self._targets = np.where(program.targets > 0, np.maximum(program.targets, floor), 0.0)
+        self._stiffness = at.multipliers / at.slack
+        self._factor(T, G)
+        self._spread = _solve(self._R, E.T, transposed=True)
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether inequalities and equalities hold, but for their slacks."""
+        errors = np.abs(np.append(self._slack_error, self._equality_error))
+        scale = 1.0 + np.abs(self.at.z).max(initial=0.0)
+        return bool(errors.max(initial=0.0) <= _FEASIBLE * scale)
+
+    def _factor(self, T: Array, G: Array) -> None:
+        """Factor the rows F, K and √(λ/s) G by QR; the reflectors are kept for right sides.
+
+        K_i takes z_i to the change of S_i scaled by U⁻¹ and U⁻ᵀ, where U Uᵀ = T Tᵀ is upper
+        triangular, which makes K_i upper triangular too.
+        """
+        blocks = self.program.blocks
+        flipped = (T @ np.swapaxes(T, 1, 2))[:, ::-1, ::-1]
+        U = np.linalg.cholesky(flipped)[:, ::-1, ::-1]
+        self._turn = self._scaling @ U
+        inverse = np.triu(np.linalg.inv(U))[:, None]
+        rows = np.zeros_like(self.program.rows[0])
+        K = svec(inverse @ _BASIS @ np.swapaxes(inverse, 2, 3))
+        rows[blocks[:, :, None], blocks[:, None, :]] = np.swapaxes(K, 1, 2)
+        p, R, self._reflectors = len(rows), self.program.rows[0], []
+        if len(K):
+            R, V, t, _ = dtpqrt(p, min(_PANEL, p), R, rows, overwrite_b=True)
+            self._reflectors.append((p, V, t))
+        if len(G):
+            stiff = np.asfortranarray(np.sqrt(self._stiffness)[:, None] * G)
+            R, V, t, _ = dtpqrt(0, min(_PANEL, p), R, stiff, overwrite_b=True)
+            self._reflectors.append((0, V, t))
+        self._R = R
+
+    def _reduced(self, matrices: Array, forces: Array) -> Array:
+        """Return the right side (p,) of R x = … for those of K as (n, 4, 4), and of λ."""
+        below = np.zeros_like(self._errors)
+        turned = np.swapaxes(self._turn, 1, 2) @ (matrices - self._prior_pull) @ self._turn
+        below[self.program.blocks] = svec(turned)
+        rows = (forces - self.program.targets) / np.sqrt(self._stiffness)
+        parts = (below, rows) if len(matrices) else (rows,)
+        top = self._errors[:, None]
+        for (width, V, t), part in zip(self._reflectors, parts, strict=False):
+            top, _, _ = dtpmqrt(width, V, t, top, part[:, None], side="L", trans="T")
+        return np.asarray(top[:, 0], float)
+
+    def gap(self) -> float:
+        """Return the distance of the cost from its minimum, to first order; inf if it overflows."""
+        try:
+            with np.errstate(over="raise", divide="raise", invalid="raise"):
+                return self._gap()
+        except FloatingPointError:
+            return np.inf
+
+    def _gap(self) -> float:
+        at, weighty = self.at, self._targets > 0
+        error = self._reduced(self._D, at.multipliers) + self._spread @ at.forces
+        products = at.slack * at.multipliers
+        aims = np.append(np.repeat(self._aim, 4), self._targets[weighty])
+        ratio = np.append(self._products.ravel(), products[weighty]) / aims
+        logs = aims @ (ratio - 1.0 - np.log(ratio))
+        return float(logs + products[~weighty].sum() + 0.5 * error @ error)
+
+    def direction(self, centre: float, predicted: _Direction | None = None) -> _Direction:
+        """Return the step to S Z = (γ + centre) I and s λ = centre.
+
+        Args:
+            centre: How far from the solution on the path to stay.
+            predicted: A first step, whose second-order terms are taken along.
+        """
+        at, d, G = self.at, self._d, self.program.inequalities[0]
+        wanted = (self._aim[:, None] + centre - self._products)[:, :, None] * _UNIT
+        force = (self._targets + centre) / at.slack
+        if predicted is not None:
+            product = predicted.primal @ predicted.dual
+            wanted = wanted - 0.5 * (product + np.swapaxes(product, 1, 2))
+            force = force - predicted.step.slack * predicted.step.multipliers / at.slack
+        force = force - self._stiffness * self._slack_error
+        M = 2.0 * wanted / (d[:, :, None] + d[:, None, :])
+        right, forces = self._reduced(M + self._D, force), np.empty(0)
+        if len(self._equality_error):
+            spread = self._spread
+            missing = -self._equality_error - spread.T @ right
+            forces = np.linalg.lstsq(spread.T @ spread, missing)[0]
+            right = right + spread @ forces
+        dz = _solve(self._R, right)
+        change = smat(dz[self.program.blocks])
+        primal = self._scaling @ change @ np.swapaxes(self._scaling, 1, 2)
+        dual = M - primal
+        nearing = G @ dz
+        step = Iterate(
+            z=dz,
+            Z=np.swapaxes(self._scaling, 1, 2) @ dual @ self._scaling,
+            slack=nearing + self._slack_error,
+            multipliers=force - at.multipliers - self._stiffness * nearing,
+            forces=forces - at.forces,
+        )
+        return _Direction(step, primal, dual)
+
+    def reach(self, direction: _Direction) -> float:
+        """Return the length at which S, Z, s or λ reach the boundary; inf if they never do."""
+        root = 1.0 / np.sqrt(self._d)
+        scale = root[:, :, None] * root[:, None, :]
+        both = np.concatenate([direction.primal * scale, direction.dual * scale])
+        shares = [
+            np.linalg.eigvalsh(both)[:, 0],
+            direction.step.slack / self.at.slack,
+            direction.step.multipliers / self.at.multipliers,
+        ]
+        fall = -np.concatenate(shares).min(initial=0.0)
+        return float(1.0 / fall) if fall > 0 else np.inf
+
+    def excess(self, direction: _Direction, length: float) -> float:
+        """Return the mean of what S Z and s λ have beyond γ, after a length of a step."""
+        S, Z = self._D + length * direction.primal, self._D + length * direction.dual
+        s = self.at.slack + length * direction.step.slack
+        y = self.at.multipliers + length * direction.step.multipliers
+        beyond = np.maximum((S * Z).sum((1, 2)) - 4.0 * self._aim, 0.0).sum()
+        mere = self._targets == 0
+        beyond += np.maximum(s * y - self._targets, 0.0)[~mere].sum() + max(s[mere] @ y[mere], 0.0)
+        return float(beyond) / max(self._d.size + len(s), 1)
+
+
+def _linearized(program: NewtonProgram, point: Iterate) -> _Linearization | None:
+    """Return the conditions at a point; None where rounding has put it at the boundary."""
     try:
-        return Linearization(weighted, point)
+        return _Linearization(program, point)
     except np.linalg.LinAlgError:
         return None
 
 
-def _gap(here: Linearization) -> float:
-    try:
-        with np.errstate(over="raise", divide="raise", invalid="raise"):
-            return here.gap()
-    except FloatingPointError:
-        return np.inf
-
-
-def _next(here: Linearization) -> Linearization | None:
-    """The conditions one step further; None where rounding leaves no way.
+def _next(here: _Linearization) -> _Linearization | None:
+    """Return the conditions one step further; None where rounding leaves no way.
 
     Multipliers of constraints that contradict each other grow until they overflow.
     """
@@ -133,10 +348,10 @@ def _next(here: Linearization) -> Linearization | None:
         return None
 
 
-def _stepped(here: Linearization) -> Linearization | None:
-    """The conditions after a predictor and a corrector; None where rounding leaves no way."""
-    excess = here.excess()
+def _stepped(here: _Linearization) -> _Linearization | None:
+    """Return the conditions after a predictor and a corrector; None where no way is left."""
     predictor = here.direction(0.0)
+    excess = here.excess(predictor, 0.0)
     length = min(1.0, (1.0 - _LEAST_ROOM) * here.reach(predictor))
     ratio = min(1.0, here.excess(predictor, length) / excess) if excess > 0 else 0.0
     step = here.direction(ratio**3 * excess, predictor)
@@ -144,127 +359,55 @@ def _stepped(here: Linearization) -> Linearization | None:
     if reach < _SHORT:
         # Second-order terms can mislead far from the path; go back towards it.
         back = here.direction(_BACK * excess)
-        step, reach = max((step, reach), (back, here.reach(back)), key=lambda pair: pair[1])
+        ways = (step, reach), (back, here.reach(back))
+        step, reach = max(ways, key=lambda way: way[1])
     # The closer to the solution, the closer to the boundary a step may end.
-    room = min(_ROOM, max(ratio, _LEAST_ROOM))
-    length = min(1.0, (1.0 - room) * reach)
+    length = min(1.0, (1.0 - min(_ROOM, max(ratio, _LEAST_ROOM))) * reach)
     for _ in range(_HALVINGS):
-        there = _linearized(here.weighted, here.at.moved(step.step, length))
+        there = _linearized(here.program, here.at.moved(step.step, length))
         if there is not None:
             return there
         length *= 0.5  # Rounding was more than the room.
     return None
 
 
-def _feasible(here: Linearization) -> bool:
-    scale = 1.0 + np.abs(here.at.z).max(initial=0.0)
-    worst = max(
-        np.abs(here.slack_error).max(initial=0.0), np.abs(here.equality_error).max(initial=0.0)
-    )
-    return bool(worst <= _FEASIBLE * scale)
-
-
-def cold_start(weighted: WeightedProgram) -> Iterate:
-    """The prior, with multipliers larger than all slopes of the cost there."""
-    program = weighted.program
-    z = program.middle()
-    slope = weighted.slope(z)
-    slope[program.blocks] -= weighted.gamma[:, None] * IDENTITY
+def _cold_start(program: NewtonProgram) -> Iterate:
+    """Return the prior, with multipliers larger than all slopes of the cost there."""
+    z, (F, f) = program.middle, program.rows
     G, h = program.inequalities
     slack = G @ z - h
-    push = _PUSH * float(np.abs(slope).max(initial=0.0))
+    push = _PUSH * float(np.abs(program.slope(z)).max(initial=0.0))
     if np.any(slack < 0):
-        push = max(push, float(weighted.gamma.max(initial=0.0)))
+        push = max(push, float(program.gamma.max(initial=0.0)))
     push = push or 1.0
     # Columns of scalars have unit length, so a scalar moves about as far as the error is large.
-    error = np.linalg.norm(weighted.factor @ z - weighted.target)
-    scalars = np.ones(program.size)
+    error = np.linalg.norm(F @ z - f)
+    scalars = np.ones(len(z))
     scalars[program.blocks] = 0.0
     slack = np.maximum(slack, _SLACK * (1.0 + error * np.linalg.norm(G * scalars, axis=1)))
-    Z = (weighted.gamma + push)[:, None, None] * np.eye(4)
-    multipliers = (push + weighted.targets) / slack
+    Z = (program.gamma + push)[:, None, None] * _UNIT
+    multipliers = (push + program.targets) / slack
     return Iterate(z, Z, slack, multipliers, np.zeros(len(program.equalities[1])))
 
 
-def warm_start(weighted: WeightedProgram, z: Array) -> Iterate:
-    """A start at coordinates (p,) near the minimum; their blocks may be at the boundary.
-
-    Args:
-        weighted: The program, with the weight to solve it for.
-        z: (p,) coordinates.
-    """
-    program = weighted.program
-    z = program.lifted(z, _LEAST_EIGENVALUE)
-    S, slope = program.matrices(z), weighted.slope(z)
-    G, h = program.inequalities
-    slack = G @ z - h
-    entropic = weighted.targets > 0
-    multipliers = np.zeros(len(slack))
-    multipliers[entropic] = weighted.targets[entropic] / slack[entropic]
-    # What the slope has beyond γ S⁻¹ is for the active inequalities and the equalities.
-    rest = slope - G.T @ multipliers
-    inverse = np.asarray(np.linalg.inv(S), float)
-    rest[program.blocks] -= weighted.gamma[:, None] * svec(inverse)
-    near = ~entropic & (slack < _ACTIVE * (1.0 + np.abs(z).max(initial=0.0)))
-    E = program.equalities[0]
-    known = np.linalg.lstsq(np.vstack([G[near], E]).T, rest)[0]
-    forces = known[np.count_nonzero(near) :]
-    push = _LIFT * min(weighted.least_weight, 1.0)
-    multipliers[near] = known[: np.count_nonzero(near)]
-    slope = slope - G.T @ multipliers - E.T @ forces
-    held = ~entropic & (np.maximum(multipliers, 0.0) > push / _ACTIVE)
-    free = np.where(entropic, slack, np.maximum(slack, _ACTIVE))
-    slack = np.where(held, push / np.where(held, multipliers, 1.0), free)
-    multipliers = np.where(held | entropic, multipliers, push / slack)
-    # The slope that is left would be svec(Z) at the minimum; products S Z are kept positive.
-    root = np.linalg.cholesky(S)
-    turned = np.swapaxes(root, 1, 2)
-    values, vectors = np.linalg.eigh(turned @ smat(slope[program.blocks]) @ root)
-    products = np.maximum(values, _WELL_INSIDE * weighted.gamma[:, None])
-    half = np.linalg.solve(turned, vectors)
-    Z = half * products[:, None, :] @ np.swapaxes(half, 1, 2)
-    return Iterate(z, Z, slack, multipliers, forces)
-
-
-def continued(minimum: Minimum, weighted: WeightedProgram) -> Iterate:
-    """A start from the minimum of the same program with another weight.
-
-    Args:
-        minimum: The minimum for another weight.
-        weighted: The program, with the weight to solve it for.
-    """
-    point, before = minimum.point, minimum.weighted.gamma[:, None]
-    gamma = weighted.gamma[:, None]
-    # Z takes up the new slope of γ tr S, as long as it stays well inside: only S Z is then wrong.
-    values, vectors = np.linalg.eigh(weighted.program.matrices(point.z))
-    duals = np.maximum(before / values + gamma - before, _WELL_INSIDE * gamma / values)
-    Z = vectors * duals[:, None, :] @ np.swapaxes(vectors, 1, 2)
-    push = _LIFT * min(weighted.least_weight, 1.0)
-    s, entropic = point.slack, weighted.targets > 0
-    raised = minimum.weighted.targets / s + weighted.targets - minimum.weighted.targets
-    y = np.where(
-        entropic, np.maximum(raised, _WELL_INSIDE * weighted.targets / s), point.multipliers
-    )
-    # Products of nothing would hold the next steps at the boundary that is active here.
-    active = ~entropic & (s * weighted.gamma.max(initial=1.0) < y)
-    slack = np.where(active, np.maximum(s, push / y), s)
-    multipliers = np.where(active | entropic, y, np.maximum(y, push / s))
-    return Iterate(point.z, Z, slack, multipliers, point.forces)
-
-
-def _failure(weighted: WeightedProgram, point: Iterate) -> IdentificationError:
-    program = weighted.program
-    G, h = program.inequalities
-    E, e = program.equalities
-    missed = float(
-        max((h - G @ point.z).max(initial=0.0), np.abs(E @ point.z - e).max(initial=0.0))
-    )
+def _failure(program: NewtonProgram, point: Iterate) -> IdentificationError:
+    (G, h), (E, e) = program.inequalities, program.equalities
+    missed = np.append(h - G @ point.z, np.abs(E @ point.z - e)).max(initial=0.0)
+    cause = "Most often the data and the prior differ by very many orders of magnitude."
+    advice = "Check units and noise levels, raise gamma, or use the solver clarabel."
     if missed > 1e-7 * (1.0 + np.abs(point.z).max(initial=0.0)):
         cause = "The bounds and constraints contradict each other for physical bodies."
         advice = "Widen the bounds, check the ellipsoids' sign and the total mass."
-    else:
-        cause = "Most often the data and the prior differ by very many orders of magnitude."
-        advice = "Check units and noise levels, raise gamma, or use the solver clarabel."
     return IdentificationError(
-        f"newton found no parameters. {cause}", advice=advice, solver="newton", violation=missed
+        f"newton found no parameters. {cause}",
+        advice=advice,
+        solver="newton",
+        violation=float(missed),
     )
+
+
+def _solve(R: Array, right: Array, *, transposed: bool = False) -> Any:
+    """Return R⁻¹ right, or R⁻ᵀ right, for an upper triangular R."""
+    if not right.size:
+        return np.zeros(right.shape)
+    return dtrtrs(R, right, trans=int(transposed))[0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotrs
+from scipy.linalg.lapack import dpotrs
 
 from geodrake.errors import IdentificationError
 
@@ -16,53 +16,33 @@ columns that say the same (a friction and its asymmetric form) from making them 
 
 
 def cholesky(matrix: Array, ridge: float = RIDGE) -> Array:
-    """Return the lower Cholesky factor of a symmetric matrix of unit diagonal; see `choleskies`.
+    """Return the lower Cholesky factor of a symmetric matrix (n, n); see `choleskies`."""
+    return choleskies(matrix, ridge)
+
+
+def choleskies(matrices: Array, ridge: float = RIDGE) -> Array:
+    """Return the lower Cholesky factors of symmetric matrices (..., n, n) of unit diagonal.
 
     Args:
-        matrix: (n, n) matrix.
-        ridge: What is added to its diagonal.
-    """
-    return choleskies(matrix[None], ridge)[0]
-
-
-def choleskies(matrices: Array, ridge: float = RIDGE) -> list[Array]:
-    """Return the lower Cholesky factor of each of F symmetric matrices, with a ridge.
-
-    LAPACK is called as it is: such matrices are small, and there are thousands of them.
-
-    Args:
-        matrices: (F, n, n) matrices.
+        matrices: (..., n, n) matrices.
         ridge: What is added to their diagonals.
-
-    Returns:
-        (n, n) arrays whose lower triangles are the factors; above it there may be anything.
 
     Raises:
         IdentificationError: A matrix is not positive definite, or not finite.
     """
-    ridged = np.array(matrices, order="C")
-    diagonals = np.einsum("fii->fi", ridged)
-    diagonals += ridge
-    factors, failed = [], False
-    for matrix in ridged:  # whose transpose, the same, has the order of LAPACK's arrays
-        factor, info = dpotrf(matrix.T, lower=True, clean=False, overwrite_a=True)
-        factors.append(factor)
-        failed |= info != 0
-    # Factors stand where their matrices were, so that these are the diagonals of the factors.
-    if failed or not np.isfinite(diagonals).all():
+    try:
+        factors = np.linalg.cholesky(matrices + ridge * np.eye(matrices.shape[-1]))
+    except np.linalg.LinAlgError:
+        factors = np.array(np.nan)
+    if not np.isfinite(factors).all():
         raise IdentificationError(
             "Some parameters have neither data nor a prior that hold them: the normal matrix of a "
             "fit is not positive definite.",
             advice="Give logs with more motion, or the model file instead of a saved model.",
         )
-    return factors
+    return np.asarray(factors)
 
 
 def solved(factor: Array, right: Array) -> Array:
-    """Solutions, shaped as the right sides (n,) or (n, m), by the (n, n) that `cholesky` gave.
-
-    Args:
-        factor: (n, n) lower triangular factor.
-        right: (n,) or (n, m) right sides.
-    """
-    return np.asarray(dpotrs(factor, right, lower=True)[0]) if len(right) else right
+    """Return solutions of right sides (n,) or (n, m), by the (n, n) that `cholesky` gave."""
+    return np.asarray(dpotrs(factor.T, right)[0]) if len(right) else right

@@ -11,23 +11,27 @@ from typing import Any, ClassVar
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram, SolutionResult
+from scipy.linalg import block_diag
 from scipy.special import rel_entr
 
 from geodrake.boundary.arguments import instance
 from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.identification.conic_fit import parameters_of, prior_weight_of, solve_fit
 from geodrake.identification.coordinates import Coordinates
-from geodrake.identification.fit import FitResult, check_residual_bound, fit_result
+from geodrake.identification.fit import FitResult, fit_result
 from geodrake.identification.point_mass import PointMasses
-from geodrake.identification.point_mass_program import PointMassProgram
 from geodrake.identification.problem import FitProblem, LinearConstraints
+from geodrake.identification.program import build_fit
 from geodrake.identification.regularizer import Regularizer
-from geodrake.identification.solvers import ROUGHLY, Tolerances, solved_apart
+from geodrake.identification.residual_path import check_residual_bound, out_of_reach
+from geodrake.identification.solvers import ROUGHLY, Tolerances, run_solver, solved_apart
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.robot.reduction import triangular_factor
 
 _SAME_PRIOR = 1e-6
-_SCALES = (1.0, 0.1, 10.0)
-_SPENT = 1e-5
-"""Share of its prior below which a point mass cannot get any less."""
+_SCALES = (1.0, 0.3, 3.0, 0.1, 10.0, 0.03)
+_LEAST, _SPENT = 1e-6, 1e-5
+"""Least share of its prior that a point mass keeps, and one below which it cannot get any less."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,11 +63,11 @@ class PointMassRegularizer(Regularizer):
 
     @abstractmethod
     def distance(self, masses: Array) -> float:
-        """d(μ, ⁰μ)² of masses (N,)."""
+        """Return d(μ, ⁰μ)² of masses (N,)."""
 
     @abstractmethod
     def add_cost(self, program: MathematicalProgram, shares: Any, weight: float) -> None:
-        """Adds weight · d² of μ = shares ∘ ⁰μ, as a convex cost.
+        """Add weight · d² of μ = shares ∘ ⁰μ, as a convex cost.
 
         Args:
             program: The program.
@@ -73,10 +77,10 @@ class PointMassRegularizer(Regularizer):
 
     @abstractmethod
     def mobility(self, masses: Array) -> Array:
-        """(N,) inverse of half the second derivatives of d² at masses (N,)."""
+        """Return (N,) inverses of half the second derivatives of d² at masses (N,)."""
 
     def divergence(self, phi: Array, prior: Array) -> float:
-        """The least d² of masses with the inertial parameters Φ (nb, 10)."""
+        """Return the least d² of masses with the inertial parameters Φ (nb, 10)."""
         p = phi.size
         problem = FitProblem(
             factor=np.zeros((1, p + 1)),
@@ -88,19 +92,19 @@ class PointMassRegularizer(Regularizer):
         return self.distance(self.solve(problem, prior, 1.0, "clarabel").masses)
 
     def divergence_of(self, fit: FitResult, prior: Array) -> float:
-        """d² at a solution of `solve`."""
+        """Return d² at a solution of `solve`."""
         if isinstance(fit, PointMassFit):
             return self.distance(fit.masses)
         return super().divergence_of(fit, prior)
 
     def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
-        """The problem with γ d² to second order around the prior; `solve` is exact."""
+        """Return the problem with γ d² to second order around the prior; `solve` is exact."""
         return self._informed(problem, gamma, self.points.prior)
 
     def solve(
         self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
     ) -> PointMassFit:
-        """The masses that fit best, by Drake's conic solver of that name, Clarabel if None.
+        """Return the masses that fit best, by Drake's conic solver of that name, Clarabel if None.
 
         Raises:
             ArgumentError: The prior is not that of the points, or no masses reach the residual
@@ -110,10 +114,17 @@ class PointMassRegularizer(Regularizer):
         begin, solver = time.perf_counter(), solver or "clarabel"
         self._check(prior)
         check_residual_bound(problem)
-        program = PointMassProgram.of(self.points, problem)
-        v, weight = solved_apart(partial(self._shares, program, solver, gamma), solver)
-        masses = program.masses(v)
-        x = np.clip(program.parameters(v), problem.lower, problem.upper)
+        transform, inner, floor = self._of_masses(problem)
+        try:
+            v, weight = solved_apart(partial(self._solved, inner, solver, gamma), solver)
+        except IdentificationError as failure:
+            if (bound := problem.residual_bound) is not None:
+                free = solve_fit(replace(inner, residual_bound=None), solver=solver)
+                if bound < (least := floor + free.residual):
+                    raise out_of_reach(bound, least) from failure
+            raise
+        x = np.clip(transform @ v, problem.lower, problem.upper)
+        masses = v[: len(self.points.prior)] * self.points.prior
         coordinates = Coordinates.of(self._informed(problem, gamma, masses))
         fit = fit_result(coordinates, x, weight, solver, time.perf_counter() - begin)
         return PointMassFit(**vars(fit), masses=masses)
@@ -121,49 +132,62 @@ class PointMassRegularizer(Regularizer):
     def certified(
         self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult
     ) -> FitResult:
-        """The solution as it is: a MathematicalProgram has solved it."""
+        """Return the solution as it is: a MathematicalProgram has solved it."""
         return fit
 
-    def _shares(
-        self,
-        program: PointMassProgram,
-        solver: str,
-        gamma: float,
-        accuracies: Sequence[Tolerances],
-    ) -> tuple[Array, float]:
-        """Variables of the program, and the weight of the prior, from a conic solver."""
-        # The first solution only says how to scale the cost for the second.
-        scale = 1e-2 * gamma * self.distance(0.0 * self.points.prior)
-        for tried in (ROUGHLY, accuracies):
-            try:
-                v, weight = self._at_some_scale(program, solver, gamma, scale, tried)
-            except IdentificationError as failure:
-                program.check_bound(solver, failure)
-                raise
-            cost = gamma * self.distance(program.masses(v))
-            cost += program.excess(v) if program.problem.residual_bound is None else 0.0
-            scale = max(cost, 1e-4 * scale)
-        return v, weight
+    def _of_masses(self, problem: FitProblem) -> tuple[Array, FitProblem, float]:
+        """Return T, the fit of v = [μ/⁰μ, extra] with x = T v, and the least residual of any x.
 
-    def _at_some_scale(
-        self,
-        program: PointMassProgram,
-        solver: str,
-        gamma: float,
-        scale: float,
-        accuracies: Sequence[Tolerances],
+        The residual of that fit, which has no distance, is what there is beyond the least.
+        """
+        N, R = len(self.points.prior), self.points.matrix()
+        extra = problem.size - len(R)
+        transform = np.asarray(block_diag(R * self.points.prior, np.eye(extra)))
+        constraints = problem.constraints
+        if constraints is not None:
+            constraints = replace(constraints, matrix=constraints.matrix @ transform)
+        p, bound = problem.size, problem.residual_bound
+        triangle = triangular_factor([problem.factor])
+        floor = float(np.square(triangle[p:, p]).sum())
+        beyond = FitProblem(
+            factor=np.column_stack([triangle[:p, :p] @ transform, triangle[:p, p]]),
+            inertia_blocks=(),
+            prior_mean=np.zeros(N + extra),
+            prior_information=np.zeros((N + extra, N + extra)),
+            lower=np.append(np.full(N, _LEAST), problem.lower[len(R) :]),
+            upper=np.append(np.full(N, np.inf), problem.upper[len(R) :]),
+            scalar_priors=dict.fromkeys(range(N), (1.0, 1.0)),
+            constraints=constraints,
+            residual_bound=None if bound is None else max(bound - floor, np.finfo(float).tiny),
+        )
+        return transform, beyond, floor
+
+    def _solved(
+        self, inner: FitProblem, solver: str, gamma: float, accuracies: Sequence[Tolerances]
     ) -> tuple[Array, float]:
-        """As `PointMassProgram.solve`; at another scale where rounding ends the solver."""
-        for factor in _SCALES[:-1]:
-            try:
-                return program.solve(self.add_cost, solver, gamma, factor * scale, accuracies)
-            except IdentificationError as failure:
-                if failure.evidence.get("status") != SolutionResult.kSolverSpecificError.name:
-                    raise
-        return program.solve(self.add_cost, solver, gamma, _SCALES[-1] * scale, accuracies)
+        """Return v, and the weight of the prior."""
+        N, prior = len(self.points.prior), self.points.prior
+        # The first solution only says how to scale the cost for the second.
+        size = 1e-2 * gamma * self.distance(0.0 * prior)
+        for tried in (ROUGHLY, accuracies):
+            for factor in _SCALES:
+                fit = build_fit(inner, size=factor * size)
+                self.add_cost(fit.program, fit.z[:N], gamma / fit.cost_scale)
+                try:
+                    solution = run_solver(fit.program, solver, tried)
+                    break
+                except IdentificationError as failure:  # rounding may end it at one scale alone
+                    rounding = SolutionResult.kSolverSpecificError.name
+                    if factor == _SCALES[-1] or failure.evidence.get("status") != rounding:
+                        raise
+            v = parameters_of(fit, solution)
+            cost = gamma * self.distance(v[:N] * prior)
+            cost += inner.residual(v) if inner.residual_bound is None else 0.0
+            size = max(cost, 1e-4 * size)
+        return v, prior_weight_of(fit, solution, v)
 
     def _informed(self, problem: FitProblem, gamma: float, masses: Array) -> FitProblem:
-        """With (R M Rᵀ)⁻¹ as information, for mobilities M of masses that are not spent."""
+        """Return it with (R M Rᵀ)⁻¹ as information, for mobilities M of masses not spent."""
         R = self.points.matrix()
         free = self.mobility(masses) * (masses > _SPENT * self.points.prior)
         information = problem.prior_information.copy()
@@ -172,18 +196,19 @@ class PointMassRegularizer(Regularizer):
 
     def _check(self, prior: Array) -> None:
         own, scale = self.points.parameters(), float(np.abs(prior).max())
-        if own.shape != prior.shape or not np.allclose(
-            own, prior, rtol=0.0, atol=_SAME_PRIOR * scale
-        ):
+        if own.shape == prior.shape:
+            away = np.abs(own - prior).max(1)
+            bodies = np.flatnonzero(away > _SAME_PRIOR * scale).tolist()
+            differ = f"bodies {bodies} differ by up to {away.max():.2g}"
+            if not bodies:
+                return
+        else:
             differ = f"its shape is {prior.shape} instead of {own.shape}"
-            if own.shape == prior.shape:
-                bodies = np.flatnonzero(np.abs(own - prior).max(1) > _SAME_PRIOR * scale).tolist()
-                differ = f"bodies {bodies} differ by up to {np.abs(own - prior).max():.3g}"
-            raise ArgumentError(
-                f"The prior is not that of the point masses: {differ}.",
-                advice="Pass points.parameters() as the prior, or make points that have this one "
-                "with PointMasses.of_bodies(prior).",
-            )
+        raise ArgumentError(
+            f"The prior is not that of the point masses: {differ}.",
+            advice="Pass points.parameters() as the prior, or make points that have this one "
+            "with PointMasses.of_bodies(prior).",
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,16 +218,16 @@ class PointMassEuclidean(PointMassRegularizer):
     name: ClassVar[str] = "point_mass_euclidean"
 
     def distance(self, masses: Array) -> float:
-        """d(μ, ⁰μ)² of masses (N,)."""
+        """Return d(μ, ⁰μ)² of masses (N,)."""
         return float(np.square(masses - self.points.prior).sum())
 
     def add_cost(self, program: MathematicalProgram, shares: Any, weight: float) -> None:
-        """Adds weight · d² of μ = shares ∘ ⁰μ."""
+        """Add weight · d² of μ = shares ∘ ⁰μ."""
         squares = 2.0 * weight * self.points.prior**2
         program.AddQuadraticCost(np.diag(squares), -squares, 0.5 * squares.sum(), shares, True)
 
     def mobility(self, masses: Array) -> Array:
-        """(N,) inverse of half the second derivatives of d²."""
+        """Return (N,) inverses of half the second derivatives of d²."""
         return np.ones_like(masses)
 
 
@@ -213,12 +238,12 @@ class PointMassKL(PointMassRegularizer):
     name: ClassVar[str] = "point_mass_kl"
 
     def distance(self, masses: Array) -> float:
-        """d(μ ‖ ⁰μ)² of masses (N,)."""
+        """Return d(μ ‖ ⁰μ)² of masses (N,)."""
         prior = self.points.prior
         return float((rel_entr(masses, prior) + prior - masses).sum())
 
     def add_cost(self, program: MathematicalProgram, shares: Any, weight: float) -> None:
-        """Adds weight · d² of μ = shares ∘ ⁰μ: t ≥ s log s just when 1 ≥ s exp(−t/s)."""
+        """Add weight · d² of μ = s ∘ ⁰μ: t ≥ s log s just when 1 ≥ s exp(−t/s)."""
         t = program.NewContinuousVariables(len(shares), "t")
         cone, offset = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, -1.0]]), np.array([1.0, 0.0, 0.0])
         for pair in zip(shares, t, strict=True):
@@ -227,5 +252,5 @@ class PointMassKL(PointMassRegularizer):
         program.AddLinearCost(np.append(weights, -weights), weights.sum(), np.append(t, shares))
 
     def mobility(self, masses: Array) -> Array:
-        """(N,) inverse of half the second derivatives of d²."""
+        """Return (N,) inverses of half the second derivatives of d²."""
         return 2.0 * masses

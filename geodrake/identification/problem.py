@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +16,7 @@ from geodrake.robot.reduction import triangular_factor
 
 
 def whitened_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> Array:
-    """Triangular factor of the whitened data [A | b]/σ, all that a fit needs of them.
+    """Return a triangular factor of the whitened data [A | b]/σ, all that a fit needs of them.
 
     Args:
         A: (m, p) regressor.
@@ -37,18 +37,15 @@ def whitened(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> A
     """Return the rows [A | b]/σ, (m, p + 1); see `whitened_factor` for arguments and errors."""
     A = checked("A", A, (None, None))
     b = checked("b", b, (len(A),))
-    data = np.column_stack([A, b])
-    if sigma is not None:
-        deviations = real_array(sigma, "sigma")
-        if deviations.ndim:
-            deviations = checked("sigma", deviations, (len(A),))
-        if not np.all(deviations > 0):
-            raise ArgumentError(
-                f"sigma has values that are not positive (smallest: {np.min(deviations):g}).",
-                advice="Give standard deviations in the units of b, all above zero.",
-            )
-        data = data / np.broadcast_to(deviations, b.shape)[:, None]
-    return data
+    deviations = np.ones(()) if sigma is None else real_array(sigma, "sigma")
+    if deviations.ndim:
+        deviations = checked("sigma", deviations, (len(A),))
+    if not np.all(deviations > 0):
+        raise ArgumentError(
+            f"sigma has values that are not positive (smallest: {np.min(deviations):g}).",
+            advice="Give standard deviations in the units of b, all above zero.",
+        )
+    return np.column_stack([A, b]) / np.broadcast_to(deviations, b.shape)[:, None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,13 +122,25 @@ class FitProblem(Short):
         put(self, "prior_mean", checked("prior_mean", self.prior_mean, (p,)))
         put(self, "prior_information", _information(self.prior_information, p))
         put(self, "inertia_blocks", _blocks(self.inertia_blocks, p))
-        lower, upper = _bounds(self, p)
-        put(self, "lower", lower)
-        put(self, "upper", upper)
-        put(self, "entropic", _entropic(self))
-        put(self, "reference", _references(self))
+        inertial = {k for start in self.inertia_blocks for k in range(start, start + 10)}
+        lower, upper = (real_array(getattr(self, s), s, finite=False) for s in ("lower", "upper"))
+        for name, bound in (("lower", lower), ("upper", upper)):
+            if bound.shape not in ((), (p,)):
+                raise ArgumentError(f"{name} must have shape ({p},); got {bound.shape}.")
+            put(self, name, np.broadcast_to(bound, p))
+        if len(empty := np.flatnonzero(~(self.lower <= self.upper))):
+            raise ArgumentError(
+                f"Parameters {empty.tolist()} have a lower bound above the upper one."
+            )
+        if np.isfinite([self.lower[[*inertial]], self.upper[[*inertial]]]).any():
+            raise ArgumentError(
+                "Bounds are for scalar parameters, and an inertial parameter has one.",
+                advice="State it as a row of `constraints`.",
+            )
+        put(self, "entropic", self._checked_entropic())
+        put(self, "reference", self._checked_references())
         for name in ("scalar_priors", "entropic_scalars"):
-            put(self, name, _scalars(self, name))
+            put(self, name, self._checked_scalars(name, inertial))
         if self.constraints is not None:
             _check_constraints(self.constraints, p)
         if self.residual_bound is not None:
@@ -144,19 +153,65 @@ class FitProblem(Short):
         return len(self.prior_mean)
 
     def residual(self, x: ArrayLike) -> float:
-        """Squared residual ‖R x − r‖² at parameters x (p,)."""
+        """Return the squared residual ‖R x − r‖² at parameters x (p,)."""
         errors = self.factor @ np.append(real_array(x, "x", (self.size,)), -1.0)
         return float(errors @ errors)
 
+    def _checked_entropic(self) -> dict[int, tuple[Array, float]]:
+        instance(self.entropic, "entropic", Mapping)
+        instance(self.reference, "reference", Mapping)
+        unknown = sorted(set(self.entropic) - set(self.inertia_blocks))
+        if unknown:
+            raise ArgumentError(
+                f"Entropic priors at columns {unknown}, where no inertia block starts; "
+                f"blocks start at {list(self.inertia_blocks)}."
+            )
+        priors = {}
+        for start, pair in self.entropic.items():
+            if len(instances(pair, f"entropic[{start}]", object)) != 2:
+                raise ArgumentError(f"entropic[{start}] must be a pair of φ⁰ and γ; got {pair!r}.")
+            what = f"gamma at column {start}"
+            gamma = number(pair[1], what, lower=0.0, strict=True, finite=False)
+            priors[start] = (checked(f"entropic[{start}]", pair[0], (10,)), gamma)
+        return priors
+
+    def _checked_scalars(self, name: str, inertial: Set[int]) -> dict[int, tuple[float, float]]:
+        priors = {}
+        for column, pair in instance(getattr(self, name), name, Mapping).items():
+            integer(column, f"a column of {name}")
+            if column in inertial or not 0 <= column < self.size:
+                raise ArgumentError(
+                    f"{name} has column {column}, where there is no scalar parameter."
+                )
+            if len(instances(pair, f"{name}[{column}]", object)) != 2:
+                raise ArgumentError(
+                    f"{name}[{column}] must be a pair of x⁰ and a weight; got {pair!r}."
+                )
+            value = number(pair[0], f"x⁰ at column {column}", lower=0.0, strict=True)
+            weight = number(pair[1], f"the weight at column {column}", lower=0.0, strict=True)
+            priors[column] = (value, weight)
+        return priors
+
+    def _checked_references(self) -> dict[int, Array]:
+        references = {}
+        for start in self.inertia_blocks:
+            given = self.reference.get(start, self.prior_mean[start : start + 10])
+            references[start] = checked(f"reference[{start}]", given, (10,))
+            if start in self.entropic:
+                references[start] = self.entropic[start][0]
+        physical = is_physical(np.reshape(list(references.values()), (-1, 10)))
+        if wrong := [start for start, ok in zip(references, physical, strict=True) if not ok]:
+            raise ArgumentError(
+                f"The inertia blocks at columns {wrong} have no physical reference: their prior "
+                "mean does not belong to a body of positive density.",
+                advice="Give `reference` inertial parameters of the expected size for them.",
+                columns=wrong,
+            )
+        return references
+
 
 def checked(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return the values as finite floats of a shape, where None stands for any length.
-
-    Args:
-        name: What messages call the values.
-        values: What the caller passed.
-        shape: Length of each axis; None for any.
-    """
+    """Return the values as finite floats of a shape, where None stands for any length."""
     symbols = iter("mnk")
     wanted = tuple(next(symbols) if size is None else size for size in shape)
     return real_array(values, name, wanted)
@@ -183,25 +238,6 @@ def _blocks(starts: tuple[int, ...], p: int) -> tuple[int, ...]:
     return starts
 
 
-def _bounds(problem: FitProblem, p: int) -> tuple[Array, Array]:
-    lower = real_array(problem.lower, "lower", finite=False)
-    upper = real_array(problem.upper, "upper", finite=False)
-    for name, bound in (("lower", lower), ("upper", upper)):
-        if bound.shape not in ((), (p,)):
-            raise ArgumentError(f"{name} must have shape ({p},); got {bound.shape}.")
-    lower, upper = np.broadcast_to(lower, p), np.broadcast_to(upper, p)
-    empty = np.flatnonzero(~(lower <= upper))
-    if len(empty):
-        raise ArgumentError(f"Parameters {empty.tolist()} have a lower bound above the upper one.")
-    inertial = np.ravel([range(start, start + 10) for start in problem.inertia_blocks]).astype(int)
-    if np.isfinite([lower[inertial], upper[inertial]]).any():
-        raise ArgumentError(
-            "Bounds are for scalar parameters, and an inertial parameter has one.",
-            advice="State it as a row of `constraints`.",
-        )
-    return lower, upper
-
-
 def _check_constraints(constraints: LinearConstraints, p: int) -> None:
     instance(constraints, "constraints", LinearConstraints)
     k = len(checked("constraints.matrix", constraints.matrix, (None, p)))
@@ -215,63 +251,3 @@ def _check_constraints(constraints: LinearConstraints, p: int) -> None:
             f"{limits}.",
             rows=empty.tolist(),
         )
-
-
-def _entropic(problem: FitProblem) -> dict[int, tuple[Array, float]]:
-    instance(problem.entropic, "entropic", Mapping)
-    instance(problem.reference, "reference", Mapping)
-    unknown = sorted(set(problem.entropic) - set(problem.inertia_blocks))
-    if unknown:
-        raise ArgumentError(
-            f"Entropic priors at columns {unknown}, where no inertia block starts; "
-            f"blocks start at {list(problem.inertia_blocks)}."
-        )
-    priors = {}
-    for start, pair in problem.entropic.items():
-        if len(instances(pair, f"entropic[{start}]", object)) != 2:
-            raise ArgumentError(f"entropic[{start}] must be a pair of φ⁰ and γ; got {pair!r}.")
-        gamma = number(pair[1], f"gamma at column {start}", lower=0.0, strict=True, finite=False)
-        priors[start] = (checked(f"entropic[{start}]", pair[0], (10,)), gamma)
-    return priors
-
-
-def _scalars(problem: FitProblem, name: str) -> dict[int, tuple[float, float]]:
-    given = instance(getattr(problem, name), name, Mapping)
-    inertial = {k for start in problem.inertia_blocks for k in range(start, start + 10)}
-    priors = {}
-    for column, pair in given.items():
-        integer(column, f"a column of {name}")
-        if column in inertial or not 0 <= column < problem.size:
-            raise ArgumentError(f"{name} has column {column}, where there is no scalar parameter.")
-        if len(instances(pair, f"{name}[{column}]", object)) != 2:
-            raise ArgumentError(
-                f"{name}[{column}] must be a pair of x⁰ and a weight; got {pair!r}."
-            )
-        what = f"x⁰ at column {column}", f"the weight at column {column}"
-        prior, weight = (
-            number(v, w, lower=0.0, strict=True) for v, w in zip(pair, what, strict=True)
-        )
-        priors[column] = (prior, weight)
-    return priors
-
-
-def _references(problem: FitProblem) -> dict[int, Array]:
-    references = {}
-    for start in problem.inertia_blocks:
-        fallback = problem.prior_mean[start : start + 10]
-        if start in problem.entropic:
-            fallback = problem.entropic[start][0]
-        references[start] = checked(
-            f"reference[{start}]", problem.reference.get(start, fallback), (10,)
-        )
-        if start in problem.entropic:
-            references[start] = problem.entropic[start][0]
-    wrong = [start for start, phi in references.items() if not is_physical(phi)]
-    if wrong:
-        raise ArgumentError(
-            f"The inertia blocks at columns {wrong} have no physical reference: their prior mean "
-            "does not belong to a body of positive density.",
-            advice="Give `reference` inertial parameters of the expected size for them.",
-            columns=wrong,
-        )
-    return references

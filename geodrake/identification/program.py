@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,13 +11,16 @@ from pydrake.solvers import MathematicalProgram
 from scipy.sparse import csc_matrix
 
 from geodrake.boundary.arguments import instance, real_array
-from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates
+from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates, smat
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array
 from geodrake.robot.reduction import triangular_factor
 
+_LOGARITHM = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
+"""Rows of the exponential cone that holds (t, y) with t ≤ log y."""
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(eq=False)
 class FitProgram:
     """A fit as a conic program, ready for any of Drake's conic solvers.
 
@@ -26,59 +29,163 @@ class FitProgram:
         coordinates: Map between its variables and the parameters.
         program: The program itself; other convex costs and constraints may be added to it.
         z: (p,) decision variables, the coordinates of the parameters.
-        residual_cone: Constraint of the point-to-set form, or None.
         cost_scale: Value by which the cost was divided.
+        residual_cone: Constraint of the point-to-set form, or None.
         residual_scale: Value by which the residual was divided in `residual_cone`.
-        triangle: (k, p + 1) rows [F f] of the quadratic cost ‖F z − f‖².
-        errors: (k,) variables F z − f.
-        logarithms: Number of an entropic block -> the variables (10,) and (4,) of its log|S|.
-        scalar_logarithms: (k,) variables, the logarithms of the entropic scalars over their priors.
+        others: Other variables, with the map from z to the most favourable values of each.
     """
 
     problem: FitProblem
     coordinates: Coordinates
     program: MathematicalProgram
     z: Any
-    residual_cone: Any
-    cost_scale: float
-    residual_scale: float
-    triangle: Array
-    errors: Any
-    logarithms: Mapping[int, tuple[Any, Any]]
-    scalar_logarithms: Any
+    cost_scale: float = 1.0
+    residual_cone: Any = None
+    residual_scale: float = 1.0
+    others: list[tuple[Any, Callable[[Array], Array]]] = field(default_factory=list)
 
     def point(self, x: Array) -> Array:
-        """Values of all variables at parameters x (p,), each as favourable as x allows.
+        """Return values of all variables at parameters x (p,), whose entropic blocks are physical.
 
-        Args:
-            x: (p,) parameters whose entropic blocks are physical, and scalars positive.
+        Raises:
+            LinAlgError: They are not, or a scalar with an entropic prior is not positive.
         """
-        z = self.coordinates.at(x)
-        values = np.zeros(self.program.num_vars())
-
-        def put(variables: Any, numbers: Array) -> None:
-            values[self.program.FindDecisionVariableIndices(variables)] = numbers
-
-        put(self.z, z)
-        if len(self.errors):
-            put(self.errors, self.triangle @ np.append(z, -1.0))
-        for i, (Z, t) in self.logarithms.items():
-            start = self.problem.inertia_blocks[i]
-            change = np.einsum("k,kij->ij", z[start : start + 10], SYMMETRIC_BASIS)
-            root = np.linalg.cholesky(self.coordinates.starts[i] + change)
-            pivots = np.diagonal(root)
-            put(Z, (root * pivots)[np.tril_indices(4)])
-            put(t, 2.0 * np.log(pivots))
-        if len(self.scalar_logarithms):
-            ratios = self.coordinates.scalars(self.problem.entropic_scalars).ratios(z)
-            if not np.all(ratios > 0):
-                raise np.linalg.LinAlgError("a scalar with an entropic prior is not positive")
-            put(self.scalar_logarithms, np.log(ratios))
+        z, values = self.coordinates.at(x), np.zeros(self.program.num_vars())
+        values[self.program.FindDecisionVariableIndices(self.z)] = z
+        for variables, best in self.others:
+            values[self.program.FindDecisionVariableIndices(variables)] = best(z)
         return values
 
+    def evaluated(self, x: Array) -> tuple[float, float]:
+        """Return what Drake evaluates at parameters x (p,).
 
-def build_fit(problem: FitProblem, *, centre: Array | None = None) -> FitProgram:
-    """The conic program of a problem; `solve_fit` solves it, with shortcuts where they are exact.
+        Returns:
+            The cost in the unit of the fit's, less a constant, and how far they are outside the
+            constraints at most, in the program's variables.
+        """
+        program, values = self.program, self.point(x)
+        costs = [float(program.EvalBinding(c, values)[0]) for c in program.GetAllCosts()]
+        beyond = [np.zeros(1)]
+        for constraint in program.GetAllConstraints():
+            reached, limits = program.EvalBinding(constraint, values), constraint.evaluator()
+            beyond += [limits.lower_bound() - reached, reached - limits.upper_bound()]
+        return self.cost_scale * sum(costs), float(np.concatenate(beyond).max())
+
+    def _add_errors(self, rows: Array) -> Any:
+        """Return new variables F z − f for rows [F f].
+
+        With FᵀF as the Hessian of a cost instead, its minimum is some hundred times less exact.
+        """
+        errors = self.program.NewContinuousVariables(len(rows), "e")
+        matrix = csc_matrix(np.hstack([rows[:, :-1], -np.eye(len(rows))]))
+        variables = np.concatenate([self.z, errors])
+        self.program.AddLinearEqualityConstraint(matrix, rows[:, -1], variables)
+        self.others.append((errors, lambda z: rows @ np.append(z, -1.0)))
+        return errors
+
+    def _bound_residual(self, rows: Array, bound: float) -> None:
+        """Bound the residual of rows [M d], divided by the part of it that z can spend."""
+        triangle, p = _reduced(rows), len(self.z)
+        floor = float(np.square(triangle[p:, p]).sum())
+        self.residual_scale = float(np.sqrt(max(bound - floor, np.finfo(float).tiny)))
+        errors = self._add_errors(triangle[:p] / self.residual_scale)
+        cone = np.eye(len(errors) + 1)
+        self.residual_cone = self.program.AddLorentzConeConstraint(cone[:, 1:], cone[0], errors)
+
+    def _add_squares(self, rows: Array) -> None:
+        """Add the cost ‖F z − f‖² of rows [F f]."""
+        if k := len(rows):
+            errors = self._add_errors(rows)
+            self.program.AddQuadraticCost(2.0 * np.eye(k), np.zeros(k), errors, is_convex=True)
+
+    def _add_bodies(self) -> None:
+        """Keep bodies physical, and near their entropic prior."""
+        problem, coordinates = self.problem, self.coordinates
+        floors = coordinates.starts - problem.margin * coordinates.references
+        for i, start in enumerate(problem.inertia_blocks):
+            block = self.z[start : start + 10]
+            if start not in problem.entropic:
+                self.program.AddLinearMatrixInequalityConstraint(
+                    [floors[i], *SYMMETRIC_BASIS], block
+                )
+                continue
+            weight = problem.entropic[start][1] / self.cost_scale
+            prior = np.linalg.inv(coordinates.references[i])
+            slope = weight * np.einsum("ij,kji->k", prior, SYMMETRIC_BASIS)
+            self.program.AddLinearCost(slope, 0.0, block)
+            self._maximize_log_determinant(slice(start, start + 10), coordinates.starts[i], weight)
+
+    def _maximize_log_determinant(self, block: slice, begin: Array, weight: float) -> None:
+        """Add the cost −weight log|S| with S = begin + smat(z) ([Lee2019] Eq. (3.5.45)).
+
+        log|S| ≥ Σ t_i holds just when [[S, Z], [Zᵀ, diag(Z)]] ⪰ 0 for some lower triangular Z with
+        t_i ≤ log Z_ii.
+        """
+        program = self.program
+        Z, t = program.NewContinuousVariables(10, "Z"), program.NewContinuousVariables(4, "t")
+        rows, columns = np.tril_indices(4)
+        matrices = np.zeros((21, 8, 8))
+        matrices[0, :4, :4] = begin
+        matrices[1:11, :4, :4] = SYMMETRIC_BASIS
+        for matrix, i, j in zip(matrices[11:], rows, columns, strict=True):
+            matrix[i, 4 + j] = matrix[4 + j, i] = 1.0
+            if i == j:
+                matrix[4 + i, 4 + i] = 1.0
+        program.AddLinearMatrixInequalityConstraint(
+            list(matrices), np.concatenate([self.z[block], Z])
+        )
+        for pair in zip(t, Z[rows == columns], strict=True):
+            program.AddExponentialConeConstraint(_LOGARITHM, np.eye(3)[1], np.array(pair))
+        program.AddLinearCost(np.full(4, -weight), 0.0, t)
+
+        def best(z: Array) -> Array:
+            root = np.linalg.cholesky(begin + smat(z[block]))
+            pivots = np.diagonal(root)
+            return np.append((root * pivots)[rows, columns], 2.0 * np.log(pivots))
+
+        self.others.append((np.append(Z, t), best))
+
+    def _add_scalars(self) -> None:
+        """Add the cost γ (y − log y) of the entropic scalars."""
+        scalars = self.coordinates.scalars(self.problem.entropic_scalars)
+        if not len(scalars.columns):
+            return
+        t = self.program.NewContinuousVariables(len(scalars.columns), "log")
+        weights = scalars.weights / self.cost_scale
+        parts = zip(t, self.z[scalars.columns], scalars.begin, scalars.slope, strict=True)
+        for t_k, z_k, begin, slope in parts:
+            cone, offset = _LOGARITHM * [1.0, slope], np.array([begin, 1.0, 0.0])
+            self.program.AddExponentialConeConstraint(cone, offset, np.array([t_k, z_k]))
+        self.program.AddLinearCost(weights * scalars.slope, 0.0, self.z[scalars.columns])
+        self.program.AddLinearCost(-weights, 0.0, t)
+
+        def best(z: Array) -> Array:
+            ratios = scalars.ratios(z)
+            if not np.all(ratios > 0):
+                raise np.linalg.LinAlgError("a scalar with an entropic prior is not positive")
+            return np.log(ratios)
+
+        self.others.append((t, best))
+
+    def _add_bounds(self) -> None:
+        lower, upper = self.coordinates.bounds()
+        bounded = np.isfinite(lower) | np.isfinite(upper)
+        if bounded.any():
+            self.program.AddBoundingBoxConstraint(lower[bounded], upper[bounded], self.z[bounded])
+        constraints = self.problem.constraints
+        if constraints is not None:
+            rows = constraints.matrix @ self.coordinates.transform
+            begin = constraints.matrix @ self.problem.prior_mean
+            norms = np.linalg.norm(rows, axis=1)
+            scale = 1.0 / np.where(norms > 0, norms, 1.0)
+            limits = (scale * (side - begin) for side in (constraints.lower, constraints.upper))
+            self.program.AddLinearConstraint(scale[:, None] * rows, *limits, self.z)
+
+
+def build_fit(
+    problem: FitProblem, *, centre: Array | None = None, size: float | None = None
+) -> FitProgram:
+    """Return the conic program of a problem; `solve_fit` solves it, with exact shortcuts.
 
     The cost is the excess over the unconstrained least squares, which keeps the solver's
     relative tolerance meaningful when the residual itself is large.
@@ -86,166 +193,36 @@ def build_fit(problem: FitProblem, *, centre: Array | None = None) -> FitProgram
     Args:
         problem: What is to be fitted.
         centre: (p,) parameters close to the solution, where it is scaled; None for the references.
-
-    Returns:
-        The program and its variables.
+        size: What the cost is divided by; its size at the centre if None.
     """
     instance(problem, "problem", FitProblem)
     if centre is not None:
         centre = real_array(centre, "centre", (problem.size,))
-    coordinates = Coordinates.of(problem, centre=centre)
-    program = MathematicalProgram()
-    z = program.NewContinuousVariables(problem.size, "z")
-    M, d = coordinates.data()
-    C = coordinates.prior_root()
-    cone, residual_scale = None, 1.0
-    if problem.residual_bound is None:
-        rows = np.block([[M, d[:, None]], [C, np.zeros((len(C), 1))]])
-    else:
-        rows = np.column_stack([C, np.zeros(len(C))])
-        cone, residual_scale = _bound_residual(program, z, M, d, problem.residual_bound)
-    triangle = triangular_factor([rows])[: problem.size]
-    priors = (*problem.entropic.values(), *problem.entropic_scalars.values())
-    gammas = [gamma for _, gamma in priors]
-    start = np.zeros(problem.size) if centre is None else coordinates.at(centre)
-    cost_scale = _cost_scale(triangle, gammas, start)
-    triangle = triangle / np.sqrt(cost_scale)
-    errors = _add_squares(program, z, triangle)
-    logarithms = _add_bodies(program, z, coordinates, cost_scale)
-    scalar_logarithms = _add_scalars(program, z, coordinates, cost_scale)
-    _add_bounds(program, z, coordinates)
-    return FitProgram(
-        problem=problem,
-        coordinates=coordinates,
-        program=program,
-        z=z,
-        residual_cone=cone,
-        cost_scale=cost_scale,
-        residual_scale=residual_scale,
-        triangle=triangle,
-        errors=errors,
-        logarithms=logarithms,
-        scalar_logarithms=scalar_logarithms,
+    coordinates, program = Coordinates.of(problem, centre=centre), MathematicalProgram()
+    fit = FitProgram(
+        problem, coordinates, program, program.NewContinuousVariables(problem.size, "z")
     )
+    data, C = np.column_stack(coordinates.data()), coordinates.prior_root()
+    rows = np.column_stack([C, np.zeros(len(C))])
+    if problem.residual_bound is None:
+        rows = np.vstack([data, rows])
+    else:
+        fit._bound_residual(data, problem.residual_bound)
+    rows = _reduced(rows)[: problem.size]
+    if size is None:  # its value at the centre, and not far below its curvature
+        z = np.zeros(problem.size) if centre is None else coordinates.at(centre)
+        priors = (*problem.entropic.values(), *problem.entropic_scalars.values())
+        value = float(np.square(rows @ np.append(z, -1.0)).sum())
+        curvature = np.square(rows[:, :-1]).sum(0).max(initial=0.0)
+        size = max([value, 1e-8 * curvature, *(gamma for _, gamma in priors)]) or 1.0
+    fit.cost_scale = size
+    fit._add_squares(rows / np.sqrt(size))
+    fit._add_bodies()
+    fit._add_scalars()
+    fit._add_bounds()
+    return fit
 
 
-def _cost_scale(triangle: Array, gammas: list[float], z: Array) -> float:
-    """Size of the cost: its value at z, and not far below its curvature."""
-    F, f = triangle[:, :-1], triangle[:, -1]
-    value = float(np.square(F @ z - f).sum())
-    curvature = np.square(F).sum(0).max(initial=0.0)
-    return max([value, 1e-8 * curvature, *gammas]) or 1.0
-
-
-def _add_squares(program: MathematicalProgram, z: Any, triangle: Array) -> Any:
-    """Cost ‖F z − f‖² for the triangle [F f]; the variables F z − f.
-
-    The differences are variables of their own: with FᵀF as Hessian the solution is some hundred
-    times less exact.
-    """
-    p = len(z)
-    if not len(triangle):
-        return np.empty(0)
-    errors = program.NewContinuousVariables(len(triangle), "e")
-    matrix = csc_matrix(np.hstack([triangle[:, :p], -np.eye(len(triangle))]))
-    program.AddLinearEqualityConstraint(matrix, triangle[:, p], np.concatenate([z, errors]))
-    hessian = 2.0 * np.eye(len(triangle))
-    program.AddQuadraticCost(hessian, np.zeros(len(triangle)), errors, is_convex=True)
-    return errors
-
-
-def _bound_residual(
-    program: MathematicalProgram, z: Any, M: Array, d: Array, bound: float
-) -> tuple[Any, float]:
-    """Constraint ‖M z − d‖² ≤ bound, divided by the part of the bound that z can spend."""
-    p = len(z)
-    triangle = triangular_factor([np.column_stack([M, d])])
-    floor = float(np.square(triangle[p:, p]).sum())
-    scale = float(np.sqrt(max(bound - floor, np.finfo(float).tiny)))
-    cone = np.vstack([np.zeros(p), triangle[:p, :p] / scale])
-    offset = np.append(1.0, -triangle[:p, p] / scale)
-    return program.AddLorentzConeConstraint(cone, offset, z), scale
-
-
-def _add_bodies(
-    program: MathematicalProgram, z: Any, coordinates: Coordinates, cost_scale: float
-) -> dict[int, tuple[Any, Any]]:
-    """Bodies that are physical, and near their entropic prior; the variables of `logarithms`."""
-    problem, logarithms = coordinates.problem, {}
-    floors = coordinates.starts - problem.margin * coordinates.references
-    for i, start in enumerate(problem.inertia_blocks):
-        block = z[start : start + 10]
-        if start not in problem.entropic:
-            program.AddLinearMatrixInequalityConstraint([floors[i], *SYMMETRIC_BASIS], block)
-            continue
-        weight = problem.entropic[start][1] / cost_scale
-        prior = np.linalg.inv(coordinates.references[i])
-        slope = weight * np.einsum("ij,kji->k", prior, SYMMETRIC_BASIS)
-        program.AddLinearCost(slope, 0.0, block)
-        logarithms[i] = _maximize_log_determinant(program, block, coordinates.starts[i], weight)
-    return logarithms
-
-
-def _add_scalars(
-    program: MathematicalProgram, z: Any, coordinates: Coordinates, cost_scale: float
-) -> Any:
-    """Cost γ (y − log y) of the entropic scalars; the variables t ≤ log y."""
-    scalars = coordinates.scalars(coordinates.problem.entropic_scalars)
-    if not len(scalars.columns):
-        return np.empty(0)
-    t = program.NewContinuousVariables(len(scalars.columns), "log")
-    weights = scalars.weights / cost_scale
-    for t_k, column, begin, slope in zip(
-        t, scalars.columns.tolist(), scalars.begin, scalars.slope, strict=True
-    ):
-        cone = np.array([[0.0, slope], [0.0, 0.0], [1.0, 0.0]])
-        offset = np.array([begin, 1.0, 0.0])
-        program.AddExponentialConeConstraint(cone, offset, np.array([t_k, z[column]]))
-    program.AddLinearCost(weights * scalars.slope, 0.0, z[scalars.columns])
-    program.AddLinearCost(-weights, 0.0, t)
-    return t
-
-
-def _maximize_log_determinant(
-    program: MathematicalProgram, z: Any, begin: Array, weight: float
-) -> tuple[Any, Any]:
-    """Cost −weight log|S| with S = begin + smat(z), the barrier of [Lee2019] Eq. (3.5.45).
-
-    log|S| ≥ Σ t_i holds just when [[S, Z], [Zᵀ, diag(Z)]] ⪰ 0 for some lower triangular Z with
-    t_i ≤ log Z_ii. Returns the variables of Z, row by row, and t.
-    """
-    Z = program.NewContinuousVariables(10, "Z")
-    t = program.NewContinuousVariables(4, "t")
-    rows, columns = np.tril_indices(4)
-    matrices = np.zeros((21, 8, 8))
-    matrices[0, :4, :4] = begin
-    matrices[1:11, :4, :4] = SYMMETRIC_BASIS
-    for matrix, i, j in zip(matrices[11:], rows, columns, strict=True):
-        matrix[i, 4 + j] = matrix[4 + j, i] = 1.0
-        if i == j:
-            matrix[4 + i, 4 + i] = 1.0
-    program.AddLinearMatrixInequalityConstraint(list(matrices), np.concatenate([z, Z]))
-    for t_i, Z_ii in zip(t, Z[rows == columns], strict=True):
-        cone = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
-        program.AddExponentialConeConstraint(cone, np.array([0.0, 1.0, 0.0]), np.array([t_i, Z_ii]))
-    program.AddLinearCost(np.full(4, -weight), 0.0, t)
-    return Z, t
-
-
-def _add_bounds(program: MathematicalProgram, z: Any, coordinates: Coordinates) -> None:
-    lower, upper = coordinates.bounds()
-    bounded = np.isfinite(lower) | np.isfinite(upper)
-    if bounded.any():
-        program.AddBoundingBoxConstraint(lower[bounded], upper[bounded], z[bounded])
-    constraints = coordinates.problem.constraints
-    if constraints is not None:
-        rows = constraints.matrix @ coordinates.transform
-        begin = constraints.matrix @ coordinates.problem.prior_mean
-        norms = np.linalg.norm(rows, axis=1)
-        scale = 1.0 / np.where(norms > 0, norms, 1.0)
-        program.AddLinearConstraint(
-            scale[:, None] * rows,
-            scale * (constraints.lower - begin),
-            scale * (constraints.upper - begin),
-            z,
-        )
+def _reduced(rows: Array) -> Array:
+    """Return rows [F f] of the same least squares, the last one that no z changes."""
+    return triangular_factor([rows]) if len(rows) >= rows.shape[1] else rows

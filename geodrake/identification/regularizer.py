@@ -1,4 +1,4 @@
-"""Base of the regularizers: distances from a prior that make an ill-posed fit well posed."""
+"""Regularizers: distances from a prior that make an ill-posed fit well posed."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ import numpy as np
 
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.certification import certified
-from geodrake.identification.conic_fit import solve_exactly
-from geodrake.identification.fit import FitResult, solve_fit
+from geodrake.identification.conic_fit import solve_fit, solve_with_fallback
+from geodrake.identification.fit import FitResult
 from geodrake.identification.newton import solve_newton
 from geodrake.identification.problem import FitProblem
-from geodrake.inertia import Array
+from geodrake.inertia import Array, pseudo_inertia, pullback_metric
+from geodrake.inertia.positive_definite import relative_logarithms
 
 _MARGINS = (1.0, 10.0, 100.0)
 
 
 class Regularizer(ABC):
-    """A squared distance d(Φ, Φ⁰)² of inertial parameters from their prior.
+    """A squared distance d(Φ, Φ⁰)² of inertial parameters (nb, 10) from their physical prior.
 
     A regularizer says what it adds to a convex fit, and measures what came out. One that is not
     convex overrides `solve` too.
@@ -30,29 +31,14 @@ class Regularizer(ABC):
 
     @abstractmethod
     def divergence(self, phi: Array, prior: Array) -> float:
-        """d(Φ, Φ⁰)² of all bodies together.
-
-        Args:
-            phi: (nb, 10) inertial parameters.
-            prior: (nb, 10) physical prior.
-        """
+        """Return d(Φ, Φ⁰)² of all bodies together."""
 
     @abstractmethod
     def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
-        """The problem with γ d(Φ, Φ⁰)² added.
-
-        Args:
-            problem: Fit whose first columns are the bodies', in order.
-            prior: (nb, 10) physical prior.
-            gamma: Weight γ > 0.
-        """
+        """Return the problem, whose first columns are the bodies', with γ d(Φ, Φ⁰)² added."""
 
     def scalar_divergence(self, values: Array, priors: Array) -> Array:
-        """d(x, x⁰)² of positive scalars such as rotor inertias, one by one ([Lee2019] Remark 3.13).
-
-        Args:
-            values: (k,) values.
-            priors: (k,) positive prior values.
+        """Return d(x, x⁰)² of positive scalars (k,) one by one ([Lee2019] Remark 3.13).
 
         Raises:
             ArgumentError: The regularizer has none.
@@ -64,33 +50,21 @@ class Regularizer(ABC):
         )
 
     def divergence_of(self, fit: FitResult, prior: Array) -> float:
-        """d² at a solution of `solve`.
-
-        Args:
-            fit: A solution of `solve`.
-            prior: (nb, 10) physical prior Φ⁰.
-        """
+        """Return d² at a solution of `solve`."""
         return self.divergence(fit.x[: prior.size].reshape(prior.shape), prior)
 
     def solve(
         self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
     ) -> FitResult:
-        """Solve the fit with γ d(Φ, Φ⁰)² added.
+        """Return the fit with γ d(Φ, Φ⁰)² added.
 
-        With None, by the conic solver and Newton's method (`solve_exactly`); with "newton", by that
-        alone; else by Drake's conic solver of that name alone. Where such a solver is not exact
-        enough to keep bodies physical at the problem's margin, it tries ten and a hundred times
-        that margin.
-
-        Args:
-            problem: The data, bounds and constraints.
-            prior: (nb, 10) physical prior Φ⁰.
-            gamma: Weight γ of d².
-            solver: None, "newton", or the name of a conic solver of Drake's.
+        With None, as `solve_with_fallback` does; with "newton", by that alone; else by Drake's
+        conic solver of that name alone. Where such a solver is not exact enough to keep bodies
+        physical at the problem's margin, it tries ten and a hundred times that margin.
         """
         regularized = self.regularize(problem, prior, gamma)
         if solver is None:
-            return solve_exactly(regularized)
+            return solve_with_fallback(regularized)
         if solver == "newton":
             return solve_newton(regularized)
         for factor in _MARGINS[:-1]:
@@ -105,14 +79,7 @@ class Regularizer(ABC):
     def certified(
         self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult
     ) -> FitResult:
-        """A solution of `solve` with its `Certificate`, or the better one of its program.
-
-        Args:
-            problem: The data, bounds and constraints.
-            prior: (nb, 10) physical prior Φ⁰.
-            gamma: Weight γ of d².
-            fit: The solution.
-        """
+        """Return a solution of `solve` with its `Certificate`, or the better one of its program."""
         return certified(self.regularize(problem, prior, gamma), fit)
 
 
@@ -124,23 +91,23 @@ class QuadraticRegularizer(Regularizer):
 
     @abstractmethod
     def metric(self, prior: Array) -> Array:
-        """G of every body, (nb, 10, 10), for a prior (nb, 10)."""
+        """Return G of every body, (nb, 10, 10), for a prior (nb, 10)."""
 
     def scalar_metric(self, priors: Array) -> Array:
-        """G (k,) of positive scalars, for priors (k,)."""
+        """Return G (k,) of positive scalars, for priors (k,)."""
         return 0.5 / priors**2
 
     def scalar_divergence(self, values: Array, priors: Array) -> Array:
-        """d(x, x⁰)² of positive scalars, one by one."""
+        """Return d(x, x⁰)² of positive scalars, one by one."""
         return self.scalar_metric(priors) * (values - priors) ** 2
 
     def divergence(self, phi: Array, prior: Array) -> float:
-        """d(Φ, Φ⁰)² of all bodies together."""
+        """Return d(Φ, Φ⁰)² of all bodies together."""
         change = phi - prior
         return float(np.einsum("bi,bij,bj", change, self.metric(prior), change))
 
     def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
-        """The problem with γ G as further prior information."""
+        """Return the problem with γ G as further prior information."""
         information = problem.prior_information.copy()
         for start, metric in zip(problem.inertia_blocks, self.metric(prior), strict=True):
             information[start : start + 10, start : start + 10] += gamma * metric
@@ -148,3 +115,64 @@ class QuadraticRegularizer(Regularizer):
             metric = self.scalar_metric(np.array([value]))[0]
             information[column, column] += gamma * weight * metric
         return replace(problem, prior_information=information)
+
+
+class Euclidean(QuadraticRegularizer):
+    """d² = ‖Φ − Φ⁰‖² ([Lee2019] Eq. (3.2.16)): adds kg² and (kg·m²)², so prefer another.
+
+    Its minimum often lies at the boundary of physical bodies.
+    """
+
+    name = "euclidean"
+
+    def scalar_metric(self, priors: Array) -> Array:
+        """Return one for every scalar."""
+        return np.ones_like(priors)
+
+    def metric(self, prior: Array) -> Array:
+        """Return the identity for every body."""
+        return np.broadcast_to(np.eye(10), (len(prior), 10, 10))
+
+
+class Pullback(QuadraticRegularizer):
+    """d² = Σ_i ½ tr((P(φ_i⁰)⁻¹ P(φ_i − φ_i⁰))²) ([Lee2019] Eqs. (3.3.33), (3.5.50)).
+
+    The geometric distance near the prior, as a quadratic form: independent of units and frames.
+    Finite at the boundary of physical bodies, which a fit with strong data and a weak prior
+    therefore can reach.
+    """
+
+    name = "pullback"
+
+    def metric(self, prior: Array) -> Array:
+        """Return g(φ⁰) of every body ([Lee2019] Eq. (B.1.7))."""
+        return pullback_metric(prior)
+
+
+class Entropic(Regularizer):
+    """d² = Σ_i −log|P_i| + log|P_i⁰| + tr((P_i⁰)⁻¹ P_i) − 4 ([Lee2019] Eqs. (2.2.14), (3.5.44)).
+
+    Convex and independent of units and frames. Grows without limit at the boundary of physical
+    bodies, so that every result is well inside.
+    """
+
+    name = "entropic"
+
+    def divergence(self, phi: Array, prior: Array) -> float:
+        """Return d(Φ ‖ Φ⁰)² of all bodies together."""
+        logs = relative_logarithms(pseudo_inertia(prior), pseudo_inertia(phi))
+        return float((np.expm1(logs) - logs).sum())
+
+    def scalar_divergence(self, values: Array, priors: Array) -> Array:
+        """Return x/x⁰ − log(x/x⁰) − 1 of positive scalars ([Lee2019] Eqs. (3.6.60), (5.3.33))."""
+        change = values / priors - 1.0
+        return np.asarray(change - np.log1p(change))
+
+    def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
+        """Return it with an entropic prior for every body, and every scalar that has a prior."""
+        priors = zip(problem.inertia_blocks, prior, strict=True)
+        return replace(
+            problem,
+            entropic={start: (phi, gamma) for start, phi in priors},
+            entropic_scalars={k: (x, gamma * w) for k, (x, w) in problem.scalar_priors.items()},
+        )

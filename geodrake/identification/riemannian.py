@@ -12,19 +12,27 @@ import numpy as np
 from geodrake.boundary.arguments import instances, integer
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.identification.certification import certified, uncertified
-from geodrake.identification.entropic import Entropic
-from geodrake.identification.fit import FitResult
-from geodrake.identification.interior_point import LocalMinimum
+from geodrake.identification.fit import FitResult, fit_result
 from geodrake.identification.problem import FitProblem
-from geodrake.identification.pullback import Pullback
-from geodrake.identification.regularizer import Regularizer
-from geodrake.identification.riemannian_fit import RiemannianSearch
+from geodrake.identification.regularizer import Entropic, Pullback, Regularizer
+from geodrake.identification.riemannian_search import LocalMinima, LocalMinimum, RiemannianSearch
 from geodrake.inertia import Array, pseudo_inertia
 from geodrake.inertia.positive_definite import relative_logarithms
 
 STARTS = ("entropic", "pullback", "prior", "data")
 
 _SAME_COST = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RiemannianFit(FitResult):
+    """A `FitResult` of a problem that may have several minima.
+
+    Attributes:
+        minima: What the starts led to.
+    """
+
+    minima: LocalMinima
 
 
 @dataclass(frozen=True)
@@ -66,22 +74,22 @@ class Riemannian(Regularizer):
             )
 
     def divergence(self, phi: Array, prior: Array) -> float:
-        """d(Φ, Φ⁰)² of all bodies together."""
+        """Return d(Φ, Φ⁰)² of all bodies together."""
         logs = relative_logarithms(pseudo_inertia(prior), pseudo_inertia(phi))
         return 0.5 * float(np.square(logs).sum())
 
     def scalar_divergence(self, values: Array, priors: Array) -> Array:
-        """½ log²(x/x⁰) of positive scalars ([Lee2019] Eq. (3.6.60))."""
+        """Return ½ log²(x/x⁰) of positive scalars ([Lee2019] Eq. (3.6.60))."""
         return np.asarray(0.5 * np.log(values / priors) ** 2)
 
     def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
-        """The entropic problem, a convex neighbour that agrees with this one to second order."""
+        """Return the entropic problem, a convex neighbour that agrees with this to second order."""
         return Entropic().regularize(problem, prior, gamma)
 
     def solve(
         self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
     ) -> FitResult:
-        """The best local minimum that the starts lead to; the solver finds the first start.
+        """Return the best local minimum of all starts; the solver finds the first start.
 
         Raises:
             ArgumentError: The residual bound is below what any parameters reach.
@@ -89,34 +97,37 @@ class Riemannian(Regularizer):
         """
         begin = time.perf_counter()
         search = RiemannianSearch.of(problem, prior, gamma)
-        convex = search.inside(lambda inner: Entropic().solve(inner, prior, gamma, solver))
+        convex = Entropic().solve(problem, prior, gamma, solver)
         first = search.start(convex.x)
         best, weight = search.meet_bound(first, convex.prior_weight)
         found: dict[str, LocalMinimum | None] = {"entropic": best}
         for name, start in self._others(search, first, prior, gamma * weight).items():
             try:
-                found[name] = search.minimum(start(), weight)
+                found[name] = search.weighted(weight).minimum(start())
             except GeodrakeError:  # the minima that were found stand
                 found[name] = None
         lowest = min(filter(None, found.values()), key=lambda minimum: minimum.value)
-        if lowest.value < best.value - _SAME_COST * abs(best.value):
-            minima = search.compared(found, lowest)
+        better = lowest.value < best.value - _SAME_COST * abs(best.value)
+        minima = search.compared(found, lowest if better else best)
+        if better:
             best, weight = search.meet_bound(lowest.z, weight)
-        else:
-            minima = search.compared(found, best)
-        return search.result(best, weight, minima, time.perf_counter() - begin)
+        x = np.clip(search.coordinates.parameters(best.z), problem.lower, problem.upper)
+        elapsed = time.perf_counter() - begin
+        fit = fit_result(search.coordinates, x, weight, "newton", elapsed)
+        own = {**vars(fit), "information": search.information(best.hessian)}
+        return RiemannianFit(**own, minima=minima)
 
     def certified(
         self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult
     ) -> FitResult:
-        """The solution with a certificate that it is a local minimum.
+        """Return the solution with a certificate that it is a local minimum.
 
         The program is that of the cost's second order at the solution, with all constraints, and
         with the weight that meets a residual bound.
         """
-        search = RiemannianSearch.of(problem, prior, gamma)
+        search = RiemannianSearch.of(problem, prior, gamma).weighted(fit.prior_weight)
         try:
-            local, size = search.second_order(fit.x, fit.prior_weight)
+            local, size = search.second_order(fit.x)
             return certified(local, fit, size=size, scope="local")
         except ArgumentError:  # the second order is no convex program
             return uncertified(fit, "the cost is not convex around the minimum", scope="local")
@@ -124,23 +135,20 @@ class Riemannian(Regularizer):
     def _others(
         self, search: RiemannianSearch, first: Array, prior: Array, gamma: float
     ) -> dict[str, Callable[[], Array]]:
-        """What gives the coordinates (p,) of the other starts, as far as they exist."""
-        free = replace(search, problem=replace(search.problem, residual_bound=None))
+        """Return what gives the coordinates (p,) of the other starts, as far as they exist."""
+        free = replace(search.coordinates.problem, residual_bound=None)
 
         def pullback() -> Array:
-            fit = free.inside(lambda inner: Pullback().solve(inner, prior, gamma, "newton"))
             # It may be at the boundary of physical bodies; a share of the first start leads inside.
-            return 0.9 * search.start(fit.x) + 0.1 * first
+            x = Pullback().solve(free, prior, gamma, "newton").x
+            return 0.9 * search.start(x) + 0.1 * first
 
         def data() -> Array:
-            share = 1e-3 * gamma
-            return search.start(
-                free.inside(lambda inner: Entropic().solve(inner, prior, share, "newton")).x
-            )
+            return search.start(Entropic().solve(free, prior, 1e-3 * gamma, "newton").x)
 
         def nearest() -> Array:
             # The prior may break a constraint that the first start keeps.
-            begin = search.start(search.problem.prior_mean)
+            begin = search.start(free.prior_mean)
             ways = ((1.0 - share) * begin + share * first for share in (0.0, 1e-3, 0.1, 0.5))
             return next((z for z in ways if search.is_inside(z)), first)
 

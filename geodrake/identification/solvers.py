@@ -21,11 +21,7 @@ from pydrake.solvers import (
 )
 
 from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
-from geodrake.identification.own_process import (
-    LateProcessError,
-    LostProcessError,
-    in_own_process,
-)
+from geodrake.identification.own_process import LateProcessError, LostProcessError, in_own_process
 
 T = TypeVar("T")
 Tolerances = Mapping[str, Mapping[str, float | int]]
@@ -39,41 +35,17 @@ SOLVERS: dict[str, type[SolverInterface]] = {
 }
 """SCS and CSDP are there to cross-check; CSDP takes no exponential cones, so no entropic fits."""
 
-_EXACT: Tolerances = {
-    "clarabel": {
-        "tol_gap_abs": 1e-10,
-        "tol_gap_rel": 1e-10,
-        "tol_feas": 1e-10,
-        # "Almost solved" counts as success in Drake, so it must be good enough too.
-        "reduced_tol_gap_abs": 1e-7,
-        "reduced_tol_gap_rel": 1e-7,
-        "reduced_tol_feas": 1e-7,
-    },
-    "scs": {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iters": 100_000},
-}
-_GOOD: Tolerances = {
-    "clarabel": {
-        "tol_gap_abs": 1e-9,
-        "tol_gap_rel": 1e-9,
-        "tol_feas": 1e-9,
-        "reduced_tol_gap_abs": 1e-6,
-        "reduced_tol_gap_rel": 1e-6,
-        "reduced_tol_feas": 1e-6,
-    },
-}
-_ROUGH: Tolerances = {
-    "clarabel": {
-        "tol_gap_abs": 1e-7,
-        "tol_gap_rel": 1e-6,
-        "tol_feas": 1e-7,
-        "reduced_tol_gap_abs": 1e-3,
-        "reduced_tol_gap_rel": 1e-3,
-        "max_iter": 100,
-    },
-    "scs": {"eps_abs": 1e-5, "eps_rel": 1e-5, "max_iters": 100_000},
-}
 
-ROUGHLY = (_ROUGH,)
+def _accuracy(share: float, enough: float, scs: float | None = None) -> Tolerances:
+    """Return tolerances; "almost solved" counts as success in Drake, so it must be enough too."""
+    wanted = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), share)
+    accepted = {f"reduced_{name}": enough for name in wanted}
+    others = {} if scs is None else {"eps_abs": scs, "eps_rel": scs, "max_iters": 100_000}
+    return {"clarabel": {**wanted, **accepted}, "scs": others}
+
+
+_EXACT, _GOOD = _accuracy(1e-10, 1e-7, scs=1e-8), _accuracy(1e-9, 1e-6)
+ROUGHLY = (_accuracy(1e-7, 1e-3, scs=1e-5),)
 """Accuracies to try in turn, for about four digits."""
 EXACTLY = (_EXACT, _GOOD)
 """The same, for all digits: the last may be out of reach of rounding, and a little less will do."""
@@ -101,11 +73,7 @@ _OTHER_CAUSE = (
 
 
 def check_solver(solver: str) -> None:
-    """Refuse a solver that there is not, or not here.
-
-    Raises:
-        ArgumentError: There is no such solver here.
-    """
+    """Raise an ArgumentError if the solver is unknown or unavailable."""
     if isinstance(solver, str) and solver in SOLVERS and _is_usable(solver):
         return
     advice = "MOSEK needs a licence: set MOSEKLM_LICENSE_FILE." if solver == "mosek" else ""
@@ -119,15 +87,11 @@ def _is_usable(solver: str) -> bool:
 
 
 def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
-    """What `solve` makes of a solver's solutions, in a process of its own.
+    """Return what `solve`, given accuracies to try, makes of a solver in a process of its own.
 
     Where rounding has left no digit of a step, Clarabel panics on the numbers that are none, and
     that ends the process it is in. No check before the call can tell, as it takes the last digits
     of an iterate; a little less accuracy often ends before that.
-
-    Args:
-        solve: Called with the accuracies that are to be tried.
-        solver: Name of the solver.
 
     Raises:
         GeodrakeError: What `solve` raised.
@@ -147,89 +111,64 @@ def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
             ) from None
         except LostProcessError as error:
             lost = str(error)
-    cause, advice = _OTHER_CAUSE
-    raise IdentificationError(
-        f"{solver} found no parameters: its process {lost}. {cause}",
-        advice=advice,
-        solver=solver,
-        status=lost,
-    )
+    raise _failure(solver, lost, f": its process {lost}", _OTHER_CAUSE)
 
 
 def run_solver(
     program: MathematicalProgram, solver: str, accuracies: Sequence[Tolerances] = EXACTLY
 ) -> MathematicalProgramResult:
-    """Solve a program, in this process; `solved_apart` is safe where its solver is not.
+    """Return the solution of a program, in this process; `solved_apart` is safe where this is not.
 
     Args:
         program: Any program the solver can take.
         solver: A name of `SOLVERS`.
         accuracies: What to try in turn.
 
-    Returns:
-        The result, a success.
-
     Raises:
-        ArgumentError: There is no such solver here.
+        ArgumentError: There is no such solver here, or it cannot solve this kind of program.
         IdentificationError: The solver found no solution; its `evidence` has the status.
     """
-    return _run(program, solver, accuracies)[0]
+    return run_to_gap(program, solver, accuracies)[0]
 
 
 def run_to_gap(
     program: MathematicalProgram, solver: str, accuracies: Sequence[Tolerances]
 ) -> tuple[MathematicalProgramResult, float]:
-    """As `run_solver`, with the duality gap that the solver may have left, in the unit of the cost.
-
-    Args:
-        program: Any program the solver can take.
-        solver: Clarabel, whose tolerances are those of gaps.
-        accuracies: What to try in turn.
-    """
-    result, tolerances = _run(program, solver, accuracies)
-    exact = result.get_solver_details().status == "Solved"
-    share = tolerances[solver]["tol_gap_rel" if exact else "reduced_tol_gap_rel"]
-    return result, float(share) * max(1.0, abs(result.get_optimal_cost()))
-
-
-def _run(
-    program: MathematicalProgram, solver: str, accuracies: Sequence[Tolerances]
-) -> tuple[MathematicalProgramResult, Tolerances]:
-    """The first success, and the accuracy that was asked for."""
+    """Return also the duality gap that Clarabel may have left, in the unit of the cost."""
     check_solver(solver)
+    engine = SOLVERS[solver]()
     if solver == "csdp":
         program = _without_squares(program)
-    if not SOLVERS[solver]().AreProgramAttributesSatisfied(program):
+    if not engine.AreProgramAttributesSatisfied(program):
         raise ArgumentError(
             f"{solver} cannot solve this kind of program: "
-            f"{SOLVERS[solver]().ExplainUnsatisfiedProgramAttributes(program)}",
+            f"{engine.ExplainUnsatisfiedProgramAttributes(program)}",
             advice="Use clarabel, or scs as a cross-check.",
         )
     for tolerances in accuracies:
-        options = SolverOptions()
-        for name, value in tolerances.get(solver, {}).items():
-            options.SetOption(SOLVERS[solver].id(), name, value)
-        result = SOLVERS[solver]().Solve(program, None, options)
+        options, own = SolverOptions(), tolerances.get(solver, {})
+        for name, value in own.items():
+            options.SetOption(engine.solver_id(), name, value)
+        result = engine.Solve(program, None, options)
         status = result.get_solution_result()
         if result.is_success():
-            return result, tolerances
+            details = result.get_solver_details()
+            exact = getattr(details, "status", "") == "Solved"
+            share = own.get("tol_gap_rel" if exact else "reduced_tol_gap_rel", np.nan)
+            return result, float(share) * max(1.0, abs(result.get_optimal_cost()))
         if status != SolutionResult.kSolverSpecificError:
             break
-    cause, advice = _CAUSES.get(status, _OTHER_CAUSE)
-    raise IdentificationError(
-        f"{solver} found no parameters ({status.name}). {cause}",
-        advice=advice,
-        solver=solver,
-        status=status.name,
+    raise _failure(solver, status.name, f" ({status.name})", _CAUSES.get(status, _OTHER_CAUSE))
+
+
+def _failure(solver: str, status: str, how: str, why: tuple[str, str]) -> IdentificationError:
+    return IdentificationError(
+        f"{solver} found no parameters{how}. {why[0]}", advice=why[1], solver=solver, status=status
     )
 
 
 def cone_multiplier(result: MathematicalProgramResult, cone: Any) -> float:
-    """Multiplier of a Lorentz cone's bound, of which residual bounds need one for their γ.
-
-    Args:
-        result: A solution.
-        cone: The binding of the Lorentz cone.
+    """Return the multiplier of a Lorentz cone's bound, of which residual bounds need one.
 
     Raises:
         ArgumentError: The solver gives none.
@@ -244,7 +183,7 @@ def cone_multiplier(result: MathematicalProgramResult, cone: Any) -> float:
 
 
 def _without_squares(program: MathematicalProgram) -> MathematicalProgram:
-    """The same program with a cone t ≥ ½ zᵀQz and the cost t for each quadratic cost."""
+    """Return the same program with a cone t ≥ ½ zᵀQz and the cost t for each quadratic cost."""
     program = program.Clone()
     for binding in program.quadratic_costs():
         cost, z = binding.evaluator(), binding.variables()
@@ -254,8 +193,7 @@ def _without_squares(program: MathematicalProgram) -> MathematicalProgram:
         # (t, 1, u/√2) in the rotated cone means t ≥ ½ uᵀu.
         matrix = np.zeros((2 + root.shape[1], len(z) + 1))
         matrix[0, -1], matrix[2:, :-1] = 1.0, np.sqrt(0.5) * root.T
-        offset = np.eye(len(matrix))[1]
-        program.AddRotatedLorentzConeConstraint(matrix, offset, np.append(z, t))
+        program.AddRotatedLorentzConeConstraint(matrix, np.eye(len(matrix))[1], np.append(z, t))
         program.AddLinearCost(np.append(cost.b(), 1.0), cost.c(), np.append(z, t))
         program.RemoveCost(binding)
     return program

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification import FitProblem, solve_fit
 from geodrake.identification.identify import identify
-from geodrake.identification.newton import newton_sweep, solve_newton
-from geodrake.identification.newton_path import cold_start, minimize
+from geodrake.identification.newton import solve_newton
+from geodrake.identification.newton_path import minimize
 from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.problem import LinearConstraints, whitened_factor
 from geodrake.inertia import (
@@ -66,6 +66,13 @@ def constrained(problem):
         rows[3, start] = 1.0
     lower, upper = np.array([0.0, 0.0, 0.0, 8.0]), np.array([np.inf, np.inf, np.inf, 8.0])
     return replace(problem, constraints=LinearConstraints(matrix=rows, lower=lower, upper=upper))
+
+
+def scaled(problem, weight):
+    """The problem with a weight of the whole prior."""
+    priors = {s: (phi, weight * gamma) for s, (phi, gamma) in problem.entropic.items()}
+    information = weight * problem.prior_information
+    return replace(problem, entropic=priors, prior_information=information)
 
 
 def divergence(problem, x):
@@ -212,7 +219,7 @@ def test_bodies_are_physical_at_every_extreme(seed, gamma, scale, rows, pull):
 def test_the_smallest_gap_at_every_gamma(gamma):
     program = NewtonProgram.of(example(1, gamma=gamma, rows=60, pull=-5.0))
     weighted = program.weighted(1.0)
-    minimum = minimize(weighted, cold_start(weighted))
+    minimum = minimize(weighted)
     assert minimum.gap <= 1e-9 * max(weighted.cost(minimum.point.z), gamma)
     assert minimum.steps < 40
 
@@ -266,7 +273,7 @@ def test_point_to_set_is_the_regularized_form_of_its_gamma(gamma, kind):
         problem = constrained(problem)
     root = np.random.default_rng(4).normal(size=(3, problem.size))
     problem = replace(problem, prior_information=0.1 * root.T @ root)
-    first = newton_sweep(problem, [gamma])[0]
+    first = solve_newton(scaled(problem, gamma))
     bounded = replace(problem, residual_bound=first.residual)
     result = solve_newton(bounded)
     assert result.residual == pytest.approx(first.residual, rel=1e-9)
@@ -277,19 +284,6 @@ def test_point_to_set_is_the_regularized_form_of_its_gamma(gamma, kind):
     conic = solve_fit(bounded)
     assert conic.prior_weight == pytest.approx(gamma, rel=1e-3)
     np.testing.assert_allclose(conic.x, result.x, rtol=1e-3, atol=1e-5)
-
-
-def test_the_derivative_of_the_residual():
-    problem = constrained(example(6, gamma=1.0, rows=60))
-    program = NewtonProgram.of(problem)
-
-    def minimum(weight):
-        weighted = program.weighted(weight)
-        return minimize(weighted, cold_start(weighted))
-
-    step = 1e-4
-    numeric = (minimum(np.exp(step)).excess - minimum(np.exp(-step)).excess) / (2 * step)
-    assert minimum(1.0).derivative() == pytest.approx(numeric, rel=1e-5)
 
 
 def test_a_generous_residual_bound_gives_the_prior():
@@ -314,39 +308,11 @@ def test_a_residual_bound_out_of_reach_says_the_least():
         solve_newton(replace(problem, residual_bound=1e-3))
 
 
-def test_a_sweep_is_what_single_fits_are():
-    problem = constrained(example(9, gamma=1.0, rows=60))
-    weights = np.logspace(4, -4, 9)
-    for order in (weights, weights[::-1]):
-        results = newton_sweep(problem, order)
-        assert [result.prior_weight for result in results] == order.tolist()
-        for weight, result in zip(order, results, strict=True):
-            priors = {s: (phi, weight) for s, (phi, _) in problem.entropic.items()}
-            single = replace(problem, entropic=priors)
-            alone = solve_newton(single)
-            assert cost(single, result.x) == pytest.approx(cost(single, alone.x), rel=1e-10)
-            assert information_difference(result, alone) < 1e-5
-
-
-def test_a_start_saves_steps_and_changes_nothing():
-    problem = constrained(example(10, gamma=1e-3, rows=60))
-    cold = solve_newton(problem)
-    for start in (cold.x, np.append(PRIOR.ravel(), [0.0, 0.0]), 1.01 * cold.x, -cold.x):
-        warm = solve_newton(problem, start=start)
-        np.testing.assert_allclose(warm.x, cold.x, rtol=1e-6, atol=1e-8)
-    with pytest.raises(ArgumentError, match=r"start must be \(32,\)"):
-        solve_newton(problem, start=np.zeros(3))
-
-
 def test_what_newton_refuses():
     problem = example(11)
     with pytest.raises(ArgumentError, match=r"entropic or quadratic prior for every.*\[20\]"):
         priors = {start: problem.entropic[start] for start in BODIES[:2]}
         solve_newton(replace(problem, entropic=priors))
-    with pytest.raises(ArgumentError, match="weights must be positive; the smallest is -1"):
-        newton_sweep(problem, [1.0, -1.0])
-    with pytest.raises(ArgumentError, match="cannot keep a residual bound"):
-        newton_sweep(replace(problem, residual_bound=1.0), [1.0])
     row = np.zeros((1, problem.size))
     row[0, 0] = 1.0
     negative = LinearConstraints(matrix=row, lower=np.array([-2.0]), upper=np.array([-1.0]))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from geodrake.identification.conic_fit import solve_surely
+from geodrake.identification.conic_fit import solve_with_fallback
 from geodrake.identification.physical_minimizers import (
     are_physical,
     inner_bodies,
@@ -51,7 +51,7 @@ def costs(gram, rhs, x):
 @pytest.mark.parametrize("seed", range(6))
 def test_as_good_as_the_conic_solver(seed):
     gram, rhs = problems(seed)
-    found = physical_minimizers(gram, rhs, BLOCKS, start_of(3), (LOWER, UPPER)).x
+    found = physical_minimizers(gram, rhs, BLOCKS, start_of(3), (LOWER, UPPER))
     assert are_physical(found, BLOCKS).all()
     assert (found >= LOWER).all() and (found <= UPPER).all()
     for G, r, x in zip(gram, rhs, found, strict=True):
@@ -65,27 +65,16 @@ def test_as_good_as_the_conic_solver(seed):
             lower=LOWER,
             upper=UPPER,
         )
-        conic = solve_surely(problem).x
+        conic = solve_with_fallback(problem).x
         ours, theirs = (costs(G[None], r[None], each[None])[0] for each in (x, conic))
         assert ours < theirs + 2e-3 + 1e-6 * abs(theirs)
-
-
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("first", [[], BLOCKS[:1], BLOCKS[1:]])
-def test_bodies_that_leave_are_constrained_whichever_were_at_first(seed, first):
-    gram, rhs = problems(seed)
-    bounds = LOWER, UPPER
-    whole = physical_minimizers(gram, rhs, BLOCKS, start_of(3), bounds).x
-    found = physical_minimizers(gram, rhs, BLOCKS, start_of(3), bounds, beyond=first).x
-    assert are_physical(found, BLOCKS).all()
-    assert (np.abs(costs(gram, rhs, found) - costs(gram, rhs, whole)) < 2e-3).all()
 
 
 def test_where_all_is_physical_it_is_the_plain_minimum():
     gram, rhs = problems(0, pull=0.0)
     plain = np.linalg.solve(gram, rhs[..., None])[..., 0]
     free = np.full(SIZE, -np.inf), np.full(SIZE, np.inf)
-    found = physical_minimizers(gram, rhs, BLOCKS, start_of(3), free).x
+    found = physical_minimizers(gram, rhs, BLOCKS, start_of(3), free)
     assert (costs(gram, rhs, found) - costs(gram, rhs, plain) < 1e-3).all()
 
 
@@ -102,25 +91,11 @@ def test_frames_and_units_change_nothing(seed, length, mass):
     T = block_diag(changes[0], np.eye(3), changes[1], np.eye(2))
     back = np.linalg.inv(T)
     bounds = LOWER, UPPER
-    first = physical_minimizers(gram, rhs, BLOCKS, start_of(3), bounds).x
+    first = physical_minimizers(gram, rhs, BLOCKS, start_of(3), bounds)
     turned = back.T @ gram @ back
-    other = physical_minimizers(turned, rhs @ back, BLOCKS, start_of(3) @ T.T, bounds).x
+    other = physical_minimizers(turned, rhs @ back, BLOCKS, start_of(3) @ T.T, bounds)
     cost = costs(gram, rhs, other @ back.T) - costs(gram, rhs, first)
     assert (np.abs(cost) < 2e-3).all()
-
-
-def test_the_hessian_predicts_what_a_further_pull_changes():
-    """As candidates' errors rest on it: constraints that are met stay so, to first order."""
-    gram, rhs = problems(4)
-    bounds = LOWER, UPPER
-    at = physical_minimizers(gram, rhs, BLOCKS, start_of(3), bounds)
-    pull = 1e-3 * rhs
-    after = physical_minimizers(gram, rhs + pull, BLOCKS, start_of(3), bounds).x
-    predicted = at.x + np.linalg.solve(at.hessian, pull[..., None])[..., 0]
-    least = costs(gram, rhs + pull, after)
-    assert (costs(gram, rhs + pull, predicted) - least < 0.02).all()
-    free = at.x + np.linalg.solve(gram, pull[..., None])[..., 0]
-    assert are_physical(free, BLOCKS).sum() <= are_physical(predicted, BLOCKS).sum()
 
 
 def test_starts_are_inside_and_near():

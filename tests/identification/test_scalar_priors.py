@@ -9,10 +9,7 @@ from test_newton import PRIOR
 
 from geodrake.errors import ArgumentError
 from geodrake.identification import PointMasses, PointMassKL, compare_regularizers, identify
-from geodrake.identification.entropic import Entropic
-from geodrake.identification.identify import REGULARIZERS, build_problem
-from geodrake.identification.newton import newton_sweep
-from geodrake.identification.problem import whitened_factor
+from geodrake.identification.identify import REGULARIZERS
 from geodrake.inertia import pseudo_inertia, pseudo_inertia_basis
 
 GEOMETRIC = ("pullback", "entropic", "riemannian")
@@ -147,17 +144,6 @@ def test_units_of_scalars_do_not_matter(regularizer, seed, log_unit, log_gamma):
     np.testing.assert_allclose(again.extra / in_unit, first.extra, rtol=1e-5)
     np.testing.assert_allclose(again.phi, first.phi, rtol=1e-4, atol=1e-6)
     assert again.divergence == pytest.approx(first.divergence, rel=1e-4, abs=1e-9)
-
-
-def test_a_sweep_finds_what_single_fits_find():
-    A, b, scalars = data(6)
-    problem = build_problem(whitened_factor(A, b), PRIOR, extra_prior=1.5 * scalars)
-    problem = Entropic().regularize(problem, PRIOR, 1.0)
-    weights = 10.0 ** np.arange(-3.0, 4.0)
-    for weight, fit in zip(weights, newton_sweep(problem, weights), strict=True):
-        single = identify(A, b, PRIOR, regularizer="entropic", gamma=weight,
-                          extra_prior=1.5 * scalars, solver="clarabel")  # fmt: skip
-        np.testing.assert_allclose(fit.x[30:], single.extra, rtol=1e-5)
 
 
 def test_information_is_half_the_hessian_of_the_cost():

@@ -175,10 +175,7 @@ class CrossValidation:
             begin = inner_bodies(begin[beyond], blocks, self.dataset.payload)
             inertial, bounds = self._inertial_and_bounds
             begin = np.where(inertial, begin, x[beyond])
-            left = [block for block in blocks if not are_physical(x[beyond], [block]).all()]
-            x[beyond] = physical_minimizers(
-                grams[beyond], rhs[beyond], blocks, begin, bounds, beyond=left
-            ).x
+            x[beyond] = physical_minimizers(grams[beyond], rhs[beyond], blocks, begin, bounds)
         return x
 
     @cached_property

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from geodrake.effects import FittedEffect
 from geodrake.effects.base import Effect
 from geodrake.identification.certification import certified
-from geodrake.identification.conic_fit import solve_surely
+from geodrake.identification.conic_fit import solve_with_fallback
 from geodrake.identification.fit import FitResult
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.cross_validation import HeldOut, hold_out
@@ -119,7 +119,7 @@ def held_out_physical(
     """
     folds = range(len(dataset.folds))
     problems = (fit_problem(dataset, unknowns, weights, without=f, delay=delay) for f in folds)
-    x = np.array([solve_surely(problem).x for problem in problems])
+    x = np.array([solve_with_fallback(problem).x for problem in problems])
     return hold_out(dataset, unknowns.columns, x, delay=delay)
 
 
@@ -168,7 +168,7 @@ def fit_model(
         delays: Effort delays that the fitted model has.
     """
     problem = fit_problem(dataset, unknowns, weights)
-    result = certified(problem, solve_surely(problem))
+    result = certified(problem, solve_with_fallback(problem))
     held_out = held_out_physical(dataset, unknowns, weights)
     deviations = result.standard_deviations()
     effects = [

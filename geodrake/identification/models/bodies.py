@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -36,33 +36,21 @@ USUAL = tuple(effect.name for effect in catalogue() if effect.usual)
 
 
 def body_changes(fits: LogFits, result: IdentificationResult) -> tuple[BodyChange, ...]:
-    """Return what became of every body, payloads after them.
-
-    Args:
-        fits: The logs, with the prior of every body.
-        result: The fit to all of them.
-    """
-    covariance = covariance_of(result.fit.information)
-    boundary = boundary_blocks(result)
-    return _changes(block_names(fits), fits.prior, result.phi, covariance, boundary)
+    """Return what became of every body, payloads after them, in the fit to all logs."""
+    return _changes(block_names(fits), fits.prior, result.phi, result.fit)
 
 
 def changed_bodies(model: RobotModel, fit: ModelFit) -> tuple[BodyChange, ...]:
-    """Return what a fit made of the bodies of a model, the farthest change first.
-
-    Args:
-        model: The model before.
-        fit: The fit.
-    """
-    covariance, boundary = covariance_of(fit.result.information), _boundary_blocks(fit.result)
-    changes = _changes(model.bodies, model.phi, fit.model.phi, covariance, boundary)
-    return tuple(sorted(changes, key=lambda change: -change.distance))
+    """Return what a fit made of the bodies of a model, the farthest change first."""
+    changes = _changes(model.bodies, model.phi, fit.model.phi, fit.result)
+    return tuple(sorted(changes, key=lambda body: -body.distance))
 
 
 def _changes(
-    names: Sequence[str], before: Array, after: Array, covariance: Array, boundary: Collection[int]
+    names: Sequence[str], before: Array, after: Array, fit: FitResult
 ) -> tuple[BodyChange, ...]:
-    """Changes of bodies (nb, 10), of whose parameters afterwards the covariance is known."""
+    """Return the changes of bodies (nb, 10) by a fit, whose first parameters they are."""
+    covariance, boundary = covariance_of(fit.information), boundary_blocks(fit)
     masses, com, _ = to_mass_com_inertia(np.stack([before, after], axis=1))
     distances = pullback_distance(before, after, before)
     changes = []
@@ -71,17 +59,13 @@ def _changes(
         block = covariance[start : start + 4, start : start + 4]
         jacobian = np.hstack([-com[k, 1][:, None], np.eye(3)]) / m1  # of h/m by [m, h]
         spread = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, block, jacobian))
-        deviation = float(np.sqrt(block[0, 0]))
-        changes.append(
-            BodyChange(
-                name, (m0, m1), com[k], deviation, spread, k in boundary, float(distances[k])
-            )
-        )
+        deviation, far = float(np.sqrt(block[0, 0])), float(distances[k])
+        changes.append(BodyChange(name, (m0, m1), com[k], deviation, spread, k in boundary, far))
     return tuple(changes)
 
 
 def covariance_of(information: Array) -> Array:
-    """Inverse of an information matrix, whatever the units; infinite where nothing is known."""
+    """Return the inverse of an information matrix in any units; infinite where nothing is known."""
     size = np.sqrt(np.diagonal(information))
     known = np.flatnonzero(size > _NOTHING)
     covariance, size = np.diag(np.full(len(information), np.inf)), size[known]
@@ -94,27 +78,18 @@ def covariance_of(information: Array) -> Array:
 
 
 def block_names(fits: LogFits) -> tuple[str, ...]:
-    """Names of the bodies and payloads."""
+    """Return the names of the bodies and payloads."""
     payloads = [e for e in fits.unknowns.effects if e.role is Role.BODY]
     return (*fits.dataset.bodies, *(f"payload on {e.where[0]}" for e in payloads))
 
 
-def boundary_blocks(result: IdentificationResult) -> set[int]:
-    """Numbers of the bodies and payloads at the boundary of physical consistency."""
-    return _boundary_blocks(result.fit)
-
-
-def _boundary_blocks(fit: FitResult) -> set[int]:
+def boundary_blocks(fit: FitResult) -> set[int]:
+    """Return the numbers of the bodies and payloads at the boundary of physical consistency."""
     return {start // PARAMETERS_PER_BODY for start in fit.active_blocks}
 
 
 def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
-    """Return what to know of a fitted model: no friction, masses far from the prior.
-
-    Args:
-        model: The fitted model.
-        bodies: What became of its bodies.
-    """
+    """Return what to know of a fitted model: no friction, masses far from the prior."""
     notes = []
     if not any("friction" in fitted.effect.name for fitted in model.effects):
         notes.append(
@@ -136,13 +111,10 @@ def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
 
 
 def common_factor_notes(bodies: Sequence[BodyChange]) -> list[str]:
-    """That all bodies together became heavier or lighter than a model file may be wrong, in words.
+    """Return a note that all bodies together became heavier or lighter than a file may be wrong.
 
     Efforts that are all too large or too small by one factor, such as currents or torques of
     motors, do that.
-
-    Args:
-        bodies: What became of a model's bodies.
     """
     before, after = (sum(body.mass[k] for body in bodies) for k in (0, 1))
     if before <= 0.0 or after <= 0.0 or abs(np.log(after / before)) <= USUAL_GAIN * SPREAD:
@@ -155,7 +127,7 @@ def common_factor_notes(bodies: Sequence[BodyChange]) -> list[str]:
 
 
 def bound_notes(gamma: float) -> list[str]:
-    """That a residual bound leaves the model as it is, if it does."""
+    """Return a note that a residual bound leaves the model as it is, if it does."""
     if np.isfinite(gamma):
         return []
     return [
@@ -165,12 +137,7 @@ def bound_notes(gamma: float) -> list[str]:
 
 
 def sweep_notes(gamma: float | None, sweep: Sequence[Weighing]) -> list[str]:
-    """That a weaker weight than one is let choose would fit better.
-
-    Args:
-        gamma: The weight that was taken; None where a residual bound sets it.
-        sweep: Weights that were tried, with their held-out errors.
-    """
+    """Return a note if a weaker weight of a sweep than may be chosen would fit better."""
     chosen = [tried.nrms for tried in sweep if tried.gamma == gamma]
     weaker = [tried for tried in sweep if gamma is not None and tried.gamma < gamma]
     best = min(weaker, key=lambda tried: tried.nrms, default=None)

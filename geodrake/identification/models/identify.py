@@ -33,7 +33,7 @@ from geodrake.identification.models.results import (
     IdentificationSettings,
     ModelIdentification,
 )
-from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
+from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
 from geodrake.logs.motion import JointLog
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
@@ -110,7 +110,11 @@ def identify_model(
         progress("Comparing regularizers")
         alternatives = _alternatives(fits, settings.regularizer, result, folds)
     held_out = fits.held_out(folds)
-    stands = np.tile(_as_it_came(fits, prior), (len(fits.folds), 1))
+    stands = fits.unknowns.mean.copy()  # the prior's parameters; a new payload is not there yet
+    for known in prior.effects:
+        if known.effect in unknowns.effects:
+            stands[unknowns.span(known.effect)] = known.parameters
+    before = hold_out(case.dataset, unknowns.columns, np.tile(stands, (len(fits.folds), 1)))
     fitted = _fitted(fits, result, held_out, prior, case)
     return ModelIdentification(
         fitted,
@@ -118,7 +122,7 @@ def identify_model(
         settings.regularizer,
         result.gamma,
         sweep,
-        error_table(case.dataset, hold_out(case.dataset, unknowns.columns, stands)),
+        error_table(case.dataset, before),
         error_table(case.dataset, held_out),
         body_changes(fits, result),
         result,
@@ -135,11 +139,7 @@ def identify_model(
 
 
 def with_effects(model: RobotModel, effects: Sequence[Effect]) -> RobotModel:
-    """The model with further effects whose parameters are zero.
-
-    Args:
-        model: The model.
-        effects: Effects that it lacks.
+    """Return the model with further effects whose parameters are zero.
 
     Raises:
         ArgumentError: The model has one of them already.
@@ -165,63 +165,36 @@ def _is_friction_by_load(effect: Effect) -> bool:
     return effect.role is Role.FORCE and effect.jumps and declared
 
 
-def _as_it_came(fits: LogFits, prior: RobotModel) -> Array:
-    """(p,) the prior's parameters, a payload that is new not being there."""
-    x = fits.unknowns.mean.copy()
-    for fitted in prior.effects:
-        if fitted.effect in fits.unknowns.effects:
-            x[fits.unknowns.span(fitted.effect)] = fitted.parameters
-    return x
-
-
 def _solved(
     fits: LogFits, settings: IdentificationSettings, gamma: float | None
 ) -> tuple[IdentificationResult, list[IdentificationResult]]:
-    """The fits to all and to all but each fold."""
-    if gamma is None:
-        return _bounded(fits, settings)
-    return _weighted(fits, settings.regularizer, gamma)
-
-
-def _bounded(
-    fits: LogFits, settings: IdentificationSettings
-) -> tuple[IdentificationResult, list[IdentificationResult]]:
-    """The fits to all and to all but each fold, each at its own bound."""
-    ratio = settings.residual_ratio or 1.0
+    """Return the fits to all and to all but each fold, with one γ or each at its own bound."""
+    name, ratio = settings.regularizer, settings.residual_ratio or 1.0
 
     def solve(without: int | None) -> IdentificationResult:
-        bound, certify = ratio**2 * fits.least_residual(without), without is None
-        return fits.solve(
-            settings.regularizer, residual_bound=bound, without=without, certify=certify
-        )
+        bound = ratio**2 * fits.least_residual(without) if gamma is None else None
+        certify = without is None
+        return fits.solve(name, gamma=gamma, residual_bound=bound, without=without, certify=certify)
 
     try:
         return solve(None), [solve(f) for f in fits.folds]
     except (IdentificationError, ArgumentError) as error:
-        least = error.evidence.get("minimum")
-        words = ""
-        if least is not None:
-            reached = np.sqrt(least / fits.least_residual())
-            words = f" Physical bodies reach about {reached:.4g}."
-        raise IdentificationError(
-            f"No physical parameters have an RMS residual within {ratio:g} times the least that "
-            f"any parameters reach.{words}",
-            advice="Raise the bound, or give gamma instead.",
-        ) from error
-
-
-def _weighted(
-    fits: LogFits, regularizer: str, gamma: float
-) -> tuple[IdentificationResult, list[IdentificationResult]]:
-    """The fits to all and to all but each fold, with one γ."""
-    try:
-        folds = [fits.solve(regularizer, gamma=gamma, without=f) for f in fits.folds]
-        return fits.solve(regularizer, gamma=gamma, certify=True), folds
-    except IdentificationError as error:
+        if gamma is None:
+            words = ""
+            if (least := error.evidence.get("minimum")) is not None:
+                reached = np.sqrt(least / fits.least_residual())
+                words = f" Physical bodies reach about {reached:.4g}."
+            raise IdentificationError(
+                f"No physical parameters have an RMS residual within {ratio:g} times the least "
+                f"that any parameters reach.{words}",
+                advice="Raise the bound, or give gamma instead.",
+            ) from error
+        if isinstance(error, ArgumentError):
+            raise
         blocks = [column // PARAMETERS_PER_BODY for column in error.evidence.get("columns", ())]
         where = f" ({', '.join(block_names(fits)[k] for k in blocks)})" if blocks else ""
         raise IdentificationError(
-            f"The {regularizer} regularizer with gamma {gamma:g} leads to no solution that can be "
+            f"The {name} regularizer with gamma {gamma:g} leads to no solution that can be "
             f"trusted{where}.",
             advice="Give a larger gamma; check the total mass if one is given.",
         ) from error
@@ -255,7 +228,7 @@ def _alternatives(
             parts = [fits.solve(name, gamma=own.gamma, without=f) for f in fits.folds]
         errors = error_table(fits.dataset, fits.held_out(parts))
         names = block_names(fits)
-        boundary = tuple(names[k] for k in boundary_blocks(own))
+        boundary = tuple(names[k] for k in boundary_blocks(own.fit))
         nb = len(fits.dataset.bodies)
         return Alternative(name, own.gamma, own.residual, errors, own.phi[:nb], boundary)
 
