@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.evidence import ColumnFit, ColumnModel
+from geodrake.diagnosis.columns.first_look import FirstLook
 from geodrake.diagnosis.columns.limits import nearest_limit
 from geodrake.diagnosis.columns.mistakes import Mistake, Mistakes
-from geodrake.diagnosis.columns.screen import Screen
 from geodrake.model.motor_limit import MotorLimit
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ class ColumnSearch:
 
     def __init__(self, model: ColumnModel) -> None:
         self.model = model
-        self._screen = Screen(model)
+        self._first_look = FirstLook(model)
 
     def found(self) -> list[MistakeFound]:
         """Return mistakes, one after the other; those without a kind are none of columns."""
@@ -132,7 +132,7 @@ class ColumnSearch:
         worth, is_likely = self.model.hopeful(), self._likely(base)
         found, motion = [m for m in mistakes if not m.is_seen and is_likely(m)], base.assignment
         seen = [mistake for mistake in mistakes if mistake.is_seen]
-        seen.sort(key=lambda each: -self._screen.score(each.assignment, worth))
+        seen.sort(key=lambda each: -self._first_look.score(each.assignment, worth))
         moved = [m for m in seen if m.assignment.motion_key != motion.motion_key]
         others = [m for m in seen if m not in moved and is_likely(m)]
         return [*found, *moved[:_SCREENED], *others[:_SCREENED]]

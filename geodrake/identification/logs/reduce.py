@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from geodrake.effects.base import Effect
 from geodrake.errors import LogError
 from geodrake.identification.logs.dataset import Dataset, Indices, JointData, JointRows
-from geodrake.identification.logs.effort_scale import effort_scale
 from geodrake.identification.logs.log_slices import Layout, LogSlice
 from geodrake.identification.logs.noise import known_noise
+from geodrake.identification.logs.nominal_efforts import effort_scale
 from geodrake.identification.logs.shared_rows import SharedRows
 from geodrake.identification.logs.unknowns import payload_reference
 from geodrake.inertia import PARAMETERS_PER_BODY

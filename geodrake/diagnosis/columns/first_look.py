@@ -15,7 +15,7 @@ _ROWS = 300  # samples that are looked at, evenly over the logs
 _AGREEMENT = 0.1  # of an effort's deviation: bodies of a model file are no nearer than that
 
 
-class Screen:
+class FirstLook:
     """Errors of all joints with the model's bodies, beside what is linear in each joint alone.
 
     Args:
