@@ -18,6 +18,7 @@ from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.steps import (
     INERTIA,
     StagedFinding,
+    believed,
     findings_of,
     late_joints,
     moved_bodies,
@@ -74,8 +75,8 @@ def diagnose(
         blocks=blocks,
         hold_resting=hold_resting,
     )
-    found = searched(case, beliefs)
-    start, stages = staged(found, findings_of(found))
+    found, posterior = believed(searched(case, beliefs))
+    start, stages = staged(found, findings_of(found, posterior))
     refitted, before = error_table(case.dataset, start.held_out), comparison(case)
     candidates = _candidates(case, found, stages[0], start.nrms) if stages else []
     return Diagnosis(

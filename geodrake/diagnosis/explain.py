@@ -18,7 +18,15 @@ from geodrake.diagnosis.results import Explanation, Step, Verdict
 from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.search_progress import Progress
 from geodrake.diagnosis.stated_mass import stated_mass_notes
-from geodrake.diagnosis.steps import Finding, findings_of, holds, staged, steps_of
+from geodrake.diagnosis.steps import (
+    Finding,
+    believed,
+    findings_of,
+    holds,
+    staged,
+    steps_of,
+    without,
+)
 from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
@@ -114,8 +122,10 @@ def investigate(
         progress: Called with each step.
     """
     found = searched(case, beliefs, progress=progress)
-    findings = [each for each in findings_of(found) if each.name != UnknownFunction.name]
-    return explained(case, _without_unknown(found), findings, notes=_unknown_notes(found))
+    notes = _unknown_notes(found)
+    found, posterior = believed(found)
+    findings = [e for e in findings_of(found, posterior) if e.name != UnknownFunction.name]
+    return explained(case, _without_unknown(found), findings, notes=notes)
 
 
 def explained(
@@ -167,13 +177,8 @@ def explained(
 
 def _without_unknown(found: Found) -> Found:
     """Return what was found without functions of the motion that no effect describes."""
-    fit, model = found.fit, found.model
-    kept = tuple(t for t in fit.terms if not isinstance(t.effect, UnknownFunction))
-    if len(kept) == len(fit.terms):
-        return found
-    choice = model.choice(kept, fit.choice.width, fit.choice.delay)
-    known = model.fit(choice, model.shares(fit), fit.variance, bounded=False)
-    return found if known is None else replace(found, fit=known)
+    unknown = [term for term in found.fit.terms if isinstance(term.effect, UnknownFunction)]
+    return without(found, unknown)
 
 
 def _unknown_notes(found: Found) -> list[str]:

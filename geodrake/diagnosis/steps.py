@@ -53,13 +53,41 @@ class Finding:
     certainty: Certainty
 
 
-def findings_of(found: Found) -> list[Finding]:
+def believed(found: Found) -> tuple[Found, Posterior]:
+    """Return what was found without terms that are less probable than nothing in their place."""
+    while True:
+        posterior = Posterior(found.model, found.fit)
+        told = {term: posterior.of_terms([term]) for term in found.fit.terms}
+        doubted = [term for term, each in told.items() if each.probability < each.chance]
+        if not doubted:
+            return found, posterior
+        least = min(doubted, key=lambda term: told[term].probability)
+        less = without(found, [least])
+        if less is found:
+            return found, posterior
+        found = less
+
+
+def without(found: Found, gone: Sequence[Term]) -> Found:
+    """Return what was found without some of its terms, if the others may be without them."""
+    fit, model = found.fit, found.model
+    kept = tuple(term for term in fit.terms if term not in gone)
+    if not gone or not model.are_compatible(kept):
+        return found
+    choice = model.choice(kept, fit.choice.width, fit.choice.delay)
+    known = model.fit(choice, model.shares(fit), fit.variance, bounded=False)
+    return found if known is None else replace(found, fit=known)
+
+
+def findings_of(found: Found, posterior: Posterior | None = None) -> list[Finding]:
     """Return each finding of a search once.
 
     Args:
         found: The search.
+        posterior: Its probabilities, if they are known already.
     """
-    posterior, names = Posterior(found.model, found.fit), dict[str, list[Term]]()
+    names = dict[str, list[Term]]()
+    posterior = Posterior(found.model, found.fit) if posterior is None else posterior
     for term in found.fit.terms:
         names.setdefault(term.name, []).append(term)
     findings = [Finding(n, tuple(t), posterior.of_terms(t)) for n, t in names.items()]
