@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,21 +70,46 @@ class ColumnSearch:
 
     def found(self) -> list[MistakeFound]:
         """Return mistakes, one after the other; those without a kind are none of columns."""
-        model, steps = self.model, list[MistakeFound]()
+        model, steps, settled = self.model, list[MistakeFound](), set[Hashable]()
         base = model.fit(Assignment.as_named(len(model.parameters.model.joints)), model.hopeful())
         for _ in range(_MOST):
-            step = self._step(base)
+            step = self._step(base, settled)
             if step is None:
                 break
-            _take(steps, step)
+            if _take(steps, step):
+                settled.add(_place(step.best))
             base, found = step.best.fit, step.best.fit.assignment
             if step.best.mistake.kind and found.apart | found.unknown:
                 # What seemed unknown before may be another mistake beside this one.
                 known = replace(found, apart=frozenset(), unknown=frozenset())
                 base = model.fit(known, model.hopeful(), base)
-        return steps
+        return self._together(steps, base)
 
-    def _step(self, base: ColumnFit) -> MistakeFound | None:
+    def _together(self, steps: list[MistakeFound], end: ColumnFit) -> list[MistakeFound]:
+        """Return gains that were found one by one as one mistake, where that is more probable."""
+        gains = [step for step in steps if step.best.mistake.kind == "effort_gain"]
+        if len(gains) < 2:
+            return steps
+        model, first, after = self.model, gains[0], end.assignment
+        ratio, at = after.gain / first.before.assignment.gain, model.parameters.gains()
+        if (ratio <= 0.0).any() or (after.effort != first.before.assignment.effort).any():
+            return steps
+        moved = np.zeros(len(end.x))
+        moved[at] = -np.log(ratio)
+        mistake = Mistake("effort_gains", (), after, tuple(at.tolist()), moved)
+        mistakes = Mistakes(model, first.before).all()
+        prices = dict(zip(mistakes, _prices(mistakes, model.beliefs), strict=True))
+        price = next((prices[m] for m in mistakes if m.kind == "effort_gains"), np.inf)
+        worth = model.worth(end)
+        one = self._again(Judged(mistake, end, 0.0), worth, price)
+        plain = model.fit(first.before.assignment, worth, first.before)
+        if one.score - plain.score <= sum(step.gain for step in gains):
+            return steps
+        chance = 1.0 / (1.0 + np.exp(-0.5 * min(one.score - plain.score, 1e3)))
+        found = replace(first, best=one, gain=one.score - plain.score, probability=float(chance))
+        return [found if step is first else step for step in steps if step not in gains[1:]]
+
+    def _step(self, base: ColumnFit, settled: Set[Hashable]) -> MistakeFound | None:
         """Return the most probable mistake beside those of a fit; None if none is."""
         model, worth = self.model, self.model.hopeful()
         mistakes = Mistakes(model, base).all()
@@ -93,6 +118,8 @@ class ColumnSearch:
         first += [self._moved(each, worth, prices) for each in first if each.mistake.free]
         places = dict[Hashable, Judged]()
         for each in sorted(first, key=_score, reverse=True):
+            if each.mistake.kind and _place(each) in settled:
+                continue
             places.setdefault((_place(each), each.mistake.sizes), each)
         plain = model.fit(base.assignment, worth, base)
         least = plain.score + _HOPELESS
@@ -241,15 +268,20 @@ class ColumnSearch:
         return replace(mistake, assignment=start.limited(j, nearest_limit(start.limit_of(j), cost)))
 
 
-def _take(steps: list[MistakeFound], step: MistakeFound) -> None:
-    """Add a step; gains that are corrected again are one mistake with the former."""
-    at = [k for k, each in enumerate(steps) if each.best.mistake.kind == "effort_gains"]
-    if not at or step.best.mistake.kind not in _GAINS:
-        steps.append(step)
-        return
-    former = steps[at[0]]
-    best = replace(former.best, fit=step.best.fit)
-    steps[at[0]] = replace(former, best=best, gain=former.gain + step.gain)
+def _take(steps: list[MistakeFound], step: MistakeFound) -> bool:
+    """Add a step, or correct a former one; return whether it is one that was found before.
+
+    Gains that are corrected again are one mistake with the former.
+    """
+    for k, former in enumerate(steps):
+        is_gain = former.best.mistake.kind == "effort_gains" and step.best.mistake.kind in _GAINS
+        is_again = step.best.mistake.kind and _place(former.best) == _place(step.best)
+        if is_gain or is_again:
+            best = replace(former.best, fit=step.best.fit)
+            steps[k] = replace(former, best=best, gain=former.gain + step.gain)
+            return True
+    steps.append(step)
+    return False
 
 
 def _score(judged: Judged) -> float:
