@@ -21,7 +21,7 @@ class Beliefs:
         rarer: How much rarer an effect is than one that is less complex by one.
         again: Odds against an effect at one joint more of a robot that has it elsewhere.
         shape: Values among which the data choose a shape parameter, such as an exponent.
-        order: Values among which they choose one that is found in a spectrum.
+        order: Values among which they choose one that is found in a spectrum, or an instant.
         delays: Delays among which they choose.
         widths: How well a model file knows its bodies, as geometric distances: each is tried.
         wrong: Widths above this one mean that the file is wrong.

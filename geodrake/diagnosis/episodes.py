@@ -110,10 +110,12 @@ def episode_notes(case: Case, model: RobotModel) -> list[str]:
             where = f" of {log.name}" if len(case.trajectories) > 1 else ""
             edges = [edge for edge in effect.window[:2] if edge is not None]
             clock = " and ".join(f"{log.began + edge:.2f} s" for edge in edges)
-            by_clock = f", which is {clock} by its clock" if abs(log.began) >= _LATE else ""
+            by_clock = f"; by its clock that is {clock}" if abs(log.began) >= _LATE else ""
             if where or by_clock:
                 what = f"{effect.name} of {effect.place}"
-                found.append(f"{what} counts from the beginning{where or ' of the log'}{by_clock}")
+                found.append(
+                    f"times of {what} count from the beginning{where or ' of the log'}{by_clock}"
+                )
     return found
 
 

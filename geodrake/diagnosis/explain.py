@@ -122,10 +122,9 @@ def investigate(
         progress: Called with each step.
     """
     found = searched(case, beliefs, progress=progress)
-    notes = _unknown_notes(found)
     found, posterior = believed(found)
     findings = [e for e in findings_of(found, posterior) if e.name != UnknownFunction.name]
-    return explained(case, _without_unknown(found), findings, notes=notes)
+    return explained(case, _without_unknown(found), findings, notes=_unknown_notes(found))
 
 
 def explained(

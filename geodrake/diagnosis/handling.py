@@ -107,8 +107,10 @@ def is_short(case: Case, effect: Effect | None) -> bool:
     if not isinstance(effect, Episode) or effect.proposer is not Proposer.HANDLING:
         return False
     start, end, _, number = effect.window
-    logs = [log for log in case.trajectories if log_number(log.name) == number]
-    last = max((float(log.segments[-1][-1:].time[0] - log.began) for log in logs), default=np.inf)
+    logs = [log for log in case.trajectories if number in (0, log_number(log.name))]
+    if not logs:
+        return False
+    last = max(float(log.segments[-1][-1:].time[0] - log.began) for log in logs)
     there = (last if end is None else end) - (0.0 if start is None else start)
     return there <= MOST_TIME * last
 

@@ -413,8 +413,10 @@ class LogModel:
         """Return (nv, nv) second moments of the gains' errors, as prior and data have them."""
         first = len(self.unknowns.columns)
         at = np.arange(first, first + len(self.rows))
-        mean = fit.x[at]
-        return np.linalg.inv(fit.hessian)[np.ix_(at, at)] + np.outer(mean, mean)
+        mean, scale = fit.x[at], 1.0 / np.sqrt(np.diag(fit.hessian))
+        scaled = fit.hessian * scale[:, None] * scale + _RIDGE * np.eye(len(scale))
+        covariance = np.linalg.solve(scaled, np.eye(len(scale))[:, at])[at]
+        return covariance * scale[at, None] * scale[at] + np.outer(mean, mean)
 
     def span(self, fit: Fit, term: Term) -> slice:
         """Return where the parameters of a term of a fit are among its own."""

@@ -61,9 +61,10 @@ def believed(found: Found) -> tuple[Found, Posterior]:
         doubted = [term for term, each in told.items() if each.probability < each.chance]
         if not doubted:
             return found, posterior
-        least = min(doubted, key=lambda term: told[term].probability)
-        less = without(found, [least])
-        if less is found:
+        doubted.sort(key=lambda term: told[term].probability)
+        fewer = (without(found, [term]) for term in doubted)
+        less = next((each for each in fewer if each is not found), None)
+        if less is None:  # others need what is doubted
             return found, posterior
         found = less
 

@@ -15,6 +15,7 @@ _STILL = 2e-3  # rad or m, where no joint of its kind moves
 _SAMPLES = 100_000  # of a log, by which its noise is judged
 _WIDTH = 9.0  # deviations of noise between the least and the largest of very many samples
 _WALK = 4.0  # deviations of a random walk's end, beyond which next to none gets
+_COARSE = 0.02  # rad or m: no encoder's steps are that far apart
 _STEPS = 3.5  # of an encoder, between which a position at rest may change
 
 
@@ -80,7 +81,9 @@ def _width(position: Array) -> float:
     """Return the width of the range that noise and steps of an encoder make at rest."""
     changes = np.abs(np.diff(position))
     step = float(changes.min(initial=np.inf, where=changes > 0.0))
-    return max(_WIDTH * _white_noise(position), _STEPS * step if np.isfinite(step) else 0.0)
+    return max(
+        _WIDTH * _white_noise(position), min(_STEPS * step, _COARSE) if np.isfinite(step) else 0.0
+    )
 
 
 def _white_noise(signal: Array) -> float:

@@ -10,6 +10,7 @@ from geodrake.logs.motion import JointLog
 Array = NDArray[np.float64]
 
 _NO_NOISE = 0.3  # rad or m: no position's noise reaches so far
+_ENOUGH_ROWS = 30  # that tell an order
 _LIKE_NOISE = 0.5  # mean squared step between rows, over twice the variance: 1 of random order
 _LARGEST = 1e100  # of efforts that are compared with limits
 _LEAST_LIMIT = 1e-9  # N·m or N: no motor is that weak
@@ -62,7 +63,7 @@ def position_unit_hint(log: JointLog) -> str | None:
 def row_order_hint(log: JointLog) -> str | None:
     """Return a sentence for the user if rows are not in the order of time; else None."""
     rows = log.position[np.isfinite(log.position).all(axis=1)][:_ROWS]
-    if len(rows) < 3:
+    if len(rows) < _ENOUGH_ROWS:
         return None
     reach, steps = np.ptp(rows, axis=0), np.diff(rows, axis=0)
     ratio = np.mean(steps**2, axis=0) / np.maximum(2.0 * rows.var(axis=0), 1e-300)

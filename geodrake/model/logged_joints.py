@@ -66,8 +66,8 @@ def holding_resting(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
     return holding(
         model,
         places,
-        why="in a model that is saved too, as they hardly move in any log and dry friction at rest "
-        "may be anything (--no-auto-lock keeps them, hold_resting=False in Python)",
+        why="as they hardly move in any log, and dry friction at rest may be anything; a saved "
+        "model holds them too (--no-auto-lock keeps them free, hold_resting=False in Python)",
     )
 
 

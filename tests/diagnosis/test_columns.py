@@ -116,6 +116,15 @@ def test_efforts_without_the_motion_in_them_are_no_mistake_of_a_kind(pendulum, r
             assert found.probability < 0.9
 
 
+def test_dry_friction_alone_is_no_limit_of_a_motor(pendulum, right):
+    """Efforts that are about the same all the time look cut off."""
+    rng, v = np.random.default_rng(1), right.velocity
+    own = 0.02 * rng.normal(size=v.shape) + 0.3 * np.tanh(v / 0.005)
+    effort = np.column_stack([right.effort[:, 0], own[:, 1]])
+    kinds = [found.kind for found in check_columns(pendulum, [replace(right, effort=effort)])]
+    assert "effort_limit" not in kinds
+
+
 @pytest.mark.parametrize("velocity", ["in degrees", "in radians", "none"])
 def test_degrees_at_all_joints_are_one_mistake(pendulum, right, velocity):
     factor = 180.0 / np.pi

@@ -126,7 +126,7 @@ def test_is_none_of_another_log(pendulum):
     assert [step.effect for step in again.steps] == ["temporary_payload"]
     (told,) = [note for note in again.notes if "clock" in note]
     assert place in told
-    assert "which is 1009.0" in told or "which is 1008.9" in told
+    assert "that is 1009.0" in told or "that is 1008.9" in told
 
 
 def test_ordinary_logs_show_none(pendulum):

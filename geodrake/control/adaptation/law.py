@@ -104,6 +104,8 @@ class UpdateLaw(abc.ABC):
         sizes: Sizes = {}
         truth = real_array(truth, "truth", self._shape, sizes)
         estimates = real_array(parameters, "parameters", ("...", *self._shape), sizes)
+        for each in (truth, *estimates.reshape(-1, truth.size)):
+            self._check_inside(each)
         return self.calc_parameter_error(truth, estimates)
 
     @property
@@ -117,13 +119,17 @@ class UpdateLaw(abc.ABC):
         sizes: Sizes = {}
         p = real_array(parameters, "parameters", self._shape, sizes)
         more = real_array(more, name, (*axes, *self._shape), sizes)
+        self._check_inside(p)
+        return p, more
+
+    def _check_inside(self, p: Array) -> None:
+        """Refuse parameters (n,) that the law cannot move."""
         if not self.calc_contains(p):
             raise ArgumentError(
                 f"parameters must be inside of the law's manifold; they are {p.tolist()}.",
                 advice="Start inside, and take geodesic steps or shorter ones.",
                 name="parameters",
             )
-        return p, more
 
     def calc_contains(self, parameters: Array) -> bool:
         """Kernel of `contains`, of finite estimates."""

@@ -42,11 +42,11 @@ def check_columns(
         model: The model as it stands.
         logs: Logs or their files, all recorded alike.
         bandwidth: Bandwidth of the filter, Hz; by default chosen from the motion.
-        blocks: Blocks into which every log is cut.
+        blocks: Blocks into which every log is cut, within which residuals are correlated.
 
     Returns:
-        What is wrong, in the order in which to correct it; nothing if the columns are right, or
-        if the logs do not tell.
+        What is wrong, in the order in which to correct it; nothing if the columns are right, if
+        the logs do not tell, or if an effort never changes, which fits refuse.
 
     Raises:
         LogError: A log cannot be used.

@@ -47,6 +47,9 @@ USUAL_RANGE, USUAL_RATE, USUAL_SPREAD = 2.0, 200.0, 1.5
 """So far joints turn, rad, and so often logs are sampled, 1/s, with the deviation of logarithms:
 hardly any joint turns by 0.02 or by 200 rad, hardly any log has 2 or 20,000 samples a second."""
 
+LEAST_RANGE = 0.02
+"""A joint that turns by less, rad, is at rest, whatever its unit."""
+
 _ROUNDS = 12  # of a fit, in which weights and what gains act on change
 _HOPED = 0.03  # error over the deviation of efforts, that a fit begins with where none is near
 _SETTLED = 1e-3  # change of the logarithm of the noise
@@ -169,7 +172,7 @@ class ColumnModel:
         model = self.parameters.model
         turns = [joint not in model.sliding_joints for joint in model.joints]
         reach = np.abs(assignment.scale) * np.ptp(self.samples.q, axis=0)[assignment.position]
-        found = np.append(np.maximum(reach[turns], 1e-12) / USUAL_RANGE, 1.0)
+        found = np.append(np.maximum(reach[turns], LEAST_RANGE) / USUAL_RANGE, 1.0)
         found[-1] = self._rate / assignment.time / USUAL_RATE
         far = np.log(found) / USUAL_SPREAD
         return -float(far @ far)

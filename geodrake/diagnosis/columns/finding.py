@@ -24,7 +24,7 @@ class ColumnFinding:
         gain: Twice the logarithm of its odds against no mistake.
         probability: That of this mistake, among it, none and its rivals.
         rivals: Other mistakes that may be in its place, in words, with their probabilities.
-        error_before: nrms of a quick fit without it, on held-out data.
+        error_before: nrms of a quick fit without it, on the samples that were fitted.
         error_after: nrms of the same with it corrected.
         words: What is wrong, in a clause.
         advice: What corrects it, in a sentence; empty where no column can.

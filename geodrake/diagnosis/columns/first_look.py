@@ -45,7 +45,7 @@ class FirstLook:
 
     def _moments_of(self, assignment: Assignment) -> tuple[Array, Array, Array]:
         """Mean squares (n,) of needed efforts, and products and mean squares (n, n) of columns."""
-        key = assignment.motion_key
+        key = (*assignment.motion_key, *sorted(assignment.signs))
         if key not in self._moments:
             self._moments[key] = self._moments_at(assignment)
         return self._moments[key]
@@ -54,13 +54,15 @@ class FirstLook:
         samples, rows = self._model.samples, self._rows
         q, v, vd = (part[rows] for part in joint_motion(samples, assignment))
         load = self._model.needed_by_model(assignment, rows)
-        n = q.shape[1]
+        n, efforts = q.shape[1], samples.effort[rows]
+        for source, signs in assignment.signs.items():
+            efforts[:, source] *= signs[rows]
         needed, products, powers = np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
         for j in range(n):
             used = samples.used[rows, assignment.position[j]]
             beside = [np.ones(used.sum()), v[used, j], np.sign(v[used, j]), vd[used, j]]
             Q, _ = np.linalg.qr(np.column_stack(beside))
-            both = np.column_stack([load[used, j], samples.effort[rows][used]])
+            both = np.column_stack([load[used, j], efforts[used]])
             both -= Q @ (Q.T @ both)
             needed[j] = np.mean(both[:, 0] ** 2)
             products[j], powers[j] = (

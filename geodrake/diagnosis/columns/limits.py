@@ -17,25 +17,28 @@ from geodrake.model.motor_limit import MotorLimit
 
 Array = NDArray[np.float64]
 
-_SHARES = (0.5, 0.7, 0.8, 0.9, 0.95, 0.98)  # of the efforts are below a limit that is tried
+_SHARES = (0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98)  # of the efforts are below a limit that is tried
 _SPEEDS = (1.2, 1.7, 2.5, 4.0)  # of the fastest speed, at which a motor gives nothing
 _FEWEST = 0.02  # of the samples that are beyond a limit, for it to be seen
 _LEAST = 0.1  # of them that are not: else nothing says what the motor gives
-_STEPS = 40  # evaluations of the search for a limit's numbers
+_SEEN = 9.0  # times the error: mean square beyond a limit, for it to be seen
+_STEPS = 60  # evaluations of the search for a limit's numbers
 
 
 def spread(error: float, beyond: tuple[float, float]) -> float:
     """Mean square of a joint's errors, those of samples beyond its limit counted as they are.
 
     A sample within the limit has the density of the error, one beyond it that of what was asked
-    for too much. The mean of the logarithms is that of this value.
+    for too much, which no less than three deviations of the error tell from noise. The mean of the
+    logarithms is that of this value.
 
     Args:
         error: Mean squared error of given efforts, (N·m)² or N².
         beyond: Share and mean square, as of `MotorLimit.beyond`.
     """
     share, square = beyond
-    return float(error ** (1.0 - share) * max(square, error) ** share)
+    within = error / max(1.0 - share, _LEAST)
+    return float(within ** (1.0 - share) * max(square, _SEEN * within) ** share)
 
 
 def likely_limits(asked: Array, needed: Array, velocity: Array) -> tuple[MotorLimit, ...]:
@@ -60,9 +63,10 @@ def likely_limits(asked: Array, needed: Array, velocity: Array) -> tuple[MotorLi
     found = []
     for kind in (flat, falling):
         costs = [_cost(limit, asked, needed, velocity) for limit in kind]
-        if costs and min(costs) < without:
+        if costs and np.isfinite(min(costs)):
             first = kind[int(np.argmin(costs))]
-            found.append(nearest_limit(first, lambda x: _cost(x, asked, needed, velocity)))
+            limit = nearest_limit(first, lambda x: _cost(x, asked, needed, velocity))
+            found += [limit] if _cost(limit, asked, needed, velocity) < without else []
     return tuple(found)
 
 

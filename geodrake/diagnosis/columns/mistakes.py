@@ -263,7 +263,7 @@ def velocity_factors(model: ColumnModel, base: ColumnFit) -> Array:
     at = start.position
     measured = samples.rate[:, at] * start.rate
     v = samples.v[:, at] * start.scale / start.time
-    moving = np.mean(v**2, axis=0) > samples.width[at] ** 2
+    moving = np.mean(samples.v[:, at] ** 2, axis=0) > samples.width[at] ** 2
     slope = np.sum(measured * v, axis=0) / np.where(moving, np.sum(v**2, axis=0), 1.0)
     return np.where(moving & (np.abs(slope) > _LEAST_FACTOR), slope, np.nan)
 
@@ -289,8 +289,8 @@ def own_gains(model: ColumnModel, base: ColumnFit) -> tuple[Array, Array]:
         s = start.gain[j] * design.X[:, m + 1 + start.effort[j]]
         load, s = (values - Q @ (Q.T @ values) for values in (load, s))
         product, power, strength = float(s @ load), float(s @ s), float(load @ load)
-        shares[j] = product**2 / max(power * strength, 1e-300)
+        shares[j] = product**2 / max(power * strength, 1e-300) * power / len(s)
         # Of two directions of a regression, the one with which noise of the effort does not count.
         if abs(product) > 1e-9 * np.sqrt(power * strength) and strength > 0.0:
             gains[j] = strength / product
-    return gains, shares * base.mse
+    return gains, shares

@@ -42,7 +42,6 @@ class ColumnSamples:
         rate: (N, n) measured velocities; None where a log has none.
         used: (N, n) whether the joint of a position's column moves one way.
         width: (n,) speed below which the direction of motion is not known.
-        fold: (N,) fold of each sample.
         block: (N,) block of time without gaps that it is in.
         log: (N,) index of its trajectory.
         trajectories: The prepared logs.
@@ -57,7 +56,6 @@ class ColumnSamples:
     rate: Array | None
     used: NDArray[np.bool_]
     width: Array
-    fold: NDArray[np.intp]
     block: NDArray[np.intp]
     log: NDArray[np.intp]
     trajectories: tuple[Trajectory, ...]
@@ -65,11 +63,6 @@ class ColumnSamples:
 
     def __len__(self) -> int:
         return len(self.q)
-
-    @cached_property
-    def folds(self) -> int:
-        """Number F of folds."""
-        return int(self.fold.max()) + 1
 
     @cached_property
     def gain_deviations(self) -> Array:
@@ -105,10 +98,10 @@ def column_samples(
     """
     width = sign_widths(model, trajectories)
     still = STILL_SPEED * peak_speeds(trajectories)
-    blocks = [(f, block) for f, fold in enumerate(folds) for block in fold.blocks]
-    stride = max(1, -(-sum(len(block) for _, block in blocks) // _MOST))
+    blocks = [block for fold in folds for block in fold.blocks]
+    stride = max(1, -(-sum(len(block) for block in blocks) // _MOST))
     speed = np.maximum(width, still)
-    parts = [_block(trajectories[b.trajectory], b, speed, stride) for _, b in blocks]
+    parts = [_block(trajectories[b.trajectory], b, speed, stride) for b in blocks]
     counts = [len(part[0]) for part in parts]
     q, v, vd, effort, direction = (np.concatenate([part[i] for part in parts]) for i in range(5))
     one_way = np.abs(direction)
@@ -122,9 +115,8 @@ def column_samples(
         _joined([part[5] for part in parts]),
         one_way >= least,
         width,
-        np.repeat([f for f, _ in blocks], counts),
         np.repeat(np.arange(len(blocks)), counts),
-        np.repeat([b.trajectory for _, b in blocks], counts),
+        np.repeat([b.trajectory for b in blocks], counts),
         trajectories,
         _keeps_sign(trajectories),
     )

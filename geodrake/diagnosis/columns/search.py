@@ -19,7 +19,7 @@ from geodrake.model.motor_limit import MotorLimit
 Array = NDArray[np.float64]
 
 _GAINS = ("effort_gains", "effort_gain", "effort_unit", "effort_sign")
-_MOST = 8  # steps of a search
+_MOST = 6  # mistakes of a log
 _SCREENED, _FINALISTS = 24, 8  # of motion and of efforts, that are fitted, and to the end
 _HOPELESS = -12.0  # score beside that of no mistake: less is not fitted to the end
 _PROMISING = 4  # joints whose gains, zeros or unknown efforts are looked for
@@ -72,9 +72,9 @@ class ColumnSearch:
         """Return mistakes, one after the other; those without a kind are none of columns."""
         model, steps, settled = self.model, list[MistakeFound](), set[Hashable]()
         base = model.fit(Assignment.as_named(len(model.parameters.model.joints)), model.hopeful())
-        for _ in range(_MOST):
+        for _ in range(_MOST + 2 * len(base.mse)):
             step = self._step(base, settled)
-            if step is None:
+            if step is None or sum(bool(each.best.mistake.kind) for each in steps) == _MOST:
                 break
             if _take(steps, step):
                 settled.add(_place(step.best))
@@ -278,7 +278,8 @@ def _take(steps: list[MistakeFound], step: MistakeFound) -> bool:
         is_again = step.best.mistake.kind and _place(former.best) == _place(step.best)
         if is_gain or is_again:
             best = replace(former.best, fit=step.best.fit)
-            steps[k] = replace(former, best=best, gain=former.gain + step.gain)
+            least = min(former.probability, step.probability)
+            steps[k] = replace(former, best=best, gain=former.gain + step.gain, probability=least)
             return True
     steps.append(step)
     return False

@@ -13,8 +13,8 @@ _SAID = {
     "without_friction": "friction has been taken out of the efforts already",
     "without_rotor_inertia": "the rotors' inertia has been taken out of the efforts already",
     "effort_magnitude": (
-        "the efforts of {} never change their sign, though the motion needs both: they are "
-        "magnitudes"
+        "the efforts of {} never change their sign, though the motion needs both: they "
+        "are magnitudes"
     ),
 }
 _GEARED = 5.0  # all gains beyond it are those of gears and of motor constants
@@ -59,11 +59,9 @@ def _effort_words(kind: str, where: str, values: Sequence[float], *, all_joints:
     if kind == "effort_gains":
         gains = ", ".join(f"{value:.3g}" for value in values)
         side = ": torques of the motors, or currents" if min(map(abs, values)) > _GEARED else ""
-        return (
-            f"the efforts of every joint are to be multiplied by a number of its own, {gains}{side}"
-        )
+        return f"the efforts of each joint must be multiplied by a number of its own, {gains}{side}"
     own = f"one number, {factor:.3g}" if all_joints else f"{factor:.3g}"
-    return f"the efforts of {where} are to be multiplied by {own}, for the bodies to need them"
+    return f"the efforts of {where} must be multiplied by {own} to match what the bodies need"
 
 
 def _position_words(kind: str, where: str, factor: float) -> str:
