@@ -1,12 +1,9 @@
 """Calls of everything that the packages export, made from signatures, with one wrong argument each.
 
-    python tests/hostile/calls.py [--only WORDS]
-
-counts how they end. A call gets good values by the names and types in its signature, as
-`good_values` has them; then one argument at a time is spoiled, in every way that its kind can be.
+A call gets good values by the names and types in its signature, as `good_values` has them; then one
+argument at a time is spoiled, in every way that its kind can be.
 """
 
-import argparse
 import importlib
 import inspect
 import pathlib
@@ -15,15 +12,13 @@ import re
 import traceback
 import types
 import warnings
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, is_dataclass, replace
 from functools import cache
 
 import numpy as np
-from good_values import BY_CALL, BY_NAME, BY_TYPE, PHI, Fresh, pendulum
+from good_values import BY_CALL, BY_KIND, BY_NAME, BY_TYPE, PHI, Fresh, pendulum
 from hostile import HangError, limited
-from programs import apart
 from pydrake.systems.framework import DiagramBuilder, System
 
 import geodrake
@@ -183,7 +178,7 @@ def good_arguments(name, function):
             except MissingError:
                 if with_default:
                     continue
-                raise MissingError(f"{key}: {parameter.annotation}") from None
+                value = by_kind(str(parameter.annotation))
         if value is not None:
             found[key] = value
     return found
@@ -250,9 +245,16 @@ def by_type(annotation):
             except MissingError:
                 continue
             return Fresh(lambda one=one: (plain(one),)) if isinstance(one, Fresh) else (one,)
-        with_suppressed = made_or_none(kind)
-        if with_suppressed is not None:
-            return with_suppressed
+        if (found := made_or_none(kind)) is not None:
+            return found
+    raise MissingError(annotation)
+
+
+def by_kind(annotation):
+    """A value of a number, words or an array, of whatever size."""
+    for words, value in BY_KIND.items():
+        if re.search(words, annotation):
+            return value
     raise MissingError(annotation)
 
 
@@ -534,33 +536,3 @@ def outcomes(call) -> Iterator[tuple[str, str, str, str]]:
     """Argument, wrong value, end and words of every wrong call of a function."""
     for argument, wrong in wrong_calls(call):
         yield argument, wrong.words, *ended(call, argument, wrong)
-
-
-def outcomes_apart(call) -> Iterator[tuple[str, str, str, str]]:
-    """The same in processes of their own, as some calls once ended theirs."""
-    found = apart(lambda: list(outcomes(call)), 10 * SECONDS)
-    if not isinstance(found, str):
-        yield from found
-        return
-    for argument, wrong in wrong_calls(call):
-        end = apart(lambda each=(argument, wrong): ended(call, *each), SECONDS)
-        yield argument, wrong.words, *((end, "the process ended") if isinstance(end, str) else end)
-
-
-def main():
-    """Count how all calls end, and show those that do not end well."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--only", default="", help="words in the names of callables")
-    options = parser.parse_args()
-    counts, (calls, none) = Counter(), good_calls()
-    called = [call for name, call in calls.items() if options.only in name]
-    for call in called:
-        for argument, words, end, told in outcomes_apart(call):
-            counts[end] += 1
-            if end not in HELD:
-                print(f"{call.name}({argument} = {words}): {end}: {told}")
-    print(len(called), "callables", dict(counts), "; no call of", none)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,8 +1,11 @@
 """Wrong calls of everything exported: they end in an error of geodrake, or in a finite result."""
 
+import time
+
 import numpy as np
 import pytest
 from calls import HELD, UNCALLED, Call, ended, exports, good_calls, outcomes
+from hostile import HangError, limited
 
 from geodrake.boundary.arguments import instances, integer, number, one_or_each, real_array
 from geodrake.errors import ArgumentError
@@ -101,3 +104,11 @@ def test_a_call_that_is_believed_is_noticed():
 def test_messages_name_what_is_expected_and_what_came(check, message):
     with pytest.raises(ArgumentError, match=message):
         check()
+
+
+def test_limits_of_time_count_the_processor():
+    with pytest.raises(HangError, match="spin has not ended: SIGPROF"), limited("spin", 0.1):
+        while True:
+            pass
+    with limited("a wait", 0.1):
+        time.sleep(0.3)
