@@ -24,7 +24,6 @@ from hostile import (
     changed,
     contents,
     environment,
-    fill,
     link,
     read_json,
     run_forked,
@@ -94,13 +93,6 @@ def test_row(row, tmp_path):
     row.check(tmp_path)
 
 
-@pytest.fixture
-def kept(tmp_path, monkeypatch):
-    fill(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 def fail_at(monkeypatch, number, error):
     """Let the renaming of files fail at one of them."""
     numbers, rename = itertools.count(1), Path.replace
@@ -122,11 +114,11 @@ DISK = OSError(errno.EIO, "Input/output error")
     ("number", "error", "links"),
     [*product((1, 2, 3), (DISK, KeyboardInterrupt()), (True,)), (3, DISK, False)],
 )
-def test_where_one_file_cannot_be_renamed_none_is_new(kept, monkeypatch, number, error, links):
+def test_where_one_file_cannot_be_renamed_none_is_new(filled, monkeypatch, number, error, links):
     def no_links(*_):
         raise OSError(errno.EPERM, "Operation not permitted")
 
-    before = contents(kept)
+    before = contents(filled)
     if not links:  # what was there is copied
         monkeypatch.setattr(Path, "hardlink_to", no_links)
     fail_at(monkeypatch, number, error)
@@ -134,15 +126,15 @@ def test_where_one_file_cannot_be_renamed_none_is_new(kept, monkeypatch, number,
     is_disk = error is DISK
     assert (code, out) == (2 if is_disk else 130, "")
     assert "Input/output error" in err if is_disk else err == "Interrupted.\n"
-    assert contents(kept) == before
+    assert contents(filled) == before
 
 
-def test_a_file_that_was_not_there_is_not_there_after_a_failure(kept, monkeypatch):
-    before = contents(kept)
+def test_a_file_that_was_not_there_is_not_there_after_a_failure(filled, monkeypatch):
+    before = contents(filled)
     fail_at(monkeypatch, 2, DISK)
     with pytest.raises(OutputError, match="Input/output error"):
-        write_together({kept / "new.json": "1", kept / "kept.html": "2"})
-    assert contents(kept) == before
+        write_together({filled / "new.json": "1", filled / "kept.html": "2"})
+    assert contents(filled) == before
 
 
 @pytest.mark.parametrize(
@@ -150,55 +142,55 @@ def test_a_file_that_was_not_there_is_not_there_after_a_failure(kept, monkeypatc
     [("new.html", Path.mkdir, "is a folder"), ("robot.urdf", Path.unlink, "is gone")],
 )
 def test_what_changes_during_the_work_is_noticed_before_files_are_written(
-    name, change, says, kept, monkeypatch
+    name, change, says, filled, monkeypatch
 ):
     to_json = session.to_json
 
     def meanwhile(numbers):
-        change(kept / name)
+        change(filled / name)
         return to_json(numbers)
 
     monkeypatch.setattr(session, "to_json", meanwhile)
-    before = contents(kept)
+    before = contents(filled)
     code, _, err = run_here([*COMPARE, *NEW])
     assert code == 2
     assert says in err
-    assert changed(before, contents(kept)) == {name}
+    assert changed(before, contents(filled)) == {name}
 
 
-def test_permissions_stay_and_links_are_written_through(kept):
-    (kept / "there").mkdir()
-    (kept / "kept.json").rename(kept / "there" / "real.json")
-    (kept / "kept.json").symlink_to("there/real.json")
-    (kept / "new.html").symlink_to("there/later.html")
+def test_permissions_stay_and_links_are_written_through(filled):
+    (filled / "there").mkdir()
+    (filled / "kept.json").rename(filled / "there" / "real.json")
+    (filled / "kept.json").symlink_to("there/real.json")
+    (filled / "new.html").symlink_to("there/later.html")
     modes = {"kept.yaml": 0o640, "there/real.json": 0o604}
     for name, mode in modes.items():
-        (kept / name).chmod(mode)
+        (filled / name).chmod(mode)
     code, _, err = run_here([*COMPARE, *NEW])
     assert code == 0, err
     for name, mode in modes.items():
-        assert stat.S_IMODE((kept / name).stat().st_mode) == mode
-    assert (kept / "kept.json").readlink() == Path("there/real.json")
-    assert read_json(kept / "there" / "real.json")["command"] == "compare"
-    assert (kept / "new.html").readlink() == Path("there/later.html")
-    assert (kept / "there" / "later.html").is_file()
-    assert sorted(p.name for p in (kept / "there").iterdir()) == ["later.html", "real.json"]
+        assert stat.S_IMODE((filled / name).stat().st_mode) == mode
+    assert (filled / "kept.json").readlink() == Path("there/real.json")
+    assert read_json(filled / "there" / "real.json")["command"] == "compare"
+    assert (filled / "new.html").readlink() == Path("there/later.html")
+    assert (filled / "there" / "later.html").is_file()
+    assert sorted(p.name for p in (filled / "there").iterdir()) == ["later.html", "real.json"]
 
 
-def test_new_files_have_the_permissions_that_the_user_wants(kept):
+def test_new_files_have_the_permissions_that_the_user_wants(filled):
     before = os.umask(0o027)
     try:
-        write_whole(kept / "new.json", "{}")
+        write_whole(filled / "new.json", "{}")
     finally:
         os.umask(before)
-    assert stat.S_IMODE((kept / "new.json").stat().st_mode) == 0o640
+    assert stat.S_IMODE((filled / "new.json").stat().st_mode) == 0o640
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
-def test_the_owner_stays(kept):
-    os.chown(kept / "kept.json", 12345, 23456)
-    write_whole(kept / "kept.json", "{}")
-    status = (kept / "kept.json").stat()
+def test_the_owner_stays(filled):
+    os.chown(filled / "kept.json", 12345, 23456)
+    write_whole(filled / "kept.json", "{}")
+    status = (filled / "kept.json").stat()
     assert (status.st_uid, status.st_gid) == (12345, 23456)
 
 
@@ -210,25 +202,25 @@ def test_read_only_files_are_known_before_the_work(tmp_path):
     )
 
 
-def test_left_overs_of_killed_runs_are_removed_and_nothing_else(kept):
+def test_left_overs_of_killed_runs_are_removed_and_nothing_else(filled):
     ours = [".kept.json.123.part", ".kept.json.99999999.part"]
     theirs = [".kept.json.part", ".kept.json.x1.part", ".kept.jsonl.1.part", "kept.json.1.part"]
     theirs += [".kept.json.5.part.json", ".kept.yaml.77.part"]
     for name in [*ours, *theirs]:
-        (kept / name).write_text("half", encoding="utf-8")
-    with (kept / ".kept.json.456.part").open("wb") as written:
+        (filled / name).write_text("half", encoding="utf-8")
+    with (filled / ".kept.json.456.part").open("wb") as written:
         fcntl.flock(written, fcntl.LOCK_EX)  # as whoever writes it does
         code, _, err = run_here(["compare", "robot.urdf", "log.csv", "--json", "kept.json"])
     assert code == 0, err
-    left = sorted(p.name for p in kept.iterdir() if ".part" in p.name)
+    left = sorted(p.name for p in filled.iterdir() if ".part" in p.name)
     assert left == sorted([*theirs, ".kept.json.456.part"])
 
 
-def test_a_target_whose_temporary_name_is_taken(kept):
-    taken = kept / f".kept.json.{os.getpid()}.part"
+def test_a_target_whose_temporary_name_is_taken(filled):
+    taken = filled / f".kept.json.{os.getpid()}.part"
     taken.mkdir()
-    write_whole(kept / "kept.json", "[]")
-    assert (kept / "kept.json").read_text(encoding="utf-8") == "[]"
+    write_whole(filled / "kept.json", "[]")
+    assert (filled / "kept.json").read_text(encoding="utf-8") == "[]"
     assert taken.is_dir()
 
 
@@ -244,9 +236,9 @@ LIBRARY = {
 
 
 @pytest.mark.parametrize("what", LIBRARY)
-def test_the_library_refuses_what_cannot_be_written(what, kept):
+def test_the_library_refuses_what_cannot_be_written(what, filled):
     target, words = LIBRARY[what]
-    before = contents(kept)
+    before = contents(filled)
     for write in (lambda: write_whole(target, b"x"), lambda: check_writable(target)):
         with pytest.raises(OutputError, match=words):
             write()
@@ -254,23 +246,23 @@ def test_the_library_refuses_what_cannot_be_written(what, kept):
     if target.endswith(".csv"):
         with pytest.raises(GeodrakeError, match=words.replace("null", r"a\\x00b")):
             write_log(log, target)
-    assert contents(kept) == before
+    assert contents(filled) == before
     assert all(path.is_char_device() for path in (Path("/dev/full"), Path("/dev/null")))
 
 
-def test_content_that_cannot_be_made_leaves_nothing(kept):
+def test_content_that_cannot_be_made_leaves_nothing(filled):
     def broken(file):
         file.write(b"half")
         raise ZeroDivisionError
 
-    before = contents(kept)
+    before = contents(filled)
     with pytest.raises(ZeroDivisionError):
-        write_together({kept / "kept.json": "all", kept / "kept.html": broken})
-    assert contents(kept) == before
+        write_together({filled / "kept.json": "all", filled / "kept.html": broken})
+    assert contents(filled) == before
 
 
-def test_a_file_that_there_is_no_room_for_leaves_what_was_there(kept):
-    before = contents(kept)
+def test_a_file_that_there_is_no_room_for_leaves_what_was_there(filled):
+    before = contents(filled)
 
     def begin():
         resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
@@ -279,7 +271,7 @@ def test_a_file_that_there_is_no_room_for_leaves_what_was_there(kept):
     code, _, err = run_forked([*COMPARE, *ALL], begin)
     assert code == 2
     assert err == "Error: Cannot write kept.html: File too large. Choose another place.\n"
-    assert contents(kept) == before
+    assert contents(filled) == before
 
 
 NUMBERS = "compare robot.urdf log.csv --json"
@@ -302,7 +294,7 @@ OUTPUTS = {
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("what", OUTPUTS)
-def test_standard_streams(what, kept):
+def test_standard_streams(what, filled):
     command, code, says = OUTPUTS[what]
     shell = ["bash", "-o", "pipefail", "-c", f"{GEODRAKE} {command}"]
     done = subprocess.run(shell, env=environment(), capture_output=True, text=True, check=False)
@@ -311,5 +303,5 @@ def test_standard_streams(what, kept):
     assert len(told) == bool(says), done.stderr
     assert says in done.stderr
     if "new.json" in command:
-        assert read_json(kept / "new.json")["command"] == "compare"
+        assert read_json(filled / "new.json")["command"] == "compare"
     assert not re.search("Traceback|Exception", done.stderr)
