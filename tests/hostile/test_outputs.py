@@ -15,7 +15,6 @@ import sys
 from itertools import product
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hostile import (
     KEPT,
@@ -30,11 +29,7 @@ from hostile import (
     run_here,
 )
 
-from geodrake.boundary.whole_files import check_writable, write_together, write_whole
 from geodrake.cli import session
-from geodrake.errors import GeodrakeError, OutputError
-from geodrake.logs.files import write_log
-from geodrake.logs.motion import JointLog
 
 COMPARE = ["compare", "robot.urdf", "log.csv"]
 ALL = ["--save", "kept.yaml", "--json", "kept.json", "--report", "kept.html"]
@@ -129,14 +124,6 @@ def test_where_one_file_cannot_be_renamed_none_is_new(filled, monkeypatch, numbe
     assert contents(filled) == before
 
 
-def test_a_file_that_was_not_there_is_not_there_after_a_failure(filled, monkeypatch):
-    before = contents(filled)
-    fail_at(monkeypatch, 2, DISK)
-    with pytest.raises(OutputError, match="Input/output error"):
-        write_together({filled / "new.json": "1", filled / "kept.html": "2"})
-    assert contents(filled) == before
-
-
 @pytest.mark.parametrize(
     ("name", "change", "says"),
     [("new.html", Path.mkdir, "is a folder"), ("robot.urdf", Path.unlink, "is gone")],
@@ -177,29 +164,11 @@ def test_permissions_stay_and_links_are_written_through(filled):
     assert sorted(p.name for p in (filled / "there").iterdir()) == ["later.html", "real.json"]
 
 
-def test_new_files_have_the_permissions_that_the_user_wants(filled):
-    before = os.umask(0o027)
-    try:
-        write_whole(filled / "new.json", "{}")
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((filled / "new.json").stat().st_mode) == 0o640
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
-def test_the_owner_stays(filled):
-    os.chown(filled / "kept.json", 12345, 23456)
-    write_whole(filled / "kept.json", "{}")
-    status = (filled / "kept.json").stat()
-    assert (status.st_uid, status.st_gid) == (12345, 23456)
-
-
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write what is read-only")
 def test_read_only_files_are_known_before_the_work(tmp_path):
+    command = "compare robot.urdf log.csv --json x.json"
     make = {"x.json": lambda path: path.touch(0o444)}
-    Row("read-only", "compare robot.urdf log.csv --json x.json", ("read-only",), make).check(
-        tmp_path
-    )
+    Row("read-only", command, ("read-only",), make).check(tmp_path)
 
 
 def test_left_overs_of_killed_runs_are_removed_and_nothing_else(filled):
@@ -214,51 +183,6 @@ def test_left_overs_of_killed_runs_are_removed_and_nothing_else(filled):
     assert code == 0, err
     left = sorted(p.name for p in filled.iterdir() if ".part" in p.name)
     assert left == sorted([*theirs, ".kept.json.456.part"])
-
-
-def test_a_target_whose_temporary_name_is_taken(filled):
-    taken = filled / f".kept.json.{os.getpid()}.part"
-    taken.mkdir()
-    write_whole(filled / "kept.json", "[]")
-    assert (filled / "kept.json").read_text(encoding="utf-8") == "[]"
-    assert taken.is_dir()
-
-
-LIBRARY = {
-    "a folder": (".", "is a folder"),
-    "a device": ("/dev/full", "is no file"),
-    "nothing": ("/dev/null", "is no file"),
-    "a missing folder": ("none/x.csv", "No such file"),
-    "a name with a zero": ("a\0b.csv", "null"),
-    "a name too long": ("x" * 300 + ".csv", "too long"),
-    "a process": ("/proc/self/x.csv", "No such file"),
-}
-
-
-@pytest.mark.parametrize("what", LIBRARY)
-def test_the_library_refuses_what_cannot_be_written(what, filled):
-    target, words = LIBRARY[what]
-    before = contents(filled)
-    for write in (lambda: write_whole(target, b"x"), lambda: check_writable(target)):
-        with pytest.raises(OutputError, match=words):
-            write()
-    log = JointLog("l", ("j",), np.arange(3.0), np.zeros((3, 1)), np.zeros((3, 1)))
-    if target.endswith(".csv"):
-        with pytest.raises(GeodrakeError, match=words.replace("null", r"a\\x00b")):
-            write_log(log, target)
-    assert contents(filled) == before
-    assert all(path.is_char_device() for path in (Path("/dev/full"), Path("/dev/null")))
-
-
-def test_content_that_cannot_be_made_leaves_nothing(filled):
-    def broken(file):
-        file.write(b"half")
-        raise ZeroDivisionError
-
-    before = contents(filled)
-    with pytest.raises(ZeroDivisionError):
-        write_together({filled / "kept.json": "all", filled / "kept.html": broken})
-    assert contents(filled) == before
 
 
 def test_a_file_that_there_is_no_room_for_leaves_what_was_there(filled):

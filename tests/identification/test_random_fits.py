@@ -2,7 +2,7 @@
 
     python tests/identification/test_random_fits.py 2000 --seed 7
 
-Every fit ends in a physical answer or in a `GeodrakeError`, in time. The script counts how they end.
+Every fit ends in a physical answer or in a `GeodrakeError`, in time; the script counts how they do.
 """
 
 import argparse
