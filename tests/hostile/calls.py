@@ -13,6 +13,7 @@ import traceback
 import types
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, is_dataclass, replace
 from functools import cache
 
@@ -149,7 +150,9 @@ def good_calls():
             try:
                 function = value if method is None else getattr(value, method)
                 if method is not None and is_bound(value, method):
-                    function = getattr(plain(made(name)), method)
+                    if (owner := made(name)) is None:
+                        raise MissingError(name)
+                    function = getattr(plain(owner), method)
                 function = IN_DIAGRAMS.get(full, function)
                 found[full] = Call(full, function, good_arguments(full, function))
             except (MissingError, GeodrakeError) as error:
@@ -184,20 +187,20 @@ def good_arguments(name, function):
     return found
 
 
+FITTING = {
+    "float": "float|ArrayLike|ByJoint|Scalars",
+    "int": "int",
+    "str": "str",
+    "dict": "Mapping",
+    "Fresh": "Path|path|Context",
+    "ndarray": r"Array|Scalars|\bfloat \|",
+    "tuple": "Sequence|tuple|ArrayLike",
+}
+"""Class of a value that a name stands for -> words of the annotations that it fits."""
+
+
 def fits(value, annotation):
-    """Whether a value that a name stands for may be of a type."""
-    kinds = {
-        "float": "float|ArrayLike|ByJoint|Scalars",
-        "int": "int",
-        "str": "str",
-        "dict": "Mapping",
-    }
-    kinds |= {
-        "Fresh": "Path|path|Context",
-        "ndarray": r"Array|Scalars|\bfloat \|",
-        "tuple": r"Sequence|tuple|ArrayLike",
-    }
-    return re.search(kinds.get(type(value).__name__, "$^"), annotation) is not None
+    return re.search(FITTING.get(type(value).__name__, "$^"), annotation) is not None
 
 
 def special(name, function):
@@ -245,7 +248,7 @@ def by_type(annotation):
             except MissingError:
                 continue
             return Fresh(lambda one=one: (plain(one),)) if isinstance(one, Fresh) else (one,)
-        if (found := made_or_none(kind)) is not None:
+        if (found := made(kind)) is not None:
             return found
     raise MissingError(annotation)
 
@@ -259,44 +262,27 @@ def by_kind(annotation):
 
 
 @cache
-def made_or_none(kind):
-    try:
-        return made(kind)
-    except MissingError:
-        return None
-
-
-@cache
 def made(kind):
-    """What an exported class or function makes of good arguments: an object of a class by name."""
+    """What an exported class or function makes of good arguments; None if none can."""
     if kind in BY_TYPE:
         return BY_TYPE[kind]()
-    makers = [
-        name
-        for name, function in exports().items()
-        if inspect.isroutine(function) and inspect.signature(function).return_annotation == kind
-    ]
-    makers += [n for n, f in exports().items() if n == kind and inspect.isclass(f)]
-    if (
-        kind in ("None", "Array", "ArrayLike")
-        or not re.fullmatch(r"[A-Z]\w+", kind)
-        or kind in _MAKING
-    ):
-        raise MissingError(kind)
+    if not re.fullmatch(r"(?!None$|Array)[A-Z]\w+", kind) or kind in _MAKING:
+        return None
+    functions = {name: f for name, f in exports().items() if inspect.isroutine(f)}
+    makers = [n for n, f in functions.items() if inspect.signature(f).return_annotation == kind]
+    if inspect.isclass(exports().get(kind)):
+        makers.append(f"{kind}.of" if hasattr(exports()[kind], "of") else kind)
     _MAKING.add(kind)
     try:
         for maker in makers:
-            try:
-                function, name = exports()[maker], maker
-                if inspect.isclass(function) and hasattr(function, "of"):
-                    function, name = function.of, f"{maker}.of"
-                arguments = good_arguments(name, function)
-            except MissingError:
-                continue
-            return function(**{key: plain(value) for key, value in arguments.items()})
+            function = functions.get(maker, exports().get(kind))
+            function = function.of if maker.endswith(".of") else function
+            with suppress(MissingError):
+                arguments = good_arguments(maker, function)
+                return function(**{key: plain(value) for key, value in arguments.items()})
     finally:
         _MAKING.discard(kind)
-    raise MissingError(kind)
+    return None
 
 
 _MAKING = set()

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 from chain_logs import multisine
-from hostile import PENDULUM
+from good_files import EFFECT, FLEET, MAPPING
+from hostile import PENDULUM, fill, put
 from pydrake.geometry import Box
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
@@ -92,22 +93,10 @@ def commanded():
 def folder():
     """A folder with a file of each kind that is read."""
     path = Path(tempfile.mkdtemp(prefix="geodrake_calls_"))
-    (path / "effect.py").write_text(
-        "from dataclasses import dataclass\nfrom geodrake.effects import JointEffect, Parameter\n"
-        "@dataclass(frozen=True)\nclass Sticky(JointEffect):\n"
-        '    name, parameters = "sticky", (Parameter("size", "N·m"),)\n'
-        "    def columns(self, joint):\n        return (joint.q,)\n",
-        encoding="utf-8",
-    )
+    fill(path)
+    put(path, {"effect.py": EFFECT, "fleet.yaml": FLEET, "mapping.yaml": MAPPING})
     write_log(log(), path / "log.csv")
     geodrake.save_model(model(), path / "model.yaml")
-    (path / "fleet.yaml").write_text(
-        f"to: fleet\ntypes: {{arm: {{model: '{PENDULUM}'}}}}\n"
-        "robots: [{name: a, logs: log.csv}]\n"
-    )
-    (path / "mapping.yaml").write_text(
-        "time: time\njoints: {shoulder: {position: shoulder.position, effort: shoulder.effort}}\n"
-    )
     arrays = {"time": log().time, "position": log().position, "effort": log().effort}
     savemat(path / "log.mat", arrays)
     (path / "motion.yaml").write_text(excitation.drake_trajectory(trajectory()), encoding="utf-8")
@@ -199,11 +188,12 @@ def soft():
     return replace(model(), effects=(*model().effects, spring), information=None)
 
 
-COLUMNS = [f"{joint}.{what}" for what in ("position", "effort") for joint in JOINTS]
-
-
-def log_columns():
-    return np.column_stack([log().position, log().effort])
+def table():
+    """A log as columns by name."""
+    columns = {"time": log().time}
+    for joint, position, effort in zip(JOINTS, log().position.T, log().effort.T, strict=True):
+        columns |= {f"{joint}.position": position, f"{joint}.effort": effort}
+    return columns
 
 
 def friction(joint="shoulder"):
@@ -235,7 +225,6 @@ ELLIPSOID = equivalent_ellipsoid(PHI[0])
 QUADRIC = ELLIPSOID.scaled(3.0).quadric
 REGRESSOR = inverse_dynamics_regressor(PLANT, Q, V, VD)
 BASE = structural_base_parameters(PLANT)
-TIMES = np.linspace(0.0, 1.0, 5)
 DESIRED = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
     np.linspace(0, 1, 11), np.sin([np.linspace(0, 1, 11), np.linspace(0, 2, 11)])
 )
@@ -347,8 +336,7 @@ BY_CALL = {
     "pushforward_metric": {"matrix": BASE.matrix, "extra": None},
     "RobotInstance.set_state": {"state": np.ones(4)},
     "RobotInstance": {"name": "double_pendulum"},
-    "log_of_frame": {"frame": {"time": log().time,
-        **dict(zip(COLUMNS, log_columns().T, strict=True))}},
+    "log_of_frame": {"frame": table()},
     "take_out_stated": {"name": "double_pendulum",
         "plant": Fresh(lambda: pendulum(finalized=False))},
     "EffectForce": {"log": "swing"},
