@@ -66,15 +66,13 @@ def turned(low, turn):
 
 SPIKE, NONE = "jumps and comes back", "no robot in SI units has that"
 SPIKES = [
-    bad("uint32 of -1", f"{SPIKE}; 4.295e+09", (1000, POSITION, 2.0**32 - 1), code=0),
-    bad("a million", f"{SPIKE}; t = 10.00 s", (1000, POSITION, 1e6), code=0),
+    bad("uint32 of -1", f"{SPIKE}; 4.295e+09; t = 10.00 s", (1000, POSITION, 2.0**32 - 1), code=0),
     bad("10.5 rad in 12 s", SPIKE, (600, POSITION, 10.5), rows=1200, code=0),
     bad("three rows", f"{SPIKE}; 3 rows in all", ([100, 900, 901], POSITION, 1e5), code=0),
     bad("both joints", "of shoulder jumps; of elbow jumps", (1000, BOTH, -1e5), code=0),
     bad("the first row", f"{SPIKE}; t = 0.00 s", (0, POSITION, 1e6), code=0),
     bad("beside an empty cell", SPIKE, (999, 1, np.nan), (1000, 1, 1e6), code=0),
     bad("an effort of a million", f"{SPIKE}; effort of shoulder", (1000, EFFORT, 1e6), code=0),
-    bad("an effort of 10^308", SPIKE, (1000, EFFORT, 1e308), code=0),
     bad("a velocity of 10^200", SPIKE, (500, VELOCITY, 1e200), velocity=True, code=0),
     bad("a jump that stays", "and stays there", (slice(1200, None), 1, plus(50.0)), code=0),
     bad("10^30 from the middle on", f"Row 1201 ; {NONE}", (slice(1200, None), POSITION, 1e30)),
@@ -95,7 +93,6 @@ TURNS = [
     bad("degrees", "in degrees", (ALL, BOTH, DEGREES), code=0),
     bad("a frozen position", f"4 s from t = 8.00 s; {FROZEN}", (slice(800, 1201), POSITION, first),
         velocity=True, code=0),
-    bad("frozen to the end", FROZEN, (slice(1800, None), POSITION, first), velocity=True, code=0),
     bad("frozen, then a jump", f"position of elbow; {FROZEN}", (slice(800, 1200), 2, first),
         code=0),
     bad("frozen throughout", "stays at; locked", (ALL, POSITION, first), velocity=True),
@@ -119,7 +116,6 @@ EMPTY = [
     bad("every tenth row", "32 samples in a row", (slice(0, None, 10), 1, np.nan)),
     bad("joints in turns", "0 rows without empty cells", EVERY_OTHER, THE_OTHERS),
     bad("efforts of zero", "never changes", (ALL, EFFORTS, 0.0)),
-    bad("efforts of 10^-160", "never changes", (ALL, EFFORTS, times(1e-160))),
     bad("still", "still throughout", (ALL, BOTH, 0.1)),
     bad("noise", "not in the order of time", (ALL, slice(1, 5), noise)),
     bad("efforts in N·mm", "in other units", (ALL, EFFORTS, times(1e3)), code=0),
@@ -127,7 +123,6 @@ EMPTY = [
 
 TIMES = [
     bad("in ms", "too rarely; ms, µs or ns", (ALL, 0, times(1e3))),
-    bad("in ns", "too rarely", (ALL, 0, times(1e9)), command="explain robot.urdf x.csv"),
     bad("at 1 MHz", "more often than", (ALL, 0, times(1e-4))),
     bad("that grows like e^t", "too rarely", (ALL, 0, np.exp)),
     bad("in ns since 1970, called s", "Time is constant", (ALL, 0, plus(1.7e18))),
@@ -135,7 +130,6 @@ TIMES = [
     bad("that jumps to 10^300", "reaches 1e+300 s", (-1, 0, 1e300)),
     bad("backwards", "runs backwards", (ALL, 0, times(-1.0))),
     bad("that repeats", "Time repeats", (slice(999, 1001), 0, first)),
-    bad("that stands", "is constant", (ALL, 0, 5.0)),
     bad("that starts again", "runs backwards; row 1201", (slice(1200, None), 0, plus(-12.0))),
     bad("an hour later", "split into 2 pieces", (slice(1200, None), 0, plus(3600.0)), code=0),
     bad("before zero", "", (ALL, 0, plus(-1e4)), code=0),

@@ -13,7 +13,6 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
-import matplotlib
 import pytest
 from hostile import (
     KEPT,
@@ -26,11 +25,8 @@ from hostile import (
     run_forked,
 )
 
-from geodrake import load_model
 from geodrake.boundary import whole_files
 from geodrake.cli import explaining
-from geodrake.diagnosis import compare
-from geodrake.report import render_comparison
 
 ALL = ["--save", "kept.yaml", "--json", "kept.json", "--report", "kept.html"]
 COMPARE = ["compare", "robot.urdf", "log.csv", *ALL]
@@ -80,16 +76,6 @@ def test_a_working_directory_that_is_gone(filled):
         "Error: The working directory cannot be used: No such file or directory. "
         "Change to one that exists.\n",
     )
-
-
-def test_figures_are_the_same_whatever_matplotlib_is_told(filled):
-    found = compare(load_model("robot.urdf"), ["log.csv"])
-    words = {"title": "t", "model_name": "m", "log_names": ["l"]}
-    usual = render_comparison(found, **words)
-    told = {"text.usetex": True, "font.family": "monospace", "axes.grid": True, "font.size": 30}
-    with matplotlib.rc_context(told):
-        assert render_comparison(found, **words) == usual
-        assert matplotlib.rcParams["font.size"] == 30
 
 
 @pytest.mark.parametrize(
