@@ -140,8 +140,20 @@ TIMES = [
 ]
 
 
+MISSED = {
+    "both joints": "a spike of all joints in one row is taken for rows that are not in order",
+    "a joint that stands": "the bandwidth that is chosen leaves no samples of so short a log",
+}
+"""What is refused and should be read -> why."""
+
+
+def with_marks(row):
+    known = [pytest.mark.xfail(strict=True, reason=MISSED[row.name])] if row.name in MISSED else ()
+    return pytest.param(row, marks=known, id=row.name)
+
+
 @pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", [*SPIKES, *TURNS, *EMPTY, *TIMES], ids=str)
+@pytest.mark.parametrize("row", map(with_marks, [*SPIKES, *TURNS, *EMPTY, *TIMES]))
 def test_row(row, tmp_path):
     row.check(tmp_path)
 

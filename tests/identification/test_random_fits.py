@@ -1,6 +1,6 @@
 """Random fits that are as ill-conditioned as can be, each in a process of its own: none may die.
 
-    python tests/identification/test_random_fits.py 2000 --seed 7
+    PYTHONPATH=tests python tests/identification/test_random_fits.py 2000 --seed 7
 
 Every fit ends in a physical answer or in a `GeodrakeError`, in time; the script counts how they do.
 """
