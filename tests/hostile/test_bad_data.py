@@ -153,7 +153,7 @@ def with_marks(row):
 
 
 @pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", map(with_marks, [*SPIKES, *TURNS, *EMPTY, *TIMES]))
+@pytest.mark.parametrize("row", [*map(with_marks, [*SPIKES, *TURNS, *EMPTY, *TIMES])])
 def test_row(row, tmp_path):
     row.check(tmp_path)
 
