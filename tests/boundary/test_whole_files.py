@@ -2,12 +2,22 @@
 
 import errno
 import os
+import stat
 
+import numpy as np
 import pytest
 
 from geodrake.boundary import whole_files
-from geodrake.boundary.whole_files import check_writable, made_folder, write_new, write_together
-from geodrake.errors import OutputError
+from geodrake.boundary.whole_files import (
+    check_writable,
+    made_folder,
+    write_new,
+    write_together,
+    write_whole,
+)
+from geodrake.errors import GeodrakeError, OutputError
+from geodrake.logs.files import write_log
+from geodrake.logs.motion import JointLog
 
 
 def full(file):
@@ -97,3 +107,64 @@ def test_what_is_new_is_written_with_what_belongs_to_it_or_not_at_all(tmp_path):
     assert write_new(settings, "mine", {data: "by mine"})
     assert not write_new(settings, "yours", {data: "by yours"})
     assert (settings.read_text("utf-8"), data.read_text("utf-8")) == ("mine", "by mine")
+
+
+def test_new_files_have_the_permissions_that_the_user_wants(tmp_path):
+    before = os.umask(0o027)
+    try:
+        write_whole(tmp_path / "new", "{}")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "new").stat().st_mode) == 0o640
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
+def test_the_owner_stays(tmp_path):
+    (kept := tmp_path / "kept").touch()
+    os.chown(kept, 12345, 23456)
+    write_whole(kept, "{}")
+    assert (kept.stat().st_uid, kept.stat().st_gid) == (12345, 23456)
+
+
+def test_a_target_whose_temporary_name_is_taken(tmp_path):
+    taken = tmp_path / f".kept.{os.getpid()}.part"
+    taken.mkdir()
+    write_whole(tmp_path / "kept", "[]")
+    assert (tmp_path / "kept").read_text(encoding="utf-8") == "[]"
+    assert taken.is_dir()
+
+
+@pytest.mark.parametrize(
+    ("target", "words"),
+    [
+        (".", "is a folder"),
+        ("/dev/full", "is no file"),
+        ("/dev/null", "is no file"),
+        ("none/x.csv", "No such file"),
+        ("a\0b.csv", "null"),
+        ("x" * 300 + ".csv", "too long"),
+        ("/proc/self/x.csv", "No such file"),
+    ],
+)
+def test_what_cannot_be_written_is_refused(target, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for write in (lambda: write_whole(target, b"x"), lambda: check_writable(target)):
+        with pytest.raises(OutputError, match=words):
+            write()
+    log = JointLog("l", ("j",), np.arange(3.0), np.zeros((3, 1)), np.zeros((3, 1)))
+    if target.endswith(".csv"):
+        with pytest.raises(GeodrakeError, match=words.replace("null", r"a\\x00b")):
+            write_log(log, target)
+    assert not files_in(tmp_path)
+
+
+def test_content_that_cannot_be_made_leaves_what_was_there(tmp_path):
+    def broken(file):
+        file.write(b"half")
+        raise ZeroDivisionError
+
+    (tmp_path / "kept").write_text("before", encoding="utf-8")
+    with pytest.raises(ZeroDivisionError):
+        write_together({tmp_path / "new": "all", tmp_path / "kept": broken})
+    assert files_in(tmp_path) == ["kept"]
+    assert (tmp_path / "kept").read_text(encoding="utf-8") == "before"

@@ -1,12 +1,9 @@
 """Calls of everything that the packages export, made from signatures, with one wrong argument each.
 
-    python tests/hostile/calls.py [--only WORDS]
-
-counts how they end. A call gets good values by the names and types in its signature, as
-`good_values` has them; then one argument at a time is spoiled, in every way that its kind can be.
+A call gets good values by the names and types in its signature, as `good_values` has them; then one
+argument at a time is spoiled, in every way that its kind can be.
 """
 
-import argparse
 import importlib
 import inspect
 import pathlib
@@ -15,15 +12,14 @@ import re
 import traceback
 import types
 import warnings
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, is_dataclass, replace
 from functools import cache
 
 import numpy as np
-from good_values import BY_CALL, BY_NAME, BY_TYPE, PHI, Fresh, pendulum
+from good_values import BY_CALL, BY_KIND, BY_NAME, BY_TYPE, PHI, Fresh, pendulum
 from hostile import HangError, limited
-from programs import apart
 from pydrake.systems.framework import DiagramBuilder, System
 
 import geodrake
@@ -154,7 +150,9 @@ def good_calls():
             try:
                 function = value if method is None else getattr(value, method)
                 if method is not None and is_bound(value, method):
-                    function = getattr(plain(made(name)), method)
+                    if (owner := made(name)) is None:
+                        raise MissingError(name)
+                    function = getattr(plain(owner), method)
                 function = IN_DIAGRAMS.get(full, function)
                 found[full] = Call(full, function, good_arguments(full, function))
             except (MissingError, GeodrakeError) as error:
@@ -183,26 +181,26 @@ def good_arguments(name, function):
             except MissingError:
                 if with_default:
                     continue
-                raise MissingError(f"{key}: {parameter.annotation}") from None
+                value = by_kind(str(parameter.annotation))
         if value is not None:
             found[key] = value
     return found
 
 
+FITTING = {
+    "float": "float|ArrayLike|ByJoint|Scalars",
+    "int": "int",
+    "str": "str",
+    "dict": "Mapping",
+    "Fresh": "Path|path|Context",
+    "ndarray": r"Array|Scalars|\bfloat \|",
+    "tuple": "Sequence|tuple|ArrayLike",
+}
+"""Class of a value that a name stands for -> words of the annotations that it fits."""
+
+
 def fits(value, annotation):
-    """Whether a value that a name stands for may be of a type."""
-    kinds = {
-        "float": "float|ArrayLike|ByJoint|Scalars",
-        "int": "int",
-        "str": "str",
-        "dict": "Mapping",
-    }
-    kinds |= {
-        "Fresh": "Path|path|Context",
-        "ndarray": r"Array|Scalars|\bfloat \|",
-        "tuple": r"Sequence|tuple|ArrayLike",
-    }
-    return re.search(kinds.get(type(value).__name__, "$^"), annotation) is not None
+    return re.search(FITTING.get(type(value).__name__, "$^"), annotation) is not None
 
 
 def special(name, function):
@@ -250,51 +248,41 @@ def by_type(annotation):
             except MissingError:
                 continue
             return Fresh(lambda one=one: (plain(one),)) if isinstance(one, Fresh) else (one,)
-        with_suppressed = made_or_none(kind)
-        if with_suppressed is not None:
-            return with_suppressed
+        if (found := made(kind)) is not None:
+            return found
+    raise MissingError(annotation)
+
+
+def by_kind(annotation):
+    """A value of a number, words or an array, of whatever size."""
+    for words, value in BY_KIND.items():
+        if re.search(words, annotation):
+            return value
     raise MissingError(annotation)
 
 
 @cache
-def made_or_none(kind):
-    try:
-        return made(kind)
-    except MissingError:
-        return None
-
-
-@cache
 def made(kind):
-    """What an exported class or function makes of good arguments: an object of a class by name."""
+    """What an exported class or function makes of good arguments; None if none can."""
     if kind in BY_TYPE:
         return BY_TYPE[kind]()
-    makers = [
-        name
-        for name, function in exports().items()
-        if inspect.isroutine(function) and inspect.signature(function).return_annotation == kind
-    ]
-    makers += [n for n, f in exports().items() if n == kind and inspect.isclass(f)]
-    if (
-        kind in ("None", "Array", "ArrayLike")
-        or not re.fullmatch(r"[A-Z]\w+", kind)
-        or kind in _MAKING
-    ):
-        raise MissingError(kind)
+    if not re.fullmatch(r"(?!None$|Array)[A-Z]\w+", kind) or kind in _MAKING:
+        return None
+    functions = {name: f for name, f in exports().items() if inspect.isroutine(f)}
+    makers = [n for n, f in functions.items() if inspect.signature(f).return_annotation == kind]
+    if inspect.isclass(exports().get(kind)):
+        makers.append(f"{kind}.of" if hasattr(exports()[kind], "of") else kind)
     _MAKING.add(kind)
     try:
         for maker in makers:
-            try:
-                function, name = exports()[maker], maker
-                if inspect.isclass(function) and hasattr(function, "of"):
-                    function, name = function.of, f"{maker}.of"
-                arguments = good_arguments(name, function)
-            except MissingError:
-                continue
-            return function(**{key: plain(value) for key, value in arguments.items()})
+            function = functions.get(maker, exports().get(kind))
+            function = function.of if maker.endswith(".of") else function
+            with suppress(MissingError):
+                arguments = good_arguments(maker, function)
+                return function(**{key: plain(value) for key, value in arguments.items()})
     finally:
         _MAKING.discard(kind)
-    raise MissingError(kind)
+    return None
 
 
 _MAKING = set()
@@ -534,33 +522,3 @@ def outcomes(call) -> Iterator[tuple[str, str, str, str]]:
     """Argument, wrong value, end and words of every wrong call of a function."""
     for argument, wrong in wrong_calls(call):
         yield argument, wrong.words, *ended(call, argument, wrong)
-
-
-def outcomes_apart(call) -> Iterator[tuple[str, str, str, str]]:
-    """The same in processes of their own, as some calls once ended theirs."""
-    found = apart(lambda: list(outcomes(call)), 10 * SECONDS)
-    if not isinstance(found, str):
-        yield from found
-        return
-    for argument, wrong in wrong_calls(call):
-        end = apart(lambda each=(argument, wrong): ended(call, *each), SECONDS)
-        yield argument, wrong.words, *((end, "the process ended") if isinstance(end, str) else end)
-
-
-def main():
-    """Count how all calls end, and show those that do not end well."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--only", default="", help="words in the names of callables")
-    options = parser.parse_args()
-    counts, (calls, none) = Counter(), good_calls()
-    called = [call for name, call in calls.items() if options.only in name]
-    for call in called:
-        for argument, words, end, told in outcomes_apart(call):
-            counts[end] += 1
-            if end not in HELD:
-                print(f"{call.name}({argument} = {words}): {end}: {told}")
-    print(len(called), "callables", dict(counts), "; no call of", none)
-
-
-if __name__ == "__main__":
-    main()

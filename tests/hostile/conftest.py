@@ -8,7 +8,7 @@ import pickle
 from dataclasses import fields, replace
 
 import pytest
-from hostile import PENDULUM
+from hostile import PENDULUM, fill
 
 from geodrake.cli import session
 
@@ -31,3 +31,11 @@ def found_once(model, logs, settings):
 @pytest.fixture(autouse=True)
 def columns_are_checked_once(monkeypatch):
     monkeypatch.setattr(session, "found_columns", found_once)
+
+
+@pytest.fixture
+def filled(tmp_path, monkeypatch):
+    """The working directory, with what is in order."""
+    fill(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

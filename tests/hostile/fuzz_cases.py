@@ -1,11 +1,9 @@
 """What the fuzzer draws: files that were right once, changed at random places, and a command."""
 
 import io
-import os
 import re
 import tempfile
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import chdir, suppress
 from functools import cache
 from pathlib import Path
 
@@ -37,27 +35,6 @@ FILES = {
 _TOKEN = re.compile(r"[-+]?\d[\d.eE+-]*|[A-Za-z_][\w:]*")
 
 
-@dataclass(frozen=True)
-class Case:
-    """A file's kind, its bytes after the changes, and the command that reads it."""
-
-    kind: str
-    data: bytes
-    command: str
-
-    @property
-    def words(self):
-        """The whole command, as typed in a shell."""
-        given = {"model": "robot.urdf", "log": "log.csv", "effects": ""}
-        role = "log" if self.kind.endswith("log") else "model"
-        if self.kind == "file of effects":
-            given["effects"] = f"--effects {FILES[self.kind]}"
-        else:
-            given[role] = FILES[self.kind]
-        save = "" if self.command.split()[0] in UNSAVED else "--save kept.yaml"
-        return " ".join((self.command, *given.values(), "--json kept.json", save))
-
-
 @cache
 def good(kind):
     """Bytes of a file of a kind before anything was changed."""
@@ -66,13 +43,13 @@ def good(kind):
         return texts[kind].encode()
     if kind.endswith("log"):
         return _good_log(kind)
-    with tempfile.TemporaryDirectory() as name, inside(Path(name)) as folder:
-        fill(folder)
+    with tempfile.TemporaryDirectory() as name, chdir(name):
+        fill(Path())
         if kind == "saved model":
             words = "add coulomb_friction robot.urdf log.csv --save robot.yaml"
             code, _, err = run_here(words.split())
             assert code == 0, err
-        return (folder / FILES[kind]).read_bytes()
+        return Path(FILES[kind]).read_bytes()
 
 
 def _good_log(kind):
@@ -85,20 +62,9 @@ def _good_log(kind):
     return ("\n".join(lines) + "\n").encode()
 
 
-@contextmanager
-def inside(folder):
-    """With a folder as the working directory."""
-    before = Path.cwd()
-    os.chdir(folder)
-    try:
-        yield folder
-    finally:
-        os.chdir(before)
-
-
 @st.composite
 def cases(draw, kind):
-    """One to four changes to a good file of a kind, and a command."""
+    """Bytes of a good file of a kind after one to four changes, and a command that reads it."""
     data = good(kind)
     for _ in range(draw(st.integers(1, 4))):
         if draw(st.integers(0, 5)) == 0:
@@ -108,7 +74,18 @@ def cases(draw, kind):
         else:
             text = draw(changed_text(data.decode(errors="surrogateescape")))
             data = text.encode(errors="surrogateescape")
-    return Case(kind, data, draw(st.sampled_from(COMMANDS)))
+    return data, words(kind, draw(st.sampled_from(COMMANDS)))
+
+
+def words(kind, command):
+    """What follows `geodrake` for a command that reads the file of a kind."""
+    given = {"model": "robot.urdf", "log": "log.csv", "effects": ""}
+    if kind == "file of effects":
+        given["effects"] = f"--effects {FILES[kind]}"
+    else:
+        given["log" if kind.endswith("log") else "model"] = FILES[kind]
+    save = "" if command.split()[0] in UNSAVED else "--save kept.yaml"
+    return " ".join((command, *given.values(), "--json kept.json", save))
 
 
 @st.composite

@@ -11,9 +11,10 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from hostile import PENDULUM
-from pydrake.geometry import Box, SceneGraph
-from pydrake.lcm import DrakeLcm
+from chain_logs import multisine
+from good_files import EFFECT, FLEET, MAPPING
+from hostile import PENDULUM, fill, put
+from pydrake.geometry import Box
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
@@ -25,9 +26,8 @@ from scipy.io import savemat
 import geodrake
 from geodrake import control, effects, excitation, fleet, inertia
 from geodrake.control.adaptation import AdaptationLaw, LinearSet, mass_limits, parameter_manifold
-from geodrake.control.motors import MotorConstants, ServoError, ServoGains
 from geodrake.effects import FittedEffect
-from geodrake.excitation import DesignOptions, FourierMotion, Solid
+from geodrake.excitation import FourierMotion
 from geodrake.identification import Riemannian
 from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.logs import JointLog, KnownPayload, Motion, write_log
@@ -76,12 +76,9 @@ def log(seconds=12.0, rate=50.0):
     """A log that the model explains, so that a search in it soon ends."""
     time = np.arange(round(seconds * rate)) / rate
     random = np.random.default_rng(0)
-    rates = 2 * np.pi * np.array([0.13, 0.31, 0.53])[:, None, None]
-    phase, size = random.uniform(0, 6, (3, 1, 2)), random.uniform(0.3, 0.6, (3, 1, 2))
-    waves = size * np.exp(1j * (rates * time[:, None] + phase))
-    q, v, vd = ((waves * (1j * rates) ** k).sum(0).imag for k in range(3))
-    effort = model().effort(Motion(q, v, vd)) + 0.01 * random.standard_normal(q.shape)
-    return JointLog("swing", JOINTS, time, q, effort)
+    motion = Motion(*multisine(time, random, reach=0.5))
+    effort = model().effort(motion) + 0.01 * random.standard_normal(motion.q.shape)
+    return JointLog("swing", JOINTS, time, motion.q, effort)
 
 
 def commanded():
@@ -96,28 +93,20 @@ def commanded():
 def folder():
     """A folder with a file of each kind that is read."""
     path = Path(tempfile.mkdtemp(prefix="geodrake_calls_"))
-    (path / "effect.py").write_text(
-        "from dataclasses import dataclass\nfrom geodrake.effects import JointEffect, Parameter\n"
-        "@dataclass(frozen=True)\nclass Sticky(JointEffect):\n"
-        '    name, parameters = "sticky", (Parameter("size", "N·m"),)\n'
-        "    def columns(self, joint):\n        return (joint.q,)\n",
-        encoding="utf-8",
-    )
+    fill(path)
+    put(path, {"effect.py": EFFECT, "fleet.yaml": FLEET, "mapping.yaml": MAPPING})
     write_log(log(), path / "log.csv")
     geodrake.save_model(model(), path / "model.yaml")
-    (path / "fleet.yaml").write_text(
-        f"to: fleet\ntypes: {{arm: {{model: '{PENDULUM}'}}}}\n"
-        "robots: [{name: a, logs: log.csv}]\n"
-    )
-    (path / "mapping.yaml").write_text(
-        "time: time\njoints: {shoulder: {position: shoulder.position, effort: shoulder.effort}}\n"
-    )
     arrays = {"time": log().time, "position": log().position, "effort": log().effort}
     savemat(path / "log.mat", arrays)
     (path / "motion.yaml").write_text(excitation.drake_trajectory(trajectory()), encoding="utf-8")
     digest = fleet.make_digest(model(), log(), settings(), facts())
     (path / "digest.npz").write_bytes(fleet.digest_content(digest))
     return path
+
+
+def in_folder(name):
+    return Fresh(lambda: folder() / name)
 
 
 def trajectory():
@@ -199,11 +188,12 @@ def soft():
     return replace(model(), effects=(*model().effects, spring), information=None)
 
 
-COLUMNS = [f"{joint}.{what}" for what in ("position", "effort") for joint in JOINTS]
-
-
-def log_columns():
-    return np.column_stack([log().position, log().effort])
+def table():
+    """A log as columns by name."""
+    columns = {"time": log().time}
+    for joint, position, effort in zip(JOINTS, log().position.T, log().effort.T, strict=True):
+        columns |= {f"{joint}.position": position, f"{joint}.effort": effort}
+    return columns
 
 
 def friction(joint="shoulder"):
@@ -235,7 +225,6 @@ ELLIPSOID = equivalent_ellipsoid(PHI[0])
 QUADRIC = ELLIPSOID.scaled(3.0).quadric
 REGRESSOR = inverse_dynamics_regressor(PLANT, Q, V, VD)
 BASE = structural_base_parameters(PLANT)
-TIMES = np.linspace(0.0, 1.0, 5)
 DESIRED = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
     np.linspace(0, 1, 11), np.sin([np.linspace(0, 1, 11), np.linspace(0, 2, 11)])
 )
@@ -244,125 +233,99 @@ TWO, WIDTH = np.array([1.0, 2.0]), np.full(2, 0.01)
 BY_TYPE = {
     "RobotModel": model,
     "JointLog": log,
-    "Motion": lambda: Motion(Q, V, VD),
     "MultibodyPlant": lambda: PLANT,
     "DiagramBuilder": lambda: Fresh(DiagramBuilder),
-    "SceneGraph": lambda: Fresh(SceneGraph),
-    "DrakeLcmInterface": DrakeLcm,
     "Context": PLANT.CreateDefaultContext,
     "np.random.Generator": lambda: Fresh(lambda: np.random.default_rng(0)),
     "Trajectory": lambda: DESIRED,
     "RigidTransform": RigidTransform,
     "Shape": lambda: Box(1, 1, 1),
-    "SpatialInertia": lambda: inertia.to_spatial_inertia(PHI[0]),
-    "ControlModel": control_model,
     "Manifold": lambda: Positive(2),
-    "Product": lambda: law().manifold,  # of 22 parameters
     "UpdateLaw": law,
     "AdaptationLaw": law,
     "ConvexSet": lambda: LinearSet(polyhedron()),
     "Polyhedron": polyhedron,
     "Transmission": lambda: LinearTransmission.of([[1.0, 0.0], [1.0, 2.0]]),
     "FunctionTransmission": own_transmission,
-    "Ellipsoid": lambda: ELLIPSOID,
     "Effect": lambda: effects.CoulombFriction("elbow"),
     "EffectWithValues": lambda: (friction(), [0.3]),
     "ColumnMapping": lambda: None,
     "Given": lambda: None,
-    "FittedEffect": lambda: FittedEffect(friction("elbow"), np.array([0.3]), np.array([0.1])),
     "Regularizer": Riemannian,
     "MotionFamily": lambda: FourierMotion(5.0, 2),
-    "MotionLimits": limits,
     "Target": target,
-    "Rival": rival,
     "ExcitationTrajectory": trajectory,
-    "DesignOptions": lambda: DesignOptions(samples=40, iterations=3, seconds=2.0),
-    "Solid": lambda: Solid("box", Box(1, 1, 1), RigidTransform([0, 0, 9])),
-    "KnownPayload": lambda: KnownPayload("lower_link", 0.3),
-    "DigestSettings": settings,
     "LogFacts": facts,
-    "RobotHistory": lambda: histories()[1][0],
-    "JointHistory": lambda: histories()[1][0].joints[0],
     "LogEquations": lambda: equations()[0],
     "TypeColumns": type_columns,
-    "TypeModel": learned,
     "RobotFit": lambda: learned().fit(0, equations()[0]),
     "ChangeHypothesis": lambda: fleet.column_change("dry", "elbow", [1], 3),
     "FleetWork": lambda: fleet.FleetWork(workers=0),
-    "MotorConstants": lambda: MotorConstants(TWO, TWO, TWO, TWO, TWO, 48.0, 20.0),
-    "ServoGains": lambda: ServoGains(80.0, 4.0, 0.0, 50.0, 0.0),
-    "ServoError": lambda: ServoError(WIDTH, WIDTH, WIDTH, WIDTH),
     "Progress": lambda: lambda *_: None,
     "Callable": lambda: lambda *_: None,
     "Told": lambda: lambda *_: None,
-    "PassivityBasedAdaptiveController": lambda: Fresh(
+    "AdaptiveController": lambda: Fresh(
         lambda: control.PassivityBasedAdaptiveController(control_model(), law())
     ),
 }
-BY_TYPE["AdaptiveController"] = BY_TYPE["PassivityBasedAdaptiveController"]
 
-BY_NAME = {
-    **{"phi": PHI, "phi1": PHI, "phi2": 1.2 * PHI, "reference": PHI, "prior": PHI, "covector": PHI},
-    **{"step": 0.1 * PHI, "R_AB": np.eye(3), "p_AoBo_A": np.array([0.1, 0.2, 0.3])},
-    **{"metre": 1000.0, "kilogram": 1000.0, "mass": MASS, "com": COM, "inertia_com": MOMENT},
-    **{"matrix": PSEUDO, "P": PSEUDO, "P1": PSEUDO, "P2": 1.5 * PSEUDO[::-1], "V": 0.1 * PSEUDO},
-    **{"X": PSEUDO, "Y": 1.5 * PSEUDO, "t": np.array([0.3, 0.6]), "matrices": PSEUDO},
-    **{"center": ELLIPSOID.center, "semi_axes": ELLIPSOID.semi_axes},
-    **{"rotation": ELLIPSOID.rotation, "points": rng.normal(size=(9, 3)), "Q": QUADRIC},
-    **{"quadric": QUADRIC, "least_semi_axis": 0.001, "mass_uncertainty": 0.3, "point_masses": 5},
-    **{"count": 3, "size": 22, "masses": np.ones((2, 3)), "positions": np.ones((2, 3, 3))},
-    **{"q": Q, "v": V, "vd": VD, "X_WP": np.eye(4), "X_QP": np.eye(4), "regressor": REGRESSOR},
-    **{"wrench": np.arange(1.0, 31.0).reshape(5, 6), "A": SCATTER, "b": MEASURED},
-    **{"sigma": np.full(60, 0.01), "gamma": 1.0, "sign_width": WIDTH, "least": WIDTH},
-    **{"efforts": V, "body": 1, "bodies": BODIES, "joints": JOINTS, "actuators": JOINTS},
-    **{
-        "joint": "shoulder",
-        "where": ("shoulder",),
-        "findings": (),
-        "names": (BODIES[0],),
-        "a": TWO,
-    },
-    **{"lower": np.zeros(2), "upper": np.ones(2), "dimension": 3, "tolerance": 1e-6, "lock": {}},
-    **{"K_p": TWO, "K_v": TWO, "mass_matrix": np.eye(2), "error": np.ones(4), "r": TWO, "at": TWO},
-    **{"rate": 10.0, "damping": TWO, "delays": np.array([0.01, 0.02]), "memory": 2.0},
-    **{"kp": np.array([80.0, 40.0]), "torque_constant": np.array([0.05, 0.04])},
-    **{"back_emf_constant": 0.05, "resistance": 0.3, "effort_limits": TWO, "largest_gap": 0.1},
-    **{"bandwidth": 8.0, "blocks": 4, "horizon": 0.2, "most": 2, "noise": WIDTH, "threshold": 0.1},
-    **{"mu": np.array([0.3]), "times": TIMES, "eigenvalues": TWO, "log_eigenvalues": TWO},
-    **{"ratios": np.array([2.0, -50.0]), "coefficients": np.array([0.1, 2.0, 0.3])},
-    **{"actuator_points": np.linspace(-1, 1, 5), "joint_points": np.sin(np.linspace(-1, 1, 5))},
-    **{"ground": 0.3, "crank": 0.1, "coupler": 0.3, "rocker": 0.15, "crank_angle": 1.2},
-    **{"rocker_angle": 1.5, "base": 0.4, "lever": 0.2, "length": 0.45, "angle": 1.6},
-    **{"stribeck_velocity": 0.1, "exponent": 0.5, "time_constant": 100.0, "breakaway_angle": 0.01},
-    **{"order": 3.0, "half_width": 0.01, "delay": 0.01, "start": 1.0, "end": 2.0, "unit": "N·m"},
-    **{"dt": 0.01, "time": 0.1, "period": 0.01, "factor": 2.0, "share": 0.5, "seed": 0, "seeds": 1},
-    **{"days": np.arange(4.0), "weights": TWO, "temperature": np.ones(4), "columns": (1,)},
-    **{"false_alarms": 0.1, "robot": "a", "name": "arm", "duration": 5.0, "frequency": 0.2},
-    **{"velocity": 2.0, "acceleration": 10.0, "effort": 50.0, "title": "t", "model_name": "m"},
-    **{"log_names": ("log",), "held": {"elbow": 0.1}, "language": "cpp", "to": "urdf"},
-    **{"x": TWO, "y": TWO[::-1], "near": TWO, "gradient": TWO, "counts": 12, "kind": "current"},
-    **{"gain": 0.1, "voltage": TWO, "current": TWO, "extra": (), "total_mass": float(MASS.sum())},
-    **{"limit": 50.0, "file": None, "parameters": control_model().prior, "scheduler": "tcp://a:1"},
-    **{"truth": control_model().prior, "content": "0" * 64, "date": 1.7e9, "units": {}},
-    **{"body: str": BODIES[1], "reference: float": 30.0, "columns: tuple[str, ...]": ()},
-    **{"path": Fresh(lambda: folder() / "log.csv"), "feedforward": TWO, "lags": None},
-    **{"regularizer": "entropic", "theta": Q, "signal": V, "starts": ("entropic",), "kept": 2},
+BY_KIND = {
+    "ArrayLike|Array|ByJoint|Scalars": np.array([1.0, 2.0]),
+    r"\bfloat\b": 0.5,
+    r"\bint\b": 2,
+    r"(Sequence|tuple)\[str": JOINTS,
+    r"\bstr\b": JOINTS[0],
 }
+"""Words of an annotation -> a value of an argument that must be given and needs no other."""
+BY_NAME = {
+    "phi": PHI, "phi1": PHI, "phi2": 1.2 * PHI, "reference": PHI, "prior": PHI, "covector": PHI,
+    "R_AB": np.eye(3), "p_AoBo_A": np.array([0.1, 0.2, 0.3]), "com": COM, "inertia_com": MOMENT,
+    "matrix": PSEUDO, "P": PSEUDO, "P1": PSEUDO, "P2": 1.5 * PSEUDO[::-1], "V": 0.1 * PSEUDO,
+    "X": PSEUDO, "Y": 1.5 * PSEUDO, "matrices": PSEUDO, "center": ELLIPSOID.center,
+    "semi_axes": ELLIPSOID.semi_axes, "rotation": ELLIPSOID.rotation,
+    "points": rng.normal(size=(9, 3)), "Q": QUADRIC, "quadric": QUADRIC, "count": 3, "size": 22,
+    "masses": np.ones((2, 3)), "positions": np.ones((2, 3, 3)), "q": Q, "v": V, "vd": VD,
+    "X_WP": np.eye(4), "regressor": REGRESSOR, "wrench": np.arange(1.0, 31.0).reshape(5, 6),
+    "A": SCATTER, "b": MEASURED, "sigma": np.full(60, 0.01), "gamma": 1.0, "sign_width": WIDTH,
+    "efforts": V, "body": 1, "bodies": BODIES, "joints": JOINTS, "joint": "shoulder",
+    "where": ("shoulder",), "findings": (), "names": (BODIES[0],), "lower": np.zeros(2),
+    "upper": np.ones(2), "lock": {}, "mass_matrix": np.eye(2), "error": np.ones(4), "rate": 10.0,
+    "back_emf_constant": 0.05, "resistance": 0.3, "effort_limits": TWO, "largest_gap": 0.1,
+    "bandwidth": 8.0, "blocks": 4, "noise": WIDTH, "actuator_points": np.linspace(-1, 1, 5),
+    "joint_points": np.sin(np.linspace(-1, 1, 5)), "ground": 0.3, "crank": 0.1, "coupler": 0.3,
+    "start": 1.0, "end": 2.0, "days": np.arange(4.0), "weights": TWO, "temperature": np.ones(4),
+    "columns": (1,), "robot": "a", "frequency": 0.2, "velocity": 2.0, "acceleration": 10.0,
+    "effort": 50.0, "held": {"elbow": 0.1}, "language": "cpp", "to": "urdf", "kind": "current",
+    "extra": (), "total_mass": float(MASS.sum()), "limit": 50.0, "file": None,
+    "parameters": control_model().prior, "scheduler": "tcp://a:1", "truth": control_model().prior,
+    "date": 1.7e9, "units": {}, "columns: tuple[str, ...]": (),
+    "path": in_folder("log.csv"), "regularizer": "entropic", "theta": Q,
+    "signal": V, "starts": ("entropic",), "kept": 2,
+}  # fmt: skip
 """Name of an argument -> its value, whatever function has it."""
 
+IN_FOLDER = {
+    "read_table": "log.mat", "read_mapping": "mapping.yaml", "save_export": "new.urdf",
+    "save_model": "saved.yaml", "write_log": "written.csv", "write_trajectory": "new.csv",
+    "read_drake_trajectory": "motion.yaml", "load_effect_file": "effect.py",
+    "read_fleet": "fleet.yaml", "read_digest": "digest.npz", "load_description": PENDULUM,
+    "read_description": PENDULUM,
+}  # fmt: skip
+"""Name of a callable -> the file in the folder that is its path."""
 BY_CALL = {
-    "FilteredRegressor": {"order": 2, "period": 0.001},
+    **{call: {"path": in_folder(name)} for call, name in IN_FOLDER.items()},
+    "FilteredRegressor": {"period": 0.001},
     "Positive": {"dimension": 2},
     "Free": {"dimension": 2},
     "error_weight": {"Q": np.eye(4)},
     "computed_torque_covector": {"regressor": REGRESSOR[0], "P": np.eye(4)},
     "prediction_covector": {"parameters": PRIOR, "effort": V, "weight": TWO},
     "body_limits": {"rows": np.eye(10)[:1], "lower": [0.1], "upper": [9.0]},
-    "mass_limits": {"lower": 0.1, "upper": 9.0},
     "center_of_mass_box": {"lower": -np.ones(3), "upper": np.ones(3)},
     "parameter_limits": {"indices": (1, 2)},
-    "parameter_manifold": {"weights": {BODIES[0]: 2.0}, "bodies": {BODIES[0]: PhysicalInertia()}},
-    "FunctionSet": {"function": lambda x: x @ x - 1.0, "gradient": lambda x: 2.0 * x},
+    "parameter_manifold": {"weights": {BODIES[0]: 2.0},
+        "bodies": {BODIES[0]: PhysicalInertia()}},
+    "FunctionSet": {"gradient": lambda x: 2.0 * x},
     "ConstantMetric": {"matrix": 2 * np.eye(2), "inverse": 0.5 * np.eye(2)},
     "PartialLaw": {"law": AdaptationLaw(PhysicalInertia(), 2.0), "adapted": np.arange(22) < 10},
     "Reading": {"rate": None},
@@ -371,108 +334,85 @@ BY_CALL = {
     "FittedEffect": {"effect": friction("elbow"), "parameters": [0.3], "deviations": [0.1]},
     "from_spatial_inertia_matrix": {"matrix": inertia.spatial_inertia_matrix(PHI)},
     "pushforward_metric": {"matrix": BASE.matrix, "extra": None},
-    "read_table": {"path": Fresh(lambda: folder() / "log.mat")},
-    "RobotInstance.set_state": {"joints": JOINTS, "state": np.ones(4)},
-    "read_mapping": {"path": Fresh(lambda: folder() / "mapping.yaml")},
+    "RobotInstance.set_state": {"state": np.ones(4)},
     "RobotInstance": {"name": "double_pendulum"},
-    "Objective": {"base": None},
-    "log_of_frame": {"frame": {"time": log().time, **dict(zip(COLUMNS, log_columns().T,
-        strict=True))}},
+    "log_of_frame": {"frame": table()},
     "take_out_stated": {"name": "double_pendulum",
         "plant": Fresh(lambda: pendulum(finalized=False))},
-    "EffectForce": {"phi": PHI, "log": "swing"},
+    "EffectForce": {"log": "swing"},
     "command_rollout": {"logs": Fresh(lambda: (commanded(),))},
     "roll_out": {"logs": Fresh(lambda: (log(3.0),))},
     "fit_rollouts": {"model": Fresh(soft), "logs": Fresh(lambda: (log(3.0),)), "most": 4},
-    "export_to": {"folder": Fresh(lambda: folder() / "out"), "force": True, "logs": ()},
-    "save_export": {"path": Fresh(lambda: folder() / "new.urdf")},
-    "save_model": {"path": Fresh(lambda: folder() / "saved.yaml")},
-    "write_log": {"path": Fresh(lambda: folder() / "written.csv")},
+    "export_to": {"folder": in_folder("out"), "force": True},
     "log_content": {"path": Path("written.csv")},
-    "write_trajectory": {"path": Fresh(lambda: folder() / "new.csv"), "rate": 50.0},
-    "read_drake_trajectory": {"path": Fresh(lambda: folder() / "motion.yaml")},
-    "load_effect_file": {"path": Fresh(lambda: folder() / "effect.py")},
-    "load_model": {"path": Fresh(lambda: folder() / "model.yaml"), "transmission": None},
-    "load_description": {"path": PENDULUM},
+    "load_model": {"path": in_folder("model.yaml"), "transmission": None},
     "load_plant": {"path": PENDULUM, "phi": None, "into": None},
-    "read_description": {"path": PENDULUM},
-    "read_fleet": {"path": Fresh(lambda: folder() / "fleet.yaml")},
-    "read_digest": {"path": Fresh(lambda: folder() / "digest.npz")},
-    "digest_logs": {"logs": Fresh(lambda: (folder() / "log.csv",)),
-        "to": Fresh(lambda: folder() / "digests"),
+    "digest_logs": {"to": in_folder("digests"),
         "payloads": Fresh(lambda: {folder() / "log.csv": (KnownPayload("lower_link", 0.3),)})},
-    "LogFacts": {"files": (PENDULUM,), "payloads": (), "episode": 0},
+    "LogFacts": {"episode": 0},
     "Ellipsoid.random_points": {"size": (4, 2)},
     "Product": {"manifolds": (PhysicalInertia(), Positive(2)), "weights": (1.0, 2.0)},
     "Interval": {"lower": (0.0, -1.0), "upper": (1.0, 2.0)},
     "ConstrainedInertia": {"normals": np.eye(10)[:1], "offsets": np.array([0.01])},
     "bregman_projection": {"constraints": slab([1.0, 1.0], 0.5, 1.0)},
-    "Separation": {"prior": np.eye(2), "lower": -np.ones(2), "upper": np.ones(2)},
+    "Separation": {"prior": np.eye(2)},
     "Polyhedron": {"matrix": np.array([[1.0, 1.0]]), "lower": [0.5], "upper": [1.0]},
     "Polyhedron.violation": {"y": np.ones(22)},
     "affine_set": {"A": np.eye(2), "b": np.ones(2)},
-    "halfspace": {"b": 1.0},
-    "slab": {"lower": 1.0, "upper": 2.0},
     "BaseParameters.metric": {"extra": None},
     "LinearTransmission": {"matrix": [[1.0, 0.0], [1.0, 2.0], [0.5, 0.5]], "offset": np.ones(3)},
     "LinearTransmission.of": {"matrix": [[1.0, 0.0], [1.0, 2.0]]},
-    "LinearTransmission.from_ratios": {**{"joints": ("a", "b"), "actuators": ("a",)},
+    "LinearTransmission.from_ratios": {"joints": ("a", "b"), "actuators": ("a",),
         "ratios": {"a": {"a": 1.0}, "b": {"a": 2.0}}},
-    "FunctionTransmission": {**{"size": (2, 2), "position": own_transmission().position},
-        "derivative": own_transmission().derivative},
-    "Shape": {"grid": (0.1, 0.2), "scale": "speed", "usual": 0.1},
+    "FunctionTransmission": {"size": (2, 2)},
+    "Shape": {"grid": (0.1, 0.2), "usual": 0.1},
     "effect_class": {"name": "payload"},
     "make_effect": {"name": "joint_spring", "shape": {"exponent": 3}},
     "make_rival": {"name": "coulomb_friction"},
     "add": {"effect": "coulomb_friction"},
     "Criterion": {"name": "e_optimality"},
-    "MotionLimits": {"lower": -TWO, **dict.fromkeys(("upper", "velocity", "acceleration",
-        "effort"), TWO)},
     "motion_limits": {"position": {"shoulder": (-1.0, 1.0)}, "velocity": {"shoulder": 2.0}},
-    "DesignOptions": {"samples": 50, "start": np.zeros(2), "guess": None},
+    "DesignOptions": {"start": np.zeros(2)},
     "make_separation": {"second": Fresh(lambda: rival("effort_offset"))},
     "measurement_factor": {"measured": (V,)},
     "identifiable_parameters": {"factor": Fresh(factor), "kept": None},
     "reduced_identification": {"factor": Fresh(lambda: factor(measured=True)), "kept": None},
     "make_target": {"X_WP": None},
     "CollisionWorld": {"links": {BODIES[0]: ()}},
-    "identify": {"constraints": None, "ellipsoids": equivalent_ellipsoid(PHI).scaled(3.0).quadric},
+    "identify": {"constraints": None,
+        "ellipsoids": equivalent_ellipsoid(PHI).scaled(3.0).quadric},
     "FitProblem": {"factor": np.linalg.qr(np.column_stack([SCATTER, SCATTER @ PRIOR]))[1],
-        **{"inertia_blocks": (0, 10), "prior_mean": PRIOR, "prior_information": np.eye(20)},
-        **{"entropic": {0: (PHI[0], 1.0)}, "residual_bound": 10.0, "lower": None, "upper": None},
+        "inertia_blocks": (0, 10), "prior_mean": PRIOR, "prior_information": np.eye(20),
+        "entropic": {0: (PHI[0], 1.0)}, "residual_bound": 10.0, "lower": None, "upper": None,
         "reference": None},
     "FitProblem.residual": {"x": PRIOR},
     "PointMasses": {"positions": (np.ones((3, 3)),), "masses": (np.ones(3),)},
     "PointMasses.within": {"ellipsoids": equivalent_ellipsoid(PHI), "counts": 24},
     "PointMasses.parameters": {"masses": None},
     "IdentificationSettings": {"residual_ratio": 1.1, "gamma": None},
-    "JointHistory": {**{"columns": [0, 1], "information": np.tile(np.eye(2), (4, 1, 1))},
+    "JointHistory": {"columns": [0, 1], "information": np.tile(np.eye(2), (4, 1, 1)),
         "right": np.ones((4, 2))},
-    "RobotHistory": {"joints": Fresh(lambda: histories()[1][0].joints), "columns": 2},
+    "RobotHistory": {"joints": Fresh(lambda: histories()[1][0].joints)},
     "RobotHistory.with_gains": {"reference": np.ones(2)},
-    "ChangeHypothesis": {"factor": np.ones((3, 1)), "effect": "dry", "where": "elbow"},
+    "ChangeHypothesis": {"factor": np.ones((3, 1))},
     "Spread": {"factor": np.ones((3, 1))},
     "TypeColumns": vars(type_columns()) | {"units": None},
-    "body_change": {**{"effect": "payload", "where": "arm", "body": 0, "count": 25, "mass": 1.0},
-        **{"radius": 0.1, "matrix": np.ones((4, 20))}},
+    "body_change": {"count": 25, "matrix": np.ones((4, 20))},
     "body_spread": {"columns": 25, "matrix": np.eye(20)},
-    "column_change": {"effect": "dry", "where": "elbow"},
     "column_spreads": {"names": ("a", "b"), "columns": (0, 2)},
     "parameter_levels": {"robot": 0},
     "weighted_history": {"grams": histories()[0], "weights": np.full((4, 1), 1e4)},
     "digest_files": {"folder": Fresh(folder)},
-    "JointLog": {**{"time": log().time, "position": log().position, "effort": log().effort},
-        **{"velocity": log().position, "temperature": None}},
+    "JointLog": {"time": log().time, "position": log().position, "effort": log().effort,
+        "velocity": log().position, "temperature": None},
     "SampleUpdate": {"tolerance": WIDTH, "prior": control_model().prior, "relaxation": 0.5},
-    "KnownPayload": {"body": BODIES[1], "mass": 0.3},
     "RobotModel.motion": {"load": V},
     "RobotModel.with_fit": {"effects": Fresh(lambda: model().effects),
-        **{"information": np.eye(22), "effort_noise": WIDTH}},
+        "information": np.eye(22)},
     "to_spatial_inertia": {"phi": PHI[0]},
     "RobotModel.add_to_builder": {"log": "swing", "scene_graph": True},
     "RobotModel.positions": {"by_joint": Q},
     "EffectForce.lags": {"q": Q[0], "v": V[0], "vd": VD[0]},
     "EffectForce.set_motors": {"lag": np.zeros(0), "speed": np.ones(0)},
-    "Motion": {"q": Q, "v": V, "vd": VD},
 }  # fmt: skip
 """Name of a callable -> arguments of its own."""

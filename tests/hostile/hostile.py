@@ -17,25 +17,24 @@ import stat
 import subprocess
 import sys
 import tempfile
-import time
 import warnings
 from collections.abc import Callable, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import chdir, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+from pendulum_logs import PENDULUM, body_effort
 from typer.testing import CliRunner
 
 import geodrake
 from geodrake.cli import main
 from geodrake.cli.app import app
 
-ROOT = Path(__file__).parents[2]
 PACKAGES = Path(geodrake.__file__).parents[1]
 """Where a process finds the same geodrake as this one, with all that is compiled."""
-PENDULUM = ROOT / "models" / "double_pendulum.urdf"
 HEADER = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
 KEPT = {"kept.yaml": "from before\n", "kept.json": "{}\n", "kept.html": "<p>from before</p>\n"}
 SECONDS = 30  # of the processor, which no command may take longer
@@ -76,6 +75,10 @@ def limit_own_time(seconds=SECONDS):
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
 
 
+Files = Mapping[str, str | bytes | Callable[[Path], object]]
+"""Name of a file -> what is in it, or what makes it at its path."""
+
+
 @dataclass(frozen=True)
 class Row:
     """One input, and what must become of it.
@@ -84,7 +87,7 @@ class Row:
         name: What the input is, in words.
         command: What follows `geodrake`, as typed in a shell in the folder.
         says: Words that must be in what is printed; on standard error if the command fails.
-        make: Makes the input in the folder.
+        make: The input: files, or a function that makes them in the folder.
         code: Exit code; None for 0 or 2.
         writes: Files that the command writes, None for any; one that fails writes a proposed
             mapping at most, which is not named.
@@ -96,7 +99,7 @@ class Row:
     name: str
     command: str
     says: tuple[str, ...] = ()
-    make: Callable[[Path], object] = lambda folder: None
+    make: Files | Callable[[Path], object] = field(default_factory=dict)
     code: int | None = 2
     writes: tuple[str, ...] | None = ()
     apart: bool = False
@@ -105,22 +108,23 @@ class Row:
     def __str__(self):
         return self.name
 
-    def run(self, arguments):
+    def run(self):
         """Exit code, standard output and standard error of the command."""
+        arguments = shlex.split(self.command)
         if self.apart:
-            return run_apart(arguments)
+            return run_forked(arguments, lambda: os.environ.update(self.environment))
         return run_started(arguments, self.environment) if self.environment else run_here(arguments)
 
-    def check(self, folder, monkeypatch):
-        """Run the row in an empty folder and assert all that is promised."""
+    def check(self, folder):
+        """Run the row in an empty folder and assert all that is promised; return the folder."""
         fill(folder)
-        self.make(folder)
+        if callable(self.make):
+            self.make(folder)
+        else:
+            put(folder, self.make)
         before = contents(folder)
-        monkeypatch.chdir(folder)
-        if self.apart:
-            for name, value in self.environment.items():
-                monkeypatch.setenv(name, value)
-        code, out, err = self.run(shlex.split(self.command))
+        with chdir(folder):
+            code, out, err = self.run()
         expected = (0, 2) if self.code is None else (self.code,)
         assert code in expected, f"{self.name}: exit code {code}\n{out}\n{err}"
         check_words(out, err)
@@ -130,29 +134,42 @@ class Row:
             assert out == ""
         for words in self.says:
             assert words in (err if code else out + err), f"no {words!r} in:\n{out}\n{err}"
-        after = contents(folder)
-        written = changed(before, after)
+        written = changed(before, contents(folder))
         if code:  # a mapping may be proposed for a log whose columns are not understood
             written = {name for name in written if not name.endswith(".mapping.yaml")}
-        known = written if self.writes is None and code == 0 else set(self.writes or ())
-        assert written <= known, written
-        for name in written & {"new.json", "kept.json", *(self.writes or ())} if code == 0 else ():
+        if code or self.writes is not None:
+            assert written <= (set() if code else set(self.writes)), written
+        for name in {"new.json", "kept.json", *(self.writes or ())} & written:
             if name.endswith(".json"):
                 read_json(folder / name)
+        return folder
+
+
+def put(folder, files: Files):
+    """Make files in a folder."""
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if callable(content):
+            content(path)
+        else:
+            path.write_bytes(content if isinstance(content, bytes) else content.encode())
+
+
+def link(target):
+    """What makes a link to a target."""
+    return lambda path: path.symlink_to(target)
 
 
 def fill(folder):
     """Put what is in order into a folder."""
-    (folder / "robot.urdf").write_bytes(PENDULUM.read_bytes())
-    (folder / "log.csv").write_bytes(_log_file(1))
-    (folder / "other.csv").write_bytes(_log_file(2))
-    for name, text in KEPT.items():
-        (folder / name).write_text(text, encoding="utf-8")
+    logs = {"log.csv": _log_file(1), "other.csv": _log_file(2)}
+    put(folder, {"robot.urdf": PENDULUM.read_bytes(), **logs, **KEPT})
 
 
 @cache
 def _table(seed, seconds, rate):
-    """A motion and efforts that have gravity, inertia and friction in them, in plain formulas."""
+    """A motion and efforts with friction in them."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds * rate)) / rate
     rates = 2 * np.pi * np.array([0.13, 0.31, 0.53])[:, None]
@@ -161,23 +178,9 @@ def _table(seed, seconds, rate):
     q = (swing * np.sin(angle)).sum(0)
     v = (swing * rates[:, None] * np.cos(angle)).sum(0)
     vd = -(swing * rates[:, None] ** 2 * np.sin(angle)).sum(0)
-    effort = _efforts(q, v, vd) + 0.3 * np.tanh(50.0 * v) + 0.1 * v
+    effort = body_effort(q, v, vd) + 0.3 * np.tanh(50.0 * v) + 0.1 * v
     effort += 0.01 * rng.standard_normal(v.shape)
     return np.column_stack([time, q, effort])
-
-
-def _efforts(q, v, vd):
-    """(N, 2) of the pendulum in `models`, by the formulas of textbooks."""
-    gravity, reach, coupling = 9.81, 0.2557, 0.6256 * 0.2 * 0.2557
-    tip = gravity * 0.6256 * reach * np.sin(q.sum(1))
-    lower, bent = 0.0099667 + 0.6256 * reach**2, coupling * np.cos(q[:, 1])
-    upper = 0.01095 + (0.5235 + 0.6256) * 0.2**2
-    turn = coupling * np.sin(q[:, 1])
-    shoulder = (upper + lower + 2 * bent) * vd[:, 0] + (lower + bent) * vd[:, 1]
-    shoulder += gravity * (0.5235 + 0.6256) * 0.2 * np.sin(q[:, 0]) + tip
-    shoulder -= turn * v[:, 1] * (2 * v[:, 0] + v[:, 1])
-    elbow = (lower + bent) * vd[:, 0] + lower * vd[:, 1] + turn * v[:, 0] ** 2 + tip
-    return np.stack([shoulder, elbow], 1)
 
 
 def table(*, seed=1, seconds=24.0, rate=100.0):
@@ -261,45 +264,29 @@ def run_here(arguments):
     return result.exit_code, result.stdout, result.stderr
 
 
-def run_apart(arguments):
-    """The same in a copy of this process; a negative code is the signal that ended it."""
-    status, out, err = run_forked(arguments, Path.cwd())
-    if status is None:
-        raise HangError(f"geodrake {shlex.join(arguments)} has not ended")
-    return os.waitstatus_to_exitcode(status), out, err
+def run_forked(arguments, begin=lambda: None):
+    """The same in a copy of this process, which begins with something else.
 
-
-def run_forked(arguments, folder, begin=lambda: None):
-    """Wait status (None after a hang) and output of a command in a copy of this process.
-
-    Args:
-        arguments: What follows `geodrake`.
-        folder: Where it runs.
-        begin: What the copy does before.
+    A negative exit code is the signal that ended it.
     """
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        copy = get_context("fork").Process(target=_become, args=(arguments, out, err, begin))
         with warnings.catch_warnings():
             # pytest-xdist has a thread, of which the copy needs nothing.
             warnings.filterwarnings("ignore", r"This process .* is multi-threaded")
-            process = os.fork()
-        if process == 0:
-            _become(arguments, folder, out, err, begin)
-        end = time.monotonic() + PATIENCE
-        while not (ended := os.waitpid(process, os.WNOHANG))[0] and time.monotonic() < end:
-            time.sleep(0.002)
-        status = ended[1]
-        if not (in_time := ended[0] == process):
-            os.kill(process, signal.SIGKILL)
-            os.waitpid(process, 0)
-        in_time &= not (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU)
+            copy.start()
+        copy.join(PATIENCE)
+        if copy.is_alive() or copy.exitcode == -signal.SIGXCPU:
+            copy.kill()
+            raise HangError(f"geodrake {shlex.join(arguments)} has not ended")
         texts = []
         for file in (out, err):
             file.seek(0)
             texts.append(file.read().decode("utf-8", errors="replace"))
-    return status if in_time else None, *texts
+    return copy.exitcode, *texts
 
 
-def _become(arguments, folder, out, err, begin):
+def _become(arguments, out, err, begin):
     """Turn a forked process into one that runs the command and ends."""
     code = INTERNAL
     limit_own_time()
@@ -310,7 +297,6 @@ def _become(arguments, folder, out, err, begin):
         sys.stdout, sys.stderr = (
             os.fdopen(descriptor, "w", encoding="utf-8", closefd=False) for descriptor in (1, 2)
         )
-        os.chdir(folder)
         sys.argv = ["geodrake", *arguments]
         signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell's job may ignore
         begin()
@@ -325,12 +311,11 @@ def _become(arguments, folder, out, err, begin):
         os._exit(code)
 
 
-def run_started(arguments, environment):
+def run_started(arguments, variables):
     """The same in a process that is started for it, with variables of its own."""
-    variables = {**os.environ, "PYTHONPATH": str(PACKAGES), "MPLBACKEND": "Agg", **environment}
     done = subprocess.run(
         [sys.executable, "-m", "geodrake", *arguments],
-        env={name: value for name, value in variables.items() if value is not None},
+        env=environment(**{"MPLBACKEND": "Agg", **variables}),
         capture_output=True,
         encoding="utf-8",
         errors="replace",
@@ -340,3 +325,9 @@ def run_started(arguments, environment):
         check=False,
     )
     return done.returncode, done.stdout, done.stderr
+
+
+def environment(**variables):
+    """Variables of a process that is to find the same geodrake; None takes one out."""
+    found = {**os.environ, "PYTHONPATH": str(PACKAGES), **variables}
+    return {name: value for name, value in found.items() if value is not None}

@@ -51,15 +51,6 @@ def effect(
     return HEAD + textwrap.dedent(before) + own
 
 
-def file(text, name="own.py"):
-    """What makes a file of effects in a folder."""
-    return lambda folder: (folder / name).write_text(text, encoding="utf-8")
-
-
-def bytes_of(data):
-    return lambda folder: (folder / "own.py").write_bytes(data)
-
-
 LOAD = "compare robot.urdf log.csv --effects own.py"
 ADD = "add own robot.urdf log.csv other.csv --effects own.py"
 EXPLAIN = "explain robot.urdf log.csv other.csv --effects own.py"
@@ -67,15 +58,15 @@ EXPLAIN = "explain robot.urdf log.csv other.csv --effects own.py"
 
 def refused(name, text, *says):
     """A file that is refused as it is read."""
-    return Row(name, LOAD, ("own.py", *says), file(text))
+    return Row(name, LOAD, ("own.py", *says), {"own.py": text})
 
 
 FILES = [
-    Row("an empty file", LOAD, ("own.py is empty",), bytes_of(b"")),
+    Row("an empty file", LOAD, ("own.py is empty",), {"own.py": b""}),
     Row("not Python by name", "compare robot.urdf log.csv --effects own.txt", ("own.txt",),
-        file(effect(), "own.txt")),
-    Row("not UTF-8", LOAD, ("own.py", "SyntaxError"), bytes_of(b"x = '\xff\xfe'\n")),
-    Row("null characters", LOAD, ("own.py", "null bytes"), bytes_of(b"x = 1\0\n")),
+        {"own.txt": effect()}),
+    Row("not UTF-8", LOAD, ("own.py", "SyntaxError"), {"own.py": b"x = '\xff\xfe'\n"}),
+    Row("null characters", LOAD, ("own.py", "null bytes"), {"own.py": b"x = 1\0\n"}),
     refused("no effect in it", "x = 1\n", "defines no effect"),
     refused("a syntax error", "def f(:\n", "SyntaxError", "line 1"),
     refused("an import of nothing", "\nimport no_such_module\n", "line 2", "no_such_module"),
@@ -86,29 +77,29 @@ FILES = [
     refused("a made-up BaseException", "class E(BaseException): pass\nraise E('x')\n", "line 2"),
     refused("an error of many lines", "raise ValueError('a\\nb')\n", "line 1", "ValueError"),
     Row("keyboard interrupt at import", LOAD, ("Interrupted",),
-        file("raise KeyboardInterrupt\n"), code=130),
+        {"own.py": "raise KeyboardInterrupt\n"}, code=130),
     Row("it prints and warns", LOAD + " --json -", code=0,
-        make=file(effect(before="print('hello')\nwarnings.warn('own')\n")),
+        make={"own.py": effect(before="print('hello')\nwarnings.warn('own')\n")},
         environment={"PYTHONWARNINGS": "default"}),
     Row("it changes the folder", LOAD, ("changes the working directory",),
-        file(effect(before="os.chdir('/')\n"))),
+        {"own.py": effect(before="os.chdir('/')\n")}),
     Row("two effects of one name", LOAD, ("'own'",),
-        file(effect() + effect().replace("class Own", "class Other"))),
+        {"own.py": effect() + effect().replace("class Own", "class Other")}),
     Row("two files of one effect", LOAD + " --effects two.py", ("'own'",),
-        lambda f: (file(effect())(f), file(effect(), "two.py")(f))),
-    Row("one file twice", LOAD + " --effects own.py", ("'own'",), file(effect())),
-    Row("all is well", LOAD, code=0, make=file(effect())),
+        dict.fromkeys(("own.py", "two.py"), effect())),
+    Row("one file twice", LOAD + " --effects own.py", ("'own'",), {"own.py": effect()}),
+    Row("all is well", LOAD, code=0, make={"own.py": effect()}),
 ]  # fmt: skip
 
 CLASSES = [
     refused("no name", effect().replace('name = "own"', ""), "Own", "name"),
     Row("no dataclass, and no need", LOAD, code=0,
-        make=file(effect().replace("@dataclass(frozen=True)", ""))),
+        make={"own.py": effect().replace("@dataclass(frozen=True)", "")}),
     refused("not frozen", effect().replace("(frozen=True)", ""), "frozen"),
     refused("one of two effects lacks its columns", effect() + effect(name='"other"',
         method="colums").removeprefix(HEAD).replace("Own", "Two"), "Two", "lacks columns"),
     Row("chance in columns", ADD, (), code=0,
-        make=file(effect("return [np.random.normal(size=joint.q.shape)]"))),
+        make={"own.py": effect("return [np.random.normal(size=joint.q.shape)]")}),
 ]  # fmt: skip
 ATTRIBUTES = (
     *("name", "parameters", "places", "role", "shapes", "depends_on", "complexity", "signature"),
@@ -141,7 +132,7 @@ def test_attributes_that_no_effect_has(attribute, tmp_path):
 
 COMMANDS = {"added": ADD, "explained": EXPLAIN}
 CHANGED = [
-    Row(kind, COMMANDS[end], says, file(effect(**given)))
+    Row(kind, COMMANDS[end], says, {"own.py": effect(**given)})
     for end, rows in yaml.safe_load(ROWS.read_text(encoding="utf-8")).items()
     for kind, given, *says in rows
 ]
@@ -149,5 +140,5 @@ CHANGED = [
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("row", [*FILES, *CLASSES, *CHANGED], ids=str)
-def test_row(row, tmp_path, monkeypatch):
-    row.check(tmp_path, monkeypatch)
+def test_row(row, tmp_path):
+    row.check(tmp_path)

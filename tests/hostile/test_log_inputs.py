@@ -3,12 +3,12 @@
 import gzip
 import io
 import os
-import shutil
 import zipfile
+from itertools import product
 
 import numpy as np
 import pytest
-from hostile import HEADER, Row, table, write_log
+from hostile import HEADER, Row, put, table, write_log
 from numpy.lib import format as npy
 
 from geodrake.errors import LogError
@@ -16,6 +16,8 @@ from geodrake.logs.files import read_log, room
 
 NAMES = HEADER.split(",")
 NPZ, CSV = "compare robot.urdf x.npz", "compare robot.urdf x.csv"
+LINES = [HEADER, *(",".join(map(repr, row)) for row in table().tolist())]
+BODY = "\n".join(LINES) + "\n"
 MISSING = object()
 
 
@@ -25,53 +27,32 @@ def arrays(**changes):
     return {name: array for name, array in found.items() if array is not MISSING}
 
 
-def archive(**changes):
-    """Makes an archive with other arrays."""
-    return lambda folder: np.savez(folder / "x.npz", **arrays(**changes))
-
-
-def bytes_of(array):
+def saved(save, *given, **more):
+    """Bytes that a function of NumPy saves."""
     file = io.BytesIO()
-    np.save(file, array)
+    save(file, *given, **more)
     return file.getvalue()
 
 
+def archive(**changes):
+    """An archive with other arrays."""
+    return {"x.npz": lambda path: np.savez(path, **arrays(**changes))}
+
+
 def patched(change):
-    """Makes an archive whose bytes were changed."""
-
-    def make(folder):
-        file = io.BytesIO()
-        np.savez(file, **arrays())
-        (folder / "x.npz").write_bytes(change(file.getvalue()))
-
-    return make
+    """An archive whose bytes were changed."""
+    return {"x.npz": change(saved(np.savez, **arrays()))}
 
 
-def members(change=lambda name, data: data, *, called="{}.npy", twice=False, **settings):
-    """Makes an archive of members with other contents or names."""
+def members(change=lambda name, data: data, *, called=("{}.npy",), **settings):
+    """An archive of members with other contents or names."""
 
-    def make(folder):
-        with zipfile.ZipFile(folder / "x.npz", "w", **settings) as file:
-            for name, array in arrays().items():
-                file.writestr(called.format(name), change(name, bytes_of(array)))
-                if twice:
-                    file.writestr(f" {called.format(name)}", change(name, bytes_of(array)))
+    def make(path):
+        with zipfile.ZipFile(path, "w", **settings) as file:
+            for (name, array), form in product(arrays().items(), called):
+                file.writestr(form.format(name), change(name, saved(np.save, array)))
 
-    return make
-
-
-def claiming(shape, descr="<f8"):
-    """Another header for the elbow's effort."""
-
-    def change(name, data):
-        if name != "elbow.effort":
-            return data
-        file = io.BytesIO()
-        fields = {"descr": descr, "fortran_order": False, "shape": shape}
-        npy.write_array_header_1_0(file, fields)
-        return file.getvalue() + data[128:]
-
-    return members(change)
+    return {"x.npz": make}
 
 
 def only(wanted, new):
@@ -79,30 +60,32 @@ def only(wanted, new):
     return members(lambda name, data: new(data) if name == wanted else data)
 
 
-def flagged(entry, flags, method):
-    """Entries of an archive's directory with other flags and compression."""
+def claiming(shape, descr="<f8"):
+    """Another header for the elbow's effort."""
+    fields = {"descr": descr, "fortran_order": False, "shape": shape}
+    header = saved(npy.write_array_header_1_0, fields)
+    return only("elbow.effort", lambda data: header + data[128:])
+
+
+def flagged(flags, method):
+    """An archive whose directory has other flags and compression."""
 
     def change(data):
-        start = 0
-        while (start := data.find(entry, start)) >= 0:
-            data = data[: start + 8] + bytes([flags, 0, method, 0]) + data[start + 12 :]
-            start += 1
-        return data
+        parts = data.split(b"PK\x01\x02")
+        changed = (part[:4] + bytes([flags, 0, method, 0]) + part[8:] for part in parts[1:])
+        return b"PK\x01\x02".join([parts[0], *changed])
 
     return patched(change)
 
 
-def bomb(folder):
-    """Columns of zeros that unpack to a gigabyte each, and one that says it has six."""
-    zeros = bytes(1 << 24)
-    with zipfile.ZipFile(folder / "x.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
+def bomb(path):
+    """Columns of zeros, of which one says that it has six gigabytes."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
         for name in NAMES:
-            with file.open(f"{name}.npy", "w", force_zip64=True) as member:
-                rows = 750_000_000 if name == "elbow.effort" else 2**21 * 2
-                fields = {"descr": "<f8", "fortran_order": False, "shape": (rows,)}
-                npy.write_array_header_1_0(member, fields)
-                for _ in range(2):
-                    member.write(zeros)
+            rows = 750_000_000 if name == "elbow.effort" else 2**22
+            fields = {"descr": "<f8", "fortran_order": False, "shape": (rows,)}
+            header = saved(npy.write_array_header_1_0, fields)
+            file.writestr(f"{name}.npy", header + bytes(1 << 25))
 
 
 def damaged(data):
@@ -110,32 +93,27 @@ def damaged(data):
     return data[:place] + bytes([data[place] ^ 255]) + data[place + 1 :]
 
 
-def with_bytes(data, name="x.npz"):
-    return lambda folder: (folder / name).write_bytes(data)
-
-
-ENTRY = b"PK\x01\x02"
 effort = table()[:, 4]
 NO_ARCHIVE = "no NPZ archive"
 
 ARCHIVES = [
-    Row("npy", NPZ, (NO_ARCHIVE,), with_bytes(bytes_of(table()))),
-    Row("csv", NPZ, (NO_ARCHIVE,), lambda f: shutil.copy(f / "log.csv", f / "x.npz")),
+    Row("npy", NPZ, (NO_ARCHIVE,), {"x.npz": saved(np.save, table())}),
+    Row("csv", NPZ, (NO_ARCHIVE,), {"x.npz": BODY}),
     Row("cut off at the end", NPZ, (NO_ARCHIVE,), patched(lambda data: data[:-200])),
     Row("checksum", NPZ, ("Bad CRC-32",), patched(damaged)),
-    Row("encrypted", NPZ, ("encrypted",), flagged(ENTRY, 1, 0)),
-    Row("compression 99", NPZ, ("compression method",), flagged(ENTRY, 0, 99)),
+    Row("encrypted", NPZ, ("encrypted",), flagged(1, 0)),
+    Row("compression 99", NPZ, ("compression method",), flagged(0, 99)),
     Row("7 PiB", NPZ, ("1000000000000000 numbers",), claiming((10**15,))),
     Row("10^30 numbers", NPZ, ("takes 19200 bytes",), claiming((10**30,))),
     Row("more than there are", NPZ, ("2401 numbers",), claiming((2401,))),
     Row("a matrix by header", NPZ, ("not 1-D",), claiming((1200, 2))),
     Row("objects by header", NPZ, ("holds object",), claiming((2400,), "|O")),
-    Row("bomb", NPZ, ("750000000 numbers",), bomb),
+    Row("bomb", NPZ, ("750000000 numbers",), {"x.npz": bomb}),
     Row("member of text", NPZ, (NO_ARCHIVE,), only("time", lambda data: b"hello")),
-    Row("members of text", NPZ, (NO_ARCHIVE,), members(lambda *_: b"1,2,3", called="{}")),
-    Row("nested", NPZ, ("no column 'time'",), members(called="a/b/{}.npy")),
-    Row("in the folder above", NPZ, (), members(called="../{}.npy"), code=0),
-    Row("columns twice", NPZ, ("more than once",), members(twice=True)),
+    Row("members of text", NPZ, (NO_ARCHIVE,), members(lambda *_: b"1,2,3", called=["{}"])),
+    Row("nested", NPZ, ("no column 'time'",), members(called=["a/b/{}.npy"])),
+    Row("in the folder above", NPZ, (), members(called=["../{}.npy"]), code=0),
+    Row("columns twice", NPZ, ("more than once",), members(called=["{}.npy", " {}.npy"])),
     Row("format of the future", NPZ, ("version (9, 0)",), only(
         "time", lambda data: data[:6] + b"\x09\x00" + data[8:])),
     Row("header that runs", NPZ, (NO_ARCHIVE,), only(
@@ -159,26 +137,18 @@ ARCHIVES = [
     Row("too long doubles", NPZ, ("split into 2 pieces",), archive(**{"elbow.effort": np.where(
         np.arange(2400) == 1200, np.longdouble("1e4000"), effort)}), code=0),
     Row("a note beside", NPZ, ("ignored: note",), archive(note=np.array("hi")), code=0),
-    Row("members without ending", NPZ, (), members(called="{}"), code=0),
+    Row("members without ending", NPZ, (), members(called=["{}"]), code=0),
     Row("lzma", NPZ, (), members(compression=zipfile.ZIP_LZMA), code=0),
 ]  # fmt: skip
 
-LINES = [HEADER, *(",".join(map(repr, row)) for row in table().tolist())]
-BODY = "\n".join(LINES) + "\n"
-
 
 def text(content, encoding="utf-8"):
-    """Makes a log of a text; of a large one, by a function, only where it is needed."""
-
-    def make(folder):
-        words = content() if callable(content) else content
-        (folder / "x.csv").write_bytes(words.encode(encoding))
-
-    return make
+    """A log of a text."""
+    return {"x.csv": content.encode(encoding)}
 
 
 def cell(content):
-    """Makes a log that has something else in row 6."""
+    """A log that has something else in row 6."""
     return text(BODY.replace("\n0.05,", f"\n{content},", 1))
 
 
@@ -198,12 +168,12 @@ TABLES = [
     Row("nulls behind", CSV, ("Row 2401",), text(BODY + "\x00" * 5000)),
     Row("UTF-16", CSV, (NO_TEXT,), text(BODY, "utf-16")),
     Row("Latin-1 in the header", CSV, (NO_TEXT,), text("zähler," + BODY, "latin-1")),
-    Row("gzip", CSV, (NO_TEXT,), with_bytes(gzip.compress(BODY.encode()), "x.csv")),
+    Row("gzip", CSV, (NO_TEXT,), {"x.csv": gzip.compress(BODY.encode())}),
     Row("a quote that opens the header", CSV, ("never closes",), text('"' + BODY)),
     Row("a quote that never closes", CSV, ("Row 6", "never closes"), cell('"0.05')),
     Row("a line of 10 MB", CSV, ("more than 8 MB",), text(
-        lambda: HEADER + "\n" + "1," * 5_000_000)),
-    Row("ten thousand joints", CSV, ("no joint 'j0'",), text(lambda: "\n".join(
+        HEADER + "\n" + "1," * 5_000_000)),
+    Row("ten thousand joints", CSV, ("at most 10000 are read",), text("\n".join(
         ["time," + ",".join(f"j{k}.position,j{k}.effort" for k in range(10_000))]
         + [f"{k}" + ",0" * 20_000 for k in range(12)]))),
     Row("vertical tabs", CSV, ("has 0 rows",), text(BODY.replace("\n", "\x0b"))),
@@ -243,6 +213,12 @@ TABLES = [
 ]  # fmt: skip
 
 
+def rows_of(*tables):
+    """Logs x and y of tables."""
+    names = ("x.csv", "y.csv")
+    return {n: lambda path, t=t: write_log(path, t) for n, t in zip(names, tables, strict=False)}
+
+
 PATHS = [
     Row("memory of the process", "compare robot.urdf /proc/self/mem", ("is empty",)),
     Row("log as model", "compare log.csv other.csv", ("log.csv",)),
@@ -250,44 +226,35 @@ PATHS = [
     Row("page as log", "compare robot.urdf kept.html", ("ends in '.html'",)),
     Row("twice", "compare robot.urdf log.csv log.csv", ("given twice",)),
     Row("twice by a hard link", "compare robot.urdf log.csv x.csv", ("given twice",),
-        lambda f: (f / "x.csv").hardlink_to(f / "log.csv")),
+        {"x.csv": lambda path: path.hardlink_to(path.parent / "log.csv")}),
     Row("a copy", "compare robot.urdf log.csv x.csv", ("given twice",),
-        lambda f: shutil.copy(f / "log.csv", f / "x.csv")),
+        rows_of(table())),
     Row("a copy as npz", "compare robot.urdf log.csv x.npz", ("given twice",), archive()),
     Row("a copy at another time", "compare robot.urdf log.csv x.csv", ("given twice",),
-        lambda f: write_log(f / "x.csv", table() + np.array([3600.0, 0, 0, 0, 0]))),
+        rows_of(table() + np.array([3600.0, 0, 0, 0, 0]))),
     Row("an excerpt", "compare robot.urdf log.csv x.csv", ("given twice",),
-        lambda f: write_log(f / "x.csv", table()[500:2000])),
+        rows_of(table()[500:2000])),
     Row("a copy of the last of three", "explain robot.urdf log.csv other.csv x.csv",
-        ("given twice", "'other'"), lambda f: shutil.copy(f / "other.csv", f / "x.csv")),
-    Row("two halves", "compare robot.urdf x.csv y.csv", (), lambda f: (
-        write_log(f / "x.csv", table()[:1200]), write_log(f / "y.csv", table()[1200:])), code=0),
+        ("given twice", "'other'"), rows_of(table(seed=2))),
+    Row("two halves", "compare robot.urdf x.csv y.csv", (), rows_of(
+        table()[:1200], table()[1200:]), code=0),
 ]  # fmt: skip
 
 
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("row", [*ARCHIVES, *TABLES, *PATHS], ids=str)
-def test_row(row, tmp_path, monkeypatch):
-    row.check(tmp_path, monkeypatch)
+def test_row(row, tmp_path):
+    row.check(tmp_path)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
-def test_what_must_not_be_read(tmp_path, monkeypatch):
-    def closed(folder):
-        (folder / "closed").mkdir()
-        shutil.copy(folder / "log.csv", folder / "closed" / "x.csv")
-        (folder / "x.csv").write_text(BODY)
-        (folder / "x.csv").chmod(0)
-
-    Row("file", CSV, ("Permission denied",), closed).check(tmp_path, monkeypatch)
+def test_what_must_not_be_read(tmp_path):
+    Row("file", CSV, ("Permission denied",), {"x.csv": lambda path: path.touch(0)}).check(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["x.npz", "x.csv"])
-def test_more_than_memory_is_refused_before_it_is_read(tmp_path, monkeypatch, name):
+@pytest.mark.parametrize("files", [archive(), text(BODY)], ids=["npz", "csv"])
+def test_more_than_memory_is_refused_before_it_is_read(tmp_path, monkeypatch, files):
     monkeypatch.setattr(room, "machine_memory", lambda: 100_000)
-    if name == "x.npz":
-        archive()(tmp_path)
-    else:
-        text(BODY)(tmp_path)
+    put(tmp_path, files)
     with pytest.raises(LogError, match=r"of 5 numbers, 9\.6.*; this machine has 0\.0001 GB"):
-        read_log(tmp_path / name)
+        read_log(tmp_path / next(iter(files)))

@@ -2,12 +2,13 @@
 
 import os
 import socket
+from contextlib import chdir
 from pathlib import Path
 
 import pytest
 import typer.main
 from good_files import FLEET
-from hostile import Row, fill
+from hostile import Row, link
 
 from geodrake.cli.app import app
 from geodrake.errors import ArgumentError
@@ -62,8 +63,6 @@ MORE = {
 """Option -> what it cannot be or hardly, of its own kind."""
 REFUSED = ("nan", "wide", "many", "1.5", "'a\0b'", "x.pipe", "x.socket", "/dev/zero")
 """Values of numbers and paths that no option takes."""
-
-
 FILES = {"model": "robot.urdf", "logs": "log.csv", "fleet": "fleet.yaml"}
 """Arguments that are files, and what they are in the commands above."""
 
@@ -82,22 +81,19 @@ def parameters():
 PARAMETERS = list(parameters())
 
 
-def in_order(folder):
-    """What commands need, and paths that are no files."""
-    (folder / "fleet.yaml").write_text(FLEET, encoding="utf-8")
-    (folder / "x").mkdir()
-    (folder / "x.loop").symlink_to("x.loop")
-    os.mkfifo(folder / "x.pipe")
-    here = Path.cwd()
-    os.chdir(folder)  # as paths of sockets are short
-    with socket.socket(socket.AF_UNIX) as server:
-        server.bind("x.socket")
-    os.chdir(here)
+def bind(path):
+    with chdir(path.parent), socket.socket(socket.AF_UNIX) as server:  # whose paths are short
+        server.bind(path.name)
+
+
+MAKE = {"fleet.yaml": FLEET, "x": Path.mkdir, "x.loop": link("x.loop"), "x.pipe": os.mkfifo}
+MAKE |= {"x.socket": bind}
+"""What commands need, and paths that are no files."""
 
 
 @pytest.mark.sampled(20)
 @pytest.mark.parametrize(("command", "option", "kind"), PARAMETERS)
-def test_values(command, option, kind, tmp_path, monkeypatch):
+def test_values(command, option, kind, tmp_path):
     given = COMMANDS[command]
     for k, value in enumerate((*VALUES.get(kind, VALUES["str"]), *MORE.get(option, ()))):
         words = f"{given} {option} {value}"
@@ -105,7 +101,7 @@ def test_values(command, option, kind, tmp_path, monkeypatch):
             words = given.replace(FILES[option], value)
         code = 2 if value in REFUSED and kind in ("float", "int", "Path") else None
         (folder := tmp_path / str(k)).mkdir()
-        Row(words, words, make=in_order, code=code, writes=None).check(folder, monkeypatch)
+        Row(words, words, make=MAKE, code=code, writes=None).check(folder)
 
 
 def test_all_options_are_known():
@@ -118,7 +114,7 @@ ROWS = [
     Row("a mass that is none", f"identify {DATA} --total-mass nan", ("total mass",)),
     Row("beyond the rate", f"compare {DATA} --bandwidth 26", ("bandwidth of", "Hz")),
     Row("over an input", f"digest {DATA} --to new --json log.json", ("is an input",),
-        lambda folder: (folder / "log.json").symlink_to("log.csv")),
+        {"log.json": link("log.csv")}),
     Row("no command", "''", ("No such command",)),
     Row("a word of escapes", f"compare {DATA} --blocks '\x1b[31m'", ("Invalid value",)),
     Row("all windows", f"rollout {DATA} --windows {HUGE}", ("departs",), code=0),
@@ -127,8 +123,8 @@ ROWS = [
 
 
 @pytest.mark.parametrize("row", ROWS, ids=str)
-def test_row(row, tmp_path, monkeypatch):
-    row.check(tmp_path, monkeypatch)
+def test_row(row, tmp_path):
+    row.check(tmp_path)
 
 
 @pytest.mark.parametrize("bandwidth", [float("nan"), 0.0, -1.0, 1e-300, 26.0, 1e300])
@@ -137,8 +133,6 @@ def test_filters_have_a_bandwidth_that_fits(bandwidth):
         design_filter(0.01, bandwidth)
 
 
-def test_a_library_call_has_the_bounds_of_the_command(tmp_path):
-    fill(tmp_path)
-    model = load_model(tmp_path / "robot.urdf")
+def test_a_library_call_has_the_bounds_of_the_command(filled):
     with pytest.raises(ArgumentError, match="blocks"):
-        compare(model, [tmp_path / "log.csv"], blocks=10**9)
+        compare(load_model("robot.urdf"), ["log.csv"], blocks=10**9)

@@ -2,6 +2,7 @@
 
 import errno
 import fcntl
+import itertools
 import os
 import re
 import resource
@@ -11,30 +12,28 @@ import signal
 import stat
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hostile import (
     KEPT,
-    PACKAGES,
     PROGRESS,
     Row,
     changed,
     contents,
-    fill,
+    environment,
+    link,
     read_json,
     run_forked,
     run_here,
 )
 
-from geodrake.boundary.whole_files import check_writable, write_together, write_whole
 from geodrake.cli import session
-from geodrake.errors import GeodrakeError, OutputError
-from geodrake.logs.files import write_log
-from geodrake.logs.motion import JointLog
 
-ALL = "--save kept.yaml --json kept.json --report kept.html"
+COMPARE = ["compare", "robot.urdf", "log.csv"]
+ALL = ["--save", "kept.yaml", "--json", "kept.json", "--report", "kept.html"]
+NEW = [*ALL[:-1], "new.html"]
 GEODRAKE = f"{shlex.quote(sys.executable)} -m geodrake"
 IDENTIFY = "identify robot.urdf log.csv --gamma 100"
 EXCITE = "excite robot.urdf"
@@ -46,11 +45,11 @@ TARGETS = {
     "a file for a folder": ("log.csv/x", None, "no folder"),
     "a folder of processes": ("/proc/x", None, "cannot be written"),
     "a folder in its place": ("f", Path.mkdir, "is no file"),
-    "a link to nothing": ("f", lambda p: p.symlink_to("none/x"), "cannot be written"),
-    "a link in a circle": ("f", lambda p: p.symlink_to(p.name), "Too many levels"),
-    "a device": ("f", lambda p: p.symlink_to("/dev/full"), "is no file"),
+    "a link to nothing": ("f", link("none/x"), "cannot be written"),
+    "a link in a circle": ("f", lambda p: link(p.name)(p), "Too many levels"),
+    "a device": ("f", link("/dev/full"), "is no file"),
     "a pipe": ("f", os.mkfifo, "is no file"),
-    "an input": ("f", lambda p: p.symlink_to("log.csv"), "is an input"),
+    "an input": ("f", link("log.csv"), "is an input"),
 }
 OPTIONS = {
     **{option: ("compare robot.urdf log.csv", end) for end, option in NAMES.items()},
@@ -65,7 +64,7 @@ def refused(option, what):
     (command, end), (target, make, says) = OPTIONS[option], TARGETS[what]
     rest = " ".join(f"--{o} kept{e}" for e, o in NAMES.items() if o != option)
     words = f"{command} --{option} {target}{end} {rest}"
-    return Row(f"{option} {what}", words, (says,), lambda f: make and make(f / f"f{end}"))
+    return Row(f"{option} {what}", words, (says,), {f"f{end}": make} if make else {})
 
 
 REFUSED = [refused(option, what) for option in OPTIONS for what in TARGETS]
@@ -74,91 +73,55 @@ MORE = [
     Row("a table to standard output", "compare robot.urdf log.csv --save -", ("standard output",)),
     Row("another kind of file", "compare robot.urdf log.csv --report x.txt", ("does not end in",)),
     Row("one target by two names", f"{IDENTIFY} --report kept.html --meshcat two.html",
-        ("already the target",), lambda folder: (folder / "two.html").symlink_to("kept.html")),
+        ("already the target",), {"two.html": link("kept.html")}),
     Row("numbers to standard output", "compare robot.urdf log.csv --json - --save new.yaml",
         ('"version"',), code=0, writes=("new.yaml",)),
     *(Row(what, f"compare robot.urdf log.csv --json {name}.json", code=0, writes=(f"{name}.json",))
         for what, name in (("a longest name", "x" * 250), ("letters of two bytes", "ü" * 120))),
-    Row("all at once", f"compare robot.urdf log.csv {ALL}", code=0, writes=tuple(KEPT)),
+    Row("all at once", shlex.join([*COMPARE, *ALL]), code=0, writes=tuple(KEPT)),
 ]  # fmt: skip
 
 
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("row", REFUSED + MORE, ids=str)
-def test_row(row, tmp_path, monkeypatch):
-    row.check(tmp_path, monkeypatch)
-
-
-@pytest.fixture
-def kept(tmp_path, monkeypatch):
-    fill(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def in_shell(command):
-    """Run a line of shell."""
-    bash = shutil.which("bash")
-    if bash is None:
-        pytest.skip("no bash")
-    return subprocess.run(
-        [bash, "-o", "pipefail", "-c", command],
-        env={**os.environ, "PYTHONPATH": str(PACKAGES)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def test_row(row, tmp_path):
+    row.check(tmp_path)
 
 
 def fail_at(monkeypatch, number, error):
-    """Lets the renaming of files fail at one of them."""
-    count, rename = [0], Path.replace
+    """Let the renaming of files fail at one of them."""
+    numbers, rename = itertools.count(1), Path.replace
 
     def failing(self, target):
-        if not str(self).endswith(".part") or str(target).endswith(".part"):
-            return rename(self, target)
-        count[0] += 1
-        if count[0] == number:
+        is_target = str(self).endswith(".part") and not str(target).endswith(".part")
+        if is_target and next(numbers) == number:
             raise error
         return rename(self, target)
 
     monkeypatch.setattr(Path, "replace", failing)
 
 
+DISK = OSError(errno.EIO, "Input/output error")
+
+
 @pytest.mark.sampled(2)
-@pytest.mark.parametrize("number", [1, 2, 3])
-@pytest.mark.parametrize("error", [OSError(errno.EIO, "Input/output error"), KeyboardInterrupt()])
-def test_where_one_file_cannot_be_renamed_none_is_new(kept, monkeypatch, number, error):
-    before = contents(kept)
-    fail_at(monkeypatch, number, error)
-    code, out, err = run_here(["compare", "robot.urdf", "log.csv", *ALL.split()])
-    if isinstance(error, KeyboardInterrupt):
-        assert (code, err) == (130, "Interrupted.\n")
-    else:
-        assert code == 2
-        assert "Input/output error" in err
-    assert out == ""
-    assert contents(kept) == before
-
-
-def test_without_links_what_was_there_is_copied(kept, monkeypatch):
+@pytest.mark.parametrize(
+    ("number", "error", "links"),
+    [*product((1, 2, 3), (DISK, KeyboardInterrupt()), (True,)), (3, DISK, False)],
+)
+def test_where_one_file_cannot_be_renamed_none_is_new(filled, monkeypatch, number, error, links):
     def no_links(*_):
         raise OSError(errno.EPERM, "Operation not permitted")
 
-    before = contents(kept)
-    monkeypatch.setattr(Path, "hardlink_to", no_links)
-    fail_at(monkeypatch, 3, OSError(errno.EIO, "Input/output error"))
-    code, _, _ = run_here(["compare", "robot.urdf", "log.csv", *ALL.split()])
-    assert code == 2
-    assert contents(kept) == before
-
-
-def test_a_file_that_was_not_there_is_not_there_after_a_failure(kept, monkeypatch):
-    before = contents(kept)
-    fail_at(monkeypatch, 2, OSError(errno.EIO, "Input/output error"))
-    with pytest.raises(OutputError, match="Input/output error"):
-        write_together({kept / "new.json": "1", kept / "kept.html": "2"})
-    assert contents(kept) == before
+    before = contents(filled)
+    if not links:  # what was there is copied
+        monkeypatch.setattr(Path, "hardlink_to", no_links)
+    fail_at(monkeypatch, number, error)
+    code, out, err = run_here([*COMPARE, *ALL])
+    is_disk = error is DISK
+    assert (code, out) == (2 if is_disk else 130, "")
+    assert "Input/output error" in err if is_disk else err == "Interrupted.\n"
+    assert contents(filled) == before
 
 
 @pytest.mark.parametrize(
@@ -166,169 +129,102 @@ def test_a_file_that_was_not_there_is_not_there_after_a_failure(kept, monkeypatc
     [("new.html", Path.mkdir, "is a folder"), ("robot.urdf", Path.unlink, "is gone")],
 )
 def test_what_changes_during_the_work_is_noticed_before_files_are_written(
-    name, change, says, kept, monkeypatch
+    name, change, says, filled, monkeypatch
 ):
     to_json = session.to_json
 
     def meanwhile(numbers):
-        change(kept / name)
+        change(filled / name)
         return to_json(numbers)
 
     monkeypatch.setattr(session, "to_json", meanwhile)
-    options = ["--save", "kept.yaml", "--json", "kept.json", "--report", "new.html"]
-    before = contents(kept)
-    code, _, err = run_here(["compare", "robot.urdf", "log.csv", *options])
+    before = contents(filled)
+    code, _, err = run_here([*COMPARE, *NEW])
     assert code == 2
     assert says in err
-    assert changed(before, contents(kept)) == {name}
+    assert changed(before, contents(filled)) == {name}
 
 
-def test_permissions_stay_and_links_are_written_through(kept):
-    (kept / "there").mkdir()
-    (kept / "kept.json").rename(kept / "there" / "real.json")
-    (kept / "kept.json").symlink_to("there/real.json")
-    (kept / "new.html").symlink_to("there/later.html")
+def test_permissions_stay_and_links_are_written_through(filled):
+    (filled / "there").mkdir()
+    (filled / "kept.json").rename(filled / "there" / "real.json")
+    (filled / "kept.json").symlink_to("there/real.json")
+    (filled / "new.html").symlink_to("there/later.html")
     modes = {"kept.yaml": 0o640, "there/real.json": 0o604}
     for name, mode in modes.items():
-        (kept / name).chmod(mode)
-    options = ["--save", "kept.yaml", "--json", "kept.json", "--report", "new.html"]
-    code, _, err = run_here(["compare", "robot.urdf", "log.csv", *options])
+        (filled / name).chmod(mode)
+    code, _, err = run_here([*COMPARE, *NEW])
     assert code == 0, err
     for name, mode in modes.items():
-        assert stat.S_IMODE((kept / name).stat().st_mode) == mode
-    assert (kept / "kept.json").readlink() == Path("there/real.json")
-    assert read_json(kept / "there" / "real.json")["command"] == "compare"
-    assert (kept / "new.html").readlink() == Path("there/later.html")
-    assert (kept / "there" / "later.html").is_file()
-    assert sorted(p.name for p in (kept / "there").iterdir()) == ["later.html", "real.json"]
-
-
-def test_new_files_have_the_permissions_that_the_user_wants(kept):
-    before = os.umask(0o027)
-    try:
-        write_whole(kept / "new.json", "{}")
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((kept / "new.json").stat().st_mode) == 0o640
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
-def test_the_owner_stays(kept):
-    os.chown(kept / "kept.json", 12345, 23456)
-    write_whole(kept / "kept.json", "{}")
-    status = (kept / "kept.json").stat()
-    assert (status.st_uid, status.st_gid) == (12345, 23456)
+        assert stat.S_IMODE((filled / name).stat().st_mode) == mode
+    assert (filled / "kept.json").readlink() == Path("there/real.json")
+    assert read_json(filled / "there" / "real.json")["command"] == "compare"
+    assert (filled / "new.html").readlink() == Path("there/later.html")
+    assert (filled / "there" / "later.html").is_file()
+    assert sorted(p.name for p in (filled / "there").iterdir()) == ["later.html", "real.json"]
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write what is read-only")
-def test_read_only_files_and_folders_are_known_before_the_work(kept):
-    (kept / "kept.json").chmod(0o444)
-    code, _, err = run_here(["compare", "robot.urdf", "log.csv", *ALL.split()])
-    assert code == 2
-    assert "read-only" in err
+def test_read_only_files_are_known_before_the_work(tmp_path):
+    command = "compare robot.urdf log.csv --json x.json"
+    make = {"x.json": lambda path: path.touch(0o444)}
+    Row("read-only", command, ("read-only",), make).check(tmp_path)
 
 
-def test_left_overs_of_killed_runs_are_removed_and_nothing_else(kept):
+def test_left_overs_of_killed_runs_are_removed_and_nothing_else(filled):
     ours = [".kept.json.123.part", ".kept.json.99999999.part"]
     theirs = [".kept.json.part", ".kept.json.x1.part", ".kept.jsonl.1.part", "kept.json.1.part"]
     theirs += [".kept.json.5.part.json", ".kept.yaml.77.part"]
     for name in [*ours, *theirs]:
-        (kept / name).write_text("half", encoding="utf-8")
-    with (kept / ".kept.json.456.part").open("wb") as written:
+        (filled / name).write_text("half", encoding="utf-8")
+    with (filled / ".kept.json.456.part").open("wb") as written:
         fcntl.flock(written, fcntl.LOCK_EX)  # as whoever writes it does
         code, _, err = run_here(["compare", "robot.urdf", "log.csv", "--json", "kept.json"])
     assert code == 0, err
-    left = sorted(p.name for p in kept.iterdir() if ".part" in p.name)
+    left = sorted(p.name for p in filled.iterdir() if ".part" in p.name)
     assert left == sorted([*theirs, ".kept.json.456.part"])
 
 
-def test_a_target_whose_temporary_name_is_taken(kept):
-    taken = kept / f".kept.json.{os.getpid()}.part"
-    taken.mkdir()
-    write_whole(kept / "kept.json", "[]")
-    assert (kept / "kept.json").read_text(encoding="utf-8") == "[]"
-    assert taken.is_dir()
-
-
-LIBRARY = {
-    "a folder": (".", "is a folder"),
-    "a device": ("/dev/full", "is no file"),
-    "nothing": ("/dev/null", "is no file"),
-    "a missing folder": ("none/x.csv", "No such file"),
-    "a name with a zero": ("a\0b.csv", "null"),
-    "a name too long": ("x" * 300 + ".csv", "too long"),
-    "a process": ("/proc/self/x.csv", "No such file"),
-}
-
-
-@pytest.mark.parametrize("what", LIBRARY)
-def test_the_library_refuses_what_cannot_be_written(what, kept):
-    target, words = LIBRARY[what]
-    before = contents(kept)
-    for write in (lambda: write_whole(target, b"x"), lambda: check_writable(target)):
-        with pytest.raises(OutputError, match=words):
-            write()
-    log = JointLog("l", ("j",), np.arange(3.0), np.zeros((3, 1)), np.zeros((3, 1)))
-    if target.endswith(".csv"):
-        with pytest.raises(GeodrakeError, match=words.replace("null", r"a\\x00b")):
-            write_log(log, target)
-    assert contents(kept) == before
-    assert all(path.is_char_device() for path in (Path("/dev/full"), Path("/dev/null")))
-
-
-def test_content_that_cannot_be_made_leaves_nothing(kept):
-    def broken(file):
-        file.write(b"half")
-        raise ZeroDivisionError
-
-    before = contents(kept)
-    with pytest.raises(ZeroDivisionError):
-        write_together({kept / "kept.json": "all", kept / "kept.html": broken})
-    assert contents(kept) == before
-
-
-def test_a_file_that_there_is_no_room_for_leaves_what_was_there(kept):
-    before = contents(kept)
+def test_a_file_that_there_is_no_room_for_leaves_what_was_there(filled):
+    before = contents(filled)
 
     def begin():
         resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # as Python does when it starts
 
-    status, _, err = run_forked(["compare", "robot.urdf", "log.csv", *ALL.split()], kept, begin)
-    assert os.waitstatus_to_exitcode(status) == 2
+    code, _, err = run_forked([*COMPARE, *ALL], begin)
+    assert code == 2
     assert err == "Error: Cannot write kept.html: File too large. Choose another place.\n"
-    assert contents(kept) == before
+    assert contents(filled) == before
 
 
+NUMBERS = "compare robot.urdf log.csv --json"
 OUTPUTS = {
     "tables to a full disk": ("compare robot.urdf log.csv > /dev/full", 2, "No space left"),
-    "numbers to a full disk": (
-        "compare robot.urdf log.csv --json - --quiet > /dev/full",
-        2,
-        "No space",
-    ),
+    "numbers to a full disk": (f"{NUMBERS} - --quiet > /dev/full", 2, "No space"),
     "help to a full disk": ("--help > /dev/full", 2, "No space left"),
     "the version to a full disk": ("--version > /dev/full", 2, "No space left"),
     "nobody to read tables": ("compare robot.urdf log.csv | true", 141, ""),
-    "nobody to read numbers": ("compare robot.urdf log.csv --json - 2> /dev/null | true", 141, ""),
+    "nobody to read numbers": (f"{NUMBERS} - 2> /dev/null | true", 141, ""),
     "closed output": ("compare robot.urdf log.csv >&-", 0, ""),
     "closed input": ("compare robot.urdf log.csv <&- > /dev/null", 0, ""),
     "closed errors": ("compare robot.urdf log.csv 2>&- > /dev/null", 0, ""),
     "closed errors and an error": ("no-such-command 2>&-", 2, ""),
     "a full disk for errors": ("no-such-command 2> /dev/full", 2, ""),
-    "everything closed": ("compare robot.urdf log.csv --json new.json <&- >&- 2>&-", 0, ""),
+    "everything closed": (f"{NUMBERS} new.json <&- >&- 2>&-", 0, ""),
 }
 
 
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("what", OUTPUTS)
-def test_standard_streams(what, kept):
+def test_standard_streams(what, filled):
     command, code, says = OUTPUTS[what]
-    done = in_shell(f"{GEODRAKE} {command}")
+    shell = ["bash", "-o", "pipefail", "-c", f"{GEODRAKE} {command}"]
+    done = subprocess.run(shell, env=environment(), capture_output=True, text=True, check=False)
     assert done.returncode == code, done.stderr
     told = [line for line in done.stderr.splitlines() if not PROGRESS.fullmatch(line)]
-    assert len(told) == bool(says), done.stderr
-    assert says in done.stderr
+    assert bool(told) == bool(says) and says in "".join(told[-1:]), done.stderr
     if "new.json" in command:
-        assert read_json(kept / "new.json")["command"] == "compare"
+        assert read_json(filled / "new.json")["command"] == "compare"
     assert not re.search("Traceback|Exception", done.stderr)

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from odd_names import IN_XML
 
 from geodrake.errors import LogError, OutputError
 from geodrake.logs.files import read_log, write_log
@@ -186,3 +187,13 @@ def test_large_files_are_fast(tmp_path):
         np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1)
         plain.append(clock.process_time() - begin)
     assert min(ours) < 3.0 * min(plain)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
+@pytest.mark.parametrize("what", IN_XML)
+def test_a_written_log_has_the_names_that_it_was_given(what, suffix, tmp_path):
+    names, values = (IN_XML[what], "elbow"), np.arange(20.0).reshape(10, 2)
+    write_log(JointLog("log", names, np.arange(10.0), values, values), tmp_path / f"log{suffix}")
+    again = read_log(tmp_path / f"log{suffix}", joints=names)
+    assert again.joints == names
+    np.testing.assert_array_equal(again.effort, values)

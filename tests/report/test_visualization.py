@@ -6,6 +6,7 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pytest
 from report_results import (
@@ -436,3 +437,12 @@ def test_where_a_joint_fails_has_its_unit_and_three_digits():
     case = Failing("slide", "at speeds below 0.05 m/s", 1.67, 1.0, 0.6, 0.2, "N")
     assert "RMS 1.67 N there, 1.00 otherwise" in failing_words(case)
     assert "RMS 167 N·m there" in failing_words(dataclasses.replace(case, rms=167.0, unit="N·m"))
+
+
+def test_figures_are_the_same_whatever_matplotlib_is_told():
+    found = comparison(["a"], 1.0)
+    usual = render_comparison(found, **NAMES)
+    told = {"text.usetex": True, "font.family": "monospace", "axes.grid": True, "font.size": 30}
+    with matplotlib.rc_context(told):
+        assert render_comparison(found, **NAMES) == usual
+        assert matplotlib.rcParams["font.size"] == 30

@@ -1,0 +1,52 @@
+"""Names that are code, markup, escape sequences or nothing that a language could hold."""
+
+PWNED = '__import__("os").system("touch PWNED")'
+IN_XML = {
+    "code": f'x""" + str({PWNED}) + """',
+    "code in single quotes": f"x''' + str({PWNED}) + '''",
+    "code in a format": f"{{{PWNED}!r}} %s %(x)d",
+    "a backslash": "run\\N1",
+    "a backslash last": "x\\",
+    "markup": "</script><img src=x onerror=alert(1)>\"'&amp;",
+    "markup of rich": "[bold red]x[/] :smile: [/]",
+    "mathematics": "$\\frac$",
+    "half of mathematics": "a_$b^{",
+    "YAML of a mapping": "a: b",
+    "YAML of a list": "- x",
+    "YAML of Python": '!!python/object/apply:os.system ["touch PWNED"]',
+    "YAML of an anchor": "&a *a #c",
+    "YAML of nothing": "null",
+    "YAML of truth": "true",
+    "YAML of a number": "1e3",
+    "YAML of a tilde": "~",
+    "a line end": "upper\nlower",
+    "a carriage return": "upper\rlower",
+    "a tab": "upper\tlower",
+    "C1 escapes": "\x9b31mred\x85",
+    "writing turned around": "a\u202eb\u2066c",
+    "line separators": "a\u2028b\u2029c",
+    "no width": "a\u200bb\ufeffc",
+    "Chinese": "关节",
+    "a letter beyond 16 bits": "a\U0001f916b",
+    "two letters in one": "\ufb01nger",
+    "a power": "x\u00b2",
+    "a path": "../../etc/x",
+    "a comma and a quote": 'a,b"c',
+    "a keyword": "class",
+    "a number": "1",
+    "a name of the code": "motion",
+    "a dot": "a.position",
+    "hundreds of letters": "j" * 300,
+}
+"""Names that a model file may have."""
+IN_FILES = {
+    **{what: name.replace("/", ":")[:200] for what, name in IN_XML.items()},
+    "colours": "\x1b[31mred\x1b[0m",
+    "a title of the terminal": "\x1b]0;owned\x07",
+    "a cleared terminal": "\x1b[2J\x1bc",
+    "a letter taken back": "good\x08\x08\x08\x08evil",
+    "deleted": "a\x7fb",
+    "not UTF-8": "a\udcffb",
+    "a dash": "-x",
+}
+"""Names that a file may have."""
