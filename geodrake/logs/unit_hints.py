@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 _NO_NOISE = 0.3  # rad or m: no position's noise reaches so far
 _ENOUGH_ROWS = 30  # that tell an order
-_LIKE_NOISE = 0.5  # mean squared step between rows, over twice the variance: 1 of random order
+_LIKE_NOISE = 0.7  # median step between rows, over the median deviation: 1.4 of random order
 _LARGEST = 1e100  # of efforts that are compared with limits
 _LEAST_LIMIT = 1e-9  # N·m or N: no motor is that weak
 _ROWS = 100_000  # of a log that are looked at together
@@ -65,15 +65,17 @@ def row_order_hint(log: JointLog) -> str | None:
     rows = log.position[np.isfinite(log.position).all(axis=1)][:_ROWS]
     if len(rows) < _ENOUGH_ROWS:
         return None
-    reach, steps = np.ptp(rows, axis=0), np.diff(rows, axis=0)
-    ratio = np.mean(steps**2, axis=0) / np.maximum(2.0 * rows.var(axis=0), 1e-300)
+    # Quantiles, as spikes of sensors make large steps, too.
+    low, high = np.quantile(rows, [0.05, 0.95], axis=0)
+    reach, steps = high - low, np.abs(np.diff(rows, axis=0))
+    spread = np.median(np.abs(rows - np.median(rows, axis=0)), axis=0)
     far = reach > _NO_NOISE
-    if not far.any() or ratio[far].min() < _LIKE_NOISE:
+    if not far.any() or (np.median(steps, axis=0) < _LIKE_NOISE * spread)[far].any():
         return None
     most = int(np.argmax(reach))
     return (
         f"The rows of log {log.name!r} are not in the order of time: {log.joints[most]} jumps by "
-        f"{np.median(np.abs(steps[:, most])):.3g} rad (m) from row to row, within a range of "
+        f"{np.median(steps[:, most]):.3g} rad (m) from row to row, within a range of "
         f"{reach[most]:.3g}."
     )
 

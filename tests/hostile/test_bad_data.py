@@ -141,7 +141,6 @@ TIMES = [
 
 
 MISSED = {
-    "both joints": "a spike of all joints in one row is taken for rows that are not in order",
     "a joint that stands": "the bandwidth that is chosen leaves no samples of so short a log",
 }
 """What is refused and should be read -> why."""
