@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 _NO_NOISE = 0.3  # rad or m: no position's noise reaches so far
 _ENOUGH_ROWS = 30  # that tell an order
-_LIKE_NOISE = 0.7  # median step between rows, over the median deviation: 1.4 of random order
+_JUMP = 0.2  # of its range, between two rows: 0.3 in random order, 0.1 in 20 rows a swing
 _LARGEST = 1e100  # of efforts that are compared with limits
 _LEAST_LIMIT = 1e-9  # N·m or N: no motor is that weak
 _ROWS = 100_000  # of a log that are looked at together
@@ -68,9 +68,8 @@ def row_order_hint(log: JointLog) -> str | None:
     # Quantiles, as spikes of sensors make large steps, too.
     low, high = np.quantile(rows, [0.05, 0.95], axis=0)
     reach, steps = high - low, np.abs(np.diff(rows, axis=0))
-    spread = np.median(np.abs(rows - np.median(rows, axis=0)), axis=0)
     far = reach > _NO_NOISE
-    if not far.any() or (np.median(steps, axis=0) < _LIKE_NOISE * spread)[far].any():
+    if not far.any() or (np.median(steps, axis=0) < _JUMP * reach)[far].any():
         return None
     most = int(np.argmax(reach))
     return (
