@@ -27,12 +27,14 @@ from geodrake.effects.episode import Episode
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.unknowns import pullback_information
+from geodrake.identification.normal_equations import scaled_cholesky
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.logs.smoothing import Segment
 from geodrake.robot.regressor import body_regressor
 
 Array = NDArray[np.float64]
 
+_RIDGE = 1e-11  # of a normal matrix that has ones on its diagonal
 _INSTANTS = 48  # of the grid between which windows are tried
 _FEWEST = 20  # rows of a joint, with fewer of which nothing is tried
 _LEAST = 0.03  # share of a log's rows before and after an instant
@@ -116,14 +118,14 @@ def is_short(case: Case, effect: Effect | None) -> bool:
 
 
 def _is_alike(one: Episode, other: Episode) -> bool:
-    """Whether two episodes are of one body, and nearly of one window."""
+    """Return whether two episodes are of one body, and nearly of one window."""
     pairs = list(zip(one.window, other.window, strict=True))
     open_alike = all((a is None) == (b is None) for a, b in pairs)
     return _is_of_same(one, other) and open_alike and _distance(one, other) < _ALIKE
 
 
 def _shares_an_edge(one: Episode, other: Episode) -> bool:
-    """Whether two episodes of one body have an edge in common, of which either tells the rest."""
+    """Return whether two episodes of one body share an edge, so that either explains the other."""
     pairs = product(one.window[:2], other.window[:2])
     near = any(abs(a - b) < _ALIKE for a, b in pairs if a is not None and b is not None)
     return _is_of_same(one, other) and near
@@ -134,7 +136,7 @@ def _is_of_same(one: Episode, other: Episode) -> bool:
 
 
 def _distance(one: Episode, other: Episode) -> float:
-    """Largest change of an edge or of the rise, s."""
+    """Return the largest difference of an edge or of the rise, s."""
     pairs = zip(one.window[:3], other.window[:3], strict=True)
     return max(abs(a - b) for a, b in pairs if a is not None and b is not None)
 
@@ -173,9 +175,8 @@ class _Around:
         if without is not None:
             kept[model.span(fit, without)] = False
         H, x = fit.hessian[np.ix_(kept, kept)], fit.x[kept]
-        scale = 1.0 / np.sqrt(np.diag(H))
-        root = np.linalg.cholesky(H * scale[:, None] * scale + 1e-11 * np.eye(len(H)))
-        root /= scale[:, None]
+        factor, scale = scaled_cholesky(H, _RIDGE)
+        root = factor / scale[:, None]
         if without is not None:
             pull = fit.hessian[np.ix_(kept, ~kept)] @ fit.x[~kept]
             half = solve_triangular(root, pull, lower=True)

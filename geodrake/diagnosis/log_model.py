@@ -37,6 +37,7 @@ from geodrake.identification.logs.dataset import Dataset, is_payload
 from geodrake.identification.logs.hypothesis import Hypothesis, effective_of_each
 from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns
+from geodrake.identification.normal_equations import scaled_cholesky, solved
 from geodrake.inertia import PARAMETERS_PER_BODY, pseudo_inertia_basis
 from geodrake.model.robot_model import RobotModel
 
@@ -317,12 +318,8 @@ class LogModel:
         for _ in range(_MOST_FITS):
             weights = shares / np.maximum(variance, self._floor)
             hessian = prior + np.tensordot(weights, grams, 1)
-            scale = 1.0 / np.sqrt(np.diag(hessian))
-            factor = np.linalg.cholesky(
-                hessian * scale[:, None] * scale + _RIDGE * np.eye(len(scale))
-            )
-            right = scale * (pull + weights @ moments)
-            x = scale * np.linalg.solve(factor.T, np.linalg.solve(factor, right))
+            factor, scale = scaled_cholesky(hessian, _RIDGE)
+            x = scale * solved(factor, scale * (pull + weights @ moments))
             left = powers - 2.0 * moments @ x + (grams @ x) @ x
             before, variance = variance, np.maximum(left / rows, self._floor)
             if np.all(np.abs(np.log(variance / before)) < _ALIKE):
@@ -413,10 +410,9 @@ class LogModel:
         """Return (nv, nv) second moments of the gains' errors, as prior and data have them."""
         first = len(self.unknowns.columns)
         at = np.arange(first, first + len(self.rows))
-        mean, scale = fit.x[at], 1.0 / np.sqrt(np.diag(fit.hessian))
-        scaled = fit.hessian * scale[:, None] * scale + _RIDGE * np.eye(len(scale))
-        covariance = np.linalg.solve(scaled, np.eye(len(scale))[:, at])[at]
-        return covariance * scale[at, None] * scale[at] + np.outer(mean, mean)
+        factor, scale = scaled_cholesky(fit.hessian, _RIDGE)
+        covariance = solved(factor, np.eye(len(scale))[:, at])[at]
+        return covariance * scale[at, None] * scale[at] + np.outer(fit.x[at], fit.x[at])
 
     def span(self, fit: Fit, term: Term) -> slice:
         """Return where the parameters of a term of a fit are among its own."""

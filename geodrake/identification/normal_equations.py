@@ -43,6 +43,22 @@ def choleskies(matrices: Array, ridge: float = RIDGE) -> Array:
     return np.asarray(factors)
 
 
+def scaled_cholesky(matrix: Array, ridge: float = RIDGE) -> tuple[Array, Array]:
+    """Return the lower Cholesky factor L (n, n) and the scale s (n,) of a symmetric matrix.
+
+    L Lᵀ is the matrix times s from both sides, which has ones on its diagonal, and the ridge.
+
+    Args:
+        matrix: (n, n) matrix.
+        ridge: What is added to the diagonal of ones.
+
+    Raises:
+        IdentificationError: The matrix is not positive definite, or not finite.
+    """
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    return cholesky(matrix * scale[:, None] * scale, ridge), scale
+
+
 def solved(factor: Array, right: Array) -> Array:
     """Return solutions of right sides (n,) or (n, m), by the (n, n) that `cholesky` gave."""
     return np.asarray(dpotrs(factor.T, right)[0]) if len(right) else right

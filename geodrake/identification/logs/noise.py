@@ -29,7 +29,7 @@ def noise_floor(
     sign_width: ArrayLike = 0.0,
     fitted: bool = False,
 ) -> Array:
-    """(n,) RMS of the sensors' noise in efforts after filtering, N·m or N; see `known_noise`."""
+    """Return (n,) RMS of the sensors' noise in filtered efforts, N·m or N; see `known_noise`."""
     return known_noise(trajectories, model, sign_width=sign_width, fitted=fitted)[0]
 
 
@@ -40,7 +40,7 @@ def known_noise(
     sign_width: ArrayLike = 0.0,
     fitted: bool = False,
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """RMS of the sensors' noise in efforts after filtering, and whether it is known.
+    """Return the RMS of the sensors' noise in efforts after filtering, and whether it is known.
 
     The noise is taken to be white.
 

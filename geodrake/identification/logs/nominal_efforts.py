@@ -27,7 +27,7 @@ def effort_scale(
     data: Sequence[JointData],
     deviation: Array,
 ) -> Array:
-    """(nv,) what each joint's effort could show, N·m or N.
+    """Return (nv,) what each joint's effort could show, N·m or N.
 
     That is the deviation of its effort, if it moves. The effort of a joint at rest deviates by next
     to nothing, and is no measure of an error: there it is the effort that it holds, or that by

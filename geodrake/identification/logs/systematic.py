@@ -10,7 +10,7 @@ from geodrake.identification.fit import FitResult
 from geodrake.identification.logs.criteria import WORTH
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.unknowns import Unknowns
-from geodrake.identification.normal_equations import cholesky, solved
+from geodrake.identification.normal_equations import scaled_cholesky, solved
 
 Array = NDArray[np.float64]
 
@@ -73,6 +73,5 @@ def unexplained_covariance(
 
 def _moved(fit: FitResult, pulls: Array) -> Array:
     """(p, k) what parameters change by with each of some slopes (p, k) of the fit's cost."""
-    scale = 1.0 / np.sqrt(np.diag(fit.information))
-    factor = cholesky(fit.information * scale[:, None] * scale)
+    factor, scale = scaled_cholesky(fit.information)
     return np.asarray(scale[:, None] * solved(factor, scale[:, None] * pulls))
