@@ -32,7 +32,7 @@ def check_columns(
     bandwidth: float | None = None,
     blocks: int | None = None,
 ) -> tuple[ColumnFinding, ...]:
-    """Mistakes in the columns of logs: wrong signs, units, gains, zeros, times, swapped joints.
+    """Find mistakes in columns of logs: wrong signs, units, gains, zeros, times, swapped joints.
 
     Every mistake is another assignment of columns to joints, and one Gaussian evidence weighs them:
     bodies near the model's, friction, offsets and rotors free. Its rivals are a payload, a slope,

@@ -93,12 +93,12 @@ class Parameters:
 
     @property
     def shared(self) -> int:
-        """Number of the parameters of bodies and effects."""
+        """Return the number of the parameters of bodies and effects."""
         return len(self.mean) - 2 - (2 + UNKNOWN) * len(self.model.joints)
 
     @cached_property
     def lacking(self) -> slice:
-        """Those of effects that the model lacks."""
+        """Return the parameters of effects that the model lacks."""
         return slice(len(_information(self.model)), self.shared)
 
     def tilt(self) -> Indices:
@@ -179,12 +179,16 @@ class JointDesign:
     peak: Array
     beyond: tuple[float, float] = (0.0, 1.0)
 
+    def place_of(self, source: int) -> int:
+        """Return where a column of efforts stands in X."""
+        return len(self.columns) + 1 + int(source)
+
     def asked(
         self, samples: ColumnSamples, assignment: Assignment, joint: int
     ) -> tuple[Array, Array]:
         """Return efforts (K,) of the log at the joint, and velocities (K,)."""
         velocity = samples.v[self.rows, assignment.position[joint]] * assignment.scale[joint]
-        effort = self.X[:, len(self.columns) + 1 + assignment.effort[joint]]
+        effort = self.X[:, self.place_of(assignment.effort[joint])]
         return assignment.gain[joint] * effort, velocity / assignment.time
 
     def read_as(self, samples: ColumnSamples, assignment: Assignment, joint: int) -> JointDesign:
@@ -203,7 +207,7 @@ class JointDesign:
         return found
 
     def _with_effort(self, source: int, effort: Array) -> JointDesign:
-        X, column = self.X.copy(), len(self.columns) + 1 + source
+        X, column = self.X.copy(), self.place_of(source)
         X[:, column] = effort
         gram, changed = self.gram.copy(), X.T @ effort
         gram[column], gram[:, column] = changed, changed

@@ -114,14 +114,14 @@ class ColumnModel:
         """Return (n,) independent samples that a fit's residuals of each column are worth."""
         system = _System(self, fit.assignment, ())
         left = [joint.residual(fit.x) for joint in system.near(fit.x)]
-        count = np.array([len(each) for each in left], float)
-        columns, found = fit.assignment.effort, np.zeros((2, len(left)))
-        found[:, columns] = self.samples.effective(left, [d.rows for d in system.designs]), count
+        found = np.zeros(len(left))
+        rows = [design.rows for design in system.designs]
+        found[fit.assignment.effort] = self.samples.effective(left, rows)
         # What is more than sensor noise goes with the motion, however often that repeats.
         noise = np.square(NOISE_MARGIN * self.noise) / np.maximum(fit.mse, 1e-300)
         more = np.clip(1.0 - noise, 0.0, 1.0)
-        samples = np.minimum(found[0], self.beliefs.discrepancy)
-        return np.asarray(1.0 / ((1.0 - more) / found[0] + more / samples))
+        repeated = np.minimum(found, self.beliefs.discrepancy)
+        return np.asarray(1.0 / ((1.0 - more) / found + more / repeated))
 
     def fit(
         self,
@@ -149,7 +149,7 @@ class ColumnModel:
         assignment, found = fit.assignment, list[Array]()
         for j, joint in enumerate(_System(self, assignment, ()).near(fit.x)):
             design = joint.design
-            effort = design.X[:, len(design.columns) + 1 + assignment.effort[j]]
+            effort = design.X[:, design.place_of(assignment.effort[j])]
             found.append(joint.residual(fit.x) + assignment.gain[j] * effort)
         return found
 
@@ -317,7 +317,7 @@ class _System:
             [
                 scale[j] * d.gram[k, k] / count[j]
                 for j, d in enumerate(self.designs)
-                for k in [len(d.columns) + 1 + assignment.effort[j]]
+                for k in [d.place_of(assignment.effort[j])]
             ]
         )
         least = power * LEAST_NOISE**2 + 1e-300

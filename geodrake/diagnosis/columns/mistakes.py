@@ -17,10 +17,10 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 SIZES = 300.0
-"""A factor that is found in the data may have so many sizes that are told apart."""
+"""Number of sizes of a factor that data tell apart."""
 
 LIMITS = 30.0
-"""So may a motor's limit, which is not far below the largest effort, and its speed without load."""
+"""The same of a motor's limit, which is near the largest effort, and of its speed without load."""
 
 _DEGREE = np.pi / 180.0
 _THOUSAND = (1e-3, 1e3)  # N·mm beside N·m, and the other way round; milliseconds
@@ -224,7 +224,7 @@ class Mistakes:
             yield Mistake("time", (), replace(start, time=start.time * factor), sizes=SIZES)
 
     def _others(self) -> Iterator[Mistake]:
-        """What is no mistake in columns, but looks like some.
+        """Yield what is no mistake in columns but looks like one.
 
         A payload that the model lacks, a base on a slope, something unknown at a joint beside the
         bodies, or in their place.
@@ -251,7 +251,7 @@ def _is_other(factor: float) -> bool:
 
 
 def velocity_factors(model: ColumnModel, base: ColumnFit) -> Array:
-    """(n,) what measured velocities are of the positions' derivatives; NaN where nothing moves.
+    """Return (n,) ratios of measured velocities to derived ones; NaN where nothing moves.
 
     Args:
         model: The Gaussian model.
@@ -269,14 +269,14 @@ def velocity_factors(model: ColumnModel, base: ColumnFit) -> Array:
 
 
 def own_gains(model: ColumnModel, base: ColumnFit) -> tuple[Array, Array]:
-    """(n,) factors of the efforts by which each is nearest to what the model's bodies need.
+    """Find factors of the efforts by which each is nearest to what the model's bodies need.
 
     Args:
         model: The Gaussian model.
         base: A fit.
 
     Returns:
-        The factors, and (n,) how much of the efforts goes with what the bodies need.
+        (n,) factors, and (n,) the mean square of the efforts that goes with what bodies need.
     """
     parameters, start = model.parameters, base.assignment
     gains, shares = np.ones((2, len(start.gain)))
@@ -286,7 +286,7 @@ def own_gains(model: ColumnModel, base: ColumnFit) -> tuple[Array, Array]:
         bodies = design.columns < parameters.model.phi.size
         Q, _ = np.linalg.qr(design.X[:, :m][:, own])
         load = design.X[:, :m][:, bodies] @ parameters.mean[design.columns[bodies]] + design.X[:, m]
-        s = start.gain[j] * design.X[:, m + 1 + start.effort[j]]
+        s = start.gain[j] * design.X[:, design.place_of(start.effort[j])]
         load, s = (values - Q @ (Q.T @ values) for values in (load, s))
         product, power, strength = float(s @ load), float(s @ s), float(load @ load)
         shares[j] = product**2 / max(power * strength, 1e-300) * power / len(s)

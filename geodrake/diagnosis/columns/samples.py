@@ -89,7 +89,7 @@ class ColumnSamples:
 def column_samples(
     model: RobotModel, trajectories: tuple[Trajectory, ...], folds: Sequence[Fold]
 ) -> ColumnSamples:
-    """The samples of prepared logs.
+    """Return the samples of prepared logs.
 
     Args:
         model: The model.

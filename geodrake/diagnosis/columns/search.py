@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Set
+from collections.abc import Callable, Collection, Hashable, Iterable, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,11 +31,16 @@ _LONGEST = 0.7  # rad, or of a logarithm, of a step
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A mistake, the fit without it, and its score less what its rarity costs."""
+    """A mistake, the fit without it, and what its rarity costs."""
 
     mistake: Mistake
     fit: ColumnFit
-    score: float
+    price: float
+
+    @property
+    def score(self) -> float:
+        """Return twice the logarithm of the evidence and of the prior odds."""
+        return self.fit.score - self.price
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +102,10 @@ class ColumnSearch:
         moved = np.zeros(len(end.x))
         moved[at] = -np.log(ratio)
         mistake = Mistake("effort_gains", (), after, tuple(at.tolist()), moved)
-        mistakes = Mistakes(model, first.before).all()
-        prices = dict(zip(mistakes, _prices(mistakes, model.beliefs), strict=True))
-        price = next((prices[m] for m in mistakes if m.kind == "effort_gains"), np.inf)
+        prices = self._priced(first.before).items()
+        price = next((price for m, price in prices if m.kind == "effort_gains"), np.inf)
         worth = model.worth(end)
-        one = self._again(Judged(mistake, end, 0.0), worth, price)
+        one = self._again(Judged(mistake, end, price), worth)
         plain = model.fit(first.before.assignment, worth, first.before)
         if one.score - plain.score <= sum(step.gain for step in gains):
             return steps
@@ -111,11 +115,9 @@ class ColumnSearch:
 
     def _step(self, base: ColumnFit, settled: Set[Hashable]) -> MistakeFound | None:
         """Return the most probable mistake beside those of a fit; None if none is."""
-        model, worth = self.model, self.model.hopeful()
-        mistakes = Mistakes(model, base).all()
-        prices = dict(zip(mistakes, _prices(mistakes, model.beliefs), strict=True))
-        first = [self._judged(m, base, worth, prices[m]) for m in self._promising(mistakes, base)]
-        first += [self._moved(each, worth, prices) for each in first if each.mistake.free]
+        model, worth, prices = self.model, self.model.hopeful(), self._priced(base)
+        first = [self._judged(m, base, worth, prices[m]) for m in self._promising(prices, base)]
+        first += [self._moved(each, worth) for each in first if each.mistake.free]
         places = dict[Hashable, Judged]()
         for each in sorted(first, key=_score, reverse=True):
             if each.mistake.kind and _place(each) in settled:
@@ -124,18 +126,18 @@ class ColumnSearch:
         plain = model.fit(base.assignment, worth, base)
         least = plain.score + _HOPELESS
         mistaken = [each for each in places.values() if each.mistake.kind and each.score > least]
-        last = [self._refined(each, base, worth, prices) for each in mistaken[:_FINALISTS]]
+        last = [self._refined(each, base, worth) for each in mistaken[:_FINALISTS]]
         if not any(each.score > plain.score for each in last):
             return None
         # With few independent samples, what is no mistake may be likelier than it looks at first.
         others = [each for each in places.values() if not each.mistake.kind]
-        last += [self._refined(each, base, worth, prices) for each in others]
+        last += [self._refined(each, base, worth) for each in others]
         # Probabilities are told by the samples that the residuals of the answer are worth.
         best, of_base = max(last, key=_score), model.worth(base)
         for _ in range(2):
             told = best
             worth = np.where(best.fit.mse < plain.mse, model.worth(best.fit), of_base)
-            last = [self._again(each, worth, prices[each.mistake]) for each in last]
+            last = [self._again(each, worth) for each in last]
             best, plain = max(last, key=_score), model.fit(base.assignment, worth, base)
             if _place(best) == _place(told):
                 break
@@ -154,7 +156,12 @@ class ColumnSearch:
             tuple((each, chances[each]) for each in others),
         )
 
-    def _promising(self, mistakes: list[Mistake], base: ColumnFit) -> list[Mistake]:
+    def _priced(self, base: ColumnFit) -> dict[Mistake, float]:
+        """Return everything that may be wrong beside a fit, with what its rarity costs."""
+        mistakes = Mistakes(self.model, base).all()
+        return dict(zip(mistakes, _prices(mistakes, self.model.beliefs), strict=True))
+
+    def _promising(self, mistakes: Collection[Mistake], base: ColumnFit) -> list[Mistake]:
         """Return the mistakes that are worth a fit."""
         worth, is_likely = self.model.hopeful(), self._likely(base)
         found, motion = [m for m in mistakes if not m.is_seen and is_likely(m)], base.assignment
@@ -165,7 +172,7 @@ class ColumnSearch:
         return [*found, *moved[:_SCREENED], *others[:_SCREENED]]
 
     def _likely(self, base: ColumnFit) -> Callable[[Mistake], bool]:
-        """Tell what the errors of a fit make likely."""
+        """Return a test of what the errors of a fit make likely."""
         parameters = self.model.parameters
         far = np.abs(base.x) * np.sqrt(np.diag(parameters.information))
         ends = (parameters.zeros(), parameters.gains())
@@ -185,29 +192,24 @@ class ColumnSearch:
     ) -> Judged:
         moved = mistake.moved if len(mistake.moved) else None
         fit = self.model.fit(mistake.assignment, worth, near, wide=mistake.free, moved=moved)
-        return Judged(mistake, fit, fit.score - price)
+        return Judged(mistake, fit, price)
 
-    def _again(self, judged: Judged, worth: Array, price: float) -> Judged:
-        """Return a mistake by other samples, of fits that begin in two ways the better one."""
-        starts = judged.fit, None
-        return max(
-            (self._judged(judged.mistake, near, worth, price) for near in starts), key=_score
-        )
+    def _again(self, judged: Judged, worth: Array) -> Judged:
+        """Judge a mistake by other samples, by the better of two fits that begin differently."""
+        mistake, price = judged.mistake, judged.price
+        fits = [self._judged(mistake, near, worth, price) for near in (judged.fit, None)]
+        return max(fits, key=_score)
 
-    def _refined(
-        self, judged: Judged, base: ColumnFit, worth: Array, prices: dict[Mistake, float]
-    ) -> Judged:
+    def _refined(self, judged: Judged, base: ColumnFit, worth: Array) -> Judged:
         """Return a mistake of the sizes that fit best."""
         mistake = judged.mistake
-        price = prices[mistake]
         if mistake.kind == "effort_limit":
             mistake = self._of_nearest_limit(mistake, base, worth)
         elif mistake.kind == "effort_magnitude":
             mistake = self._of_likely_signs(judged, worth)
         elif mistake.free:
             mistake = self._of_nearest_sizes(judged, worth)
-        prices[mistake] = price
-        return self._judged(mistake, base, worth, price)
+        return self._judged(mistake, base, worth, judged.price)
 
     def _of_nearest_sizes(self, judged: Judged, worth: Array) -> Mistake:
         """Return the mistake moved to where the errors of its sizes vanish."""
@@ -215,18 +217,17 @@ class ColumnSearch:
         for _ in range(_STEPS):
             if np.abs(step).max() < _CLOSE:
                 break
-            tried = self._judged(self._by(best.mistake, step), best.fit, worth, 0.0)
-            if tried.fit.score > best.fit.score:
+            tried = self._judged(self._by(best.mistake, step), best.fit, worth, best.price)
+            if tried.score > best.score:
                 best, step = tried, self._way(tried)
             else:
                 step = 0.5 * step
         return best.mistake
 
-    def _moved(self, judged: Judged, worth: Array, prices: dict[Mistake, float]) -> Judged:
+    def _moved(self, judged: Judged, worth: Array) -> Judged:
         """Return a mistake moved by one step: what it explains may show only there."""
-        mistake, price = self._by(judged.mistake, self._way(judged)), prices[judged.mistake]
-        prices[mistake] = price
-        return self._judged(mistake, judged.fit, worth, price)
+        mistake = self._by(judged.mistake, self._way(judged))
+        return self._judged(mistake, judged.fit, worth, judged.price)
 
     def _way(self, judged: Judged) -> Array:
         """(p,) step of Newton's method in the sizes of a mistake."""
@@ -290,7 +291,7 @@ def _score(judged: Judged) -> float:
 
 
 def _place(judged: Judged) -> Hashable:
-    """Tell hypotheses apart that are not the same of another size."""
+    """Return what two hypotheses have in common that differ by their sizes alone."""
     mistake, fitted = judged.mistake, judged.fit.assignment
     if mistake.kind:
         return mistake.kind, mistake.joints
@@ -298,9 +299,9 @@ def _place(judged: Judged) -> Hashable:
 
 
 def _prices(mistakes: Iterable[Mistake], beliefs: Beliefs) -> list[float]:
-    """Twice the logarithms of prior odds: kinds are as likely, and so are the places of each.
+    """Return −2 log prior odds: all kinds are equally likely, and so are the places of each.
 
-    What is none of columns is as likely as not, but for what is unknown.
+    A payload or a slope is as likely as not; unknown efforts have odds of their own.
     """
     places = dict[str, set[tuple[int, ...]]]()
     for mistake in mistakes:

@@ -23,7 +23,7 @@ _GEARED = 5.0  # all gains beyond it are those of gears and of motor constants
 def mistake_words(
     kind: str, joints: Sequence[str], values: Sequence[float], *, all_joints: bool
 ) -> str:
-    """What is wrong, as a clause that begins with a small letter.
+    """Return what is wrong, as a clause that begins with a small letter.
 
     Args:
         kind: See `ColumnFinding`.
@@ -76,7 +76,7 @@ def _position_words(kind: str, where: str, factor: float) -> str:
 
 
 def mistake_advice(kind: str, joints: Sequence[str], values: Sequence[float]) -> str:
-    """What corrects it, in a sentence.
+    """Return what corrects it, in a sentence.
 
     Args:
         kind: See `ColumnFinding`.
