@@ -46,7 +46,7 @@ def logged_ranges(positions: Sequence[Array]) -> tuple[Array, Array, Array]:
 def resting(
     low: ArrayLike, high: ArrayLike, sliding: ArrayLike, noise: ArrayLike = 0.0
 ) -> NDArray[np.bool_]:
-    """(n,) whether joints hardly move, beside others of their kind.
+    """Return (n,) whether joints hardly move, beside others of their kind.
 
     Args:
         low: (n,) least positions, rad or m.
@@ -64,14 +64,14 @@ def resting(
 
 
 def travels(velocity: Array, period: float, least: float) -> bool:
-    """Return whether measured velocities lead away by more than a way, which their noise does not.
+    """Return whether measured velocities add up to a motion that their noise does not explain.
 
     White noise adds up to a random walk.
 
     Args:
         velocity: (N,) measured velocities, rad/s or m/s.
         period: Time between them, s.
-        least: The way, rad or m.
+        least: Smallest motion that counts, rad or m.
     """
     walk = _WALK * _white_noise(velocity) * np.sqrt(len(velocity)) * period
     return bool(np.ptp(np.cumsum(velocity)) * period > max(least, walk))
@@ -81,9 +81,8 @@ def _width(position: Array) -> float:
     """Return the width of the range that noise and steps of an encoder make at rest."""
     changes = np.abs(np.diff(position))
     step = float(changes.min(initial=np.inf, where=changes > 0.0))
-    return max(
-        _WIDTH * _white_noise(position), min(_STEPS * step, _COARSE) if np.isfinite(step) else 0.0
-    )
+    steps = min(_STEPS * step, _COARSE) if np.isfinite(step) else 0.0
+    return max(_WIDTH * _white_noise(position), steps)
 
 
 def _white_noise(signal: Array) -> float:
