@@ -32,12 +32,14 @@ class Instead:
         where: Joints or bodies.
         probability: Sum over the explanations that have it in the place of the finding.
         nrms: Error of the most probable of them, as `Fit.variance`, over efforts' deviations.
+        fit: The most probable of them.
     """
 
     effect: str
     where: tuple[str, ...]
     probability: float
     nrms: float
+    fit: Fit
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,7 @@ class Posterior:
             if (name, where) not in best or fit.score > best[name, where].score:
                 best[name, where] = fit
         likely = [(key, p) for key, p in sums.items() if p >= _LEAST]
-        rivals = [Instead(*key, p, nrms_of(self._model, best[key])) for key, p in likely]
+        rivals = [Instead(*key, p, nrms_of(self._model, best[key]), best[key]) for key, p in likely]
         chance += sum(p for key, p in sums.items() if p < _LEAST)
         probability = float(self._weights[np.array(has)].sum())
         return Certainty(

@@ -54,19 +54,32 @@ class Finding:
 
 
 def believed(found: Found) -> tuple[Found, Posterior]:
-    """Return what was found without terms that are less probable than nothing in their place."""
+    """Return what was found, where nothing is more probable in the place of any of its terms.
+
+    The most probable explanation may have a term that most others have not: what they agree on is
+    adopted, another term or none.
+    """
+    seen = {found.fit.choice.key}
     while True:
         posterior = Posterior(found.model, found.fit)
-        told = {term: posterior.of_terms([term]) for term in found.fit.terms}
-        doubted = [term for term, each in told.items() if each.probability < each.chance]
-        if not doubted:
+        told = sorted(
+            ((term, posterior.of_terms([term])) for term in found.fit.terms),
+            key=lambda each: each[1].probability,
+        )
+        better = next(filter(None, (_instead(found, *each) for each in told)), None)
+        if better is None or better.choice.key in seen:
             return found, posterior
-        doubted.sort(key=lambda term: told[term].probability)
-        fewer = (without(found, [term]) for term in doubted)
-        less = next((each for each in fewer if each is not found), None)
-        if less is None:  # others need what is doubted
-            return found, posterior
-        found = less
+        found = replace(found, fit=better)
+        seen.add(better.choice.key)
+
+
+def _instead(found: Found, term: Term, told: Certainty) -> Fit | None:
+    """Return the explanation without a term that is less probable than what is in its place."""
+    likely = max(told.rivals, key=lambda rival: rival.probability, default=None)
+    if likely is not None and likely.probability > max(told.probability, told.chance):
+        return likely.fit
+    fewer = without(found, [term]).fit if told.chance > told.probability else found.fit
+    return None if fewer is found.fit else fewer
 
 
 def without(found: Found, gone: Sequence[Term]) -> Found:
