@@ -244,7 +244,9 @@ class TestMeasured:
         order = [0, 2, 1, 3, 4, 5]
         (found,) = check_columns(model, [replace(log, effort=log.effort[:, order])])
         assert (found.kind, found.joints) == ("swapped_efforts", model.joints[1:3])
-        assert found.error_after < 0.2 * found.error_before
+        assert found.probability > 0.99
+        # Bodies give way to columns that are swapped, so what is compared is less than plain nrms.
+        assert found.error_after**2 < 0.1 * found.error_before**2
 
 
 @pytest.mark.thorough
