@@ -38,6 +38,9 @@ class Beliefs:
             something unknown in them.
         discrepancy: What is more than sensor noise in a residual is worth so many samples, however
             long logs are: it goes with the motion in a way that no effect describes.
+        part: Beside an error that nothing explains, an effect that takes so many times as much of
+            the squared error away is as likely itself as it is a part of something unknown.
+        least: A finding is no step if it is less probable than this beside something unknown.
     """
 
     size: float = 1.0
@@ -57,6 +60,8 @@ class Beliefs:
     columns: float = 0.01
     odd_joint: float = 0.2
     discrepancy: float = 100.0
+    part: float = 2.0
+    least: float = 0.1
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():

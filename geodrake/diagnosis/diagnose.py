@@ -9,7 +9,6 @@ import numpy as np
 
 from geodrake.boundary.arguments import instance
 from geodrake.diagnosis.beliefs import Beliefs
-from geodrake.diagnosis.explain import verdict_of
 from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.diagnosis.moves import additions
 from geodrake.diagnosis.posterior import nrms_of
@@ -22,11 +21,14 @@ from geodrake.diagnosis.steps import (
     findings_of,
     late_joints,
     moved_bodies,
-    staged,
+    probable,
+    unknown_probability,
+    verdict_of,
 )
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
+from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
@@ -76,9 +78,9 @@ def diagnose(
         hold_resting=hold_resting,
     )
     found, posterior = believed(searched(case, beliefs))
-    start, stages = staged(found, findings_of(found, posterior))
+    found, start, stages = probable(case, found, findings_of(found, posterior))
     refitted, before = error_table(case.dataset, start.held_out), comparison(case)
-    candidates = _candidates(case, found, stages[0], start.nrms) if stages else []
+    candidates = _candidates(case, found, start, stages) if stages else []
     return Diagnosis(
         "explained" if candidates else verdict_of(refitted, found=False),
         tuple(candidates),
@@ -89,9 +91,16 @@ def diagnose(
     )
 
 
-def _candidates(case: Case, found: Found, first: StagedFinding, before: float) -> list[Candidate]:
+def _candidates(
+    case: Case, found: Found, start: Hypothesis, stages: Sequence[StagedFinding]
+) -> list[Candidate]:
     """Return the first step, its rivals, and what else improves the model alone."""
+    first, before = stages[0], start.nrms
     finding, certainty = first.finding, first.finding.certainty
+    data = found.case.dataset
+    held_out = (start.held_out, first.validated.held_out, stages[-1].validated.held_out)
+    errors = [error_table(data, each) for each in held_out]
+    unknown = unknown_probability(found, finding, errors)
     if finding.name == INERTIA:
         wrong = {term.where[0] for term in finding.terms}
         where = tuple(moved_bodies(case, found.model.bodies(first.fit), wrong))
@@ -107,7 +116,7 @@ def _candidates(case: Case, found: Found, first: StagedFinding, before: float) -
             before,
             first.validated.nrms,
             first.fit.score - bare.score,
-            certainty.chance,
+            unknown + (1.0 - unknown) * certainty.chance,
             tied=True,
         )
     ]

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
 
 from geodrake.boundary.arguments import function, instance
 from geodrake.boundary.showing import Short
@@ -14,7 +12,7 @@ from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.episodes import episode_notes
 from geodrake.diagnosis.final_fit import companion_notes, final_fit
 from geodrake.diagnosis.refinements import fading_notes
-from geodrake.diagnosis.results import Explanation, Step, Verdict
+from geodrake.diagnosis.results import Explanation, Step
 from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.search_progress import Progress
 from geodrake.diagnosis.stated_mass import stated_mass_notes
@@ -23,24 +21,23 @@ from geodrake.diagnosis.steps import (
     believed,
     findings_of,
     holds,
+    largest_residual,
+    probable,
     staged,
     steps_of,
+    verdict_of,
+    with_findings,
     without,
 )
 from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
-from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN
 from geodrake.identification.logs.hypothesis import Hypothesis
-from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.identification.logs.model_fit import ModelFit
 from geodrake.identification.models.bodies import changed_bodies, common_factor_notes
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
-
-MOST_OF_REVERSALS = 2.0
-"""Reversals that logs do not resolve add at most this, over the noise, to what is explained."""
 
 _STOPPED = "interrupted before the search had ended: there may be more to find, or other rivals"
 
@@ -156,7 +153,7 @@ def explained(
         said += episode_notes(case, fit.model)
         said += [*stated_mass_notes(case, fit.model), *common_factor_notes(bodies)]
     explanation = Explanation(
-        verdict_of(after.errors, bool(steps), left=_left(found)),
+        verdict_of(after.errors, bool(steps), left=largest_residual(found)),
         steps,
         before.errors,
         error_table(case.dataset, start.held_out),
@@ -195,7 +192,10 @@ def _holding(
 ) -> tuple[Found, Case, ModelFit, Hypothesis, tuple[Step, ...]]:
     """Return the final fit and its steps, less last ones that lower no held-out error."""
     while True:
-        start, stages = staged(found, findings)
+        if forced:
+            start, stages = staged(found, findings)
+        else:
+            found, start, stages = probable(case, found, findings)
         after, fit = final_fit(case, found)
         end = error_table(after.dataset, fit.held_out)
         steps = steps_of(case, found, start, stages, fit=fit, end=end)
@@ -205,28 +205,4 @@ def _holding(
         if holds(found, stages[-1].finding, before, fit.held_out):
             return found, after, fit, start, steps
         findings = [stage.finding for stage in stages[:-1]]
-        found = replace(found, fit=stages[-2].fit if len(stages) > 1 else found.start)
-
-
-def _left(found: Found) -> float:
-    """Return the largest ratio of residual to noise, unresolved reversals left aside."""
-    noise = found.model.dataset.noise_floor
-    left = np.sqrt(found.fit.variance)
-    return float(np.max(left / np.where(noise > 0.0, noise, 1e-300)))
-
-
-def verdict_of(errors: ErrorTable, found: bool, *, left: float = np.inf) -> Verdict:
-    """Return the verdict on an end result.
-
-    Args:
-        errors: Held-out errors at the end.
-        found: Whether a step was taken.
-        left: Largest ratio of a joint's residual to its noise, in a fit that allows for reversals
-            that the logs do not resolve, as those are no missing effect.
-    """
-    near = errors.shows_noise and errors.nrms <= MOST_OF_REVERSALS * errors.floor_nrms
-    if not (errors.is_noise or (near and left <= JOINT_NOISE_MARGIN)):
-        return "unexplained"
-    if not errors.knows_noise:
-        return "undecided"
-    return "explained" if found else "adequate"
+        found = with_findings(found, findings)

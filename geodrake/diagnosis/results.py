@@ -110,6 +110,8 @@ class Step(Short):
         rms_before: Joint -> held-out RMS before, N·m or N.
         rms_after: Joint -> held-out RMS after, N·m or N.
         rivals: These effects with their places, the most probable first.
+        unknown_probability: How probable it is that it is a part of something that no effect
+            describes: it takes little away beside the error that is left in the end.
         systematic: As `deviations`, those that more data do not narrow: from the gains of the
             efforts, known to the logs' `effort_uncertainty` only, and from what stays unexplained.
         series: What is measured and predicted after it, on held-out data; none for the last step,
@@ -129,6 +131,7 @@ class Step(Short):
     rms_before: Mapping[str, float]
     rms_after: Mapping[str, float]
     rivals: tuple[FittedRival, ...] = ()
+    unknown_probability: float = 0.0
     systematic: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     series: tuple[Series, ...] = field(default=(), repr=False)
     model: RobotModel | None = field(default=None, repr=False)
@@ -137,10 +140,10 @@ class Step(Short):
     def probability(self) -> float:
         """Return its probability: the sum over all explanations that have it.
 
-        With what stands in its place in others, and that nothing does, it adds up to one.
+        With what stands in its place in others, something unknown, and nothing, it adds up to one.
         """
         odds = sum(rival.odds for rival in self.rivals)
-        return (1.0 - self.false_alarm_probability) / (1.0 + odds)
+        return (1.0 - self.false_alarm_probability - self.unknown_probability) / (1.0 + odds)
 
     @property
     def probabilities_of_rivals(self) -> tuple[float, ...]:

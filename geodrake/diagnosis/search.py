@@ -25,7 +25,7 @@ from geodrake.diagnosis.refinements import (
     with_delays,
 )
 from geodrake.diagnosis.search_progress import FoundStep, Progress, progress_of
-from geodrake.diagnosis.terms import Term, Terms
+from geodrake.diagnosis.terms import Key, Term, Terms
 from geodrake.diagnosis.unknown_efforts import is_resolved, reversals, unknown_functions
 from geodrake.effects import Effect
 from geodrake.effects.robot_motion import log_number
@@ -118,6 +118,7 @@ class _Search:
         self._on_time: Delay = (0,) * len(case.model.joints)
         self._zooms = dict[tuple[str, tuple[str, ...]], int]()
         self._timed: Terms | None = None
+        self._times = set[tuple[frozenset[Key], tuple[int, ...]]]()
         self._faded = list[Terms]()
         self._looked = self._doubted = False
         self._is_stopped = False
@@ -406,6 +407,11 @@ class _Search:
         far = np.abs(found.seconds) > _OTHER_DELAY * found.deviations
         if self._timed is not None and not late and not far.any():
             return False
+        delays = np.rint((self.case.model.delays + found.seconds) / (0.25 * self._step))
+        tried = frozenset(term.key for term in self.fit.terms), tuple(delays.astype(int).tolist())
+        if tried in self._times:  # which led back to here
+            return False
+        self._times.add(tried)
         self.case = with_delays(self.case, found)
         half = 0.5 * self._step if self._timed is None else 0.25 * self._step
         grid = np.unique(np.concatenate([self._step * np.arange(-3, 4), [half, -half]]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from geodrake.diagnosis.final_fit import searched_model
 from geodrake.diagnosis.log_model import Delay, Fit, LogModel
 from geodrake.diagnosis.posterior import Certainty, Posterior, nrms_of
 from geodrake.diagnosis.refinements import delays_of
-from geodrake.diagnosis.results import FittedRival, Step
+from geodrake.diagnosis.results import FittedRival, Step, Verdict
 from geodrake.diagnosis.search import Found
 from geodrake.diagnosis.step_values import (
     factor_of,
@@ -23,6 +24,7 @@ from geodrake.diagnosis.terms import Term
 from geodrake.effects import Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table, series
+from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN
 from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.evidence import fold_agreement
 from geodrake.identification.logs.hypothesis import Hypothesis
@@ -182,6 +184,37 @@ def _fitted(model: LogModel, terms: Sequence[Term], width: float, delay: Delay, 
     return found
 
 
+def probable(
+    case: Case, found: Found, findings: Sequence[Finding]
+) -> tuple[Found, Hypothesis, list[StagedFinding]]:
+    """Return what was found and its stages, less findings that likely are parts of an unknown.
+
+    Args:
+        case: The case that was opened.
+        found: The search.
+        findings: What it found.
+    """
+    while True:
+        start, stages = staged(found, findings)
+        hypotheses = [start, *(stage.validated for stage in stages)]
+        tables = [error_table(case.dataset, each.held_out) for each in hypotheses]
+        chances = [
+            1.0 - unknown_probability(found, stage.finding, [*pair, tables[-1]])
+            for pair, stage in zip(pairwise(tables), stages, strict=True)
+        ]
+        if min(chances, default=1.0) >= found.model.beliefs.least:
+            return found, start, stages
+        least = int(np.argmin(chances))
+        findings = [stage.finding for k, stage in enumerate(stages) if k != least]
+        found = with_findings(found, findings)
+
+
+def with_findings(found: Found, findings: Sequence[Finding]) -> Found:
+    """Return what was found with some of its findings alone."""
+    stages = staged(found, findings)[1]
+    return replace(found, fit=stages[-1].fit if stages else found.start)
+
+
 def steps_of(
     case: Case,
     found: Found,
@@ -211,7 +244,7 @@ def steps_of(
         where = _where(case, found, finding, fit)
         values, deviations = _values(case, found, finding, fit)
         rivals = _rivals(certainty, finding, found)
-        joints = _felt(found, finding)
+        unknown = unknown_probability(found, finding, [before, after, tables[-1]])
         steps.append(
             Step(
                 finding.name,
@@ -221,17 +254,73 @@ def steps_of(
                 values,
                 deviations,
                 tuple(dict.fromkeys(name for r in rivals for name in r.names)),
-                float(np.clip(certainty.chance, 0.0, 1.0)),
-                _agreement(errors[i], errors[i + 1], joints),
+                float(np.clip(certainty.chance, 0.0, 1.0)) * (1.0 - unknown),
+                _agreement(errors[i], errors[i + 1], felt(found, finding)),
                 before.by_joint(),
                 after.by_joint(),
                 rivals,
+                unknown,
                 _systematic(found, finding, fit),
                 () if last else _series(stage.validated),
                 None if last else _model(case, found, stage.validated, fit),
             )
         )
     return tuple(steps)
+
+
+MOST_OF_REVERSALS = 2.0
+"""Reversals that logs do not resolve add at most this, over the noise, to what is explained."""
+
+
+def largest_residual(found: Found) -> float:
+    """Return the largest ratio of residual to noise, unresolved reversals left aside."""
+    noise = found.model.dataset.noise_floor
+    left = np.sqrt(found.fit.variance)
+    return float(np.max(left / np.where(noise > 0.0, noise, 1e-300)))
+
+
+def verdict_of(errors: ErrorTable, found: bool, *, left: float = np.inf) -> Verdict:
+    """Return the verdict on an end result.
+
+    Args:
+        errors: Held-out errors at the end.
+        found: Whether a step was taken.
+        left: Largest ratio of a joint's residual to its noise, in a fit that allows for reversals
+            that the logs do not resolve, as those are no missing effect.
+    """
+    near = errors.shows_noise and errors.nrms <= MOST_OF_REVERSALS * errors.floor_nrms
+    if not (errors.is_noise or (near and left <= JOINT_NOISE_MARGIN)):
+        return "unexplained"
+    if not errors.knows_noise:
+        return "undecided"
+    return "explained" if found else "adequate"
+
+
+def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTable]) -> float:
+    """Return how probable it is that a finding is a part of something that no effect describes.
+
+    Whatever is unknown, some effect takes a part of its squared error away. One that takes away
+    many times of what is left in the end is likely to be there itself.
+
+    Args:
+        found: The search.
+        finding: The finding.
+        errors: Errors before and after it, and in the end.
+    """
+    if verdict_of(errors[2], True, left=largest_residual(found)) != "unexplained":
+        return 0.0
+    before, after, end = (np.array([e.rms**2 for e in table.joints]) for table in errors)
+    weight = felt(found, finding) / np.array([e.std**2 for e in errors[2].joints])
+    noise = JOINT_NOISE_MARGIN**2 * np.array([e.floor**2 for e in errors[2].joints])
+    left = float(weight @ np.maximum(end - noise, 0.0))
+    gone = max(0.0, float(weight @ (before - after)))
+    if left <= 0.0:
+        return 0.0
+    odds = (gone / (found.model.beliefs.part * left)) ** _SHARPNESS
+    return 1.0 / (1.0 + odds)
+
+
+_SHARPNESS = 1.5
 
 
 def _rivals(certainty: Certainty, finding: Finding, found: Found) -> tuple[FittedRival, ...]:
@@ -250,11 +339,11 @@ def _rivals(certainty: Certainty, finding: Finding, found: Found) -> tuple[Fitte
     )
 
 
-def _felt(found: Found, finding: Finding) -> NDArray[np.bool_]:
+def felt(found: Found, finding: Finding) -> NDArray[np.bool_]:
     """(nv,) joints that feel a finding; all if it is no effect."""
     data = found.model.dataset
-    felt = [data.felt(term.effect) for term in finding.terms if term.effect is not None]
-    return np.logical_or.reduce(felt) if felt else np.ones(len(data.joints), bool)
+    known = [data.felt(term.effect) for term in finding.terms if term.effect is not None]
+    return np.logical_or.reduce(known) if known else np.ones(len(data.joints), bool)
 
 
 def _agreement(before: HeldOut, after: HeldOut, joints: NDArray[np.bool_]) -> float:
@@ -277,7 +366,7 @@ def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bo
         after: Held-out errors with it.
     """
     scale = np.maximum(found.model.dataset.effort_std, np.finfo(float).tiny)
-    own = _felt(found, finding) / np.maximum(before.mse, np.finfo(float).tiny)
+    own = felt(found, finding) / np.maximum(before.mse, np.finfo(float).tiny)
     falls = (before.sse - after.sse) @ np.stack([own, scale**-2.0], 1)
     errors = np.zeros(2)
     if len(falls) > 1:

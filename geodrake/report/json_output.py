@@ -292,6 +292,7 @@ def _step(step: Step) -> dict[str, Any]:
             for rival, probability in zip(step.rivals, step.probabilities_of_rivals, strict=True)
         ],
         "false_alarm_probability": step.false_alarm_probability,
+        "unknown_probability": step.unknown_probability,
         "agreement": step.agreement,
         "rms_before": step.rms_before,
         "rms_after": step.rms_after,

@@ -176,18 +176,25 @@ def rivals(step: Step, label: bool = False) -> list[str]:
         label: Whether effects are named in words.
     """
     named = effect_label if label else str
-    return [
+    known = [
         f"{named(rival.effect)} {percent(probability)} ({number(rival.error)})"
         for rival, probability in zip(step.rivals, step.probabilities_of_rivals, strict=True)
         if probability >= _LIKELY
     ]
+    return [*known, *_something_unknown(step)]
 
 
 def short_rivals(step: Step) -> str:
     """Return what may stand in a step's place, in few words: `viscous_friction 3 %`."""
     pairs = zip(step.rivals, step.probabilities_of_rivals, strict=True)
     likely = (f"{r.effect} {percent(share)}" for r, share in pairs if share >= _LIKELY)
-    return ", ".join(likely)
+    return ", ".join([*likely, *_something_unknown(step)])
+
+
+def _something_unknown(step: Step) -> list[str]:
+    """Return how likely something is that no effect describes, if that is likely at all."""
+    chance = step.unknown_probability
+    return [f"something unknown {percent(chance)}"] if chance >= _LIKELY else []
 
 
 def is_summarized(step: Step) -> bool:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from geodrake.diagnosis.explain import verdict_of
+from geodrake.diagnosis.steps import verdict_of
 from geodrake.diagnosis.results import Diagnosis
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, JointError
 from geodrake.report.numbers import Units
