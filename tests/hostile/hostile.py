@@ -39,7 +39,7 @@ HEADER = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
 KEPT = {"kept.yaml": "from before\n", "kept.json": "{}\n", "kept.html": "<p>from before</p>\n"}
 SECONDS = 30  # of the processor, which no command may take longer
 PATIENCE = 300  # seconds by the clock, for what waits for ever; a busy machine takes long, too
-PROGRESS = re.compile(r".* \(\d+ s\)")  # what is said of work that takes long, as on a busy machine
+PASSING = re.compile(r".* \(\d+ s\)|Warning: .*")  # of work that takes long, and of repairs
 INTERNAL = 70  # exit code of a copy that never came to its command
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\u2028\u2029]")
@@ -129,7 +129,7 @@ class Row:
         assert code in expected, f"{self.name}: exit code {code}\n{out}\n{err}"
         check_words(out, err)
         if code:
-            told = [line for line in err.strip().splitlines() if not PROGRESS.fullmatch(line)]
+            told = [line for line in err.strip().splitlines() if not PASSING.fullmatch(line)]
             assert len(told) == 1 or "Usage" in err, err
             assert out == ""
         for words in self.says:
@@ -150,10 +150,12 @@ def put(folder, files: Files):
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        if callable(content):
-            content(path)
-        else:
-            path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        while callable(content):
+            content = content(path)
+        if isinstance(content, str):
+            content = content.replace("{folder}", str(folder)).encode()
+        if isinstance(content, bytes):
+            path.write_bytes(content)
 
 
 def link(target):

@@ -17,13 +17,11 @@ from pathlib import Path
 
 import pytest
 from hostile import (
-    KEPT,
-    PROGRESS,
+    PASSING,
     Row,
     changed,
     contents,
     environment,
-    link,
     read_json,
     run_forked,
     run_here,
@@ -35,57 +33,6 @@ COMPARE = ["compare", "robot.urdf", "log.csv"]
 ALL = ["--save", "kept.yaml", "--json", "kept.json", "--report", "kept.html"]
 NEW = [*ALL[:-1], "new.html"]
 GEODRAKE = f"{shlex.quote(sys.executable)} -m geodrake"
-IDENTIFY = "identify robot.urdf log.csv --gamma 100"
-EXCITE = "excite robot.urdf"
-
-
-NAMES = {".yaml": "save", ".json": "json", ".html": "report"}
-TARGETS = {
-    "a missing folder": ("none/x", None, "no folder"),
-    "a file for a folder": ("log.csv/x", None, "no folder"),
-    "a folder of processes": ("/proc/x", None, "cannot be written"),
-    "a folder in its place": ("f", Path.mkdir, "is no file"),
-    "a link to nothing": ("f", link("none/x"), "cannot be written"),
-    "a link in a circle": ("f", lambda p: link(p.name)(p), "Too many levels"),
-    "a device": ("f", link("/dev/full"), "is no file"),
-    "a pipe": ("f", os.mkfifo, "is no file"),
-    "an input": ("f", link("log.csv"), "is an input"),
-}
-OPTIONS = {
-    **{option: ("compare robot.urdf log.csv", end) for end, option in NAMES.items()},
-    "draft-effect": ("explain robot.urdf log.csv", ".py"),
-    "export": (IDENTIFY, ".urdf"),
-    "ellipsoids": (IDENTIFY, ".png"),
-}
-
-
-def refused(option, what):
-    """A row of a target that cannot be written, beside others that could."""
-    (command, end), (target, make, says) = OPTIONS[option], TARGETS[what]
-    rest = " ".join(f"--{o} kept{e}" for e, o in NAMES.items() if o != option)
-    words = f"{command} --{option} {target}{end} {rest}"
-    return Row(f"{option} {what}", words, (says,), {f"f{end}": make} if make else {})
-
-
-REFUSED = [refused(option, what) for option in OPTIONS for what in TARGETS]
-MORE = [
-    Row("a motion to standard output", f"{EXCITE} --save -", ("standard output",)),
-    Row("a table to standard output", "compare robot.urdf log.csv --save -", ("standard output",)),
-    Row("another kind of file", "compare robot.urdf log.csv --report x.txt", ("does not end in",)),
-    Row("one target by two names", f"{IDENTIFY} --report kept.html --meshcat two.html",
-        ("already the target",), {"two.html": link("kept.html")}),
-    Row("numbers to standard output", "compare robot.urdf log.csv --json - --save new.yaml",
-        ('"version"',), code=0, writes=("new.yaml",)),
-    *(Row(what, f"compare robot.urdf log.csv --json {name}.json", code=0, writes=(f"{name}.json",))
-        for what, name in (("a longest name", "x" * 250), ("letters of two bytes", "ü" * 120))),
-    Row("all at once", shlex.join([*COMPARE, *ALL]), code=0, writes=tuple(KEPT)),
-]  # fmt: skip
-
-
-@pytest.mark.sampled(3)
-@pytest.mark.parametrize("row", REFUSED + MORE, ids=str)
-def test_row(row, tmp_path):
-    row.check(tmp_path)
 
 
 def fail_at(monkeypatch, number, error):
@@ -223,7 +170,7 @@ def test_standard_streams(what, filled):
     shell = ["bash", "-o", "pipefail", "-c", f"{GEODRAKE} {command}"]
     done = subprocess.run(shell, env=environment(), capture_output=True, text=True, check=False)
     assert done.returncode == code, done.stderr
-    told = [line for line in done.stderr.splitlines() if not PROGRESS.fullmatch(line)]
+    told = [line for line in done.stderr.splitlines() if not PASSING.fullmatch(line)]
     assert bool(told) == bool(says) and says in "".join(told[-1:]), done.stderr
     if "new.json" in command:
         assert read_json(filled / "new.json")["command"] == "compare"

@@ -61,12 +61,6 @@ def test_settings(what, tmp_path):
     replace(row, writes=("new.json", "new.html")).check(tmp_path)
 
 
-def test_files_in_ascii(tmp_path):
-    command = "compare robot.urdf log.csv --save kept.yaml"
-    variables = {"LC_ALL": "C", "PYTHONUTF8": "0"}
-    Row("files in ASCII", command, ("PYTHONUTF8=1",), environment=variables).check(tmp_path)
-
-
 def test_a_working_directory_that_is_gone(filled):
     leave = "import os\nos.mkdir('gone'); os.chdir('gone'); os.rmdir('../gone')"
     run = started(["compare", str(filled / "robot.urdf"), "log.csv"], leave)
