@@ -1,5 +1,6 @@
 """What stands in the files of rows: good files of every kind, changed, broken or meant to harm."""
 
+import gzip  # noqa: F401 (for rows)
 import io
 import os
 import textwrap
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 from good_files import DIRECTIVES, MJCF, SAVED, SDF, UNINFORMED, URDF, information
-from hostile import HEADER, Row, table, write_log
+from hostile import HEADER, Row, link, table, write_log  # noqa: F401 (for rows)
 from numpy.lib import format as npy
 
 ROWS = Path(__file__).parent / "rows"
@@ -32,18 +33,12 @@ def log(code, *, rows=2400, velocity=False):
         given = {"t": data[:, 0], "q": data[:, 1:3], "e": data[:, 3:]}
         given["v"] = np.gradient(given["q"], given["t"], axis=0)
         exec(code, {"np": np, "rng": np.random.default_rng(0)}, given)
-        speed = (
-            "shoulder.velocity,elbow.velocity,shoulder.effort" if velocity else "shoulder.effort"
-        )
         parts = [given[name] for name in ("tqve" if velocity else "tqe")]
-        write_log(path, np.column_stack(parts), HEADER.replace("shoulder.effort", speed))
+        speeds = "shoulder.velocity,elbow.velocity," if velocity else ""
+        names = HEADER.replace("shoulder.effort", f"{speeds}shoulder.effort")
+        write_log(path, np.column_stack(parts), names)
 
     return write
-
-
-def rows_of(rows):
-    """A log of a table."""
-    return lambda path: write_log(path, rows)
 
 
 LINES = [HEADER, *(",".join(map(repr, row)) for row in table().tolist())]
@@ -245,16 +240,16 @@ def _construct(loader, name, node):
 Maker.add_multi_constructor("!", _construct)
 
 
+TOLD = {"rows": (), "command": "", "file": "", "says": ()}
+"""What a group of rows says beside fields of a `Row`, or not."""
+
+
 def read_rows():
     """Rows of all files, in which a file's content is its text or what a tag makes."""
     for path in sorted(ROWS.glob("*.yaml")):
         for group in yaml.load(path.read_text(encoding="utf-8"), Maker):
-            command, file, says = (
-                group.pop("command", ""),
-                group.pop("file", ""),
-                group.pop("says", ()),
-            )
-            for name, *rest in group.pop("rows"):
+            listed, command, file, says = map(group.pop, *zip(*TOLD.items(), strict=True))
+            for name, *rest in listed:
                 words = command or rest.pop(0)
                 content, *more = rest
                 files = content if isinstance(content, dict) else {file: content}
