@@ -225,5 +225,6 @@ def check_gain(gain: object, what: str, deviation: object = None) -> None:
 
 
 def _is_number(value: object) -> bool:
-    is_real = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_real and abs(value) <= LARGEST  # which NaN is not; integers may be beyond floats
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= LARGEST  # which NaN is not; integers may be beyond floats
