@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from processor_time import limited
+from processes import limited
 
 from geodrake import compiling
 

@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+LARGEST = 1e9
+"""Magnitude above which nothing is a position, velocity or effort of a robot in SI units."""
+
 _SHARE = 0.01  # of what the joint of its kind moves that moves most: less is rest
 _FAR = 1.0  # rad or m; that a wheel turns a hundred times makes no joint of an arm rest
 _STILL = 2e-3  # rad or m, where no joint of its kind moves
@@ -19,13 +22,19 @@ _COARSE = 0.02  # rad or m: no encoder's steps are that far apart
 _STEPS = 3.5  # of an encoder, between which a position at rest may change
 
 
+def readings(column: Array) -> Array:
+    """Return those of some values that were measured and may be of a robot."""
+    return column[np.abs(column) <= LARGEST]  # which NaN is not
+
+
 def logged_ranges(positions: Sequence[Array]) -> tuple[Array, Array, Array]:
     """Return the least and the largest positions of joints over all logs, and what noise makes.
 
     Velocities are left aside, as their noise is no motion.
 
     Args:
-        positions: (N, n) positions of each log, rad or m; NaN where none was measured.
+        positions: (N, n) positions of each log, rad or m; NaN where none was measured,
+            and what no robot has counts as none.
 
     Returns:
         (n,) least, (n,) largest position, and (n,) the width of a joint's range at rest that noise
@@ -35,7 +44,7 @@ def logged_ranges(positions: Sequence[Array]) -> tuple[Array, Array, Array]:
     low, high, wide = np.full(joints, np.nan), np.full(joints, np.nan), np.zeros(joints)
     for j in range(joints):
         for measured in positions:
-            here = measured[:, j][np.isfinite(measured[:, j])]
+            here = readings(measured[:, j])
             if len(here):
                 low[j] = np.fmin(low[j], here.min())
                 high[j] = np.fmax(high[j], here.max())

@@ -21,13 +21,10 @@ from numpy.typing import NDArray
 
 from geodrake.errors import LogError
 from geodrake.logs.motion import JointLog
-from geodrake.logs.resting import travels
+from geodrake.logs.resting import LARGEST, travels
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-
-LARGEST = 1e9
-"""Magnitude above which nothing is a position, velocity or effort of a robot in SI units."""
 
 _JUMP = {"position": (20.0, 20.0), "velocity": (100.0, 1e5), "effort": (100.0, 1e7)}
 """How many ordinary steps a jump has, and its least rate, in units of the quantity a second."""

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 _NO_NOISE = 0.3  # rad or m: no position's noise reaches so far
 _ENOUGH_ROWS = 30  # that tell an order
 _JUMP = 0.2  # of its range, between two rows: 0.3 in random order, 0.1 in 20 rows a swing
-_LARGEST = 1e100  # of efforts that are compared with limits
+_LARGEST = 1e100  # of efforts that are compared with limits, and of positions with each other
 _LEAST_LIMIT = 1e-9  # N·m or N: no motor is that weak
 _ROWS = 100_000  # of a log that are looked at together
 
@@ -66,6 +66,7 @@ def row_order_hint(log: JointLog) -> str | None:
     if len(rows) < _ENOUGH_ROWS:
         return None
     # Quantiles, as spikes of sensors make large steps, too.
+    rows = np.clip(rows, -_LARGEST, _LARGEST)
     low, high = np.quantile(rows, [0.05, 0.95], axis=0)
     reach, steps = high - low, np.abs(np.diff(rows, axis=0))
     far = reach > _NO_NOISE

@@ -10,7 +10,7 @@ import numpy as np
 from geodrake.boundary.arguments import instance, instances
 from geodrake.errors import LogError
 from geodrake.logs.motion import JointLog, match_joints
-from geodrake.logs.resting import logged_ranges, resting, travels
+from geodrake.logs.resting import LARGEST, logged_ranges, readings, resting, travels
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
 
@@ -82,8 +82,9 @@ def _resting_places(model: RobotModel, logs: Sequence[JointLog]) -> dict[str, fl
     for joint, rests in zip(joints, resting(low, high, sliding, noise).tolist(), strict=True):
         if not rests or any(_travels(log, joint) for log in logs):
             continue
-        positions = [log.position[:, log.joints.index(joint)] for log in logs]
-        place, limits = float(np.mean([*map(np.nanmean, positions)])), model.limits_of(joint)
+        columns = (readings(log.position[:, log.joints.index(joint)]) for log in logs)
+        places_of_logs = [column.mean() for column in columns if len(column)]
+        place, limits = float(np.mean(places_of_logs)), model.limits_of(joint)
         if limits[0] - _STILL <= place <= limits[1] + _STILL:
             places[joint] = float(np.clip(place, *limits))
     for drive in model.transmission:  # whose actuators can only be held together
@@ -134,8 +135,7 @@ def _travels(log: JointLog, joint: str) -> bool:
     """Return whether velocities say that a joint moves, whose position may be stuck."""
     if log.velocity is None or len(log) < 2:
         return False
-    velocity = log.velocity[:, log.joints.index(joint)]
-    velocity = velocity[np.isfinite(velocity)]
+    velocity = readings(log.velocity[:, log.joints.index(joint)])
     period = float(np.nanmedian(np.diff(log.time)))
     return len(velocity) > 1 and travels(velocity - velocity.mean(), period, _FAR)
 
@@ -162,7 +162,8 @@ def _says(log: JointLog, joint: str) -> bool:
     at = log.joints.index(joint)
     efforts, positions = (x[:, at] for x in (log.effort, log.position))
     if log.command is not None and not np.isfinite(efforts).any():
-        efforts = log.command[:, at] - positions
+        efforts = np.clip(log.command[:, at], -LARGEST, LARGEST)
+        efforts = efforts - np.clip(positions, -LARGEST, LARGEST)
     efforts, positions = (x[np.isfinite(x)] for x in (efforts, positions))
     if not len(efforts) or not len(positions):
         return True  # what is wrong there is told of later
@@ -177,7 +178,7 @@ def _place(model: RobotModel, logs: Sequence[JointLog], joint: str) -> float:
         if joint in log.standing:
             places[log.name] = log.standing[joint]
         elif joint in log.joints:
-            positions = log.position[:, log.joints.index(joint)]
+            positions = np.clip(log.position[:, log.joints.index(joint)], -LARGEST, LARGEST)
             places[log.name] = float(np.nanmean(positions))
     low, high = model.limits_of(joint)
     moves = [name for name, place in places.items() if not np.isfinite(place)]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from processor_time import limited
+from processes import limited
 from pyarrow import parquet
 from small_fleet import FROM, HEAVY, LOGS, STICKY, DayOf, date_of, write_file, write_fleet
 from typer.testing import CliRunner

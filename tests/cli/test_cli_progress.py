@@ -1,22 +1,18 @@
 """Progress on stderr, quiet and plain where asked for; what is kept of an interrupted search."""
 
 import json
-import os
 import re
 import signal
-import subprocess
 import sys
 import time
 from importlib.resources import files
-from pathlib import Path
 
 import pytest
 import yaml
 from pendulum_logs import PENDULUM, friction, pendulum_log
-from processor_time import limited
+from processes import start
 from typer.testing import CliRunner
 
-import geodrake
 from geodrake.boundary.interrupts import StopSearch
 from geodrake.cli.app import app
 from geodrake.cli.progress import progress
@@ -27,7 +23,6 @@ from geodrake.model.saved_model import load_model
 
 DEMO = files("geodrake") / "demo"
 MODEL, LOG = str(DEMO / "demo.urdf"), str(DEMO / "demo.csv")
-PACKAGES = Path(geodrake.__file__).parents[1]
 
 
 def test_lines_in_a_pipe_are_plain(capsys):
@@ -127,15 +122,8 @@ def started(folder, pendulum, *options):
     # Jobs of a shell in the background ignore interrupts, and so do their children.
     heard = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)"
     run = f"{heard}\nfrom geodrake.cli import main\nmain()"
-    process = subprocess.Popen(
-        [sys.executable, "-c", run, "explain", *pendulum, *options],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(PACKAGES)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    return limited(process, 60)
+    command = [sys.executable, "-c", run, "explain", *pendulum, *options]
+    return start(command, folder=folder, seconds=60)
 
 
 @pytest.mark.thorough

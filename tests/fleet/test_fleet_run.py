@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 import pytest
 from distributed import LocalCluster
-from processor_time import limited
+from processes import limited
 from small_fleet import (
     DRY,
     FROM,

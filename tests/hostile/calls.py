@@ -6,7 +6,6 @@ argument at a time is spoiled, in every way that its kind can be.
 
 import importlib
 import inspect
-import pathlib
 import pkgutil
 import re
 import traceback
@@ -14,13 +13,15 @@ import types
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import dataclass, is_dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
-from good_values import BY_CALL, BY_KIND, BY_NAME, BY_TYPE, PHI, Fresh, pendulum
-from hostile import HangError, limited
-from pydrake.systems.framework import DiagramBuilder, System
+import yaml
+from good_values import BY_CALL, BY_KIND, BY_NAME, BY_TYPE, PHI, Fresh
+from processes import HangError, time_limit
+from pydrake.systems.framework import System
 
 import geodrake
 from geodrake.errors import GeodrakeError
@@ -28,39 +29,9 @@ from geodrake.errors import GeodrakeError
 SECONDS = 20  # of the processor, for a call
 HELD = ("own error", "accepted")
 INSIDE = (TypeError, IndexError, AttributeError, KeyError)
-APART = ("cli", "demo", "boundary", "report", "scenes")
-"""Packages without calls: pages are shown what geodrake made, scenes come from files."""
-BASES = ("Effect", "JointEffect", "JointPairEffect", "BodyEffect", "RobotEffect", "Manifold")
-BASES += ("Transmission", "AdaptiveController", "UpdateLaw", "Regularizer", "MotionFamily")
-BASES += ("ConvexSet",)
-MORE_METHODS = (
-    *("BaseParameters.labels", "EffectForce.AddToBuilder", "Ellipsoid.random_points"),
-    *("Ellipsoid.scaled", "ExcitationTrajectory.log", "LinearTransmission.from_ratios"),
-    *("MotionLimits.scaled", "Polyhedron.violation", "RobotModel.positions", "RobotModel.with_fit"),
-    *("Safeguards.of_plant", "LinearTransmission.joint_motion", "LinearTransmission.jacobian"),
-    *("LinearTransmission.joint_positions", "LinearTransmission.jacobian_rate"),
-    *("FunctionTransmission.joint_motion", "FunctionTransmission.jacobian"),
-)
-"""Methods that a user calls, though none of their arguments is ArrayLike, the mark of a door."""
-ONE_JOINT = ("Cylinder", "FourBar", "PolynomialTransmission", "TableTransmission")
-"""Transmissions whose methods are those of the others."""
-UNCALLED = {
-    **dict.fromkeys(("Proposer", "Role", "Array"), "names to choose from, or a type"),
-    **dict.fromkeys(("case_rollout", "rest_correlates", "source_of"), "a part of what has a door"),
-    **dict.fromkeys(("RobotMotion", "JointMotion"), "what effects are shown, made here alone"),
-    "WrongInertia": "it has no instance",
-    "log_of": "of a table that a reader of files made",
-    "PositionServo.set_gains": "its arguments have no names",
-    "DcMotor.set_constants": "its arguments have no names",
-    "EffectForce.set_effect_parameters": "of the effects in the force: tests/control has its calls",
-    "EffectForce.set_hidden_states": "of the effects in the force: tests/control has its calls",
-    "RobotModel.add_to_scene": "of a builder with the robot in it: tests/control has its calls",
-}
-"""What is exported and not called here, and why."""
-INFINITE = ("longest_step", "mirror_line", "zero_moment_point", "value", "objective")
-"""Functions that may return infinity or NaN, as they document."""
-SLOW = {"logs", "log", "seeds", "fleet", "separation", "A", "first"}
-"""Arguments of functions that take long: only what cannot be right is tried there."""
+TABLES = yaml.safe_load((Path(__file__).parent / "calls.yaml").read_text("utf-8"))
+"""What is called and how, and what is not, each with a line that says so."""
+UNCALLED = TABLES["uncalled"]
 
 
 @dataclass(frozen=True)
@@ -73,16 +44,7 @@ class Call:
 
     @property
     def is_slow(self):
-        return not SLOW.isdisjoint(inspect.signature(self.function).parameters)
-
-
-@dataclass(frozen=True)
-class Wrong:
-    """A wrong value of an argument; `must` is whether it cannot be right."""
-
-    words: str
-    value: object
-    must: bool = True
+        return not {*TABLES["slow"]}.isdisjoint(inspect.signature(self.function).parameters)
 
 
 class Anything:
@@ -101,7 +63,7 @@ def exports():
     """Name -> what the packages export, each once."""
     found = {}
     for each in pkgutil.walk_packages(geodrake.__path__, "geodrake."):
-        if each.ispkg and not {*each.name.split(".")} & {*APART}:
+        if each.ispkg and not {*each.name.split(".")} & {*TABLES["apart"]}:
             module = importlib.import_module(each.name)
             found |= {name: getattr(module, name) for name in getattr(module, "__all__", ())}
     found |= {name: getattr(geodrake, name) for name in geodrake.__all__}
@@ -124,12 +86,8 @@ def methods(name, value):
         if not str(getattr(found, "__module__", "")).startswith("geodrake"):
             continue
         given = (str(p.annotation) for p in inspect.signature(found).parameters.values())
-        if f"{name}.{method}" in MORE_METHODS or any("ArrayLike" in each for each in given):
+        if f"{name}.{method}" in TABLES["methods"] or any("ArrayLike" in each for each in given):
             yield method
-
-
-def is_bound(value, method):
-    return not isinstance(inspect.getattr_static(value, method), classmethod | staticmethod)
 
 
 @cache
@@ -137,10 +95,10 @@ def good_calls():
     """Name -> good call of every function, class and method; why there is none of the others."""
     found, none = {}, {}
     for name, value in exports().items():
-        if name in BASES:
+        if name in TABLES["bases"]:
             continue
         todo = {}
-        if inspect.isclass(value) and name not in ONE_JOINT:
+        if inspect.isclass(value) and name not in TABLES["one joint"]:
             todo = {f"{name}.{method}": method for method in methods(name, value)}
         if not inspect.isclass(value) or not is_plain(value):
             todo[name] = None
@@ -149,11 +107,11 @@ def good_calls():
                 continue
             try:
                 function = value if method is None else getattr(value, method)
-                if method is not None and is_bound(value, method):
+                static = method and inspect.getattr_static(value, method)
+                if method and not isinstance(static, classmethod | staticmethod):
                     if (owner := made(name)) is None:
                         raise MissingError(name)
                     function = getattr(plain(owner), method)
-                function = IN_DIAGRAMS.get(full, function)
                 found[full] = Call(full, function, good_arguments(full, function))
             except (MissingError, GeodrakeError) as error:
                 none[full] = str(error)
@@ -176,31 +134,16 @@ def good_arguments(name, function):
         elif with_default and type(parameter.default) in (int, float, str):
             value = parameter.default
         else:
-            try:
-                value = by_type(str(parameter.annotation))
-            except MissingError:
-                if with_default:
-                    continue
+            value = by_type(str(parameter.annotation))
+            if value is None and not with_default:
                 value = by_kind(str(parameter.annotation))
         if value is not None:
             found[key] = value
     return found
 
 
-FITTING = {
-    "float": "float|ArrayLike|ByJoint|Scalars",
-    "int": "int",
-    "str": "str",
-    "dict": "Mapping",
-    "Fresh": "Path|path|Context",
-    "ndarray": r"Array|Scalars|\bfloat \|",
-    "tuple": "Sequence|tuple|ArrayLike",
-}
-"""Class of a value that a name stands for -> words of the annotations that it fits."""
-
-
 def fits(value, annotation):
-    return re.search(FITTING.get(type(value).__name__, "$^"), annotation) is not None
+    return re.search(TABLES["fitting"].get(type(value).__name__, "$^"), annotation) is not None
 
 
 def special(name, function):
@@ -231,9 +174,7 @@ def plain(value):
 
 
 def by_type(annotation):
-    """A good value of an annotated type."""
-    if annotation.startswith("ForwardRef"):
-        raise MissingError(annotation)
+    """A good value of an annotated type; None if none is known."""
     annotation = re.sub(r"<class '(.*)'>", r"\1", annotation)
     for each in re.split(r" \| (?![^\[]*\])", annotation):
         kind = re.sub(r"^(?:geodrake|collections|pathlib)[\w.]*\.", "", each)
@@ -242,15 +183,14 @@ def by_type(annotation):
             return BY_TYPE[kind]()
         if outer == "Callable":
             return BY_TYPE["Callable"]()
+        one = None
         if outer in ("Sequence", "Iterable", "tuple") and inner:
-            try:
-                one = by_type(inner.rstrip("]").removesuffix(", ..."))
-            except MissingError:
-                continue
+            one = by_type(inner.rstrip("]").removesuffix(", ..."))
+        if one is not None:
             return Fresh(lambda one=one: (plain(one),)) if isinstance(one, Fresh) else (one,)
         if (found := made(kind)) is not None:
             return found
-    raise MissingError(annotation)
+    return None
 
 
 def by_kind(annotation):
@@ -288,38 +228,11 @@ def made(kind):
 _MAKING = set()
 
 
-def _in_diagram(function, *, gains=False, time_step=0.0):
-    """A function of a builder and the plant in it."""
-
-    def call(builder, **more):
-        plant = pendulum(time_step, gains=gains)
-        if isinstance(builder, DiagramBuilder):
-            builder.AddSystem(plant)
-        return function(builder=builder, plant=plant, **more)
-
-    own = [p for k, p in inspect.signature(function).parameters.items() if k != "plant"]
-    call.__signature__ = inspect.Signature(own)
-    return call
-
-
-IN_DIAGRAMS = {
-    "add_adaptive_loop": _in_diagram(exports()["add_adaptive_loop"]),
-    "EffectForce.AddToBuilder": _in_diagram(exports()["EffectForce"].AddToBuilder),
-    "add_tracking_drives": _in_diagram(
-        exports()["add_tracking_drives"], gains=True, time_step=1e-3
-    ),
+THINGS = {
+    **{"a text": "text", "an object": Anything(), "a dict": {"a": 1.0}, "a function": len},
+    **{"bytes": b"1.0", "nothing": None, "a number": 3},
 }
-
-
-def wrong_things(*but):
-    """Things of a wrong kind."""
-    found = {"a text": "text", "an object": Anything(), "a dict": {"a": 1.0}, "a function": len}
-    found["bytes"] = b"1.0"
-    return [Wrong(words, value) for words, value in found.items() if words not in but]
-
-
-def wrongs(must, pairs) -> Iterator[Wrong]:
-    return (Wrong(words, value, must) for words, value in pairs.items())
+"""Things that are wrong in most places."""
 
 
 def spoiled(array, value):
@@ -329,132 +242,111 @@ def spoiled(array, value):
     return found
 
 
-def wrong_arrays(array) -> Iterator[Wrong]:
-    yield from wrong_things()
-    is_mask = array.dtype == bool
-    if not array.size:
-        return
-    yield from wrongs(True, {
+def of_array(array):
+    must = {
         "NaN at one place": spoiled(array, np.nan), "complex": array + 1j,
         "complex without an imaginary part": array + 0j, "texts": array.astype(str),
         "objects": np.full(array.shape, None),
-        "truth values or numbers": 1.0 * array if is_mask else array > 0,
+        "truth values or numbers": 1.0 * array if array.dtype == bool else array > 0,
         "a mask": np.ma.masked_invalid(spoiled(array, np.nan)),
         "a generator": (row for row in np.atleast_1d(array)),
         "dates": np.zeros(array.shape, "M8[s]"), "ragged": [array.tolist(), [0.0]],
         "a number beyond floats": np.full(array.shape, 10**400, object).tolist(),
-    })  # fmt: skip
-    if array.ndim:
-        yield Wrong("nothing", None)
-    for axis in range(array.ndim):
-        yield from wrongs(False, {
-            f"one more along axis {axis}": np.concatenate([array, array.take([0], axis)], axis),
-            f"one less along axis {axis}": array.take(range(1, array.shape[axis]), axis),
-            f"none along axis {axis}": array.take([], axis),
-        })  # fmt: skip
-    if array.ndim > 1 and array.shape[-1] == array.shape[-2]:
-        skewed = array.astype(float)
-        skewed[..., 0, -1] += 1.0 + np.abs(array).max()
-        yield Wrong("not symmetric", skewed, must=False)
-    yield from wrongs(False, {
+    }  # fmt: skip
+    may = {
         "infinity at one place": spoiled(array, np.inf), "a scalar": 1.0,
         "its first row": array[0] if array.ndim else array, "a further axis": array[None],
         "a further last axis": array[..., None], "negative": -1.0 * array, "zero": 0.0 * array,
         "huge": 1e200 * np.where(array == 0, 1.0, array), "a list": array.tolist(),
-        "whole numbers": np.round(array).astype(int),
-        "single precision": array.astype(np.float32),
-    })  # fmt: skip
+        "whole numbers": np.round(array).astype(int), "single precision": array.astype(np.float32),
+    }  # fmt: skip
+    for axis in range(array.ndim):
+        more = np.concatenate([array, array.take([0], axis)], axis)
+        may |= {
+            f"one more along axis {axis}": more,
+            f"one less along axis {axis}": array.take(range(1, array.shape[axis]), axis),
+            f"none along axis {axis}": array.take([], axis),
+        }
+    if array.ndim > 1 and array.shape[-1] == array.shape[-2]:
+        may["not symmetric"] = skewed = array.astype(float)
+        skewed[..., 0, -1] += 1.0 + np.abs(array).max()
+    return must, may
 
 
-def wrong_numbers(number, *, whole) -> Iterator[Wrong]:
-    yield from wrong_things()
-    yield from wrongs(True, {
-        "NaN": np.nan, "complex": complex(number, 1.0), "a number as text": str(number),
-        "two numbers": [number, number], "true": True, "beyond floats": 10**400, "nothing": None,
-    })  # fmt: skip
+def of_number(number):
+    whole = isinstance(number, int | np.integer)
+    must = {"NaN": np.nan, "complex": complex(number, 1.0), "a number as text": str(number)}
+    must |= {"two numbers": [number, number], "true": True, "beyond floats": 10**400}
+    may = {"negative": -1 - number, "zero": 0, "minus infinity": -np.inf}
     if whole:
-        yield Wrong("between whole numbers", number + 0.5)
-        yield Wrong("beyond machine integers", 10**30)
-        yield Wrong("of NumPy", np.int64(number), must=False)
+        must |= {"between whole numbers": number + 0.5, "beyond machine integers": 10**30}
+        must["infinity"], may["of NumPy"] = np.inf, np.int64(number)
     else:
-        more = {"huge": 1e300, "tiny": 1e-300, "single": np.float32(number)}
-        yield from wrongs(False, more)
-    yield Wrong("infinity", np.inf, must=whole)
-    yield from wrongs(False, {"negative": -1 - number, "zero": 0, "minus infinity": -np.inf})
+        may |= {"huge": 1e300, "tiny": 1e-300, "single": np.float32(number), "infinity": np.inf}
+    return must, may
 
 
-def wrong_sequences(values) -> Iterator[Wrong]:
-    yield from wrong_things()
+def of_sequence(values):
     nothings = (None,) * max(len(values), 1)
-    objects = {"of objects": (Anything(),), "of nothings": nothings}
-    yield from wrongs(True, {"a number": 3, "nothing": None, **objects})
-    generator = (value for value in values)
-    yield from wrongs(False, {"empty": (), "a list": list(values), "a generator": generator})
-    if values and all(isinstance(value, str) for value in values):
+    must = {"of objects": (Anything(),), "of nothings": nothings}
+    may = {"empty": (), "a list": list(values), "a generator": (value for value in values)}
+    kinds = {type(value) for value in values}
+    if kinds == {str}:
         unknown = tuple(f"no {value}" for value in values)
-        yield from wrongs(False, {"unknown names": unknown, "a name twice": values[:1] + values})
-    if values and all(type(value) in (float, int) for value in values):
-        yield from wrongs(True, {
-            "complex": tuple(value + 1j for value in values), "NaN": (np.nan,) * len(values),
-            "texts": tuple(map(str, values)),
-        })  # fmt: skip
-        yield Wrong("negative", tuple(-1 - value for value in values), must=False)
+        may |= {"unknown names": unknown, "a name twice": values[:1] + values}
+    elif kinds and kinds <= {float, int}:
+        must["complex"] = tuple(value + 1j for value in values)
+        must |= {"NaN": (np.nan,) * len(values), "texts": tuple(map(str, values))}
+        may["negative"] = tuple(-1 - value for value in values)
+    return must, may
 
 
-def wrong_values(value) -> Iterator[Wrong]:
-    """Wrong values in the place of a good one."""
-    if isinstance(value, np.ndarray):
-        yield from wrong_arrays(value)
-    elif isinstance(value, bool):
+def of_text(text):
+    return {"a list of words": [text]}, {"an unknown word": "no such thing", "an empty word": ""}
+
+
+def of_path(path):
+    return {}, {"no such file": path.parent / "no" / "such.file"}
+
+
+def of_names(names):
+    unknown = {f"no {key}": value for key, value in names.items()}
+    objects = dict.fromkeys(names, Anything())
+    return ({"unknown names": unknown, "objects": objects} if names else {}), {}
+
+
+WRONG = (
+    (np.ndarray, of_array, ("a number",)),
+    (int | float | np.number, of_number, ("a number",)),
+    (tuple | list, of_sequence, ()),
+    (str, of_text, ("a text",)),
+    (Path, of_path, ("a text", "bytes")),
+    (dict, of_names, ("a dict",)),
+    (Callable, lambda _: ({}, {"an empty list": []}), ("a function",)),
+    (object, lambda _: ({}, {"an empty list": []}), ()),
+)
+"""Class of a good value, what makes wrong ones of it, and things that are none."""
+
+
+def wrong_values(value):
+    """(words, wrong value, whether it cannot be right) in the place of a good one."""
+    _, make, but = next(each for each in WRONG if isinstance(value, each[0]))
+    if isinstance(value, bool):
         return
-    elif isinstance(value, int | float | np.number):
-        yield from wrong_numbers(value, whole=isinstance(value, int | np.integer))
-    elif isinstance(value, tuple | list):
-        yield from wrong_sequences(value)
-    elif isinstance(value, str):
-        yield from wrong_things("a text")
-        yield from (Wrong("a number", 3), Wrong("a list of words", [value]), Wrong("nothing", None))
-        yield Wrong("an unknown word", "no such thing", must=False)
-        yield Wrong("an empty word", "", must=False)
-    elif isinstance(value, pathlib.Path):
-        yield from wrong_things("a text", "bytes")
-        yield from (Wrong("a number", 3), Wrong("nothing", None))
-        yield Wrong("no such file", value.parent / "no" / "such.file", must=False)
-    elif isinstance(value, dict):
-        yield from (*wrong_things("a dict"), Wrong("a number", 3), Wrong("nothing", None))
-        if value:
-            yield Wrong("unknown names", {f"no {key}": each for key, each in value.items()})
-            yield Wrong("objects", dict.fromkeys(value, Anything()))
-    else:
-        yield from wrong_things(*(("a function",) if callable(value) else ()))
-        yield from (Wrong("a number", 3), Wrong("nothing", None))
-        yield Wrong("an empty list", [], must=False)
+    must, may = ({}, {}) if isinstance(value, np.ndarray) and not value.size else make(value)
+    yield from ((w, each, True) for w, each in (THINGS | must).items() if w not in but)
+    yield from ((w, each, False) for w, each in may.items())
 
 
-MAY = {  # words of wrong values -> what an annotation says where they are right
-    "nothing": "None|Any|ByJoint",
-    "a text": r"\bstr\b",
-    "two numbers": "ArrayLike|Array|Sequence|ByJoint|Scalars",
-    "a number": "ArrayLike|ByJoint|Scalars",
-    "a list of words": r"Sequence\[str|Sequence\[type",
-    "a dict": "Mapping|ByJoint",
-    "of nothings": "None",
-    "an empty list": "Sequence|Iterable",
-}
-
-
-def wrong_calls(call) -> Iterator[tuple[str, Wrong]]:
-    """Every argument with every wrong value."""
+def wrong_calls(call):
+    """Every argument with every wrong value, its words, and whether it cannot be right."""
     parameters = inspect.signature(call.function).parameters
     for argument, value in call.arguments.items():
         annotation = str(parameters[argument].annotation)
-        for wrong in wrong_values(plain(value)):
-            may = re.search(MAY.get(wrong.words, "$^"), annotation)
-            if may and wrong.words == "nothing":
-                continue
-            must = wrong.must and not may
-            if must or not call.is_slow:
-                yield argument, replace(wrong, must=must)
+        for words, wrong, must in wrong_values(plain(value)):
+            may = re.search(TABLES["may be"].get(words, "$^"), annotation)
+            if not (may and words == "nothing") and ((must and not may) or not call.is_slow):
+                yield argument, words, wrong, must and not may
 
 
 def run(call, arguments):
@@ -465,14 +357,12 @@ def run(call, arguments):
     return call.function(*(arguments[key] for key in starred), **more)
 
 
-def ended(call, argument="", wrong=None):
-    """How a call ends, with one argument wrong or none: a class and words."""
-    arguments = {k: copied(v) for k, v in call.arguments.items()}
-    if wrong is not None:
-        arguments[argument] = wrong.value
+def ended(call, wrong=types.MappingProxyType({}), *, must=False):
+    """How a call ends, with an argument wrong or none: a class and words."""
+    arguments = {k: copied(v) for k, v in call.arguments.items()} | {**wrong}
     before = {k: v.copy() for k, v in arguments.items() if type(v) is np.ndarray}
     try:
-        with warnings.catch_warnings(), limited(call.name, SECONDS):
+        with warnings.catch_warnings(), time_limit(call.name, SECONDS):
             warnings.simplefilter("error")
             result = run(call, arguments)
             if isinstance(result, types.GeneratorType):
@@ -486,9 +376,11 @@ def ended(call, argument="", wrong=None):
     except (Exception, HangError) as error:
         end, told = type(error).__name__, _where(error)
     else:
-        end = "believed" if wrong is not None and wrong.must else "accepted"
+        end = "believed" if must else "accepted"
         told = str(result)[:80].replace("\n", " ")
-        if end == "accepted" and not (call.name.endswith(INFINITE) or finite(result)):
+        if end == "accepted" and not (
+            call.name.endswith(tuple(TABLES["infinite"])) or finite(result)
+        ):
             end = "not finite"
     for key, value in before.items():
         if not np.array_equal(value, arguments[key], equal_nan=value.dtype.kind in "fc"):
@@ -514,11 +406,11 @@ def finite(result):
 
 def _where(error):
     frames = [f for f in traceback.extract_tb(error.__traceback__) if "/geodrake/" in f.filename]
-    at = f"{pathlib.Path(frames[-1].filename).name}:{frames[-1].lineno} " if frames else ""
+    at = f"{Path(frames[-1].filename).name}:{frames[-1].lineno} " if frames else ""
     return f"{at}{type(error).__name__}: {str(error)[:150]}"
 
 
 def outcomes(call) -> Iterator[tuple[str, str, str, str]]:
     """Argument, wrong value, end and words of every wrong call of a function."""
-    for argument, wrong in wrong_calls(call):
-        yield argument, wrong.words, *ended(call, argument, wrong)
+    for argument, words, wrong, must in wrong_calls(call):
+        yield argument, words, *ended(call, {argument: wrong}, must=must)

@@ -3,6 +3,7 @@
 import hashlib
 
 import numpy as np
+import yaml
 from hostile import PENDULUM
 
 URDF = PENDULUM.read_text(encoding="utf-8")
@@ -99,9 +100,7 @@ def information(change=lambda matrix: None):
     """Lines of an information matrix of the parameters above, changed."""
     matrix = np.diag(np.arange(1.0, 20 + 1 + 2 + 1 + 2 + 10 + 1))
     change(matrix)
-    words = {"nan": ".nan", "inf": ".inf", "-inf": "-.inf"}
-    rows = ([words.get(repr(x), repr(x)) for x in row] for row in matrix.tolist())
-    return "\n".join(["information:", *(f"- [{', '.join(row)}]" for row in rows)]) + "\n"
+    return yaml.safe_dump({"information": matrix.tolist()}, default_flow_style=None, width=10**6)
 
 
 SAVED = UNINFORMED + information()

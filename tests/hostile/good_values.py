@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from chain_logs import multisine
 from good_files import EFFECT, FLEET, MAPPING
-from hostile import PENDULUM, fill, put
+from hostile import HEADER, PENDULUM, fill, put
 from pydrake.geometry import Box
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
@@ -64,6 +64,19 @@ def pendulum(time_step=0.0, *, gains=False, finalized=True):
     return plant
 
 
+_PLANTS = []
+
+
+def builder():
+    """A builder with a plant in it, which is then the last of the plants."""
+    found = DiagramBuilder()
+    _PLANTS.append(found.AddSystem(pendulum(1e-3, gains=True)))
+    return found
+
+
+IN_BUILDER = {"builder": Fresh(builder), "plant": Fresh(lambda: _PLANTS[-1])}
+
+
 @cache
 def model():
     loaded = geodrake.load_model(PENDULUM)
@@ -72,10 +85,9 @@ def model():
 
 
 @cache
-def log(seconds=12.0, rate=50.0):
+def log(seconds=12.0):
     """A log that the model explains, so that a search in it soon ends."""
-    time = np.arange(round(seconds * rate)) / rate
-    random = np.random.default_rng(0)
+    time, random = np.arange(round(50.0 * seconds)) / 50.0, np.random.default_rng(0)
     motion = Motion(*multisine(time, random, reach=0.5))
     effort = model().effort(motion) + 0.01 * random.standard_normal(motion.q.shape)
     return JointLog("swing", JOINTS, time, motion.q, effort)
@@ -188,14 +200,6 @@ def soft():
     return replace(model(), effects=(*model().effects, spring), information=None)
 
 
-def table():
-    """A log as columns by name."""
-    columns = {"time": log().time}
-    for joint, position, effort in zip(JOINTS, log().position.T, log().effort.T, strict=True):
-        columns |= {f"{joint}.position": position, f"{joint}.effort": effort}
-    return columns
-
-
 def friction(joint="shoulder"):
     return effects.ViscousFriction(joint)
 
@@ -228,6 +232,7 @@ BASE = structural_base_parameters(PLANT)
 DESIRED = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
     np.linspace(0, 1, 11), np.sin([np.linspace(0, 1, 11), np.linspace(0, 2, 11)])
 )
+_ROWS = np.column_stack([log().time, log().position, log().effort])
 TWO, WIDTH = np.array([1.0, 2.0]), np.full(2, 0.01)
 
 BY_TYPE = {
@@ -296,7 +301,7 @@ BY_NAME = {
     "start": 1.0, "end": 2.0, "days": np.arange(4.0), "weights": TWO, "temperature": np.ones(4),
     "columns": (1,), "robot": "a", "frequency": 0.2, "velocity": 2.0, "acceleration": 10.0,
     "effort": 50.0, "held": {"elbow": 0.1}, "language": "cpp", "to": "urdf", "kind": "current",
-    "extra": (), "total_mass": float(MASS.sum()), "limit": 50.0, "file": None,
+    "extra": (), "total_mass": float(MASS.sum()), "limit": 50.0,
     "parameters": control_model().prior, "scheduler": "tcp://a:1", "truth": control_model().prior,
     "date": 1.7e9, "units": {}, "columns: tuple[str, ...]": (),
     "path": in_folder("log.csv"), "regularizer": "entropic", "theta": Q,
@@ -315,6 +320,7 @@ IN_FOLDER = {
 BY_CALL = {
     **{call: {"path": in_folder(name)} for call, name in IN_FOLDER.items()},
     "FilteredRegressor": {"period": 0.001},
+    "Reading": {"rate": None},
     "Positive": {"dimension": 2},
     "Free": {"dimension": 2},
     "error_weight": {"Q": np.eye(4)},
@@ -325,20 +331,18 @@ BY_CALL = {
     "parameter_limits": {"indices": (1, 2)},
     "parameter_manifold": {"weights": {BODIES[0]: 2.0},
         "bodies": {BODIES[0]: PhysicalInertia()}},
-    "FunctionSet": {"gradient": lambda x: 2.0 * x},
     "ConstantMetric": {"matrix": 2 * np.eye(2), "inverse": 0.5 * np.eye(2)},
     "PartialLaw": {"law": AdaptationLaw(PhysicalInertia(), 2.0), "adapted": np.arange(22) < 10},
-    "Reading": {"rate": None},
-    "AerodynamicDrag": {"x": None, "y": None},
-    "JointElasticity": {"damping": None},
     "FittedEffect": {"effect": friction("elbow"), "parameters": [0.3], "deviations": [0.1]},
     "from_spatial_inertia_matrix": {"matrix": inertia.spatial_inertia_matrix(PHI)},
     "pushforward_metric": {"matrix": BASE.matrix, "extra": None},
     "RobotInstance.set_state": {"state": np.ones(4)},
     "RobotInstance": {"name": "double_pendulum"},
-    "log_of_frame": {"frame": table()},
+    "log_of_frame": {"frame": dict(zip(HEADER.split(","), _ROWS.T, strict=True))},
     "take_out_stated": {"name": "double_pendulum",
         "plant": Fresh(lambda: pendulum(finalized=False))},
+    **dict.fromkeys(("add_adaptive_loop", "EffectForce.AddToBuilder"), IN_BUILDER),
+    "add_tracking_drives": IN_BUILDER,
     "EffectForce": {"log": "swing"},
     "command_rollout": {"logs": Fresh(lambda: (commanded(),))},
     "roll_out": {"logs": Fresh(lambda: (log(3.0),))},
@@ -359,7 +363,6 @@ BY_CALL = {
     "Polyhedron": {"matrix": np.array([[1.0, 1.0]]), "lower": [0.5], "upper": [1.0]},
     "Polyhedron.violation": {"y": np.ones(22)},
     "affine_set": {"A": np.eye(2), "b": np.ones(2)},
-    "BaseParameters.metric": {"extra": None},
     "LinearTransmission": {"matrix": [[1.0, 0.0], [1.0, 2.0], [0.5, 0.5]], "offset": np.ones(3)},
     "LinearTransmission.of": {"matrix": [[1.0, 0.0], [1.0, 2.0]]},
     "LinearTransmission.from_ratios": {"joints": ("a", "b"), "actuators": ("a",),

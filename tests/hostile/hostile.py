@@ -10,69 +10,24 @@ is none. A command that fails leaves every file as it was.
 import json
 import os
 import re
-import resource
 import shlex
-import signal
 import stat
-import subprocess
-import sys
-import tempfile
-import warnings
 from collections.abc import Callable, Mapping
-from contextlib import chdir, contextmanager, suppress
+from contextlib import chdir
 from dataclasses import dataclass, field
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from pendulum_logs import PENDULUM, body_effort
-from typer.testing import CliRunner
+from processes import run_forked, run_here, run_started
 
-import geodrake
-from geodrake.cli import main
-from geodrake.cli.app import app
-
-PACKAGES = Path(geodrake.__file__).parents[1]
-"""Where a process finds the same geodrake as this one, with all that is compiled."""
 HEADER = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
 KEPT = {"kept.yaml": "from before\n", "kept.json": "{}\n", "kept.html": "<p>from before</p>\n"}
-SECONDS = 30  # of the processor, which no command may take longer
-PATIENCE = 300  # seconds by the clock, for what waits for ever; a busy machine takes long, too
-PROGRESS = re.compile(r".* \(\d+ s\)")  # what is said of work that takes long, as on a busy machine
-INTERNAL = 70  # exit code of a copy that never came to its command
+PASSING = re.compile(r".* \(\d+ s\)|Warning: .*")  # of work that takes long, and of repairs
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\u2028\u2029]")
 _NO_NUMBER = re.compile(r"(?<![\w.'\"])[-+]?(nan|inf)(?![\w'\"])")
-
-
-class HangError(BaseException):
-    """A command that did not end; no handler of errors may take it for one of its own."""
-
-
-@contextmanager
-def limited(what, seconds=SECONDS):
-    """Raise a HangError if this process works for longer, or waits without an end."""
-
-    def hang(number, _frame):
-        raise HangError(f"{what} has not ended: {signal.Signals(number).name}")
-
-    timers = {signal.SIGPROF: (signal.ITIMER_PROF, seconds)}
-    timers[signal.SIGALRM] = (signal.ITIMER_REAL, PATIENCE)
-    before = {number: signal.signal(number, hang) for number in timers}
-    for timer, most in timers.values():
-        signal.setitimer(timer, most)
-    try:
-        yield
-    finally:
-        for number, (timer, _) in timers.items():
-            signal.setitimer(timer, 0)
-            signal.signal(number, before[number])
-
-
-def limit_own_time(seconds=SECONDS):
-    """Let the system end this process, which was made for a command, when it works for longer."""
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
 
 
 Files = Mapping[str, str | bytes | Callable[[Path], object]]
@@ -129,7 +84,7 @@ class Row:
         assert code in expected, f"{self.name}: exit code {code}\n{out}\n{err}"
         check_words(out, err)
         if code:
-            told = [line for line in err.strip().splitlines() if not PROGRESS.fullmatch(line)]
+            told = [line for line in err.strip().splitlines() if not PASSING.fullmatch(line)]
             assert len(told) == 1 or "Usage" in err, err
             assert out == ""
         for words in self.says:
@@ -150,10 +105,13 @@ def put(folder, files: Files):
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        if callable(content):
-            content(path)
-        else:
-            path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        made = content
+        while callable(made):
+            made = made(path)
+        if isinstance(made, str):
+            made = made.replace("{folder}", str(folder)).encode()
+        if isinstance(made, bytes):
+            path.write_bytes(made)
 
 
 def link(target):
@@ -190,18 +148,18 @@ def table(*, seed=1, seconds=24.0, rate=100.0):
 
 def write_log(path, rows, header=HEADER):
     """Write rows of numbers, or of anything that has words, as a CSV file."""
-    path.write_bytes(_csv(rows, header))
+    path.write_bytes(csv(rows, header))
     return path
 
 
-def _csv(rows, header=HEADER):
+def csv(rows, header=HEADER):
     lines = [header, *(",".join(map(str, row)) for row in np.asarray(rows, object).tolist())]
     return ("\n".join(lines) + "\n").encode()
 
 
 @cache
 def _log_file(seed):
-    return _csv(table(seed=seed))
+    return csv(table(seed=seed))
 
 
 def contents(folder):
@@ -253,81 +211,3 @@ def _nulls(value, place):
     pairs = value.items() if isinstance(value, dict) else ()
     for key, item in enumerate(value) if isinstance(value, list) else pairs:
         yield from _nulls(item, f"{place}/{str(key).replace('~', '~0').replace('/', '~1')}")
-
-
-def run_here(arguments):
-    """Exit code, standard output and standard error of a command in this process."""
-    with limited(shlex.join(["geodrake", *arguments])):
-        result = CliRunner().invoke(app, arguments)
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result.exit_code, result.stdout, result.stderr
-
-
-def run_forked(arguments, begin=lambda: None):
-    """The same in a copy of this process, which begins with something else.
-
-    A negative exit code is the signal that ended it.
-    """
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        copy = get_context("fork").Process(target=_become, args=(arguments, out, err, begin))
-        with warnings.catch_warnings():
-            # pytest-xdist has a thread, of which the copy needs nothing.
-            warnings.filterwarnings("ignore", r"This process .* is multi-threaded")
-            copy.start()
-        copy.join(PATIENCE)
-        if copy.is_alive() or copy.exitcode == -signal.SIGXCPU:
-            copy.kill()
-            raise HangError(f"geodrake {shlex.join(arguments)} has not ended")
-        texts = []
-        for file in (out, err):
-            file.seek(0)
-            texts.append(file.read().decode("utf-8", errors="replace"))
-    return copy.exitcode, *texts
-
-
-def _become(arguments, out, err, begin):
-    """Turn a forked process into one that runs the command and ends."""
-    code = INTERNAL
-    limit_own_time()
-    try:
-        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-        for file, descriptor in ((out, 1), (err, 2)):
-            os.dup2(file.fileno(), descriptor)
-        sys.stdout, sys.stderr = (
-            os.fdopen(descriptor, "w", encoding="utf-8", closefd=False) for descriptor in (1, 2)
-        )
-        sys.argv = ["geodrake", *arguments]
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell's job may ignore
-        begin()
-        main()
-        code = 0
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else int(end.code is not None)
-    finally:
-        with suppress(Exception):
-            sys.stdout.flush()
-            sys.stderr.flush()
-        os._exit(code)
-
-
-def run_started(arguments, variables):
-    """The same in a process that is started for it, with variables of its own."""
-    done = subprocess.run(
-        [sys.executable, "-m", "geodrake", *arguments],
-        env=environment(**{"MPLBACKEND": "Agg", **variables}),
-        capture_output=True,
-        encoding="utf-8",
-        errors="replace",
-        stdin=subprocess.DEVNULL,
-        timeout=PATIENCE,
-        preexec_fn=limit_own_time,
-        check=False,
-    )
-    return done.returncode, done.stdout, done.stderr
-
-
-def environment(**variables):
-    """Variables of a process that is to find the same geodrake; None takes one out."""
-    found = {**os.environ, "PYTHONPATH": str(PACKAGES), **variables}
-    return {name: value for name, value in found.items() if value is not None}

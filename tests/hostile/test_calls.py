@@ -1,28 +1,10 @@
 """Wrong calls of everything exported: they end in an error of geodrake, or in a finite result."""
 
-import time
-
 import numpy as np
 import pytest
-from calls import HELD, UNCALLED, Call, ended, exports, good_calls, outcomes
-from hostile import HangError, limited
+from calls import HELD, TABLES, UNCALLED, Call, ended, exports, good_calls, outcomes
 
-ALLOWED = {
-    *(
-        f"JointLog({what} = NaN at one place)"
-        for what in ("time", "position", "velocity", "effort")
-    ),
-    *(f"{name}(temperature = NaN at one place)" for name in ("Motion", "RobotHistory")),
-    "weighted_history(temperature = NaN at one place)",
-    *(f"{name}(phi = NaN at one place)" for name in ("is_physical", "body_spread")),
-    "zero_moment_point(wrench = NaN at one place)",
-    *(
-        f"{name}(most = beyond {which})"  # all windows
-        for name in ("roll_out", "command_rollout", "fit_rollouts")
-        for which in ("floats", "machine integers")
-    ),
-}
-"""Wrong values that a documentation takes, such as NaN for what is not measured."""
+ALLOWED = {f"{which} = {words})" for words, all_ in TABLES["allowed"].items() for which in all_}
 CALLS, _UNKNOWN = good_calls()
 
 
@@ -74,11 +56,3 @@ def test_a_call_that_is_believed_is_noticed():
     assert ends["texts"] == "believed"
     assert ends["a text"] == "ValueError"
     assert ends["an object"] == "inside"
-
-
-def test_limits_of_time_count_the_processor():
-    with pytest.raises(HangError, match="spin has not ended: SIGPROF"), limited("spin", 0.1):
-        while True:
-            pass
-    with limited("a wait", 0.1):
-        time.sleep(0.3)

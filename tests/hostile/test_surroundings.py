@@ -1,12 +1,16 @@
-"""Where a command runs: its locale, folders, settings and terminal, and what stops it."""
+"""Where a command runs: folders, disks, settings, streams and terminal, and what stops it."""
 
+import errno
+import fcntl
 import itertools
 import os
 import pty
 import re
-import select
+import resource
+import shlex
+import shutil
 import signal
-import subprocess
+import stat
 import sys
 import time
 from dataclasses import replace
@@ -14,23 +18,17 @@ from itertools import product
 from pathlib import Path
 
 import pytest
-from hostile import (
-    KEPT,
-    PATIENCE,
-    Row,
-    changed,
-    contents,
-    environment,
-    read_json,
-    run_forked,
-)
+from hostile import KEPT, PASSING, Row, changed, contents, read_json
+from processes import PACKAGES, PATIENCE, ended, run_forked, run_here, start
 
 from geodrake.boundary import whole_files
-from geodrake.cli import explaining
+from geodrake.cli import explaining, session
 
 ALL = ["--save", "kept.yaml", "--json", "kept.json", "--report", "kept.html"]
 COMPARE = ["compare", "robot.urdf", "log.csv", *ALL]
+NEW = [*COMPARE[:-1], "new.html"]
 EXPLAIN = ["explain", "robot.urdf", "log.csv"]
+GEODRAKE = f"{shlex.quote(sys.executable)} -m geodrake"
 BAD = b"foo: bar\nfont.size: x\n"
 SETTINGS = {
     "no home, no such backend, no folder for passing files, the locale C, poor terminal": (
@@ -61,12 +59,6 @@ def test_settings(what, tmp_path):
     replace(row, writes=("new.json", "new.html")).check(tmp_path)
 
 
-def test_files_in_ascii(tmp_path):
-    command = "compare robot.urdf log.csv --save kept.yaml"
-    variables = {"LC_ALL": "C", "PYTHONUTF8": "0"}
-    Row("files in ASCII", command, ("PYTHONUTF8=1",), environment=variables).check(tmp_path)
-
-
 def test_a_working_directory_that_is_gone(filled):
     leave = "import os\nos.mkdir('gone'); os.chdir('gone'); os.rmdir('../gone')"
     run = started(["compare", str(filled / "robot.urdf"), "log.csv"], leave)
@@ -81,35 +73,148 @@ def test_a_working_directory_that_is_gone(filled):
 @pytest.mark.parametrize(
     "columns", [10, *(pytest.param(n, marks=pytest.mark.thorough) for n in (40, 200))]
 )
-def test_a_terminal_of_any_width_shows_no_name_raw(columns, filled):
+def test_a_terminal_of_any_width_shows_no_name_raw(columns, filled, monkeypatch):
     """A terminal gets the sequences of the progress bar and of bold letters, no others."""
-    log = "\x1b]0;owned\x07\x9bx.csv"
+    log, blocks = "\x1b]0;owned\x07\x9bx.csv", []
     (filled / "log.csv").rename(log)
-    status, shown = in_terminal(["compare", "robot.urdf", log], columns)
+    for name, value in {
+        "COLUMNS": columns,
+        "TERM": "xterm-256color",
+        "PYTHONPATH": PACKAGES,
+    }.items():
+        monkeypatch.setenv(name, str(value))
+
+    def read(terminal):
+        blocks.append(os.read(terminal, 65536))
+        return blocks[-1]
+
+    status = pty.spawn([sys.executable, "-m", "geodrake", "compare", "robot.urdf", log], read)
+    shown = b"".join(blocks).decode("utf-8", "replace")
     assert status == 0, shown
     assert not re.search("[\x07\x9b]|\x1b[^\\[]", shown)
     assert set(re.findall(r"\x1b\[[0-9;?]*(.)", shown)) <= set("mhlKAG")
     assert "owned" in shown.replace("\r\n", "")
 
 
-def in_terminal(arguments, columns):
-    """Exit status of a command in a terminal, and all that it sent there."""
-    child, terminal = pty.fork()
-    if child == 0:
-        command = [sys.executable, "-m", "geodrake", *arguments]
-        variables = environment(COLUMNS=str(columns), TERM="xterm-256color")
-        os.execve(sys.executable, command, variables)
-    shown = b""
-    while select.select([terminal], [], [], PATIENCE)[0]:
-        try:
-            block = os.read(terminal, 65536)
-        except OSError:  # the other end is closed
-            break
-        if not block:
-            break
-        shown += block
-    os.close(terminal)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), shown.decode("utf-8", "replace")
+DISK = OSError(errno.EIO, "Input/output error")
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize(("number", "error"), [*product((1, 2, 3), (DISK, KeyboardInterrupt()))])
+def test_where_one_file_cannot_be_renamed_none_is_new(filled, monkeypatch, number, error):
+    rename, numbers = whole_files._Part.rename, itertools.count(1)
+
+    def failing(part):
+        if next(numbers) == number:
+            raise error
+        rename(part)
+
+    monkeypatch.setattr(whole_files._Part, "rename", failing)
+    before = contents(filled)
+    code, out, err = run_here(COMPARE)
+    is_disk = error is DISK
+    assert (code, out) == (2 if is_disk else 130, "")
+    assert "Input/output error" in err if is_disk else err == "Interrupted.\n"
+    assert contents(filled) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "says"),
+    [("new.html", Path.mkdir, "is a folder"), ("robot.urdf", Path.unlink, "is gone")],
+)
+def test_what_changes_during_the_work_is_noticed_before_files_are_written(
+    name, change, says, filled, monkeypatch
+):
+    to_json = session.to_json
+
+    def meanwhile(numbers):
+        change(filled / name)
+        return to_json(numbers)
+
+    monkeypatch.setattr(session, "to_json", meanwhile)
+    before = contents(filled)
+    code, _, err = run_here(NEW)
+    assert code == 2
+    assert says in err
+    assert changed(before, contents(filled)) == {name}
+
+
+def test_permissions_stay_and_links_are_written_through(filled):
+    (filled / "there").mkdir()
+    (filled / "kept.json").rename(filled / "there" / "real.json")
+    (filled / "kept.json").symlink_to("there/real.json")
+    (filled / "new.html").symlink_to("there/later.html")
+    modes = {"kept.yaml": 0o640, "there/real.json": 0o604}
+    for name, mode in modes.items():
+        (filled / name).chmod(mode)
+    code, _, err = run_here(NEW)
+    assert code == 0, err
+    for name, mode in modes.items():
+        assert stat.S_IMODE((filled / name).stat().st_mode) == mode
+    assert (filled / "kept.json").readlink() == Path("there/real.json")
+    assert read_json(filled / "there" / "real.json")["command"] == "compare"
+    assert (filled / "new.html").readlink() == Path("there/later.html")
+    assert (filled / "there" / "later.html").is_file()
+    assert sorted(p.name for p in (filled / "there").iterdir()) == ["later.html", "real.json"]
+
+
+def test_left_overs_of_killed_runs_are_removed_and_nothing_else(filled):
+    ours = [".kept.json.123.part", ".kept.json.99999999.part"]
+    theirs = [".kept.json.part", ".kept.json.x1.part", ".kept.jsonl.1.part", "kept.json.1.part"]
+    theirs += [".kept.json.5.part.json", ".kept.yaml.77.part"]
+    for name in [*ours, *theirs]:
+        (filled / name).write_text("half", encoding="utf-8")
+    with (filled / ".kept.json.456.part").open("wb") as written:
+        fcntl.flock(written, fcntl.LOCK_EX)  # as whoever writes it does
+        code, _, err = run_here(["compare", "robot.urdf", "log.csv", "--json", "kept.json"])
+    assert code == 0, err
+    left = sorted(p.name for p in filled.iterdir() if ".part" in p.name)
+    assert left == sorted([*theirs, ".kept.json.456.part"])
+
+
+def test_a_file_that_there_is_no_room_for_leaves_what_was_there(filled):
+    before = contents(filled)
+
+    def begin():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # as Python does when it starts
+
+    code, _, err = run_forked(COMPARE, begin)
+    assert code == 2
+    assert err == "Error: Cannot write kept.html: File too large. Choose another place.\n"
+    assert contents(filled) == before
+
+
+NUMBERS = "compare robot.urdf log.csv --json"
+OUTPUTS = {
+    "tables to a full disk": ("compare robot.urdf log.csv > /dev/full", 2, "No space left"),
+    "numbers to a full disk": (f"{NUMBERS} - --quiet > /dev/full", 2, "No space"),
+    "help to a full disk": ("--help > /dev/full", 2, "No space left"),
+    "the version to a full disk": ("--version > /dev/full", 2, "No space left"),
+    "nobody to read tables": ("compare robot.urdf log.csv | true", 141, ""),
+    "nobody to read numbers": (f"{NUMBERS} - 2> /dev/null | true", 141, ""),
+    "closed output": ("compare robot.urdf log.csv >&-", 0, ""),
+    "closed input": ("compare robot.urdf log.csv <&- > /dev/null", 0, ""),
+    "closed errors": ("compare robot.urdf log.csv 2>&- > /dev/null", 0, ""),
+    "closed errors and an error": ("no-such-command 2>&-", 2, ""),
+    "a full disk for errors": ("no-such-command 2> /dev/full", 2, ""),
+    "everything closed": (f"{NUMBERS} new.json <&- >&- 2>&-", 0, ""),
+}
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+@pytest.mark.sampled(4)
+@pytest.mark.parametrize("what", OUTPUTS)
+def test_standard_streams(what, filled):
+    command, code, says = OUTPUTS[what]
+    run = start(["bash", "-o", "pipefail", "-c", f"{GEODRAKE} {command}"])
+    ended_with, _, err = ended(run)
+    assert ended_with == code, err
+    told = [line for line in err.splitlines() if not PASSING.fullmatch(line)]
+    assert bool(told) == bool(says) and says in "".join(told[-1:]), err
+    if "new.json" in command:
+        assert read_json(filled / "new.json")["command"] == "compare"
+    assert not re.search("Traceback|Exception", err)
 
 
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
@@ -122,23 +227,11 @@ SIGNALS = {
 
 def started(arguments, code=""):
     """A command in a process of its own, after code, with a folder for its temporary files."""
-    Path("passing").mkdir()
+    (passing := Path("passing").absolute()).mkdir()
     # Jobs of a shell in the background ignore interrupts, and so do their children.
     heard = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)"
-    run = "from geodrake.cli import main\nmain()"
-    return subprocess.Popen(
-        [sys.executable, "-c", f"{heard}\n{code}\n{run}", *arguments],
-        env=environment(TMPDIR=str(Path("passing").absolute())),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
-def ended(run):
-    """Exit code, standard output and standard error of a process."""
-    out, err = run.communicate(timeout=PATIENCE)
-    return run.returncode, out, err
+    program = f"{heard}\n{code}\nfrom geodrake.cli import main\nmain()"
+    return start([sys.executable, "-c", program, *arguments], TMPDIR=str(passing))
 
 
 def others(before):

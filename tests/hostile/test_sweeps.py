@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 import yaml
 from good_files import FLEET, FULL_DIRECTIVES, FULL_URDF, MANY_EFFECTS, MAPPING, MJCF, SDF
-from hostile import fill, limited
+from hostile import fill
+from processes import time_limit
 
 from geodrake import load_model
 from geodrake.errors import GeodrakeError
@@ -150,7 +151,7 @@ def cases():
 def ended(path, read):
     """Whether a file is read or refused, in one line that names it."""
     try:
-        with warnings.catch_warnings(), limited(path.name):
+        with warnings.catch_warnings(), time_limit(path.name):
             warnings.simplefilter("error")
             read(path)
     except GeodrakeError as error:

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from pendulum_logs import PENDULUM, pendulum_log
 
-from geodrake.errors import LogError
+from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.compare import compare
+from geodrake.logs.files.reading import Reading
 from geodrake.logs.inspection import inspect_log
 from geodrake.logs.unit_hints import effort_unit_hint
 from geodrake.model.logged_joints import model_of_logs
@@ -50,3 +51,9 @@ def test_limits_that_are_next_to_nothing_say_nothing_of_units(log):
     assert effort_unit_hint(log, 1e-308) is None
     strong = replace(log, effort=np.full_like(log.effort, 1e308))
     assert "other units" in effort_unit_hint(strong, 1e-8)
+
+
+@pytest.mark.parametrize("rate", [10**400, -(10**400), np.inf, np.nan])
+def test_rates_that_no_log_has_are_refused(rate):
+    with pytest.raises(ArgumentError, match="rate"):
+        Reading(rate=rate)

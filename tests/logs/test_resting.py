@@ -57,3 +57,12 @@ def test_all_logs_count_together():
 
 def test_what_was_not_measured_does_not_rest():
     assert rests(SWING, np.full_like(SWING, np.nan)) == [False, False]
+
+
+def test_readings_that_no_robot_has_are_no_motion():
+    """They are told of where the log is read; here their differences must not overflow."""
+    wild = SWING.copy()
+    wild[[100, 101]] = 1e308, -1e308
+    still = np.full_like(SWING, 0.4)
+    still[7] = -1e308
+    assert rests(wild, still) == [False, True]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, instances, integer
+from geodrake.boundary.arguments.arrays import LARGEST
 from geodrake.errors import ArgumentError
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.motion import EFFORT_KINDS, USUAL_GAIN_DEVIATION
@@ -225,4 +225,6 @@ def check_gain(gain: object, what: str, deviation: object = None) -> None:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= LARGEST  # which NaN is not; integers may be beyond floats

@@ -1,0 +1,91 @@
+"""Files that are wrong, unlucky or meant to harm, and commands that take them: rows are data."""
+
+import os
+from dataclasses import replace
+
+import pytest
+from good_files import DIRECTIVES, SAVED
+from hostile import Row, put
+from makers import BODY, HEAD, damage, effect, log, npz, read_rows
+
+from geodrake.control.rollout import simulation
+from geodrake.effects import load_effect_file
+from geodrake.errors import GeodrakeError, LogError
+from geodrake.logs.files import read_log, room
+
+MISSED = {
+    "x.csv: a joint that stands": "the bandwidth that is chosen leaves no samples of so short a log"
+}
+"""What is refused and should be read -> why."""
+DAMAGED = [
+    Row(f"{file}: {kind}", f"compare {file} log.csv", says, {file: content}, apart=apart)
+    for file, says, apart, kinds in (
+        ("bad.dmd.yaml", (), True, damage(DIRECTIVES, "arm", "directives: ")),
+        ("saved.yaml", ("saved.yaml",), False, damage(SAVED, "abc", f"{HEAD}information: ")),
+    )
+    for kind, content in kinds.items()
+]
+
+
+def with_marks(row):
+    known = [pytest.mark.xfail(strict=True, reason=MISSED[row.name])] if row.name in MISSED else ()
+    return pytest.param(row, marks=known, id=row.name)
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("row", [*map(with_marks, [*read_rows(), *DAMAGED])])
+def test_row(row, tmp_path):
+    row.check(tmp_path)
+    assert not (tmp_path / "PWNED").exists()
+
+
+def test_efforts_in_other_units_are_simulated(tmp_path, monkeypatch):
+    """The robot flies apart, in ever smaller steps, of which there are fewer here."""
+    monkeypatch.setattr(simulation, "_STEPS", 500)
+    monkeypatch.setattr(simulation, "_TIMES", 1)
+    command, says = "rollout robot.urdf x.csv --json new.json", ("in other units", "breaks off")
+    row = Row("in N·mm", command, says, {"x.csv": log("e *= 1e3")}, code=0)
+    replace(row, writes=("new.json",)).check(tmp_path)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
+def test_what_must_not_be_read(tmp_path):
+    make = {"x.csv": lambda path: path.touch(0)}
+    Row("file", "compare robot.urdf x.csv", ("Permission denied",), make).check(tmp_path)
+
+
+@pytest.mark.parametrize(("name", "content"), [("x.npz", npz()), ("x.csv", BODY)])
+def test_more_than_memory_is_refused_before_it_is_read(tmp_path, monkeypatch, name, content):
+    monkeypatch.setattr(room, "machine_memory", lambda: 100_000)
+    put(tmp_path, {name: content})
+    with pytest.raises(LogError, match=r"of 5 numbers, 9\.6.*; this machine has 0\.0001 GB"):
+        read_log(tmp_path / name)
+
+
+ATTRIBUTES = (
+    *("name", "parameters", "places", "role", "shapes", "depends_on", "complexity", "signature"),
+    *("state_count", "companion", "contains", "proposer", "jumps", "shape", "candidates"),
+    *("manifold", "signatrue", "depend_on"),
+)
+VALUES = (
+    *("None", "3", "-1", "True", "np.nan", "object()", '""', '"lambda"', '"my effect"', '"../x"'),
+    *('"payload"', '"\x1b[31mred"', '("width",)', "(1.0,)", '{"moon"}', '("viscous_friction",)'),
+    *("Proposer.WAVES", "Proposer.WARMING", "Proposer.BENDING", "(JointEffect,)"),
+    *('(Parameter("a", "N"), Parameter("a", "N"))', '(Parameter("a", "N", lower="0"),)'),
+    *(f"Role.{role}" for role in ("BODY", "SCALE", "DELAY", "DEFLECTION", "EPISODE", "INERTIA")),
+)
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("attribute", ATTRIBUTES)
+def test_attributes_that_no_effect_has(attribute, tmp_path):
+    refused = 0
+    for value in VALUES:
+        path = tmp_path / "own.py"
+        path.write_text(effect(more=f"    {attribute} = {value}"), encoding="utf-8")
+        try:
+            load_effect_file(path)
+        except GeodrakeError as error:
+            assert "own.py" in str(error) and str(error).isprintable(), error
+            refused += 1
+    assert refused > len(VALUES) / 2
