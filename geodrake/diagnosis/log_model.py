@@ -187,6 +187,9 @@ class LogModel:
             self._grams.append(wider)
             self._places.append(places)
         self._efforts = [len(joint.columns) for joint in data.data]
+        first = [places[: self._first_term] for places in self._places]
+        parts = zip(self._grams, first, strict=True)
+        self._base = np.array([gram[np.ix_(at, at)] for gram, at in parts])
         self.mean = np.zeros(len(columns))
         self.mean[: len(self.unknowns.columns)] = self.unknowns.mean
         gains = np.maximum(data.gain_uncertainty, 1e-6) ** -2.0
@@ -376,13 +379,21 @@ class LogModel:
 
     def _normal(self, columns: Indices, delay: Delay) -> tuple[Array, Array, Array]:
         """Return AᵀA (nv, n, n), Aᵀb (nv, n) and bᵀb (nv,) of each joint."""
-        n, nv = len(columns), len(self.rows)
-        grams, moments, powers = np.empty((nv, n, n)), np.empty((nv, n)), np.empty(nv)
+        n, first = len(columns), self._first_term  # which all explanations have in common
+        grams = np.empty((len(self.rows), n, n))
+        grams[:, :first, :first] = self._base
         for j, (gram, places) in enumerate(zip(self._grams, self._places, strict=True)):
-            at, effort = places[columns], self._efforts[j] + delay[j]
-            grams[j] = gram[at[:, None], at]
-            moments[j], powers[j] = gram[effort, at], gram[effort, effort]
-        return grams, moments, powers
+            at = places[columns]
+            grams[j, first:] = gram[at[first:, None], at]
+            grams[j, :first, first:] = grams[j, first:, :first].T
+        return grams, *self._moments(columns, delay)
+
+    def _moments(self, columns: Indices, delay: Delay) -> tuple[Array, Array]:
+        """Return Aᵀb (nv, n) and bᵀb (nv,) of each joint."""
+        efforts = [e + late for e, late in zip(self._efforts, delay, strict=True)]
+        parts = [*zip(self._grams, efforts, self._places, strict=True)]
+        moments = np.array([gram[effort, places[columns]] for gram, effort, places in parts])
+        return moments, np.array([gram[effort, effort] for gram, effort, _ in parts])
 
     def shares(self, fit: Fit) -> Array:
         """Return (nv,) how many independent samples each row of a fit's residuals is worth."""
@@ -546,15 +557,16 @@ class Neighbourhood:
         """Return the best other delay of all joints, and of each joint alone, with their gains."""
         model, was = self._model, self.fit.choice.delay
         columns, fit, joints = self.fit.columns, self.fit, range(len(was))
-        every = [model._normal(columns, (k,) * len(was)) for k in range(len(model.dataset.delays))]
-        if len(every) < 2:
+        count = len(model.dataset.delays)
+        if count < 2:
             return []
+        every = [model._moments(columns, (k,) * len(was)) for k in range(count)]
         grams, own, _ = model._normal(columns, was)
         samples = fit.weights * np.maximum(fit.variance, model._floor) * model.rows
         now, found = fit.variance * model.rows, list[tuple[Delay, float]]()
         for moved in (joints, *([j] for j in joints)):
             tried = []
-            for k, (_, moments, powers) in enumerate(every):
+            for k, (moments, powers) in enumerate(every):
                 change = fit.weights[moved] @ (moments[moved] - own[moved])
                 x = fit.x + self._inverse @ change
                 left = [powers[j] - 2.0 * moments[j] @ x + x @ grams[j] @ x for j in moved]

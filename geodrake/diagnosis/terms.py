@@ -210,11 +210,14 @@ def are_compatible(terms: Terms, known: frozenset[Key]) -> bool:
         known: Names and places of what the model has already.
     """
     keys = {term.key for term in terms}
-    if len(keys) < len(terms) or keys & known:
+    if len(keys) < len(terms) or not keys.isdisjoint(known):
         return False
-    said = known.union(*(term.says for term in terms))
-    for term in terms:
-        if term.contains & keys or (term.needs and not any(n <= said for n in term.needs)):
+    if any(term.contains and not keys.isdisjoint(term.contains) for term in terms):
+        return False
+    needing = [term for term in terms if term.needs]
+    if needing:
+        said = known.union(*(term.says for term in terms))
+        if not all(any(needed <= said for needed in term.needs) for term in needing):
             return False
     bodies = [term.where for term in terms if term.is_body]
     return len(set(bodies)) == len(bodies)
