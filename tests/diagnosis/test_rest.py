@@ -70,6 +70,37 @@ def tightened(seen):
     return {1: 0.5 * np.sign(seen.v[:, 1]) * (1.5 + seen.q[:, 0])}
 
 
+def plain(seen):
+    """Friction of the elbow that nothing tightens."""
+    return {1: 0.75 * np.sign(seen.v[:, 1])}
+
+
+def mostly_tightened(seen):
+    """The same of a brake that is loose in the middle."""
+    return {1: 0.5 * np.sign(seen.v[:, 1]) * (0.5 + seen.q[:, 0])}
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_name_is_unsure_beside_an_error_that_nothing_explains(seed):
+    """Dry friction takes away what the brake does in the mean, and the rest is left."""
+    model = load_model(PENDULUM)
+    logs = [
+        effort_log("double_pendulum", seed, hidden, duration=12.0, share=0.02).log
+        for hidden in (mostly_tightened, plain)
+    ]
+    unsure, sure = (explain(model, [log]).steps for log in logs)
+    assert all(step.probability < 0.9 for step in unsure)
+    assert all(step.unknown_probability > 0.1 for step in unsure)
+    assert unsure
+    for step in (*unsure, *sure):
+        parts = step.probability, *step.probabilities_of_rivals, step.unknown_probability
+        assert sum(parts) + step.false_alarm_probability == pytest.approx(1.0)
+    (friction,) = sure
+    assert friction.effect == "coulomb_friction"
+    assert friction.unknown_probability == 0.0
+    assert friction.probability > 0.99
+
+
 def file_of(hidden, path):
     write_log(effort_log("double_pendulum", 1, hidden, duration=12.0, share=0.02).log, path)
     return path
