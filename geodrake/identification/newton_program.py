@@ -109,7 +109,7 @@ class NewtonProgram:
     def weighted(self, weight: float) -> Self:
         """Return the program with another weight w of the prior; inf leaves the data out."""
         if np.isinf(weight):
-            return replace(self, data=0.0 * self.data, weight=1.0)
+            return replace(self, data=0.0 * self.data, floor=0.0, weight=1.0)
         return replace(self, weight=weight)
 
     @cached_property
