@@ -46,8 +46,7 @@ def solve_newton(problem: FitProblem) -> FitResult:
         minimum, weight = minimize(program), 1.0
     else:
         minimum, weight = _bounded(program, problem.residual_bound)
-    x = parameters_at(minimum)
-    return fit_result(program.coordinates, x, weight, "newton", time.perf_counter() - begin)
+    return fit_result(problem, parameters_at(minimum), weight, "newton", begin)
 
 
 def parameters_at(minimum: Minimum) -> Array:

@@ -57,11 +57,10 @@ class FitProgram:
         return values
 
     def evaluated(self, x: Array) -> tuple[float, float]:
-        """Return what Drake evaluates at parameters x (p,).
+        """Return what Drake evaluates at parameters x (p,): the cost, and the worst violation.
 
-        Returns:
-            The cost in the unit of the fit's, less a constant, and how far they are outside the
-            constraints at most, in the program's variables.
+        The cost is in the unit of the fit's, less a constant; the violation is how far they are
+        outside the constraints at most, in the program's variables.
         """
         program, values = self.program, self.point(x)
         costs = [float(program.EvalBinding(c, values)[0]) for c in program.GetAllCosts()]
@@ -188,12 +187,9 @@ def build_fit(
     """Return the conic program of a problem; `solve_fit` solves it, with exact shortcuts.
 
     The cost is the excess over the unconstrained least squares, which keeps the solver's
-    relative tolerance meaningful when the residual itself is large.
-
-    Args:
-        problem: What is to be fitted.
-        centre: (p,) parameters close to the solution, where it is scaled; None for the references.
-        size: What the cost is divided by; its size at the centre if None.
+    relative tolerance meaningful when the residual itself is large. The program is scaled at a
+    centre (p,) close to the solution, by default the references, and its cost is divided by its
+    size there, unless that is given.
     """
     instance(problem, "problem", FitProblem)
     if centre is not None:

@@ -125,8 +125,7 @@ class Riemannian(Regularizer):
         if better:
             best, weight = program.meet_bound(lowest.z, weight)
         x = np.clip(program.coordinates.parameters(best.z), problem.lower, problem.upper)
-        elapsed = time.perf_counter() - begin
-        fit = fit_result(program.coordinates, x, weight, "newton", elapsed)
+        fit = fit_result(program.coordinates.problem, x, weight, "newton", begin)
         own = {**vars(fit), "information": program.information(best.hessian)}
         return RiemannianFit(**own, minima=minima)
 

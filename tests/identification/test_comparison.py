@@ -171,8 +171,8 @@ def test_solvers_say_what_they_cannot_do():
     cone = program.AddLorentzConeConstraint(np.eye(3)[:, 1:], np.eye(3)[0], x)
     program.AddLinearCost(x[0])
     with pytest.raises(ArgumentError, match="CSDP gives no multipliers"):
-        cone_multiplier(run_solver(program, "csdp"), cone)
-    assert cone_multiplier(run_solver(program, "clarabel"), cone) == pytest.approx(1.0, rel=1e-6)
+        cone_multiplier(run_solver(program, "csdp")[0], cone)
+    assert cone_multiplier(run_solver(program, "clarabel")[0], cone) == pytest.approx(1.0, rel=1e-6)
     if not MosekSolver().enabled():
         with pytest.raises(ArgumentError, match="MOSEK needs a licence"):
             identify(A, b, PRIOR, regularizer="entropic", gamma=1.0, solver="mosek")
