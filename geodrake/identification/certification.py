@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from geodrake.errors import ConvergenceError, IdentificationError
+from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
 from geodrake.identification.certificate import TOLERANCE, Certificate, Scope
 from geodrake.identification.conic_fit import conic_solution
 from geodrake.identification.fit import FitResult, fit_result
@@ -41,7 +41,9 @@ def certified(
     try:
         program = build_fit(problem, centre=fit.x)
         cost, violation = program.evaluated(fit.x)
-    except np.linalg.LinAlgError:
+    except (np.linalg.LinAlgError, ArgumentError) as error:
+        if scope == "local" and isinstance(error, ArgumentError):
+            raise  # its second order is no convex program
         return uncertified(fit, "rounding leaves its program no digits", scope)
     if size is None:
         size = program.cost_scale + (fit.residual if problem.residual_bound is None else 0.0)

@@ -256,7 +256,7 @@ class _Linearization:
             spread = self._spread
             missing = -self._equality_error - spread.T @ right
             forces = np.linalg.lstsq(spread.T @ spread, missing)[0]
-            right = right + spread @ forces
+            right += spread @ forces
         dz = _solve(self._R, right)
         turn = np.swapaxes(self._scaling, 1, 2)
         primal = self._scaling @ smat(dz[self.program.blocks]) @ turn

@@ -51,10 +51,9 @@ def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
     question: bytes | None = None
     with contextlib.suppress(Exception):  # Drake's programs cannot be pickled, nor may a user's be
         question = pickle.dumps(work)
-    answer = None
-    if question is not None and (copy := _waiting()) is not None:
-        answer = copy.answer(over, seconds, question)
-    if answer is None:
+    copy = _waiting() if question is not None else None
+    answer = None if copy is None else copy.answer(over, seconds, question)
+    if copy is None or answer is None:
         # One that waited may have ended before it was asked: only a new one's end is told.
         copy = _Copy(work)
         answer = copy.answer(over, seconds)

@@ -167,18 +167,11 @@ class FitProgram:
         self.others.append((t, best))
 
     def _add_bounds(self) -> None:
-        lower, upper = self.coordinates.bounds()
-        bounded = np.isfinite(lower) | np.isfinite(upper)
-        if bounded.any():
-            self.program.AddBoundingBoxConstraint(lower[bounded], upper[bounded], self.z[bounded])
-        constraints = self.problem.constraints
-        if constraints is not None:
-            rows = constraints.matrix @ self.coordinates.transform
-            begin = constraints.matrix @ self.problem.prior_mean
-            norms = np.linalg.norm(rows, axis=1)
-            scale = 1.0 / np.where(norms > 0, norms, 1.0)
-            limits = (scale * (side - begin) for side in (constraints.lower, constraints.upper))
-            self.program.AddLinearConstraint(scale[:, None] * rows, *limits, self.z)
+        (G, h), (E, e) = self.coordinates.rows()
+        if len(h):
+            self.program.AddLinearConstraint(G, h, np.full(len(h), np.inf), self.z)
+        if len(e):
+            self.program.AddLinearEqualityConstraint(E, e, self.z)
 
 
 def build_fit(

@@ -14,7 +14,12 @@ from geodrake.identification.certification import certified, uncertified
 from geodrake.identification.fit import FitResult, fit_result
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.regularizer import Entropic, Pullback, Regularizer
-from geodrake.identification.riemannian_search import LocalMinima, LocalMinimum, RiemannianProgram
+from geodrake.identification.riemannian_search import (
+    ACCURACY,
+    LocalMinima,
+    LocalMinimum,
+    RiemannianProgram,
+)
 from geodrake.inertia import Array, pseudo_inertia
 from geodrake.inertia.positive_definite import relative_logarithms
 
@@ -120,7 +125,8 @@ class Riemannian(Regularizer):
             except GeodrakeError:  # the minima that were found stand
                 found[name] = None
         lowest = min(filter(None, found.values()), key=lambda minimum: minimum.value)
-        better = lowest.value < best.value - _SAME_COST * abs(best.value)
+        rounding = ACCURACY * gamma * weighted.weight
+        better = lowest.value < best.value - max(_SAME_COST * abs(best.value), rounding)
         minima = program.compared(found, lowest if better else best)
         if better:
             best, weight = program.meet_bound(lowest.z, weight)

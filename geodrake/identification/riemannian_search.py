@@ -24,7 +24,7 @@ from geodrake.inertia import Array
 
 _SAME = 1e-4
 """Geodesic distance within which two minima count as one."""
-_ACCURACY = 1e-14
+ACCURACY = 1e-14
 """Decrease that a step must promise to be worth taking, as a share of the size of the cost."""
 _MOST_STEPS = 300
 _RIDGES = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6)
@@ -161,7 +161,7 @@ class RiemannianProgram(NewtonProgram):
             gradient, step, strict = self._direction(z)
             value = self.cost(z)
             promise, rounding = -float(gradient @ step), PRECISION * max(abs(value), size)
-            ends = promise <= _ACCURACY * size or is_within_rounding(promise, before, rounding)
+            ends = promise <= ACCURACY * size or is_within_rounding(promise, before, rounding)
 
             def decrease(share: Array, z: Array = z, step: Array = step) -> float:
                 return self.cost(z) - self.cost(z + share * step)

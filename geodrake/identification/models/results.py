@@ -44,7 +44,6 @@ class Alternative(Short):
     """What another regularizer makes of the same training residual.
 
     Attributes:
-        regularizer: Its name.
         gamma: Weight with which it reaches the residual.
         residual: Weighted squared residual of the training data.
         errors: Held-out errors.
