@@ -31,11 +31,8 @@ def certified(
     Better is a solution inside all constraints whose cost is lower by more than `TOLERANCE` of the
     cost, or any such one where the fit is outside of them.
 
-    Args:
-        problem: What was fitted; of a cost that is not convex, its second order at the fit.
-        fit: The fit.
-        size: Size of the cost; by default that of the program, and the residual.
-        scope: That of the `Certificate`.
+    Of a cost that is not convex, the problem is its second order at the fit, and the scope "local".
+    The size of the cost is by default that of the program, and the residual.
     """
     begin = time.perf_counter()
     try:

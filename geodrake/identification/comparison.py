@@ -81,7 +81,6 @@ def compare_regularizers(
         **options: Further arguments of `identify`, the same for all.
 
     Raises:
-        ArgumentError: An argument is wrong, or two regularizers have the same name.
         IdentificationError: A solver failed, or a residual differs by more than 1e-5.
     """
     positive(gamma, "gamma")

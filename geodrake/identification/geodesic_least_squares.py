@@ -93,7 +93,7 @@ def geodesic_least_squares(
         max_iterations: Iterations after which to give up.
 
     Raises:
-        ArgumentError: A shape or value is wrong, or no row has a projection.
+        ArgumentError: No row has a projection.
         ConvergenceError: No minimum was found to the tolerance.
     """
     one_of(method, "method", METHODS)

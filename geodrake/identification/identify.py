@@ -212,8 +212,8 @@ def physical_prior(prior: ArrayLike) -> Array:
     """Return a prior (nb, 10) of bodies that can exist.
 
     Raises:
-        ArgumentError: There are no bodies, or some cannot exist; its evidence then has `bodies`
-            and, as `nearest`, the prior (nb, 10) of `nearest_prior`.
+        ArgumentError: There are none, or some cannot exist; its evidence then has `bodies` and, as
+            `nearest`, the `nearest_prior` (nb, 10).
     """
     prior = checked("prior", prior, (None, PARAMETERS_PER_BODY))
     if not len(prior):

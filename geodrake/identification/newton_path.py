@@ -94,11 +94,8 @@ def minimize(
 ) -> Minimum:
     """Return the minimum of a program, by damped Newton steps that stay strictly inside.
 
-    Args:
-        program: The program.
-        start: A point with positive definite S and Z and positive slacks and multipliers, to save
-            some steps.
-        enough: Gap that will do.
+    A start with positive definite S and Z and positive slacks and multipliers saves some steps; a
+    gap of `enough` will do.
 
     Raises:
         IdentificationError: The constraints contradict each other, or rounding got in the way.
@@ -238,9 +235,7 @@ class _Linearization:
     def direction(self, centre: float, predicted: _Direction | None = None) -> _Direction:
         """Return the step to S Z = (γ + centre) I and s λ = centre.
 
-        Args:
-            centre: How far from the solution on the path to stay.
-            predicted: A first step, whose second-order terms are taken along.
+        The second-order terms of a first step, if one was predicted, are taken along.
         """
         at, d, G = self.at, self._d, self.program.inequalities[0]
         wanted = (self._aim[:, None] + centre - self._products)[:, :, None] * _UNIT
@@ -251,11 +246,12 @@ class _Linearization:
             force = force - predicted.step.slack * predicted.step.multipliers / at.slack
         force = force - self._stiffness * self._slack_error
         M = 2.0 * wanted / (d[:, :, None] + d[:, None, :])
-        right, forces = self._reduced(M + self._D, force), np.empty(0)
+        right = self._reduced(M + self._D, force)
+        forces: Array = np.empty(0)
         if len(self._equality_error):
             spread = self._spread
             missing = -self._equality_error - spread.T @ right
-            forces = np.linalg.lstsq(spread.T @ spread, missing)[0]
+            forces = np.asarray(np.linalg.lstsq(spread.T @ spread, missing)[0], float)
             right += spread @ forces
         dz = _solve(self._R, right)
         turn = np.swapaxes(self._scaling, 1, 2)

@@ -99,12 +99,10 @@ class _Copy:
     def answer(
         self, over: float, seconds: float, question: bytes | None = None
     ) -> tuple[Any, Exception | None] | None:
-        """Return what its work returned and raised; None if it has ended without an answer.
+        """Return what its work, or a question, returned and raised; None if it has ended instead.
 
-        Args:
-            over: When its time of so many seconds is over, on the monotonic clock, s.
-            seconds: That time.
-            question: Further work, pickled.
+        Its time of so many seconds is over at a value of the monotonic clock, s. A question is
+        further work, pickled.
         """
         answer: tuple[Any, Exception | None] | None = None
         try:

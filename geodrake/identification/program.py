@@ -45,11 +45,7 @@ class FitProgram:
     others: list[tuple[Any, Callable[[Array], Array]]] = field(default_factory=list)
 
     def point(self, x: Array) -> Array:
-        """Return values of all variables at parameters x (p,), whose entropic blocks are physical.
-
-        Raises:
-            LinAlgError: They are not, or a scalar with an entropic prior is not positive.
-        """
+        """Return values of all variables at parameters x (p,); a LinAlgError if not physical."""
         z, values = self.coordinates.at(x), np.zeros(self.program.num_vars())
         values[self.program.FindDecisionVariableIndices(self.z)] = z
         for variables, best in self.others:

@@ -136,7 +136,8 @@ def test_constraints_hold_and_are_optimal():
     )
     options = {"regularizer": "riemannian", "gamma": 0.2, "constraints": constraints}
     result = identify(A, b, PRIOR, **options)
-    phi = result.phi
+    told, phi = result.certificate, result.phi
+    assert told.holds and told.violation < 1e-9, "Clarabel has another local minimum"
     assert phi[:, 0].sum() == pytest.approx(5.5, rel=1e-9)
     assert phi[0, 0] >= 4.2 and phi[1, 0] <= 2.0
     assert (np.abs(phi[:, 1:4] / phi[:, :1] - com) <= 0.02 + 1e-12).all()
