@@ -18,7 +18,7 @@ from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dgeqrf, dormqr, dtrtrs
+from scipy.linalg.lapack import dtpmqrt, dtpqrt, dtrtrs
 
 from geodrake.errors import IdentificationError
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, smat, svec
@@ -43,6 +43,7 @@ _LIFT = 1e-2
 """Share of the smallest weight to which the next start lifts the products s λ."""
 _FLOOR = 1e-15
 """Products S Z, relative to the misfit, below which rounding would make Z or S indefinite."""
+_PANEL = 16
 _UNIT = np.eye(4)
 
 
@@ -196,11 +197,13 @@ class _Linearization:
         scaling = self._scaling[:, None]
         K = np.zeros((*program.blocks.shape, len(f)))
         images = svec(scaling @ SYMMETRIC_BASIS @ np.swapaxes(scaling, 2, 3))
-        for rows, block, image in zip(K, program.blocks, images, strict=True):
-            rows[:, block] = image.T
-        stacked = np.vstack([F, K.reshape(-1, len(f)), np.sqrt(self._stiffness)[:, None] * G])
-        self._qr, self._tau, _, _ = dgeqrf(stacked)
-        self._R = np.asfortranarray(self._qr[: len(f)])
+        for into, block, image in zip(K, program.blocks, images, strict=True):
+            into[:, block] = image.T
+        below = [K.reshape(-1, len(f)), np.sqrt(self._stiffness)[:, None] * G]
+        self._R, self._reflectors = F, list[Array]()
+        if len(rows := np.asfortranarray(np.vstack(below))):
+            panel = min(_PANEL, len(f))
+            self._R, *self._reflectors, _ = dtpqrt(0, panel, F, rows, overwrite_b=True)
         self._spread = _solve(self._R, E.T, transposed=True)
 
     @property
@@ -214,9 +217,11 @@ class _Linearization:
         """Return the right side (p,) of R x = … for those of K as (n, 4, 4), and of λ."""
         pulls = svec(matrices - self._prior_pull).ravel()
         rows = (forces - self.program.targets) / np.sqrt(self._stiffness)
-        right = np.concatenate([self._errors, pulls, rows])[:, None]
-        turned = dormqr("L", "T", self._qr, self._tau, right, 64)[0]
-        return np.asarray(turned[: len(self._errors), 0], float)
+        if not self._reflectors:
+            return self._errors.copy()
+        below = np.concatenate([pulls, rows])[:, None]
+        sides = self._errors[:, None], below
+        return np.asarray(dtpmqrt(0, *self._reflectors, *sides, side="L", trans="T")[0][:, 0])
 
     def gap(self) -> float:
         """Return the distance of the cost from its minimum, to first order; inf if it overflows."""

@@ -129,13 +129,14 @@ class NewtonProgram:
 
     @cached_property
     def rows(self) -> Rows:
-        """Upper triangular F (p, p) and f (p,) of the quadratic cost ½ ‖F z − f‖²."""
+        """Upper triangular F (p, p), in Fortran's order, and f (p,) of the cost ½ ‖F z − f‖²."""
         p, triangle = len(self.middle), self.data
         extra = np.vstack([np.sqrt(self.weight) * self.prior, self.fixing])
         if len(extra):
             rows = np.column_stack([extra, np.zeros(len(extra))])
             triangle = triangular_factor([triangle, rows])[:p]
-        return np.sqrt(2.0) * np.triu(triangle[:, :p]), np.sqrt(2.0) * triangle[:, p]
+        factor = np.asfortranarray(np.sqrt(2.0) * np.triu(triangle[:, :p]))
+        return factor, np.sqrt(2.0) * triangle[:, p]
 
     @cached_property
     def gamma(self) -> Array:
