@@ -7,20 +7,18 @@ those that Drake evaluates of the program, and the minimum is that of a conic so
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from geodrake.errors import ConvergenceError, IdentificationError
+from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
 from geodrake.identification.certificate import TOLERANCE, Certificate, Scope
-from geodrake.identification.conic_fit import parameters_of, prior_weight_of
+from geodrake.identification.conic_fit import conic_solution
 from geodrake.identification.fit import FitResult, fit_result
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.program import build_fit
-from geodrake.identification.solvers import Tolerances, run_to_gap, solved_apart
-from geodrake.inertia import Array
+from geodrake.identification.solvers import solved_apart
 
 SOLVER = "clarabel"
 
@@ -33,23 +31,22 @@ def certified(
     Better is a solution inside all constraints whose cost is lower by more than `TOLERANCE` of the
     cost, or any such one where the fit is outside of them.
 
-    Args:
-        problem: What was fitted; of a cost that is not convex, its second order at the fit.
-        fit: The fit.
-        size: Size of the cost; by default that of the program, and the residual.
-        scope: See `Certificate`.
+    Of a cost that is not convex, the problem is its second order at the fit, and the scope "local".
+    The size of the cost is by default that of the program, and the residual.
     """
     begin = time.perf_counter()
     try:
         program = build_fit(problem, centre=fit.x)
         cost, violation = program.evaluated(fit.x)
-    except np.linalg.LinAlgError:
+    except (np.linalg.LinAlgError, ArgumentError) as error:
+        if scope == "local" and isinstance(error, ArgumentError):
+            raise  # its second order is no convex program
         return uncertified(fit, "rounding leaves its program no digits", scope)
     if size is None:
         size = program.cost_scale + (fit.residual if problem.residual_bound is None else 0.0)
     told = Certificate(solver=SOLVER, gap=np.inf, cost=size, violation=violation, scope=scope)
     try:
-        x, weight, accuracy = solved_apart(partial(_solution, problem, fit.x), SOLVER)
+        x, weight, accuracy = solved_apart(partial(conic_solution, problem, SOLVER, fit.x), SOLVER)
         least, beyond = program.evaluated(x)
     except (IdentificationError, ConvergenceError) as error:
         return replace(fit, certificate=replace(told, failure=error.problem))
@@ -60,8 +57,7 @@ def certified(
         above = f"above the least cost by {gap / size:.1e} of it"
         why = outside if violation > TOLERANCE else above
         note = f"By {SOLVER}, as the fit of {fit.solver} was {why}"
-        elapsed = fit.solve_time + time.perf_counter() - begin
-        fit = replace(fit_result(program.coordinates, x, weight, SOLVER, elapsed), note=note)
+        fit = replace(fit_result(problem, x, weight, SOLVER, begin - fit.solve_time), note=note)
         told, gap = replace(told, violation=beyond, replaced=True), 0.0
     left = max(accuracy * program.cost_scale, np.finfo(float).eps * size)
     return replace(fit, certificate=replace(told, gap=max(gap, 0.0) + left))
@@ -73,13 +69,3 @@ def uncertified(fit: FitResult, failure: str, scope: Scope = "global") -> FitRes
         solver=SOLVER, gap=np.inf, cost=np.nan, violation=np.nan, scope=scope, failure=failure
     )
     return replace(fit, certificate=none)
-
-
-def _solution(
-    problem: FitProblem, centre: Array, accuracies: Sequence[Tolerances]
-) -> tuple[Array, float, float]:
-    """Return the solver's parameters (p,), the weight of their prior, and its duality gap."""
-    fit = build_fit(problem, centre=centre)
-    result, gap = run_to_gap(fit.program, SOLVER, accuracies)
-    x = parameters_of(fit, result)
-    return x, prior_weight_of(fit, result, x), gap

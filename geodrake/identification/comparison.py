@@ -39,13 +39,9 @@ class SharedArguments(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RegularizerComparison(Short):
-    """Solutions of equal residual.
+    """Results by name of the regularizer, in the order asked for, of a residual equal to 1e-5.
 
-    Attributes:
-        results: Name of the regularizer -> its solution, in the order asked for.
-        reference: Name of the regularizer whose γ was given.
-        gamma: That γ.
-        residual: The residual that all have, to 1e-5.
+    The `gamma` given is that of the `reference`.
     """
 
     results: Mapping[str, IdentificationResult]
@@ -85,44 +81,41 @@ def compare_regularizers(
         **options: Further arguments of `identify`, the same for all.
 
     Raises:
-        ArgumentError: An argument is wrong, or two regularizers have the same name.
         IdentificationError: A solver failed, or a residual differs by more than 1e-5.
     """
     positive(gamma, "gamma")
-    kinds = [
-        regularizer_of(regularizer)
-        for regularizer in instances(regularizers, "regularizers", object)
-    ]
-    names = [kind.name for kind in kinds]
-    if len(set(names)) < len(names):
-        raise ArgumentError(f"Each regularizer can be compared once; got {', '.join(names)}.")
-    own = dict(zip(names, kinds, strict=True))
-    first_kind = own.get(str(reference)) or regularizer_of(reference)
-    shared = dict.fromkeys((*names, first_kind.name), options)
-    extra_priors = extra_priors or {}
-    if unknown := sorted(set(extra_priors) - set(shared)):
+    given = instances(regularizers, "regularizers", object)
+    kinds = {kind.name: kind for kind in map(regularizer_of, given)}
+    if len(kinds) < len(given):
+        names = ", ".join(regularizer_of(kind).name for kind in given)
+        raise ArgumentError(f"Each regularizer can be compared once; got {names}.")
+    first_kind = kinds.get(str(reference)) or regularizer_of(reference)
+    compared, extra_priors = (*kinds, first_kind.name), extra_priors or {}
+    if unknown := sorted(set(extra_priors) - set(compared)):
         raise ArgumentError(
-            f"extra_priors has {', '.join(unknown)}; compared are {', '.join(shared)}."
+            f"extra_priors has {', '.join(unknown)}; compared are "
+            f"{', '.join(dict.fromkeys(compared))}."
         )
-    for name, extra_prior in extra_priors.items():
-        shared[name] = {**options, "extra_prior": extra_prior}
-    own_options = shared[first_kind.name]
-    first = identify(A, b, prior, regularizer=first_kind, gamma=gamma, **own_options)
-    results = {}
-    for kind in kinds:
-        result = first
-        if kind.name != first_kind.name:
-            bound, own_options = first.residual, shared[kind.name]
-            result = identify(A, b, prior, regularizer=kind, residual_bound=bound, **own_options)
+
+    def solve(kind: Regularizer, **form: float) -> IdentificationResult:
+        own: SharedArguments = {**options}
+        if kind.name in extra_priors:
+            own["extra_prior"] = extra_priors[kind.name]
+        return identify(A, b, prior, regularizer=kind, **form, **own)
+
+    first, results = solve(first_kind, gamma=gamma), {}
+    for name, kind in kinds.items():
+        same = name == first_kind.name
+        result = first if same else solve(kind, residual_bound=first.residual)
         if abs(result.residual - first.residual) > EQUAL * first.residual:
             raise IdentificationError(
-                f"{kind.name} has the residual {result.residual:.6g} instead of "
+                f"{name} has the residual {result.residual:.6g} instead of "
                 f"{first.residual:.6g}: its closest parameters to the prior already fit better.",
                 advice="Lower gamma: with so strong a prior there is nothing to compare.",
                 residual=result.residual,
                 reference=first.residual,
             )
-        results[kind.name] = result
+        results[name] = result
     return RegularizerComparison(
         results=results, reference=first_kind.name, gamma=gamma, residual=first.residual
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -36,7 +37,7 @@ from geodrake.robot.reduction import triangular_factor
 def solve_fit(
     problem: FitProblem, *, solver: str = "clarabel", shortcuts: bool = True
 ) -> FitResult:
-    """Fit the parameters.
+    """Fit the parameters: the unique minimum, with the information of data and prior together.
 
     A quadratic problem is first solved in closed form and then as bounded least squares; when all
     bodies come out physical, that is the solution of the full problem too.
@@ -45,9 +46,6 @@ def solve_fit(
         problem: What to fit.
         solver: Drake's conic solver, "clarabel" or "scs" (slower, less exact).
         shortcuts: Whether to try the exact solutions without a conic solver first.
-
-    Returns:
-        The unique minimum, with the information of data and prior together.
 
     Raises:
         ArgumentError: There is no such solver, or the residual bound is below what any parameters
@@ -60,8 +58,8 @@ def solve_fit(
     if quick is not None:
         return quick
     check_residual_bound(problem)
-    coordinates, x, weight = solved_apart(partial(_by_conic_solver, problem, solver), solver)
-    return fit_result(coordinates, x, weight, solver, time.perf_counter() - begin)
+    x, weight, _ = solved_apart(partial(conic_solution, problem, solver, None), solver)
+    return fit_result(problem, x, weight, solver, begin)
 
 
 def solve_with_fallback(problem: FitProblem) -> FitResult:
@@ -87,68 +85,61 @@ def solve_with_fallback(problem: FitProblem) -> FitResult:
     return replace(fit, note=note, solve_time=time.perf_counter() - begin)
 
 
-def _by_conic_solver(
-    problem: FitProblem, solver: str, accuracies: Sequence[Tolerances]
-) -> tuple[Coordinates, Array, float]:
-    """Return coordinates of the program, parameters (p,), and the weight of the prior."""
-    # The first solution only says where and how to scale the program for the second.
-    fit = build_fit(problem, centre=_centre(problem, solver))
-    solution = run_solver(fit.program, solver, accuracies)
-    x = parameters_of(fit, solution)
-    return fit.coordinates, x, prior_weight_of(fit, solution, x)
+def conic_solution(
+    problem: FitProblem, solver: str, centre: Array | None, accuracies: Sequence[Tolerances]
+) -> tuple[Array, float, float]:
+    """Return a conic solver's parameters (p,), the weight of their prior, and the duality gap.
+
+    The program is scaled where the solution is about: at the centre, by Newton's method, or by a
+    rough solution of its own.
+    """
+    entropic = len(problem.entropic) == len(problem.inertia_blocks) > 0
+    if centre is None and entropic:
+        with contextlib.suppress(IdentificationError):  # the conic solver says why
+            centre = solve_newton(problem).x
+    if centre is None:
+        rough = build_fit(problem)
+        centre, _ = solution_of(rough, run_solver(rough.program, solver, ROUGHLY)[0])
+    fit = build_fit(problem, centre=centre)
+    result, gap = run_solver(fit.program, solver, accuracies)
+    return *solution_of(fit, result), gap
 
 
-def _centre(problem: FitProblem, solver: str) -> Array:
-    """Return parameters (p,) close to the solution: by Newton's method where it serves."""
-    if problem.inertia_blocks and len(problem.entropic) == len(problem.inertia_blocks):
-        try:
-            return solve_newton(problem).x
-        except IdentificationError:
-            pass  # The conic solver says why.
-    rough = build_fit(problem)
-    return parameters_of(rough, run_solver(rough.program, solver, ROUGHLY))
+def solution_of(fit: FitProgram, result: MathematicalProgramResult) -> tuple[Array, float]:
+    """Return parameters (p,) of a conic solution, and the γ of the regularized problem with them.
 
-
-def parameters_of(fit: FitProgram, solution: MathematicalProgramResult) -> Array:
-    """Return the parameters (p,) of a conic solution, inside bounds and physical.
+    They are inside bounds and physical. γ comes from the residual cone's multiplier μ: at the
+    boundary ‖u‖ = s of the cone, d² + μ (‖u‖ − s)/s is stationary, and so is d² + ‖u‖²/γ with
+    γ = 2 s²/μ.
 
     Raises:
         IdentificationError: A body is not physical, as the solver was not exact enough.
     """
-    x = fit.coordinates.parameters(solution.GetSolution(fit.z))
-    x = np.clip(x, fit.problem.lower, fit.problem.upper)
-    scalars = np.array(list(fit.problem.entropic_scalars), int)
+    problem, bound = fit.problem, fit.problem.residual_bound
+    x = fit.coordinates.parameters(result.GetSolution(fit.z))
+    x = np.clip(x, problem.lower, problem.upper)
+    scalars = np.array(list(problem.entropic_scalars), int)
     if not np.all(x[scalars] > 0):
         raise IdentificationError(
             f"The solver's parameters at columns {scalars[x[scalars] <= 0].tolist()} are not "
             "positive: it did not reach the accuracy that the data and prior need.",
             advice="Raise gamma, or check units and noise levels.",
         )
-    smallest = fit.coordinates.smallest_eigenvalues(x)
-    if not np.all(smallest > 0):
-        wrong = np.array(fit.problem.inertia_blocks)[~(smallest > 0)].tolist()
+    physical = fit.coordinates.smallest_eigenvalues(x) > 0
+    if not np.all(physical):
+        wrong = np.array(problem.inertia_blocks)[~physical].tolist()
         raise IdentificationError(
             f"The solver's parameters are not physical in the blocks at columns {wrong}: it did "
             "not reach the accuracy that the data and prior need.",
             advice="Raise `margin` or gamma, or check units and noise levels.",
             columns=wrong,
         )
-    return x
-
-
-def prior_weight_of(fit: FitProgram, solution: MathematicalProgramResult, x: Array) -> float:
-    """Return the γ of the regularized problem with the same solution x (p,).
-
-    It comes from the residual cone's multiplier μ: at the boundary ‖u‖ = s of the cone,
-    d² + μ (‖u‖ − s)/s is stationary, and so is d² + ‖u‖²/γ with γ = 2 s²/μ.
-    """
-    bound = fit.problem.residual_bound
     if bound is None:
-        return 1.0
-    if fit.problem.residual(x) < bound * (1.0 - 1e-6):
-        return np.inf
-    multiplier = cone_multiplier(solution, fit.residual_cone) * fit.cost_scale
-    return 2.0 * fit.residual_scale**2 / multiplier if multiplier else np.inf
+        return x, 1.0
+    if problem.residual(x) < bound * (1.0 - 1e-6):
+        return x, np.inf
+    multiplier = cone_multiplier(result, fit.residual_cone) * fit.cost_scale
+    return x, 2.0 * fit.residual_scale**2 / multiplier if multiplier else np.inf
 
 
 def _in_closed_form(problem: FitProblem) -> FitResult | None:
@@ -183,4 +174,4 @@ def _in_closed_form(problem: FitProblem) -> FitResult | None:
     x = np.clip(coordinates.parameters(z), problem.lower, problem.upper)
     if np.any(coordinates.smallest_eigenvalues(x) < problem.margin):
         return None
-    return fit_result(coordinates, x, 1.0, name, time.perf_counter() - begin)
+    return fit_result(problem, x, 1.0, name, begin)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,11 +43,14 @@ class BodyConstraints(Short):
             ArgumentError: A shape or value is wrong, bounds contradict each other, or an ellipsoid
                 does not contain the prior's body.
         """
+        given = {
+            _ellipsoid_rows: self.ellipsoids,
+            _total_mass_row: self.total_mass,
+            _mass_rows: self.mass_bounds,
+            _com_rows: self.com_bounds,
+        }
         parts = [
-            *_ellipsoid_rows(self.ellipsoids, prior),
-            *_total_mass_row(self.total_mass, prior),
-            *_mass_rows(self.mass_bounds, prior),
-            *_com_rows(self.com_bounds, prior),
+            r for rows, value in given.items() if value is not None for r in rows(value, prior)
         ]
         if not parts:
             return None
@@ -68,9 +72,7 @@ def _of_bodies(rows: Array) -> Array:
     return np.asarray(block_diag(*rows))
 
 
-def _ellipsoid_rows(ellipsoids: ArrayLike | None, prior: Array) -> list[Part]:
-    if ellipsoids is None:
-        return []
+def _ellipsoid_rows(ellipsoids: ArrayLike, prior: Array) -> list[Part]:
     nb = len(prior)
     Q = checked("ellipsoids", ellipsoids, (nb, 4, 4))
     Q = 0.5 * (Q + np.swapaxes(Q, 1, 2))
@@ -98,9 +100,7 @@ def _ellipsoid_rows(ellipsoids: ArrayLike | None, prior: Array) -> list[Part]:
     return [(rows, np.zeros(nb), np.full(nb, np.inf))]
 
 
-def _total_mass_row(total_mass: float | None, prior: Array) -> list[Part]:
-    if total_mass is None:
-        return []
+def _total_mass_row(total_mass: Any, prior: Array) -> list[Part]:
     number(total_mass, "total_mass", lower=0.0, strict=True, finite=False)
     row = np.zeros((1, prior.size))
     row[0, ::PARAMETERS_PER_BODY] = 1.0
@@ -108,9 +108,7 @@ def _total_mass_row(total_mass: float | None, prior: Array) -> list[Part]:
     return [(row, total, total)]
 
 
-def _mass_rows(mass_bounds: ArrayLike | None, prior: Array) -> list[Part]:
-    if mass_bounds is None:
-        return []
+def _mass_rows(mass_bounds: ArrayLike, prior: Array) -> list[Part]:
     bounds = checked_bounds("mass_bounds", mass_bounds, (len(prior), 2))
     wrong = np.flatnonzero(bounds[:, 1] <= 0).tolist()
     if wrong:
@@ -122,10 +120,8 @@ def _mass_rows(mass_bounds: ArrayLike | None, prior: Array) -> list[Part]:
     return [(_of_bodies(rows), bounds[:, 0], bounds[:, 1])]
 
 
-def _com_rows(com_bounds: ArrayLike | None, prior: Array) -> list[Part]:
+def _com_rows(com_bounds: ArrayLike, prior: Array) -> list[Part]:
     """Return h_k − l m ≥ 0 and h_k − u m ≤ 0, linear where h/m would not be."""
-    if com_bounds is None:
-        return []
     bounds, parts = checked_bounds("com_bounds", com_bounds, (len(prior), 3, 2)), []
     none = np.full(len(prior), np.inf)
     for axis in range(3):
@@ -141,11 +137,7 @@ def _com_rows(com_bounds: ArrayLike | None, prior: Array) -> list[Part]:
 
 
 def checked_bounds(name: str, bounds: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return bounds as an array of a shape whose last axis is (least, greatest), which may be ±inf.
-
-    Raises:
-        ArgumentError: The shape is another, or nothing is between two bounds.
-    """
+    """Return bounds as an array whose last axis is (least, greatest), which may be ±inf."""
     array = real_array(bounds, name, shape, finite=False)
     low, high = array[..., 0], array[..., 1]
     usable = (low <= high) & (low < np.inf) & (high > -np.inf)

@@ -87,10 +87,8 @@ class Coordinates:
     def of(cls, problem: FitProblem, *, centre: Array | None = None) -> Coordinates:
         """Return the coordinates of a problem.
 
-        Args:
-            problem: What is to be fitted.
-            centre: (p,) parameters close to the solution, at which to scale the blocks, so that
-                a solver gets closer to a boundary; the references if None.
+        Blocks are scaled at the references, or at a centre (p,) close to the solution, so that a
+        solver gets closer to a boundary.
         """
         R = problem.factor[:, :-1]
         norms = np.sqrt((R * R).sum(0) + np.diagonal(problem.prior_information))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from geodrake.boundary.showing import Short
 from geodrake.identification.certificate import Certificate
 from geodrake.identification.coordinates import Coordinates
+from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array, pullback_metric
 
 _NOTHING = 1e-24
@@ -70,19 +72,13 @@ class FitResult(Short):
 
 
 def fit_result(
-    coordinates: Coordinates, x: Array, prior_weight: float, solver: str, elapsed: float
+    problem: FitProblem, x: Array, prior_weight: float, solver: str, begin: float
 ) -> FitResult:
-    """Return the result at parameters x (p,), with the information there.
+    """Return the result of a solver that began at a `time.perf_counter()`, at its solution x (p,).
 
-    Args:
-        coordinates: Of the problem.
-        x: Its solution.
-        prior_weight: Weight of the prior against the data.
-        solver: What solved it.
-        elapsed: Time that took, s.
+    The `prior_weight` is that of the prior against the data.
     """
-    problem = coordinates.problem
-    R = problem.factor[:, :-1]
+    coordinates, R = Coordinates.of(problem), problem.factor[:, :-1]
     prior = problem.prior_information.copy()
     for start, (_, gamma) in problem.entropic.items():
         block = slice(start, start + 10)
@@ -100,5 +96,5 @@ def fit_result(
         active_blocks=tuple(np.array(problem.inertia_blocks, int)[near].tolist()),
         prior_weight=prior_weight,
         solver=solver,
-        solve_time=elapsed,
+        solve_time=time.perf_counter() - begin,
     )

@@ -92,11 +92,8 @@ def geodesic_least_squares(
             where rounding hides what is left of it.
         max_iterations: Iterations after which to give up.
 
-    Returns:
-        A local minimum, as the problem is not convex.
-
     Raises:
-        ArgumentError: A shape or value is wrong, or no row has a projection.
+        ArgumentError: No row has a projection.
         ConvergenceError: No minimum was found to the tolerance.
     """
     one_of(method, "method", METHODS)
@@ -115,7 +112,8 @@ def geodesic_least_squares(
     point, readmitted = problem.start(prior, rows), np.zeros(len(rows), bool)
     before = np.inf
     for count in range(max_iterations + 1):
-        if point.distance <= tolerance or point.is_settled(before):
+        hidden = is_within_rounding(point.promise, before, point.rounding)
+        if point.distance <= tolerance or (point.distance < _SETTLED and hidden):
             reachable = project(point.root, problem.X, problem.b).exists
             returning = reachable & ~(point.used | readmitted)
             if not returning.any():
@@ -169,11 +167,7 @@ class _GeodesicProblem:
         return cls(root, X, rows[:, -1], weights, gamma)
 
     def start(self, prior: Array, rows: Array) -> _GeodesicPoint:
-        """Return the entropic fit to the rows that have projections there, and these rows.
-
-        Raises:
-            ArgumentError: No row has a projection at the prior.
-        """
+        """Return the entropic fit to the rows that have projections there, and these rows."""
         root, used = self.prior, project(self.prior, self.X, self.b).exists
         if not used.any():
             raise ArgumentError(
@@ -269,13 +263,7 @@ class _GeodesicPoint:
     @property
     def rounding(self) -> float:
         """What the cost is not known better than."""
-        total = self.weights.sum() + self.problem.gamma
-        return float(rounding_of_squares(self.cost, total))
-
-    def is_settled(self, before: float) -> bool:
-        """Return whether rounding hides the rest of the way, after what the last step promised."""
-        near = self.distance < _SETTLED
-        return bool(near and is_within_rounding(self.promise, before, self.rounding))
+        return float(rounding_of_squares(self.cost, self.weights.sum() + self.problem.gamma))
 
     def moved(self, change: Array) -> _GeodesicPoint:
         """Return bodies L (𝟙 + V) Lᵀ, without the rows that have no projection there."""
@@ -291,11 +279,7 @@ class _GeodesicPoint:
         return replace(self, used=used, projections=self.projections.of(kept))
 
     def newton_step(self) -> _GeodesicPoint:
-        """Return bodies of lower cost along Newton's step; rows are lost if nothing else helps.
-
-        Raises:
-            ConvergenceError: There are none.
-        """
+        """Return bodies of lower cost along Newton's step; rows are lost if nothing else helps."""
         change = smat(self.step.reshape(len(self.root), -1))
         longest = _SHARE / max(_SHARE, -float(np.linalg.eigvalsh(change).min()))
         trial = self
@@ -316,11 +300,7 @@ class _GeodesicPoint:
         )
 
     def mean(self) -> _GeodesicPoint:
-        """Return the Karcher mean of all projections and the prior ([Lee2019] Eq. (3.4.42)).
-
-        Raises:
-            ConvergenceError: It is not found.
-        """
+        """Return the Karcher mean of all projections and the prior ([Lee2019] Eq. (3.4.42))."""
         logs, axes = self.to_prior
         rates = np.concatenate([self.projections.rates, logs[None]])
         sides = np.concatenate([self.projections.axes, axes[None]])
@@ -338,6 +318,5 @@ class _GeodesicPoint:
             ) from error
 
     def failure(self, what: str, advice: str) -> ConvergenceError:
-        return ConvergenceError(
-            f"Geodesic least squares {what}.", advice=advice, distance=self.distance
-        )
+        words = f"Geodesic least squares {what}."
+        return ConvergenceError(words, advice=advice, distance=self.distance)

@@ -41,12 +41,7 @@ class Projections:
     @property
     def velocities(self) -> Array:
         """Symmetric Q (m, nb, 4, 4), the velocities of the geodesics to the projections."""
-        return self._functions(self.rates)
-
-    @property
-    def normals(self) -> Array:
-        """N (m, nb, 4, 4)."""
-        return self._functions(self.sigma)
+        return self.functions(self.rates)
 
     @property
     def half_squared_distances(self) -> Array:
@@ -81,11 +76,11 @@ class Projections:
         hessian = pairwise(weights[:, None, None, None] * curvature, self.axes)
         along = self.sigma * decay
         size = (np.square(self.sigma) * np.exp(-W) * decay).sum((1, 2))
-        pull = flat(self._functions(along))
+        pull = flat(self.functions(along))
         pull *= np.sqrt(weights / np.where(size > 0, size, 1.0))[:, None]
         return np.asarray(hessian + pull.T @ pull)
 
-    def _functions(self, values: Array) -> Array:
+    def functions(self, values: Array) -> Array:
         """Return matrices of other eigenvalues (m, nb, 4) in the axes of N."""
         return np.asarray((self.axes * values[..., None, :]) @ np.swapaxes(self.axes, -1, -2))
 
@@ -99,9 +94,7 @@ def flat(matrices: Array) -> Array:
 def pairwise(values: Array, axes: Array) -> Array:
     """Return the sum of m quadratic forms Σ values_ab (uₐᵀ V u_b)², (10 nb, 10 nb) as of `flat`.
 
-    Args:
-        values: (m, nb, 4, 4) symmetric.
-        axes: (m, nb, 4, 4) u, one a column.
+    Values (m, nb, 4, 4) are symmetric; axes (m, nb, 4, 4) have u as columns.
     """
     turned = np.swapaxes(axes, -1, -2)[..., None, :, :] @ SYMMETRIC_BASIS @ axes[..., None, :, :]
     rows, nb = turned.shape[:2]
@@ -124,10 +117,7 @@ def covectors(A: Array) -> Array:
 def project(roots: Array, X: Array, b: Array) -> Projections:
     """Return projections of bodies P_j = L_j L_jᵀ onto the hyperplanes Σ_j tr(P_j X_ij) = b_i.
 
-    Args:
-        roots: (nb, 4, 4) matrices L.
-        X: (m, nb, 4, 4) symmetric matrices, as of `covectors`.
-        b: (m,) values.
+    L is (nb, 4, 4), and X (m, nb, 4, 4) as of `covectors`.
     """
     sigma, axes = np.linalg.eigh(np.swapaxes(roots, -1, -2) @ X @ roots)
     multiplier, exists = _multipliers(sigma.reshape(len(b), -1), b)
@@ -146,11 +136,14 @@ def _multipliers(sigma: Array, b: Array) -> tuple[Array, NDArray[np.bool_]]:
     usable = scale > 0
     safe = np.where(usable, scale, 1.0)
     sigma, b = sigma / safe[:, None], b / safe
-    low, high = -_limit(sigma.max(1)), _limit(-sigma.min(1))
+    # Ends where λ σ_k is −1/e for the largest σ, if that is above 0, and the least, if below.
+    ends = np.stack([-sigma.max(1), -sigma.min(1)])
+    inner = ends * [[-1.0], [1.0]] > 0
+    low, high = np.where(inner, 1.0 / (np.e * np.where(inner, ends, 1.0)), [[-np.inf], [np.inf]])
     # At an infinite end C comes close to −b, but does not reach it.
-    above, below = (_excess(sigma, b, end) for end in (low, high))
-    exists = usable & np.where(np.isfinite(low), above >= 0, b < 0)
-    exists &= np.where(np.isfinite(high), below <= 0, b > 0)
+    finite = np.where(inner, [low, high], 0.0)
+    above, below = (np.exp(-_lambert(finite[..., None] * sigma)) * sigma).sum(2) - b
+    exists = usable & np.where(inner[0], above >= 0, b < 0) & np.where(inner[1], below <= 0, b > 0)
     at = (sigma.sum(1) - b) / np.where(usable, np.square(sigma).sum(1), 1.0)
     at = np.where((at > low) & (at < high), at, _middle(low, high))
     active, last = exists.copy(), np.full(len(b), np.inf)
@@ -176,21 +169,11 @@ def _multipliers(sigma: Array, b: Array) -> tuple[Array, NDArray[np.bool_]]:
     return np.where(exists, at, 0.0) / safe, exists
 
 
-def _limit(sigma: Array) -> Array:
-    """Return g(σ) of [Lee2019] Proposition 3.2."""
-    return np.where(sigma > 0, 1.0 / (np.e * np.where(sigma > 0, sigma, 1.0)), np.inf)
-
-
 def _middle(low: Array, high: Array) -> Array:
     """Return a point between ends, or beyond the one that is finite."""
     least, most = (np.where(np.isfinite(end), end, 0.0) for end in (low, high))
     inner = np.where(np.isfinite(low), 2.0 * least + 1.0, 2.0 * most - 1.0)
     return np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (least + most), inner)
-
-
-def _excess(sigma: Array, b: Array, at: Array) -> Array:
-    at = np.where(np.isfinite(at), at, 0.0)
-    return (sigma * np.exp(-_lambert(at[:, None] * sigma))).sum(1) - b
 
 
 def _lambert(x: Array) -> Array:

@@ -139,9 +139,6 @@ def identify(  # noqa: PLR0913 - the stable interface
             its better solution taken if there is one (`certificate` of the result); some 0.1 s,
             which series of fits can save.
 
-    Returns:
-        The parameters and how they were found.
-
     Raises:
         ArgumentError: A shape, value or name is wrong, or no physical bodies inside all
             constraints reach the residual bound; `minimum` of its evidence is what they reach.
@@ -160,15 +157,18 @@ def identify(  # noqa: PLR0913 - the stable interface
         number(residual_bound, "residual_bound", lower=0.0, strict=True, finite=False)
     prior = physical_prior(prior)
     bodies = _merged(constraints, ellipsoids=ellipsoids, total_mass=total_mass)
-    factor = whitened_factor(A, b, sigma=sigma)
     problem = build_problem(
-        factor, prior, constraints=bodies, extra_bounds=extra_bounds, extra_prior=extra_prior
+        whitened_factor(A, b, sigma=sigma),
+        prior,
+        constraints=bodies,
+        extra_bounds=extra_bounds,
+        extra_prior=extra_prior,
     )
+    problem = replace(problem, residual_bound=residual_bound)
     columns = list(problem.scalar_priors)
     values, weights = np.reshape(list(problem.scalar_priors.values()), (-1, 2)).T
     if columns:
         kind.scalar_divergence(values, values)  # refuses, if there is none
-    problem = replace(problem, residual_bound=residual_bound)
     try:
         weight = 1.0 if gamma is None else gamma
         fit = kind.solve(problem, prior, weight, solver)
@@ -212,8 +212,8 @@ def physical_prior(prior: ArrayLike) -> Array:
     """Return a prior (nb, 10) of bodies that can exist.
 
     Raises:
-        ArgumentError: There are no bodies, or some cannot exist; its evidence then has `bodies`
-            and, as `nearest`, the prior (nb, 10) of `nearest_prior`.
+        ArgumentError: There are none, or some cannot exist; its evidence then has `bodies` and, as
+            `nearest`, the `nearest_prior` (nb, 10).
     """
     prior = checked("prior", prior, (None, PARAMETERS_PER_BODY))
     if not len(prior):
@@ -265,11 +265,7 @@ def build_problem(
 ) -> FitProblem:
     """Return the fit of bodies and extra parameters to data, without a regularizer.
 
-    The arguments are those of `identify`, with a factor (k, 10·nb + extra + 1) of the data, as of
-    `whitened_factor`.
-
-    Raises:
-        ArgumentError: Shapes do not match, or a constraint is impossible.
+    The arguments are those of `identify`, with a `whitened_factor` (k, 10·nb + extra + 1).
     """
     p = factor.shape[1] - 1
     extra = p - prior.size

@@ -15,7 +15,7 @@ from geodrake.identification.constraints import BodyConstraints
 from geodrake.identification.fit import FitResult
 from geodrake.identification.identify import build_problem, physical_prior
 from geodrake.identification.problem import whitened_factor
-from geodrake.inertia import PARAMETER_NAMES, PARAMETERS_PER_BODY, Array
+from geodrake.inertia import PARAMETER_NAMES, Array
 
 _RANK = 1e-10
 _NAMED, _MOST_PARTS = 4, 3
@@ -57,7 +57,6 @@ def least_squares(
             depends on units and frames.
 
     Raises:
-        ArgumentError: A shape or value is wrong.
         IdentificationError: The data do not identify x; `directions` of its evidence holds what
             they leave open, a row each.
     """
@@ -96,17 +95,10 @@ def physical_least_squares(
 
     [Lee2019] §3.2.2: the solution often lies at the boundary of physical bodies (`active_blocks`).
 
-    Args:
-        A: (m, 10·nb + extra) regressor.
-        b: (m,) measurements.
-        prior: (nb, 10) physical bodies of about the right size, that the program is scaled by.
-        sigma: (m,) or scalar standard deviations of b, in its units; None for 1.
-        extra_bounds: (extra, 2) least and greatest extra parameters; ±inf for none.
-        constraints: Constraints on the bodies.
-        solver: A name of `SOLVERS`.
+    The prior (nb, 10) are bodies of about the right size, that the program is scaled by; the
+    solver is one of Drake's conic ones, and the other arguments are those of `identify`.
 
     Raises:
-        ArgumentError: A shape or value is wrong.
         IdentificationError: The data do not identify all parameters, or the solver failed.
     """
     prior = physical_prior(prior)
@@ -141,15 +133,13 @@ def open_directions(factor: Array) -> Array:
 
 def _undetermined(directions: Array, bodies: int) -> IdentificationError:
     count, p = directions.shape
-
-    def name(column: int) -> str:
-        body, parameter = divmod(column, PARAMETERS_PER_BODY)
-        return f"{PARAMETER_NAMES[parameter]}[{body}]" if body < bodies else f"x[{column}]"
+    places = [f"{name}[{body}]" for body in range(bodies) for name in PARAMETER_NAMES]
+    places += [f"x[{column}]" for column in range(len(places), p)]
 
     def described(direction: Array) -> str:
         order = np.argsort(-np.abs(direction), kind="stable")
-        parts = [int(i) for i in order if abs(direction[i]) > 1e-6]
-        text = " ".join(f"{direction[i]:+.2g} {name(i)}" for i in parts[:_MOST_PARTS])
+        parts = [i for i in order if abs(direction[i]) > 1e-6]
+        text = " ".join(f"{direction[i]:+.2g} {places[i]}" for i in parts[:_MOST_PARTS])
         return f"{text} …" if len(parts) > _MOST_PARTS else text
 
     named = "; ".join(described(direction) for direction in directions[:_NAMED])

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
 
 import numpy as np
 
 from geodrake.boundary.arguments import instance
 from geodrake.errors import IdentificationError
 from geodrake.identification.fit import FitResult, fit_result
-from geodrake.identification.newton_path import Iterate, Minimum, continued, minimize
+from geodrake.identification.newton_path import Minimum, continued, minimize
 from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.residual_path import check_residual_bound, meet_residual, out_of_reach
@@ -32,9 +31,8 @@ def solve_newton(problem: FitProblem) -> FitResult:
     rounding needs it. In the point-to-set form the weight of the prior is the root of
     residual(γ) = residual_bound; all trials after the first start from the one before.
 
-    Returns:
-        The unique minimum, with the information of data and prior together. Its cost is exact to
-        1e-7 of itself or to 1e-12 γ, if that is more: bodies to about 1e-6 in geometric distance.
+    The cost is exact to 1e-7 of itself or to 1e-12 γ, if that is more: bodies to about 1e-6 in
+    geometric distance.
 
     Raises:
         ArgumentError: A block has no prior, or the residual bound is below what physical
@@ -48,28 +46,15 @@ def solve_newton(problem: FitProblem) -> FitResult:
         minimum, weight = minimize(program), 1.0
     else:
         minimum, weight = _bounded(program, problem.residual_bound)
-    x = _parameters(minimum)
-    return fit_result(program.coordinates, x, weight, "newton", time.perf_counter() - begin)
+    return fit_result(problem, parameters_at(minimum), weight, "newton", begin)
 
 
-def solve_alike(problems: Iterable[FitProblem], *, enough: float) -> Array:
-    """Return parameters (n, p) of similar fits, started on the way to the first one.
+def parameters_at(minimum: Minimum) -> Array:
+    """Return the parameters (p,) of a minimum, physical and within bounds.
 
-    Args:
-        problems: n fits as for `solve_newton`, without residual bounds.
-        enough: Distance of the cost from its minimum that will do.
+    Raises:
+        IdentificationError: Rounding leaves no such parameters.
     """
-    found: list[Array] = []
-    start: Iterate | None = None
-    for problem in problems:
-        minimum = minimize(NewtonProgram.of(problem), start, enough=enough)
-        start = start or minimum.early
-        found.append(_parameters(minimum))
-    return np.array(found)
-
-
-def _parameters(minimum: Minimum) -> Array:
-    """Return the parameters (p,) of a minimum, physical and within bounds."""
     program = minimum.program
     coordinates, problem = program.coordinates, program.coordinates.problem
     for share in _INSIDE:  # rounding alone can leave a tiny γ's bodies at the boundary
@@ -94,7 +79,7 @@ def _bounded(program: NewtonProgram, bound: float) -> tuple[Minimum, float]:
     def solve(weight: float, before: Minimum | None) -> tuple[Minimum, float]:
         weighted = program.weighted(weight)
         found = minimize(weighted, None if before is None else continued(before, weighted))
-        return found, found.excess
+        return found, program.excess(found.point.z)
 
     minimum, weight, excess = meet_residual(
         solve,

@@ -15,13 +15,13 @@ and λ stay strictly positive.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dtpmqrt, dtpqrt, dtrtrs
 
 from geodrake.errors import IdentificationError
-from geodrake.identification.coordinates import smat, svec
+from geodrake.identification.coordinates import SYMMETRIC_BASIS, smat, svec
 from geodrake.identification.newton_program import NewtonProgram
 from geodrake.inertia import Array
 
@@ -45,7 +45,6 @@ _FLOOR = 1e-15
 """Products S Z, relative to the misfit, below which rounding would make Z or S indefinite."""
 _PANEL = 16
 _UNIT = np.eye(4)
-_BASIS = smat(np.eye(10))
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,22 +89,14 @@ class Minimum:
     steps: int
     gap: float
 
-    @property
-    def excess(self) -> float:
-        """Squared residual beyond the least of any parameters."""
-        return self.program.excess(self.point.z)
-
 
 def minimize(
     program: NewtonProgram, start: Iterate | None = None, *, enough: float = 0.0
 ) -> Minimum:
     """Return the minimum of a program, by damped Newton steps that stay strictly inside.
 
-    Args:
-        program: The program.
-        start: A point with positive definite S and Z and positive slacks and multipliers, to save
-            some steps.
-        enough: Gap that will do.
+    A start with positive definite S and Z and positive slacks and multipliers saves some steps; a
+    gap of `enough` will do.
 
     Raises:
         IdentificationError: The constraints contradict each other, or rounding got in the way.
@@ -145,12 +136,12 @@ def _minimum(program: NewtonProgram, start: Iterate, enough: float) -> Minimum:
     ):
         raise _failure(program, last)
     gap, count, here = best
+    point = here.at
     if gap <= _QUADRATIC * gamma:
         # One more step on the factor at hand nearly squares the error that is left.
         step = here.direction(0.0)
-        length = min(1.0, (1.0 - _LEAST_ROOM) * here.reach(step))
-        return Minimum(program, here.at.moved(step.step, length), early, count, gap)
-    return Minimum(program, here.at, early, count, gap)
+        point = point.moved(step.step, min(1.0, (1.0 - _LEAST_ROOM) * here.reach(step)))
+    return Minimum(program, point, early, count, gap)
 
 
 def continued(near: Minimum, program: NewtonProgram) -> Iterate:
@@ -167,8 +158,7 @@ def continued(near: Minimum, program: NewtonProgram) -> Iterate:
     return replace(point, Z=ratios * point.Z, slack=slack, multipliers=multipliers)
 
 
-@dataclass(frozen=True, eq=False)
-class _Direction:
+class _Direction(NamedTuple):
     """A step, and what it does to the scaled S and Z, (n, 4, 4)."""
 
     step: Iterate
@@ -180,15 +170,14 @@ class _Linearization:
     """The optimality conditions of a program linearized at a point, factored once.
 
     With Newton's matrix FᵀF + KᵀK + Gᵀ(λ/s)G a step is the solution of a least squares problem
-    with the rows F, K and √(λ/s) G. It is solved as such: its right side in products like Fᵀ f
-    would lose a tiny γ next to strong data.
+    with the rows F, K and √(λ/s) G, where K_i takes z_i to the change of the scaled S_i. It is
+    solved as such, by QR: its right side in products like Fᵀ f would lose a tiny γ next to strong
+    data.
     """
 
     def __init__(self, program: NewtonProgram, at: Iterate) -> None:
         self.program, self.at = program, at
-        F, f = program.rows
-        G, h = program.inequalities
-        E, e = program.equalities
+        (F, f), (G, h), (E, e) = program.rows, program.inequalities, program.equalities
         self._slack_error = G @ at.z - h - at.slack
         self._equality_error = E @ at.z - e
         # Nesterov–Todd scaling: T⁻¹ S T⁻ᵀ = Tᵀ Z T = diag(d).
@@ -205,7 +194,16 @@ class _Linearization:
         self._aim = np.maximum(program.gamma, floor)
         self._targets = np.where(program.targets > 0, np.maximum(program.targets, floor), 0.0)
         self._stiffness = at.multipliers / at.slack
-        self._factor(T, G)
+        scaling = self._scaling[:, None]
+        K = np.zeros((*program.blocks.shape, len(f)))
+        images = svec(scaling @ SYMMETRIC_BASIS @ np.swapaxes(scaling, 2, 3))
+        for into, block, image in zip(K, program.blocks, images, strict=True):
+            into[:, block] = image.T
+        below = [K.reshape(-1, len(f)), np.sqrt(self._stiffness)[:, None] * G]
+        self._R, self._reflectors = F, list[Array]()
+        if len(rows := np.asfortranarray(np.vstack(below))):
+            panel = min(_PANEL, len(f))
+            self._R, *self._reflectors, _ = dtpqrt(0, panel, F, rows, overwrite_b=True)
         self._spread = _solve(self._R, E.T, transposed=True)
 
     @property
@@ -215,65 +213,34 @@ class _Linearization:
         scale = 1.0 + np.abs(self.at.z).max(initial=0.0)
         return bool(errors.max(initial=0.0) <= _FEASIBLE * scale)
 
-    def _factor(self, T: Array, G: Array) -> None:
-        """Factor the rows F, K and √(λ/s) G by QR; the reflectors are kept for right sides.
-
-        K_i takes z_i to the change of S_i scaled by U⁻¹ and U⁻ᵀ, where U Uᵀ = T Tᵀ is upper
-        triangular, which makes K_i upper triangular too.
-        """
-        blocks = self.program.blocks
-        flipped = (T @ np.swapaxes(T, 1, 2))[:, ::-1, ::-1]
-        U = np.linalg.cholesky(flipped)[:, ::-1, ::-1]
-        self._turn = self._scaling @ U
-        inverse = np.triu(np.linalg.inv(U))[:, None]
-        rows = np.zeros_like(self.program.rows[0])
-        K = svec(inverse @ _BASIS @ np.swapaxes(inverse, 2, 3))
-        rows[blocks[:, :, None], blocks[:, None, :]] = np.swapaxes(K, 1, 2)
-        p, R, self._reflectors = len(rows), self.program.rows[0], []
-        if len(K):
-            R, V, t, _ = dtpqrt(p, min(_PANEL, p), R, rows, overwrite_b=True)
-            self._reflectors.append((p, V, t))
-        if len(G):
-            stiff = np.asfortranarray(np.sqrt(self._stiffness)[:, None] * G)
-            R, V, t, _ = dtpqrt(0, min(_PANEL, p), R, stiff, overwrite_b=True)
-            self._reflectors.append((0, V, t))
-        self._R = R
-
     def _reduced(self, matrices: Array, forces: Array) -> Array:
         """Return the right side (p,) of R x = … for those of K as (n, 4, 4), and of λ."""
-        below = np.zeros_like(self._errors)
-        turned = np.swapaxes(self._turn, 1, 2) @ (matrices - self._prior_pull) @ self._turn
-        below[self.program.blocks] = svec(turned)
+        pulls = svec(matrices - self._prior_pull).ravel()
         rows = (forces - self.program.targets) / np.sqrt(self._stiffness)
-        parts = (below, rows) if len(matrices) else (rows,)
-        top = self._errors[:, None]
-        for (width, V, t), part in zip(self._reflectors, parts, strict=False):
-            top, _, _ = dtpmqrt(width, V, t, top, part[:, None], side="L", trans="T")
-        return np.asarray(top[:, 0], float)
+        if not self._reflectors:
+            return self._errors.copy()
+        below = np.concatenate([pulls, rows])[:, None]
+        sides = self._errors[:, None], below
+        return np.asarray(dtpmqrt(0, *self._reflectors, *sides, side="L", trans="T")[0][:, 0])
 
     def gap(self) -> float:
         """Return the distance of the cost from its minimum, to first order; inf if it overflows."""
+        at, weighty = self.at, self._targets > 0
         try:
             with np.errstate(over="raise", divide="raise", invalid="raise"):
-                return self._gap()
+                error = self._reduced(self._D, at.multipliers) + self._spread @ at.forces
+                products = at.slack * at.multipliers
+                aims = np.append(np.repeat(self._aim, 4), self._targets[weighty])
+                ratio = np.append(self._products.ravel(), products[weighty]) / aims
+                logs = aims @ (ratio - 1.0 - np.log(ratio))
+                return float(logs + products[~weighty].sum() + 0.5 * error @ error)
         except FloatingPointError:
             return np.inf
-
-    def _gap(self) -> float:
-        at, weighty = self.at, self._targets > 0
-        error = self._reduced(self._D, at.multipliers) + self._spread @ at.forces
-        products = at.slack * at.multipliers
-        aims = np.append(np.repeat(self._aim, 4), self._targets[weighty])
-        ratio = np.append(self._products.ravel(), products[weighty]) / aims
-        logs = aims @ (ratio - 1.0 - np.log(ratio))
-        return float(logs + products[~weighty].sum() + 0.5 * error @ error)
 
     def direction(self, centre: float, predicted: _Direction | None = None) -> _Direction:
         """Return the step to S Z = (γ + centre) I and s λ = centre.
 
-        Args:
-            centre: How far from the solution on the path to stay.
-            predicted: A first step, whose second-order terms are taken along.
+        The second-order terms of a first step, if one was predicted, are taken along.
         """
         at, d, G = self.at, self._d, self.program.inequalities[0]
         wanted = (self._aim[:, None] + centre - self._products)[:, :, None] * _UNIT
@@ -284,20 +251,20 @@ class _Linearization:
             force = force - predicted.step.slack * predicted.step.multipliers / at.slack
         force = force - self._stiffness * self._slack_error
         M = 2.0 * wanted / (d[:, :, None] + d[:, None, :])
-        right, forces = self._reduced(M + self._D, force), np.empty(0)
+        right = self._reduced(M + self._D, force)
+        forces: Array = np.empty(0)
         if len(self._equality_error):
             spread = self._spread
             missing = -self._equality_error - spread.T @ right
-            forces = np.linalg.lstsq(spread.T @ spread, missing)[0]
-            right = right + spread @ forces
+            forces = np.asarray(np.linalg.lstsq(spread.T @ spread, missing)[0], float)
+            right += spread @ forces
         dz = _solve(self._R, right)
-        change = smat(dz[self.program.blocks])
-        primal = self._scaling @ change @ np.swapaxes(self._scaling, 1, 2)
-        dual = M - primal
-        nearing = G @ dz
+        turn = np.swapaxes(self._scaling, 1, 2)
+        primal = self._scaling @ smat(dz[self.program.blocks]) @ turn
+        dual, nearing = M - primal, G @ dz
         step = Iterate(
             z=dz,
-            Z=np.swapaxes(self._scaling, 1, 2) @ dual @ self._scaling,
+            Z=turn @ dual @ self._scaling,
             slack=nearing + self._slack_error,
             multipliers=force - at.multipliers - self._stiffness * nearing,
             forces=forces - at.forces,
@@ -337,7 +304,7 @@ def _linearized(program: NewtonProgram, point: Iterate) -> _Linearization | None
 
 
 def _next(here: _Linearization) -> _Linearization | None:
-    """Return the conditions one step further; None where rounding leaves no way.
+    """Return the conditions after a predictor and a corrector; None where no way is left.
 
     Multipliers of constraints that contradict each other grow until they overflow.
     """
@@ -349,7 +316,6 @@ def _next(here: _Linearization) -> _Linearization | None:
 
 
 def _stepped(here: _Linearization) -> _Linearization | None:
-    """Return the conditions after a predictor and a corrector; None where no way is left."""
     predictor = here.direction(0.0)
     excess = here.excess(predictor, 0.0)
     length = min(1.0, (1.0 - _LEAST_ROOM) * here.reach(predictor))
@@ -373,18 +339,18 @@ def _stepped(here: _Linearization) -> _Linearization | None:
 
 def _cold_start(program: NewtonProgram) -> Iterate:
     """Return the prior, with multipliers larger than all slopes of the cost there."""
-    z, (F, f) = program.middle, program.rows
-    G, h = program.inequalities
-    slack = G @ z - h
-    push = _PUSH * float(np.abs(program.slope(z)).max(initial=0.0))
+    z, (F, f), (G, h) = program.middle, program.rows, program.inequalities
+    slack, errors = G @ z - h, F @ z - f
+    slope = F.T @ errors + G.T @ program.targets  # of all but logarithms and traces of blocks
+    push = _PUSH * float(np.abs(slope).max(initial=0.0))
     if np.any(slack < 0):
         push = max(push, float(program.gamma.max(initial=0.0)))
     push = push or 1.0
     # Columns of scalars have unit length, so a scalar moves about as far as the error is large.
-    error = np.linalg.norm(F @ z - f)
     scalars = np.ones(len(z))
     scalars[program.blocks] = 0.0
-    slack = np.maximum(slack, _SLACK * (1.0 + error * np.linalg.norm(G * scalars, axis=1)))
+    far = np.linalg.norm(errors) * np.linalg.norm(G * scalars, axis=1)
+    slack = np.maximum(slack, _SLACK * (1.0 + far))
     Z = (program.gamma + push)[:, None, None] * _UNIT
     multipliers = (push + program.targets) / slack
     return Iterate(z, Z, slack, multipliers, np.zeros(len(program.equalities[1])))
@@ -406,8 +372,8 @@ def _failure(program: NewtonProgram, point: Iterate) -> IdentificationError:
     )
 
 
-def _solve(R: Array, right: Array, *, transposed: bool = False) -> Any:
+def _solve(R: Array, right: Array, *, transposed: bool = False) -> Array:
     """Return R⁻¹ right, or R⁻ᵀ right, for an upper triangular R."""
     if not right.size:
         return np.zeros(right.shape)
-    return dtrtrs(R, right, trans=int(transposed))[0]
+    return np.asarray(dtrtrs(R, right, trans=int(transposed))[0])

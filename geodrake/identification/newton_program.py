@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError
-from geodrake.identification.coordinates import IDENTITY, Coordinates, Rows, smat, svec
+from geodrake.identification.coordinates import IDENTITY, Coordinates, Rows, Scalars, smat, svec
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array
 from geodrake.robot.reduction import triangular_factor
 
-_BARRIER = 1e-10
-"""Weight of a barrier, relative to the curvature of the block's quadratic prior."""
-_LEAST = 1e-11
-"""Least weight of a barrier, relative to the misfit at the prior."""
+_BARRIER, _LEAST = 1e-10, 1e-11
+"""Weight of a barrier, of the curvature of its block's quadratic prior, and of the misfit there."""
 _UNDETERMINED, _FIXING = 1e-11, 1e-5
 
 
@@ -40,7 +39,7 @@ class NewtonProgram:
         gammas: (n,) weights γ_i.
         barrier: (n,) which of them are of barriers.
         strength: Size of the prior, to which weights w are relative.
-        scalar_gammas: (k,) weights γ_k of the positive scalars.
+        scalars: Positive scalars over their priors, with their weights γ_k.
         inequalities: G (m, p) and h (m,), with rows of unit length but those of the positive
             scalars, which come first.
         equalities: E (l, p) and e (l,), with independent rows of unit length.
@@ -57,32 +56,40 @@ class NewtonProgram:
     gammas: Array
     barrier: NDArray[np.bool_]
     strength: float
-    scalar_gammas: Array
+    scalars: Scalars
     inequalities: Rows
     equalities: Rows
     floor: float
     weight: float = 1.0
 
     @classmethod
-    def of(cls, problem: FitProblem) -> NewtonProgram:
-        """Return the program of a problem whose every block has an entropic or quadratic prior.
+    def of(cls, problem: FitProblem) -> Self:
+        """Return the program of a problem.
 
         Raises:
-            ArgumentError: A block has none.
+            ArgumentError: A block has neither an entropic nor a quadratic prior.
         """
         coordinates, p = Coordinates.of(problem), problem.size
         triangle = triangular_factor([np.column_stack(coordinates.data())])
-        prior = coordinates.prior_root()
-        starts = np.array(problem.inertia_blocks, np.intp)
+        prior, starts = coordinates.prior_root(), np.array(problem.inertia_blocks, np.intp)
         blocks = starts[:, None] + np.arange(10)
-        barrier = np.array([start not in problem.entropic for start in starts], bool)
-        gammas, strengths = _weights(problem, prior, blocks)
+        curvatures = np.square(prior).sum(0)[blocks].mean(1)
+        entropic = np.array([problem.entropic.get(k, (None, 0.0))[1] for k in starts.tolist()])
+        barrier = entropic == 0
+        if free := starts[barrier & (curvatures == 0)].tolist():
+            raise ArgumentError(
+                "Newton's method needs an entropic or quadratic prior for every inertia block; "
+                f"those at columns {free} have none.",
+                advice="Give them one, or use the solver clarabel.",
+                columns=free,
+            )
         scalars = coordinates.scalars(problem.entropic_scalars)
         (G, h), equalities = coordinates.rows()
         positive = np.zeros((len(scalars.columns), p))
         positive[np.arange(len(positive)), scalars.columns] = scalars.slope
         known = np.append(blocks.ravel(), scalars.columns)
         margins = np.where(barrier, problem.margin, 0.0)[:, None, None]
+        strengths = np.append(np.where(barrier, curvatures, entropic), scalars.weights)
         return cls(
             coordinates=coordinates,
             data=triangle[:p],
@@ -90,14 +97,20 @@ class NewtonProgram:
             fixing=_undetermined(np.vstack([triangle[:p, :p], prior]), known),
             blocks=blocks,
             begin=coordinates.starts - margins * coordinates.references,
-            gammas=gammas,
+            gammas=np.where(barrier, _BARRIER * curvatures, entropic),
             barrier=barrier,
-            strength=float(np.append(strengths, scalars.weights).max(initial=0.0)) or 1.0,
-            scalar_gammas=scalars.weights,
+            strength=float(strengths.max(initial=0.0)) or 1.0,
+            scalars=scalars,
             inequalities=(np.vstack([positive, G]), np.append(-scalars.begin, h)),
             equalities=equalities,
             floor=float(triangle[p, p] ** 2) if len(triangle) > p else 0.0,
         )
+
+    def weighted(self, weight: float) -> Self:
+        """Return the program with another weight w of the prior; inf leaves the data out."""
+        if np.isinf(weight):
+            return replace(self, data=0.0 * self.data, floor=0.0, weight=1.0)
+        return replace(self, weight=weight)
 
     @cached_property
     def middle(self) -> Array:
@@ -114,16 +127,11 @@ class NewtonProgram:
         """Return S_i of every block, (n, 4, 4), at z (p,)."""
         return self.begin + smat(z[self.blocks])
 
-    def weighted(self, weight: float) -> NewtonProgram:
-        """Return the program with another weight w of the prior."""
-        return replace(self, weight=weight)
-
     @cached_property
     def rows(self) -> Rows:
-        """Upper triangular F (p, p), in Fortran's order, and f (p,) of the quadratic cost."""
-        p = len(self.middle)
+        """Upper triangular F (p, p), in Fortran's order, and f (p,) of the cost ½ ‖F z − f‖²."""
+        p, triangle = len(self.middle), self.data
         extra = np.vstack([np.sqrt(self.weight) * self.prior, self.fixing])
-        triangle = self.data
         if len(extra):
             rows = np.column_stack([extra, np.zeros(len(extra))])
             triangle = triangular_factor([triangle, rows])[:p]
@@ -139,7 +147,7 @@ class NewtonProgram:
     @cached_property
     def targets(self) -> Array:
         """(m,) weights w γ_k of the inequalities."""
-        given = self.scalar_gammas
+        given = self.scalars.weights
         return np.append(self.weight * given, np.zeros(len(self.inequalities[1]) - len(given)))
 
     @property
@@ -147,42 +155,18 @@ class NewtonProgram:
         """All weights of entropic priors and barriers."""
         return np.append(self.gamma, self.targets[self.targets > 0])
 
-    def slope(self, z: Array) -> Array:
-        """Return the gradient (p,) at z (p,) of all but the logarithms and traces of blocks."""
-        F, f = self.rows
-        return F.T @ (F @ z - f) + self.inequalities[0].T @ self.targets
-
     def cost(self, z: Array) -> float:
         """Return the cost at z (p,), counted from a perfect fit at the prior."""
-        S, (F, f), (G, h) = self.matrices(z), self.rows, self.inequalities
+        S, (F, f), ratios = self.matrices(z), self.rows, self.scalars.ratios(z)
         divergences = np.trace(S, axis1=1, axis2=2) - np.linalg.slogdet(S)[1] - 4.0
-        k, errors = len(self.scalar_gammas), F @ z - f
-        slack = G[:k] @ z - h[:k]
-        scalars = self.targets[:k] @ (slack - np.log(slack) - 1.0)
-        return float(0.5 * errors @ errors + self.gamma @ divergences + scalars)
-
-
-def _weights(problem: FitProblem, prior: Array, blocks: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Return weights γ (n,) of entropic priors and barriers, and how strong the priors are."""
-    curvatures = np.square(prior).sum(0)[blocks].mean(1)
-    entropic = np.array([problem.entropic.get(k, (None, 0.0))[1] for k in problem.inertia_blocks])
-    free = np.array(problem.inertia_blocks, int)[(entropic == 0) & (curvatures == 0)].tolist()
-    if free:
-        raise ArgumentError(
-            "Newton's method needs an entropic or quadratic prior for every inertia block; those "
-            f"at columns {free} have none.",
-            advice="Give them one, or use the solver clarabel.",
-            columns=free,
-        )
-    given = entropic > 0
-    return np.where(given, entropic, _BARRIER * curvatures), np.where(given, entropic, curvatures)
+        scalars = self.weight * self.scalars.weights @ (ratios - np.log(ratios) - 1.0)
+        return float(0.5 * np.square(F @ z - f).sum() + self.gamma @ divergences + scalars)
 
 
 def _undetermined(rows: Array, known: NDArray[np.intp]) -> Array:
     """Return weak rows for the directions of scalars that no row determines.
 
-    Every block and every entropic scalar (`known`) has its curvature, so only others can be
-    without.
+    Blocks and entropic scalars (`known`) have their curvature, so only others can be without.
     """
     scalars = np.setdiff1d(np.arange(rows.shape[1]), known)
     if not len(scalars):

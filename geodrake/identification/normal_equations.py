@@ -15,17 +15,8 @@ RIDGE = 1e-9
 columns that say the same (a friction and its asymmetric form) from making them singular."""
 
 
-def cholesky(matrix: Array, ridge: float = RIDGE) -> Array:
-    """Return the lower Cholesky factor of a symmetric matrix (n, n); see `choleskies`."""
-    return choleskies(matrix, ridge)
-
-
-def choleskies(matrices: Array, ridge: float = RIDGE) -> Array:
-    """Return the lower Cholesky factors of symmetric matrices (..., n, n) of unit diagonal.
-
-    Args:
-        matrices: (..., n, n) matrices.
-        ridge: What is added to their diagonals.
+def cholesky(matrices: Array, ridge: float = RIDGE) -> Array:
+    """Return lower Cholesky factors of symmetric matrices (..., n, n) of unit diagonal, and ridge.
 
     Raises:
         IdentificationError: A matrix is not positive definite, or not finite.
@@ -43,20 +34,20 @@ def choleskies(matrices: Array, ridge: float = RIDGE) -> Array:
     return np.asarray(factors)
 
 
-def scaled_cholesky(matrix: Array, ridge: float = RIDGE) -> tuple[Array, Array]:
-    """Return the lower Cholesky factor L (n, n) and the scale s (n,) of a symmetric matrix.
+choleskies = cholesky
+"""The same, where they are many."""
+
+
+def scaled_cholesky(matrices: Array, ridge: float = RIDGE) -> tuple[Array, Array]:
+    """Return lower Cholesky factors L (..., n, n) and scales s (..., n) of symmetric matrices.
 
     L Lᵀ is the matrix times s from both sides, which has ones on its diagonal, and the ridge.
 
-    Args:
-        matrix: (n, n) matrix.
-        ridge: What is added to the diagonal of ones.
-
     Raises:
-        IdentificationError: The matrix is not positive definite, or not finite.
+        IdentificationError: A matrix is not positive definite, or not finite.
     """
-    scale = 1.0 / np.sqrt(np.diag(matrix))
-    return cholesky(matrix * scale[:, None] * scale, ridge), scale
+    scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
+    return cholesky(matrices * scale[..., :, None] * scale[..., None, :], ridge), scale
 
 
 def solved(factor: Array, right: Array) -> Array:

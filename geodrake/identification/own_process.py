@@ -1,8 +1,8 @@
 """Work in a process of its own, so that compiled code can end or lose only that one.
 
 A panic in Rust, a failed assertion in C++ or `exit` in C end the process they are in, and nothing
-in Python can catch them. A copy of this process by `fork` takes some 5 ms to begin, as much to end,
-and has all data.
+in Python can catch them. A copy of this process by `fork` has all data; it then waits a moment for
+more work, as to begin and end one takes five times as long as to solve a fit.
 """
 
 from __future__ import annotations
@@ -35,13 +35,11 @@ class LateProcessError(LostProcessError):
 
 
 def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
-    """What a function returns or raises, called in a copy of this process.
-
-    The copy waits a moment for more work, so that a series of programs costs one.
+    """Return or raise what a function does, called in a copy of this process that prints nothing.
 
     Args:
-        work: Called without arguments; what it returns is pickled, what it prints is dropped. A
-            copy that waits takes it if it can be pickled too.
+        work: Called without arguments; what it returns is pickled. A copy that waits takes it if
+            it can be pickled too.
         seconds: Time it may take. Where a copy that waited ends, a new one has what is left.
 
     Raises:
@@ -50,11 +48,11 @@ def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
         LostProcessError: It raised something else, or its process ended.
     """
     over = time.monotonic() + seconds
-    question = _pickled(work)
-    copy = _Copy.waiting() if question is not None else None
-    answer = None
-    if copy is not None and question is not None and copy.told(question):
-        answer = copy.answer(over, seconds)
+    question: bytes | None = None
+    with contextlib.suppress(Exception):  # Drake's programs cannot be pickled, nor may a user's be
+        question = pickle.dumps(work)
+    copy = _waiting() if question is not None else None
+    answer = None if copy is None else copy.answer(over, seconds, question)
     if copy is None or answer is None:
         # One that waited may have ended before it was asked: only a new one's end is told.
         copy = _Copy(work)
@@ -63,7 +61,7 @@ def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
         raise LostProcessError(f"ended with {copy.end}")
     result, failure = answer
     if question is None or _WAITING or isinstance(failure, LostProcessError):
-        copy.ended()
+        copy.stop()
     else:
         _WAITING.append(copy)
     if failure is not None:
@@ -72,14 +70,13 @@ def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
 
 
 class _Copy:
-    """A copy of this process that works, and then waits for more to do.
+    """A copy of this process that works, and then waits for more to do."""
 
-    Attributes:
-        end: How it has ended; empty until then.
-    """
+    end = ""
+    """How it has ended; empty until then."""
 
     def __init__(self, work: Callable[[], Any]) -> None:
-        self.end, self._owner = "", os.getpid()
+        self.owner = os.getpid()
         self._line, other = Pipe()
         # An interrupt waits, so that it is not one of the copy's too.
         waiting = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
@@ -99,37 +96,18 @@ class _Copy:
             signal.pthread_sigmask(signal.SIG_SETMASK, waiting)
         other.close()
 
-    @classmethod
-    def waiting(cls) -> _Copy | None:
-        """One that waits for work of this process, if there is one."""
-        with contextlib.suppress(IndexError):  # none is left; another thread may have taken it
-            while (copy := _WAITING.pop())._owner != os.getpid():
-                pass  # a process that forked this one has it
-            return copy
-        return None
+    def answer(
+        self, over: float, seconds: float, question: bytes | None = None
+    ) -> tuple[Any, Exception | None] | None:
+        """Return what its work, or a question, returned and raised; None if it has ended instead.
 
-    def told(self, question: bytes) -> bool:
-        """Whether it could be sent its work."""
-        sent = False
-        try:
-            self._line.send_bytes(question)
-            sent = True
-        except OSError:
-            pass  # it has ended
-        finally:
-            if not sent:
-                self.ended()
-        return sent
-
-    def answer(self, over: float, seconds: float) -> tuple[Any, Exception | None] | None:
-        """What its work returned, and raised; None if it has ended without an answer.
-
-        Args:
-            over: When its time is over, on the monotonic clock, s.
-            seconds: The time that it had.
+        Its time of so many seconds is over at a value of the monotonic clock, s. A question is
+        further work, pickled.
         """
         answer: tuple[Any, Exception | None] | None = None
         try:
+            if question is not None:
+                self._line.send_bytes(question)
             if not self._line.poll(max(over - time.monotonic(), 0.0)):
                 raise LateProcessError(f"gave no answer in {seconds:g} s")
             answer = self._line.recv()
@@ -137,10 +115,10 @@ class _Copy:
             pass  # it has ended, perhaps amid its answer
         finally:
             if answer is None:
-                self.ended()
+                self.stop()
         return answer
 
-    def ended(self) -> None:
+    def stop(self) -> None:
         """Make sure that it has ended, and find out how."""
         self._line.close()
         try:
@@ -157,21 +135,22 @@ class _Copy:
 
 
 _WAITING: list[_Copy] = []
-"""The copy that waits, if there is one: to fork is what it saves. It ends if its process does."""
+"""The copy that waits, if there is one. It ends if its process does."""
+
+
+def _waiting() -> _Copy | None:
+    """Return a copy that waits for work of this process, if there is one."""
+    with contextlib.suppress(IndexError):  # none is left; another thread may have taken it
+        while (copy := _WAITING.pop()).owner != os.getpid():
+            pass  # a process that forked this one has it
+        return copy
+    return None
 
 
 def end_waiting() -> None:
     """End the copy of this process that waits for work, so that its time counts as this one's."""
-    while (copy := _Copy.waiting()) is not None:
-        copy.ended()
-
-
-def _pickled(work: Callable[[], Any]) -> bytes | None:
-    """A function as bytes; None where it cannot be pickled, as Drake's programs cannot."""
-    try:
-        return pickle.dumps(work)
-    except Exception:  # whatever a user's class raises
-        return None
+    while (copy := _waiting()) is not None:
+        copy.stop()
 
 
 def _serve(work: Callable[[], Any], line: Connection) -> NoReturn:

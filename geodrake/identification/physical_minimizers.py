@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from geodrake.identification.newton import solve_alike
-from geodrake.identification.normal_equations import choleskies
+from geodrake.identification.newton import parameters_at
+from geodrake.identification.newton_path import minimize
+from geodrake.identification.newton_program import NewtonProgram
+from geodrake.identification.normal_equations import scaled_cholesky
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.inertia.kernels import calc_from_pseudo_inertia, calc_pseudo_inertia
@@ -25,12 +27,7 @@ _NO_MASS = 1e-6  # kg or kg·m², largest moment of a body that is nothing
 
 
 def are_physical(x: Array, blocks: Sequence[int]) -> NDArray[np.bool_]:
-    """Return (F,) whether all bodies of parameters x (F, p) are physical.
-
-    Args:
-        x: (F, p) parameters.
-        blocks: First parameter of every inertia block.
-    """
+    """Return (F,) whether all bodies of parameters x (F, p), which start at `blocks`, can exist."""
     P = calc_pseudo_inertia(x[:, _places(blocks)])
     return np.asarray((np.linalg.eigvalsh(P)[..., 0] > 0.0).all(axis=1))
 
@@ -38,10 +35,7 @@ def are_physical(x: Array, blocks: Sequence[int]) -> NDArray[np.bool_]:
 def inner_bodies(x: Array, blocks: Sequence[int], small: Array) -> Array:
     """Return parameters (F, p) with bodies at or beyond the boundary moved inside, none far.
 
-    Args:
-        x: (F, p) parameters.
-        blocks: First parameter of every inertia block.
-        small: (10,) what becomes of a body that has no mass.
+    A body that has no mass becomes a small one (10,).
     """
     places = _places(blocks)
     bodies = x[:, places]
@@ -60,6 +54,8 @@ def physical_minimizers(
 ) -> Array:
     """Return minimizers (F, p) of ½ xᵀ G x − rᵀ x with physical bodies within bounds.
 
+    Each but the first is found from a point on the way to that one.
+
     Args:
         gram: (F, p, p) positive definite matrices G.
         rhs: (F, p) right sides r.
@@ -71,8 +67,6 @@ def physical_minimizers(
         IdentificationError: Rounding gets in the way.
     """
     p, bodies = rhs.shape[1], start.mean(0)
-    scales = 1.0 / np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
-    roots = choleskies(gram * scales[:, :, None] * scales[:, None, :], _RIDGE)
     common = FitProblem(
         factor=np.zeros((1, p + 1)),
         inertia_blocks=tuple(blocks),
@@ -82,13 +76,14 @@ def physical_minimizers(
         upper=bounds[1],
         entropic={block: (bodies[block : block + 10], _GAP) for block in blocks},
     )
-    targets = (
-        solve_triangular(L, s * r, lower=True) for L, s, r in zip(roots, scales, rhs, strict=True)
-    )
-    factors = (
-        np.column_stack([L.T / s, t]) for L, s, t in zip(roots, scales, targets, strict=True)
-    )
-    return solve_alike((replace(common, factor=factor) for factor in factors), enough=_GAP)
+    found, early = np.empty_like(rhs), None
+    for x, L, scale, right in zip(found, *scaled_cholesky(gram, _RIDGE), rhs, strict=True):
+        target = solve_triangular(L, scale * right, lower=True)
+        problem = replace(common, factor=np.column_stack([L.T / scale, target]))
+        minimum = minimize(NewtonProgram.of(problem), early, enough=_GAP)
+        early = early or minimum.early
+        x[:] = parameters_at(minimum)
+    return found
 
 
 def _places(blocks: Sequence[int]) -> NDArray[np.intp]:

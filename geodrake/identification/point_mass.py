@@ -69,9 +69,6 @@ class PointMasses(Short):
         Args:
             phi: (nb, 10) physical inertial parameters.
             counts: Number of points of every body, or of each; at least 10.
-
-        Raises:
-            ArgumentError: A shape is wrong, a body is not physical, or there are too few points.
         """
         phi, numbers = _checked_bodies(phi, counts)
         positions = []
@@ -95,9 +92,6 @@ class PointMasses(Short):
             phi: (nb, 10) physical inertial parameters.
             ellipsoids: The regions, of shape (nb,).
             counts: Number of points of every body, or of each; at least 20.
-
-        Raises:
-            ArgumentError: A shape is wrong, a body is not physical, or there are too few points.
         """
         phi, numbers = _checked_bodies(phi, counts, least=2 * PARAMETERS_PER_BODY)
         regions = instance(ellipsoids, "ellipsoids", Ellipsoid)

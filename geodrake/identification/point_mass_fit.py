@@ -16,8 +16,7 @@ from scipy.special import rel_entr
 
 from geodrake.boundary.arguments import instance
 from geodrake.errors import ArgumentError, IdentificationError
-from geodrake.identification.conic_fit import parameters_of, prior_weight_of, solve_fit
-from geodrake.identification.coordinates import Coordinates
+from geodrake.identification.conic_fit import solution_of, solve_fit
 from geodrake.identification.fit import FitResult, fit_result
 from geodrake.identification.point_mass import PointMasses
 from geodrake.identification.problem import FitProblem, LinearConstraints
@@ -36,11 +35,7 @@ _LEAST, _SPENT = 1e-6, 1e-5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PointMassFit(FitResult):
-    """A `FitResult` with the masses behind its inertial parameters.
-
-    Attributes:
-        masses: (N,) masses μ, kg, of all bodies in a row.
-    """
+    """A `FitResult` with the masses (N,), kg, of all bodies in a row behind its parameters."""
 
     masses: Array
 
@@ -51,9 +46,6 @@ class PointMassRegularizer(Regularizer):
 
     The prior of `identify` must be `points.parameters()`. Masses are kept above a millionth of
     their prior, so that every body is strictly physical.
-
-    Attributes:
-        points: The points and their prior masses.
     """
 
     points: PointMasses
@@ -67,13 +59,7 @@ class PointMassRegularizer(Regularizer):
 
     @abstractmethod
     def add_cost(self, program: MathematicalProgram, shares: Any, weight: float) -> None:
-        """Add weight · d² of μ = shares ∘ ⁰μ, as a convex cost.
-
-        Args:
-            program: The program.
-            shares: (N,) its variables μ / ⁰μ.
-            weight: Weight of the cost.
-        """
+        """Add weight · d² of μ = shares ∘ ⁰μ as a convex cost of (N,) variables of the program."""
 
     @abstractmethod
     def mobility(self, masses: Array) -> Array:
@@ -125,8 +111,7 @@ class PointMassRegularizer(Regularizer):
             raise
         x = np.clip(transform @ v, problem.lower, problem.upper)
         masses = v[: len(self.points.prior)] * self.points.prior
-        coordinates = Coordinates.of(self._informed(problem, gamma, masses))
-        fit = fit_result(coordinates, x, weight, solver, time.perf_counter() - begin)
+        fit = fit_result(self._informed(problem, gamma, masses), x, weight, solver, begin)
         return PointMassFit(**vars(fit), masses=masses)
 
     def certified(
@@ -174,17 +159,17 @@ class PointMassRegularizer(Regularizer):
                 fit = build_fit(inner, size=factor * size)
                 self.add_cost(fit.program, fit.z[:N], gamma / fit.cost_scale)
                 try:
-                    solution = run_solver(fit.program, solver, tried)
+                    result, _ = run_solver(fit.program, solver, tried)
                     break
                 except IdentificationError as failure:  # rounding may end it at one scale alone
                     rounding = SolutionResult.kSolverSpecificError.name
                     if factor == _SCALES[-1] or failure.evidence.get("status") != rounding:
                         raise
-            v = parameters_of(fit, solution)
+            v, weight = solution_of(fit, result)
             cost = gamma * self.distance(v[:N] * prior)
             cost += inner.residual(v) if inner.residual_bound is None else 0.0
             size = max(cost, 1e-4 * size)
-        return v, prior_weight_of(fit, solution, v)
+        return v, weight
 
     def _informed(self, problem: FitProblem, gamma: float, masses: Array) -> FitProblem:
         """Return it with (R M Rᵀ)⁻¹ as information, for mobilities M of masses not spent."""
@@ -195,15 +180,14 @@ class PointMassRegularizer(Regularizer):
         return replace(problem, prior_information=information)
 
     def _check(self, prior: Array) -> None:
-        own, scale = self.points.parameters(), float(np.abs(prior).max())
+        own = self.points.parameters()
+        differ = f"its shape is {prior.shape} instead of {own.shape}"
         if own.shape == prior.shape:
             away = np.abs(own - prior).max(1)
-            bodies = np.flatnonzero(away > _SAME_PRIOR * scale).tolist()
-            differ = f"bodies {bodies} differ by up to {away.max():.2g}"
+            bodies = np.flatnonzero(away > _SAME_PRIOR * np.abs(prior).max()).tolist()
             if not bodies:
                 return
-        else:
-            differ = f"its shape is {prior.shape} instead of {own.shape}"
+            differ = f"bodies {bodies} differ by up to {away.max():.2g}"
         raise ArgumentError(
             f"The prior is not that of the point masses: {differ}.",
             advice="Pass points.parameters() as the prior, or make points that have this one "
@@ -227,7 +211,7 @@ class PointMassEuclidean(PointMassRegularizer):
         program.AddQuadraticCost(np.diag(squares), -squares, 0.5 * squares.sum(), shares, True)
 
     def mobility(self, masses: Array) -> Array:
-        """Return (N,) inverses of half the second derivatives of d²."""
+        """Return ones (N,)."""
         return np.ones_like(masses)
 
 
@@ -252,5 +236,5 @@ class PointMassKL(PointMassRegularizer):
         program.AddLinearCost(np.append(weights, -weights), weights.sum(), np.append(t, shares))
 
     def mobility(self, masses: Array) -> Array:
-        """Return (N,) inverses of half the second derivatives of d²."""
+        """Return 2 μ, (N,)."""
         return 2.0 * masses

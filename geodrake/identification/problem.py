@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,23 +19,19 @@ from geodrake.robot.reduction import triangular_factor
 def whitened_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> Array:
     """Return a triangular factor of the whitened data [A | b]/σ, all that a fit needs of them.
 
+    It is (p + 1, p + 1) upper triangular [R r; 0 ρ], with ‖A x − b‖²_{Σ⁻¹} = ‖R x − r‖² + ρ² for
+    every x.
+
     Args:
         A: (m, p) regressor.
         b: (m,) measurements.
         sigma: (m,) or scalar standard deviations of b, in the units of b; None for 1.
-
-    Returns:
-        (p + 1, p + 1) upper triangular [R r; 0 ρ], with ‖A x − b‖²_{Σ⁻¹} =
-        ‖R x − r‖² + ρ² for every x.
-
-    Raises:
-        ArgumentError: Shapes do not match, or there is a non-finite or non-positive value.
     """
     return triangular_factor([whitened(A, b, sigma=sigma)])
 
 
 def whitened(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> Array:
-    """Return the rows [A | b]/σ, (m, p + 1); see `whitened_factor` for arguments and errors."""
+    """Return the rows [A | b]/σ, (m, p + 1), of what `whitened_factor` takes."""
     A = checked("A", A, (None, None))
     b = checked("b", b, (len(A),))
     deviations = np.ones(()) if sigma is None else real_array(sigma, "sigma")
@@ -50,13 +47,7 @@ def whitened(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> A
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinearConstraints:
-    """Rows of `lower ≤ matrix x ≤ upper`.
-
-    Attributes:
-        matrix: (k, p) coefficients.
-        lower: (k,) least values; −inf for none.
-        upper: (k,) greatest values; inf for none.
-    """
+    """Rows `lower ≤ matrix x ≤ upper` of a matrix (k, p); limits (k,) may be infinite."""
 
     matrix: Array
     lower: Array
@@ -93,10 +84,6 @@ class FitProblem(Short):
         constraints: Further linear constraints on x.
         residual_bound: Greatest squared residual c of the point-to-set form; None for the sum.
         margin: Smallest eigenvalue of P(reference)⁻¹ P(φ) that is allowed.
-
-    Raises:
-        ArgumentError: A shape, bound or weight is impossible, a value is not finite, or a block
-            has no physical reference.
     """
 
     factor: Array
@@ -115,16 +102,15 @@ class FitProblem(Short):
 
     def __post_init__(self) -> None:
         """Check every field, and complete bounds and references."""
-        factor = checked("factor", self.factor, (None, None))
-        p = factor.shape[1] - 1
         put = object.__setattr__
-        put(self, "factor", factor)
+        put(self, "factor", checked("factor", self.factor, (None, None)))
+        p = self.factor.shape[1] - 1
         put(self, "prior_mean", checked("prior_mean", self.prior_mean, (p,)))
         put(self, "prior_information", _information(self.prior_information, p))
         put(self, "inertia_blocks", _blocks(self.inertia_blocks, p))
         inertial = {k for start in self.inertia_blocks for k in range(start, start + 10)}
-        lower, upper = (real_array(getattr(self, s), s, finite=False) for s in ("lower", "upper"))
-        for name, bound in (("lower", lower), ("upper", upper)):
+        for name in ("lower", "upper"):
+            bound = real_array(getattr(self, name), name, finite=False)
             if bound.shape not in ((), (p,)):
                 raise ArgumentError(f"{name} must have shape ({p},); got {bound.shape}.")
             put(self, name, np.broadcast_to(bound, p))
@@ -137,10 +123,10 @@ class FitProblem(Short):
                 "Bounds are for scalar parameters, and an inertial parameter has one.",
                 advice="State it as a row of `constraints`.",
             )
-        put(self, "entropic", self._checked_entropic())
-        put(self, "reference", self._checked_references())
+        put(self, "entropic", self._priors("entropic", set(self.inertia_blocks), (10,)))
+        put(self, "reference", self._references())
         for name in ("scalar_priors", "entropic_scalars"):
-            put(self, name, self._checked_scalars(name, inertial))
+            put(self, name, self._priors(name, set(range(p)) - inertial, ()))
         if self.constraints is not None:
             _check_constraints(self.constraints, p)
         if self.residual_bound is not None:
@@ -157,48 +143,35 @@ class FitProblem(Short):
         errors = self.factor @ np.append(real_array(x, "x", (self.size,)), -1.0)
         return float(errors @ errors)
 
-    def _checked_entropic(self) -> dict[int, tuple[Array, float]]:
-        instance(self.entropic, "entropic", Mapping)
-        instance(self.reference, "reference", Mapping)
-        unknown = sorted(set(self.entropic) - set(self.inertia_blocks))
-        if unknown:
-            raise ArgumentError(
-                f"Entropic priors at columns {unknown}, where no inertia block starts; "
-                f"blocks start at {list(self.inertia_blocks)}."
-            )
-        priors = {}
-        for start, pair in self.entropic.items():
-            if len(instances(pair, f"entropic[{start}]", object)) != 2:
-                raise ArgumentError(f"entropic[{start}] must be a pair of φ⁰ and γ; got {pair!r}.")
-            what = f"gamma at column {start}"
-            gamma = number(pair[1], what, lower=0.0, strict=True, finite=False)
-            priors[start] = (checked(f"entropic[{start}]", pair[0], (10,)), gamma)
-        return priors
-
-    def _checked_scalars(self, name: str, inertial: Set[int]) -> dict[int, tuple[float, float]]:
+    def _priors(self, name: str, allowed: Set[int], shape: tuple[int, ...]) -> dict[int, Any]:
+        """Return pairs of a prior value of a shape and its weight, at columns that are allowed."""
         priors = {}
         for column, pair in instance(getattr(self, name), name, Mapping).items():
-            integer(column, f"a column of {name}")
-            if column in inertial or not 0 <= column < self.size:
+            if integer(column, f"a column of {name}") not in allowed:
                 raise ArgumentError(
-                    f"{name} has column {column}, where there is no scalar parameter."
+                    f"{name} has column {column}, where no inertia block starts; blocks start at "
+                    f"{list(self.inertia_blocks)}."
+                    if shape
+                    else f"{name} has column {column}, where there is no scalar parameter."
                 )
             if len(instances(pair, f"{name}[{column}]", object)) != 2:
                 raise ArgumentError(
-                    f"{name}[{column}] must be a pair of x⁰ and a weight; got {pair!r}."
+                    f"{name}[{column}] must be a pair of a value and a weight; got {pair!r}."
                 )
-            value = number(pair[0], f"x⁰ at column {column}", lower=0.0, strict=True)
+            value: Any = checked(f"{name}[{column}]", pair[0], shape)
+            if not shape:
+                value = number(float(value), f"x⁰ at column {column}", lower=0.0, strict=True)
             weight = number(pair[1], f"the weight at column {column}", lower=0.0, strict=True)
             priors[column] = (value, weight)
         return priors
 
-    def _checked_references(self) -> dict[int, Array]:
+    def _references(self) -> dict[int, Array]:
+        instance(self.reference, "reference", Mapping)
         references = {}
         for start in self.inertia_blocks:
             given = self.reference.get(start, self.prior_mean[start : start + 10])
+            given, _ = self.entropic.get(start, (given, None))
             references[start] = checked(f"reference[{start}]", given, (10,))
-            if start in self.entropic:
-                references[start] = self.entropic[start][0]
         physical = is_physical(np.reshape(list(references.values()), (-1, 10)))
         if wrong := [start for start, ok in zip(references, physical, strict=True) if not ok]:
             raise ArgumentError(
@@ -243,11 +216,9 @@ def _check_constraints(constraints: LinearConstraints, p: int) -> None:
     k = len(checked("constraints.matrix", constraints.matrix, (None, p)))
     lower = real_array(constraints.lower, "constraints.lower", (k,), finite=False)
     upper = real_array(constraints.upper, "constraints.upper", (k,), finite=False)
-    empty = np.flatnonzero(~(lower <= upper))
-    if len(empty):
+    if empty := np.flatnonzero(~(lower <= upper)).tolist():
         limits = ", ".join(f"{lower[i]:g} and {upper[i]:g}" for i in empty)
         raise ArgumentError(
-            f"Nothing lies between the lower and upper values of constraints {empty.tolist()}: "
-            f"{limits}.",
-            rows=empty.tolist(),
+            f"Nothing lies between the lower and upper values of constraints {empty}: {limits}.",
+            rows=empty,
         )

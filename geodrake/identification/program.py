@@ -45,11 +45,7 @@ class FitProgram:
     others: list[tuple[Any, Callable[[Array], Array]]] = field(default_factory=list)
 
     def point(self, x: Array) -> Array:
-        """Return values of all variables at parameters x (p,), whose entropic blocks are physical.
-
-        Raises:
-            LinAlgError: They are not, or a scalar with an entropic prior is not positive.
-        """
+        """Return values of all variables at parameters x (p,); a LinAlgError if not physical."""
         z, values = self.coordinates.at(x), np.zeros(self.program.num_vars())
         values[self.program.FindDecisionVariableIndices(self.z)] = z
         for variables, best in self.others:
@@ -57,11 +53,10 @@ class FitProgram:
         return values
 
     def evaluated(self, x: Array) -> tuple[float, float]:
-        """Return what Drake evaluates at parameters x (p,).
+        """Return what Drake evaluates at parameters x (p,): the cost, and the worst violation.
 
-        Returns:
-            The cost in the unit of the fit's, less a constant, and how far they are outside the
-            constraints at most, in the program's variables.
+        The cost is in the unit of the fit's, less a constant; the violation is how far they are
+        outside the constraints at most, in the program's variables.
         """
         program, values = self.program, self.point(x)
         costs = [float(program.EvalBinding(c, values)[0]) for c in program.GetAllCosts()]
@@ -168,18 +163,11 @@ class FitProgram:
         self.others.append((t, best))
 
     def _add_bounds(self) -> None:
-        lower, upper = self.coordinates.bounds()
-        bounded = np.isfinite(lower) | np.isfinite(upper)
-        if bounded.any():
-            self.program.AddBoundingBoxConstraint(lower[bounded], upper[bounded], self.z[bounded])
-        constraints = self.problem.constraints
-        if constraints is not None:
-            rows = constraints.matrix @ self.coordinates.transform
-            begin = constraints.matrix @ self.problem.prior_mean
-            norms = np.linalg.norm(rows, axis=1)
-            scale = 1.0 / np.where(norms > 0, norms, 1.0)
-            limits = (scale * (side - begin) for side in (constraints.lower, constraints.upper))
-            self.program.AddLinearConstraint(scale[:, None] * rows, *limits, self.z)
+        (G, h), (E, e) = self.coordinates.rows()
+        if len(h):
+            self.program.AddLinearConstraint(G, h, np.full(len(h), np.inf), self.z)
+        if len(e):
+            self.program.AddLinearEqualityConstraint(E, e, self.z)
 
 
 def build_fit(
@@ -188,12 +176,9 @@ def build_fit(
     """Return the conic program of a problem; `solve_fit` solves it, with exact shortcuts.
 
     The cost is the excess over the unconstrained least squares, which keeps the solver's
-    relative tolerance meaningful when the residual itself is large.
-
-    Args:
-        problem: What is to be fitted.
-        centre: (p,) parameters close to the solution, where it is scaled; None for the references.
-        size: What the cost is divided by; its size at the centre if None.
+    relative tolerance meaningful when the residual itself is large. The program is scaled at a
+    centre (p,) close to the solution, by default the references, and its cost is divided by its
+    size there, unless that is given.
     """
     instance(problem, "problem", FitProblem)
     if centre is not None:

@@ -38,11 +38,7 @@ class Regularizer(ABC):
         """Return the problem, whose first columns are the bodies', with γ d(Φ, Φ⁰)² added."""
 
     def scalar_divergence(self, values: Array, priors: Array) -> Array:
-        """Return d(x, x⁰)² of positive scalars (k,) one by one ([Lee2019] Remark 3.13).
-
-        Raises:
-            ArgumentError: The regularizer has none.
-        """
+        """Return d(x, x⁰)² of positive scalars (k,) one by one ([Lee2019] Remark 3.13)."""
         raise ArgumentError(
             f"The regularizer {self.name} has no divergence of extra parameters, and extra_prior "
             "gives them a prior.",

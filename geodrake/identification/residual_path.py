@@ -33,7 +33,7 @@ def meet_residual(
     Propositions A.4 and A.5).
 
     Args:
-        solve: Maps a weight and the last solution to a solution and its residual.
+        solve: Maps a weight and the last solution, None at first, to a solution and its residual.
         wanted: The residual, above zero.
         guess: A weight to begin with.
         limits: Least and greatest weight.

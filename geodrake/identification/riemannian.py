@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -15,7 +14,12 @@ from geodrake.identification.certification import certified, uncertified
 from geodrake.identification.fit import FitResult, fit_result
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.regularizer import Entropic, Pullback, Regularizer
-from geodrake.identification.riemannian_search import LocalMinima, LocalMinimum, RiemannianSearch
+from geodrake.identification.riemannian_search import (
+    ACCURACY,
+    LocalMinima,
+    LocalMinimum,
+    RiemannianProgram,
+)
 from geodrake.inertia import Array, pseudo_inertia
 from geodrake.inertia.positive_definite import relative_logarithms
 
@@ -26,11 +30,7 @@ _SAME_COST = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RiemannianFit(FitResult):
-    """A `FitResult` of a problem that may have several minima.
-
-    Attributes:
-        minima: What the starts led to.
-    """
+    """A `FitResult` of a problem that may have several minima, and what the starts led to."""
 
     minima: LocalMinima
 
@@ -95,26 +95,44 @@ class Riemannian(Regularizer):
             ArgumentError: The residual bound is below what any parameters reach.
             IdentificationError: There is no solution, or none whose residual meets the bound.
         """
-        begin = time.perf_counter()
-        search = RiemannianSearch.of(problem, prior, gamma)
+        begin, random = time.perf_counter(), np.random.default_rng(self.seed)
+        program = RiemannianProgram.of(self.regularize(problem, prior, gamma))
         convex = Entropic().solve(problem, prior, gamma, solver)
-        first = search.start(convex.x)
-        best, weight = search.meet_bound(first, convex.prior_weight)
+        first = program.start(convex.x)
+        best, weight = program.meet_bound(first, convex.prior_weight)
         found: dict[str, LocalMinimum | None] = {"entropic": best}
-        for name, start in self._others(search, first, prior, gamma * weight).items():
+        weighted, free = program.weighted(weight), replace(problem, residual_bound=None)
+
+        def start(name: str) -> Array:
+            if name == "pullback":
+                # It may be at the boundary of bodies; a share of the first start leads inside.
+                x = Pullback().solve(free, prior, gamma * weight, "newton").x
+                return 0.9 * program.start(x) + 0.1 * first
+            if name == "data":
+                weak = 1e-3 * gamma * weight
+                return program.start(Entropic().solve(free, prior, weak, "newton").x)
+            if name == "prior":  # it may break a constraint that the first start keeps
+                begin = program.start(free.prior_mean)
+                ways = ((1.0 - share) * begin + share * first for share in (0.0, 1e-3, 0.1, 0.5))
+                return next((z for z in ways if program.is_inside(z)), first)
+            return program.random_start(first, random)
+
+        idle = {"pullback", "data"} if np.isinf(weight) else {}
+        others = [name for name in self.starts[1:] if name not in idle]
+        for name in (*others, *(f"random {k}" for k in range(self.random_starts))):
             try:
-                found[name] = search.weighted(weight).minimum(start())
+                found[name] = weighted.minimum(start(name))
             except GeodrakeError:  # the minima that were found stand
                 found[name] = None
         lowest = min(filter(None, found.values()), key=lambda minimum: minimum.value)
-        better = lowest.value < best.value - _SAME_COST * abs(best.value)
-        minima = search.compared(found, lowest if better else best)
+        rounding = ACCURACY * gamma * weighted.weight
+        better = lowest.value < best.value - max(_SAME_COST * abs(best.value), rounding)
+        minima = program.compared(found, lowest if better else best)
         if better:
-            best, weight = search.meet_bound(lowest.z, weight)
-        x = np.clip(search.coordinates.parameters(best.z), problem.lower, problem.upper)
-        elapsed = time.perf_counter() - begin
-        fit = fit_result(search.coordinates, x, weight, "newton", elapsed)
-        own = {**vars(fit), "information": search.information(best.hessian)}
+            best, weight = program.meet_bound(lowest.z, weight)
+        x = np.clip(program.coordinates.parameters(best.z), problem.lower, problem.upper)
+        fit = fit_result(program.coordinates.problem, x, weight, "newton", begin)
+        own = {**vars(fit), "information": program.information(best.hessian)}
         return RiemannianFit(**own, minima=minima)
 
     def certified(
@@ -125,37 +143,9 @@ class Riemannian(Regularizer):
         The program is that of the cost's second order at the solution, with all constraints, and
         with the weight that meets a residual bound.
         """
-        search = RiemannianSearch.of(problem, prior, gamma).weighted(fit.prior_weight)
+        program = RiemannianProgram.of(self.regularize(problem, prior, gamma))
         try:
-            local, size = search.second_order(fit.x)
+            local, size = program.weighted(fit.prior_weight).second_order(fit.x)
             return certified(local, fit, size=size, scope="local")
         except ArgumentError:  # the second order is no convex program
             return uncertified(fit, "the cost is not convex around the minimum", scope="local")
-
-    def _others(
-        self, search: RiemannianSearch, first: Array, prior: Array, gamma: float
-    ) -> dict[str, Callable[[], Array]]:
-        """Return what gives the coordinates (p,) of the other starts, as far as they exist."""
-        free = replace(search.coordinates.problem, residual_bound=None)
-
-        def pullback() -> Array:
-            # It may be at the boundary of physical bodies; a share of the first start leads inside.
-            x = Pullback().solve(free, prior, gamma, "newton").x
-            return 0.9 * search.start(x) + 0.1 * first
-
-        def data() -> Array:
-            return search.start(Entropic().solve(free, prior, 1e-3 * gamma, "newton").x)
-
-        def nearest() -> Array:
-            # The prior may break a constraint that the first start keeps.
-            begin = search.start(free.prior_mean)
-            ways = ((1.0 - share) * begin + share * first for share in (0.0, 1e-3, 0.1, 0.5))
-            return next((z for z in ways if search.is_inside(z)), first)
-
-        random = np.random.default_rng(self.seed)
-        starts = {"pullback": pullback, "data": data} if np.isfinite(gamma) else {}
-        starts["prior"] = nearest
-        chosen = {name: starts[name] for name in self.starts[1:] if name in starts}
-        for number in range(self.random_starts):
-            chosen[f"random {number}"] = lambda: search.random_start(first, random)
-        return chosen

@@ -1,44 +1,34 @@
 """Local minima of a fit with the Riemannian distance, within bounds and linear constraints.
 
-Every step is to the minimum of the second order of the cost within the constraints, which is a
-convex fit again: Newton's method where the cost is convex, and else with its negative curvatures
-turned positive.
+Every step is to the minimum of the second order of the cost within the constraints: Newton's
+method where the cost is convex, and else with its negative curvatures turned positive.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import null_space
+from scipy.optimize import nnls
 
 from geodrake.descent import PRECISION, is_within_rounding, step_length
 from geodrake.errors import IdentificationError
-from geodrake.identification.coordinates import (
-    SYMMETRIC_BASIS,
-    Coordinates,
-    Rows,
-    Scalars,
-    smat,
-    svec,
-)
-from geodrake.identification.newton_path import minimize
+from geodrake.identification.coordinates import SYMMETRIC_BASIS, Rows, smat, svec
 from geodrake.identification.newton_program import NewtonProgram
-from geodrake.identification.problem import FitProblem, LinearConstraints
+from geodrake.identification.problem import FitProblem
 from geodrake.identification.residual_path import meet_residual
 from geodrake.inertia import Array
-from geodrake.robot.reduction import triangular_factor
 
 _SAME = 1e-4
 """Geodesic distance within which two minima count as one."""
-_ACCURACY = 1e-14
+ACCURACY = 1e-14
 """Decrease that a step must promise to be worth taking, as a share of the size of the cost."""
-_MOST_STEPS, _GUESSES = 300, 10
+_MOST_STEPS = 300
 _RIDGES = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6)
 """Shares of its diagonal to be added in turn to a Hessian that rounding left indefinite."""
-_ROUNDING = 1e-13
-"""How far beyond a constraint counts as on it, relative to the coordinates."""
 _LEAST_CURVATURE = 0.1
 """Of the distance, relative to that at the prior, where its own is not convex."""
 _MEETS, _NEARLY_MEETS = 1e-9, 1e-6
@@ -73,23 +63,17 @@ class LocalMinima:
     @property
     def distinct(self) -> int:
         """Number of different minima that were found, distinguished by their costs."""
-        found = np.sort(self.costs[np.isfinite(self.costs)])
-        if (self.distances[np.isfinite(self.costs)] < _SAME).all():
+        reached = np.isfinite(self.costs)
+        if (self.distances[reached] < _SAME).all():
             return 1
+        found = np.sort(self.costs[reached])
         scale = max(abs(found[0]), np.finfo(float).tiny)
         return 1 + int(np.count_nonzero(np.diff(found) > 1e-9 * scale))
 
 
 @dataclass(frozen=True, eq=False)
 class LocalMinimum:
-    """A local minimum.
-
-    Attributes:
-        z: (p,) where it is.
-        value: The cost there.
-        hessian: (p, p) Hessian there.
-        strict: Whether that is positive definite, as far as equalities leave freedom.
-    """
+    """A local minimum z (p,), the cost and its Hessian (p, p) there, and whether it is strict."""
 
     z: Array
     value: float
@@ -98,67 +82,24 @@ class LocalMinimum:
 
 
 @dataclass(frozen=True, eq=False)
-class RiemannianSearch:
-    """A search for minima of data ‖F z − f‖² + w (zᵀ Λ z + γ (Σ ½ ‖log S_i‖² + Σ w_k ½ log² y_k)).
+class RiemannianProgram(NewtonProgram):
+    """A fit of data ‖M z − d‖² + w (‖C z‖² + Σ_i γ_i ½ ‖log S_i‖² + Σ_k γ_k ½ log² y_k).
 
-    Attributes:
-        coordinates: Coordinates z of the problem; its references are the prior Φ⁰.
-        inequalities: Bounds and constraints G z ≥ h, but for those of scalars that the distance
-            keeps positive.
-        equalities: Constraints E z = e.
-        freedom: (p, q) orthonormal directions along the equalities.
-        triangle: (p, p + 1) factor [F f] of the data.
-        prior: (p, p) Λ.
-        blocks: (nb, 10) coordinates of the blocks.
-        scalars: Positive scalars y with their weights w.
-        gamma: γ.
-        data: Weight of the data, 1 or 0.
-        weight: Weight w of the prior against the data.
+    It is that of its entropic neighbour, with another distance from the same prior, where every
+    S_i is the identity and the positive scalars y are 1.
     """
 
-    coordinates: Coordinates
-    inequalities: Rows
-    equalities: Rows
-    freedom: Array
-    triangle: Array
-    prior: Array
-    blocks: Array
-    scalars: Scalars
-    gamma: float
-    data: float = 1.0
-    weight: float = 1.0
+    @cached_property
+    def freedom(self) -> Array:
+        """(p, q) orthonormal directions along the equalities."""
+        E = self.equalities[0]
+        return np.asarray(null_space(E)) if len(E) else np.eye(E.shape[1])
 
-    @classmethod
-    def of(cls, problem: FitProblem, prior: Array, gamma: float) -> RiemannianSearch:
-        """Return the search for a problem with a physical prior (nb, 10) and the weight γ of d²."""
-        references = dict(zip(problem.inertia_blocks, prior, strict=True))
-        coordinates = Coordinates.of(replace(problem, reference=references))
-        root, positive, lower = coordinates.prior_root(), list(problem.scalar_priors), problem.lower
-        lower = lower.copy()
-        lower[positive] = np.where(lower[positive] > 0, lower[positive], -np.inf)
-        inequalities, equalities = replace(
-            coordinates, problem=replace(coordinates.problem, lower=lower)
-        ).rows()
-        freedom = np.eye(problem.size)
-        if len(equalities[0]):
-            freedom = null_space(equalities[0])
-        return cls(
-            coordinates,
-            inequalities,
-            equalities,
-            freedom,
-            triangle=triangular_factor([np.column_stack(coordinates.data())])[: problem.size],
-            prior=root.T @ root,
-            blocks=np.array(problem.inertia_blocks)[:, None] + np.arange(10),
-            scalars=coordinates.scalars(problem.scalar_priors),
-            gamma=gamma,
-        )
-
-    def weighted(self, weight: float) -> RiemannianSearch:
-        """Return the search with a weight w of the regularizer; inf leaves the data out."""
-        if np.isinf(weight):
-            return replace(self, data=0.0, weight=1.0)
-        return replace(self, data=1.0, weight=weight)
+    @property
+    def limits(self) -> Rows:
+        """Bounds and constraints G z ≥ h, but for those that the distance keeps by itself."""
+        (G, h), k = self.inequalities, len(self.scalars.columns)
+        return G[k:], h[k:]
 
     def start(self, x: Array) -> Array:
         """Return coordinates (p,) of parameters x (p,), put onto the equality constraints."""
@@ -167,7 +108,7 @@ class RiemannianSearch:
 
     def is_inside(self, z: Array) -> bool:
         """Return whether coordinates z (p,) keep all constraints."""
-        (G, h), (E, e) = self.inequalities, self.equalities
+        (G, h), (E, e) = self.limits, self.equalities
         kept = np.allclose(E @ z, e, rtol=0.0, atol=1e-9) and (G @ z >= h).all()
         return bool(kept and np.isfinite(self.cost(z)))
 
@@ -178,46 +119,33 @@ class RiemannianSearch:
         far = np.exp(0.5 * random.uniform(0.0, _FARTHEST) * rates)[:, None, :]
         root = np.linalg.cholesky(S) @ axes * far
         start = z.copy()
-        start[self.blocks] = svec(root @ np.swapaxes(root, 1, 2) - self.coordinates.starts)
+        start[self.blocks] = svec(root @ np.swapaxes(root, 1, 2) - self.begin)
         start = self.start(self.coordinates.parameters(start))
         while not self.is_inside(start):
             start = 0.8 * start + 0.2 * z
         return start
 
-    def matrices(self, z: Array) -> Array:
-        """Return S_i at z, (nb, 4, 4)."""
-        return self.coordinates.starts + smat(z[self.blocks])
-
-    def misfit(self, z: Array) -> float:
-        """Return ‖F z − f‖², the residual above the least that any parameters reach."""
-        return float(np.square(self.triangle @ np.append(z, -1.0)).sum())
-
     def cost(self, z: Array) -> float:
-        """Return the cost at z; infinite where a body is not physical."""
-        logs = float(half_squared_logs(self.matrices(z)).sum())
-        ratios = half_squared_logs(self.scalars.ratios(z)[:, None, None])
-        logs += float((self.scalars.weights * ratios).sum())
-        prior = float(z @ self.prior @ z) + self.gamma * logs
-        return self.data * self.misfit(z) + self.weight * prior
+        """Return the cost at z (p,), less `floor`; infinite where a body is not physical."""
+        bodies = self.gammas @ half_squared_logs(self.matrices(z))
+        scalars = self.scalars.weights @ half_squared_logs(self.scalars.ratios(z)[:, None, None])
+        prior = np.square(self.prior @ z).sum() + bodies + scalars
+        return self.excess(z) + float(self.weight * prior)
 
     def derivatives(self, z: Array, *, convex: bool = False) -> tuple[Array, Array]:
-        """Return the gradient (p,) and Hessian (p, p) at z.
-
-        Args:
-            z: (p,) coordinates.
-            convex: Whether negative curvatures of the distance are turned positive.
-        """
-        F, f = self.triangle[:, :-1], self.triangle[:, -1]
-        gradient = 2.0 * (self.data * F.T @ (F @ z - f) + self.weight * self.prior @ z)
-        hessian = 2.0 * (self.data * F.T @ F + self.weight * self.prior)
+        """Return the gradient (p,) and Hessian (p, p) at z, or one of positive curvatures only."""
+        M, d, C = self.data[:, :-1], self.data[:, -1], self.prior
+        gradient = 2.0 * (M.T @ (M @ z - d) + self.weight * C.T @ (C @ z))
+        hessian = 2.0 * (M.T @ M + self.weight * C.T @ C)
         slopes, curvatures = log_derivatives(self.matrices(z), convex=convex)
-        scale, blocks = self.weight * self.gamma, self.blocks
-        gradient[blocks] += scale * slopes
-        hessian[blocks[:, :, None], blocks[:, None, :]] += scale * curvatures
+        scale, blocks = self.weight * self.gammas, self.blocks
+        gradient[blocks] += scale[:, None] * slopes
+        hessian[blocks[:, :, None], blocks[:, None, :]] += scale[:, None, None] * curvatures
         columns, y = self.scalars.columns, self.scalars.ratios(z)
-        weights, rates, bend = scale * self.scalars.weights, self.scalars.slope / y, 1.0 - np.log(y)
-        gradient[columns] += weights * rates * np.log(y)
+        weights, rates = self.weight * self.scalars.weights, self.scalars.slope / y
+        bend = 1.0 - np.log(y)
         bend = np.maximum(np.abs(bend), _LEAST_CURVATURE) if convex else bend
+        gradient[columns] += weights * rates * np.log(y)
         hessian[columns, columns] += weights * rates**2 * bend
         return gradient, hessian
 
@@ -227,19 +155,18 @@ class RiemannianSearch:
         Raises:
             IdentificationError: No step lowers the cost, or none is defined.
         """
-        size = max(min(self.cost(z), self.cost(0.0 * z)), self.weight * self.gamma)
+        size = max(min(self.cost(z), self.cost(0.0 * z)), self.weight * self.gammas.max())
         before = np.inf
         for _ in range(_MOST_STEPS):
-            value, strict = self.cost(z), True
-            gradient, hessian = self.derivatives(z)
-            try:
-                step = self._step(z, gradient, hessian)
-            except np.linalg.LinAlgError:
-                step, strict = self._convex_step(z), False
+            gradient, step, strict = self._direction(z)
+            value = self.cost(z)
             promise, rounding = -float(gradient @ step), PRECISION * max(abs(value), size)
-            ends = promise <= _ACCURACY * size or is_within_rounding(promise, before, rounding)
+            ends = promise <= ACCURACY * size or is_within_rounding(promise, before, rounding)
 
-            length = self._length(z, step, promise, rounding)
+            def decrease(share: Array, z: Array = z, step: Array = step) -> float:
+                return self.cost(z) - self.cost(z + share * step)
+
+            length = float(step_length(decrease, promise, rounding))
             before, z = promise, z + length * step
             if ends:
                 return LocalMinimum(z, self.cost(z), self.derivatives(z)[1], strict)
@@ -250,57 +177,46 @@ class RiemannianSearch:
             advice="Check units and noise levels, raise gamma, or start from another point.",
         )
 
-    def _length(self, z: Array, step: Array, promise: float, rounding: float) -> float:
-        value = self.cost(z)
-        return float(
-            step_length(lambda share: value - self.cost(z + share * step), promise, rounding)
-        )
-
-    def _convex_step(self, z: Array) -> Array:
-        """Return a step downhill where the cost is not convex, or is so but for rounding."""
-        gradient, hessian = self.derivatives(z, convex=True)
+    def _direction(self, z: Array) -> tuple[Array, Array, bool]:
+        """Return the gradient (p,), a step downhill (p,), and whether the cost is convex there."""
+        gradient, hessian = self.derivatives(z)
+        if (step := self._step(z, gradient, hessian)) is not None:
+            return gradient, step, True
+        hessian = self.derivatives(z, convex=True)[1]
         size = np.diagonal(hessian)
         size = np.diag(np.where(size > 0.0, size, 1.0))
-        for ridge in _RIDGES:
-            try:
-                return self._step(z, gradient, hessian + ridge * size)
-            except np.linalg.LinAlgError:
-                continue
+        for ridge in _RIDGES:  # it may be convex, but for rounding
+            if (step := self._step(z, gradient, hessian + ridge * size)) is not None:
+                return gradient, step, False
         raise IdentificationError(
             "The parameters cannot be distinguished by data and prior: no Newton step is defined.",
             advice="Add data or a prior for them, or leave their columns out.",
         )
 
-    def _step(self, z: Array, gradient: Array, hessian: Array) -> Array:
-        """Return the step to the minimum of the second order within the constraints.
+    def _step(self, z: Array, gradient: Array, hessian: Array) -> Array | None:
+        """Return the step to the minimum of a second order within the constraints.
 
-        A few guesses of the active ones mostly end where these are known.
-
-        Raises:
-            LinAlgError: It is not convex.
+        None if it is not convex. Which constraints are active is a problem of least distance, that
+        of Lawson and Hanson's *Solving Least Squares Problems* (1974), ch. 23.
         """
-        N, (G, h) = self.freedom, self.inequalities
-        root, room, q = np.linalg.cholesky(N.T @ hessian @ N), h - G @ z, N.shape[1]
-        target = -np.linalg.solve(root, N.T @ gradient)
-        rows, active = np.linalg.solve(root, (G @ N).T), np.zeros(len(h), bool)
-        for _ in range(_GUESSES):
-            forces, held = np.zeros(len(h)), rows[:, active]
-            forces[active] = np.linalg.lstsq(held.T @ held, room[active] - held.T @ target)[0]
-            y = target + rows @ forces
-            wanted = (forces > 0) | (rows.T @ y < room - _ROUNDING * (1.0 + np.abs(z).max()))
-            if np.array_equal(wanted, active):
-                return np.asarray(N @ np.linalg.solve(root.T, y))
-            active = wanted
-        quadratic = FitProblem(
-            factor=np.column_stack([root.T, target]),
-            inertia_blocks=(),
-            prior_mean=np.zeros(q),
-            prior_information=np.zeros((q, q)),
-            constraints=LinearConstraints(matrix=G @ N, lower=room, upper=np.full(len(h), np.inf)),
-        )
-        program = NewtonProgram.of(quadratic)
-        found = minimize(program).point.z
-        return np.asarray(N @ program.coordinates.parameters(found))
+        N, (G, h) = self.freedom, self.limits
+        try:
+            root = np.linalg.cholesky(N.T @ hessian @ N)
+        except np.linalg.LinAlgError:
+            return None
+        y, rows = -np.linalg.solve(root, N.T @ gradient), np.linalg.solve(root, (G @ N).T)
+        missing = h - G @ z - rows.T @ y
+        if missing.max(initial=0.0) > 0.0:
+            norms = np.linalg.norm(rows, axis=0)
+            far = missing / np.where(norms > 0, norms, 1.0)
+            scaled = np.vstack([rows / np.where(norms > 0, norms, 1.0), far / far.max()])
+            try:
+                active = nnls(scaled, np.eye(len(scaled))[-1])[0] > 0
+            except RuntimeError:  # it found none in as many steps as it has
+                return None
+            held = rows[:, active]
+            y += held @ np.linalg.lstsq(held.T @ held, missing[active])[0]
+        return np.asarray(N @ np.linalg.solve(root.T, y))
 
     def second_order(self, x: Array) -> tuple[FitProblem, float]:
         """Return the problem whose cost is the second order of this one's at x (p,), and its size.
@@ -308,18 +224,20 @@ class RiemannianSearch:
         Raises:
             ArgumentError: It is not convex.
         """
-        z, problem = self.coordinates.at(x), self.coordinates.problem
+        z = self.coordinates.at(x)
         gradient, hessian = self.derivatives(z)
         target = z - np.linalg.lstsq(hessian, gradient, rcond=None)[0]
         local = replace(
-            problem,
+            self.coordinates.problem,
             factor=np.zeros((1, len(z) + 1)),
             prior_mean=self.coordinates.parameters(target),
             prior_information=self.information(hessian),
+            entropic={},
+            entropic_scalars={},
             residual_bound=None,
         )
         # (Like that of a FitProgram: where the prior fits, γ is what there is to compare with.)
-        return local, max(self.cost(z) + self.data * self._floor, self.weight * self.gamma)
+        return local, max(self.cost(z) + self.floor, self.weight * float(self.gammas.max()))
 
     def information(self, hessian: Array) -> Array:
         """Return the information (p, p) about the parameters of a Hessian (p, p) in z."""
@@ -328,48 +246,41 @@ class RiemannianSearch:
         return 0.5 * (information + information.T)
 
     def meet_bound(self, z: Array, weight: float) -> tuple[LocalMinimum, float]:
-        """Return a minimum, and in the point-to-set form the weight w for which it meets the bound.
+        """Return the minimum that z (p,) leads to, and in the point-to-set form its weight w.
 
-        Args:
-            z: (p,) where to start from.
-            weight: First guess of w; inf where the data are idle.
+        It is the w for which the residual meets the bound, near that which is given; inf where the
+        data are idle.
 
         Raises:
             IdentificationError: No minimum meets the bound: the residual jumps across it.
         """
         bound = self.coordinates.problem.residual_bound
         if bound is None:
-            return self.weighted(1.0).minimum(z), 1.0
-        excess = bound - self._floor
+            return self.minimum(z), 1.0
+        wanted = bound - self.floor
         if np.isinf(weight):
             nearest = self.weighted(np.inf).minimum(z)
-            if self.misfit(nearest.z) <= excess:
+            if self.excess(nearest.z) <= wanted:
                 return nearest, np.inf
             weight = 1.0
 
         def solve(trial: float, last: LocalMinimum | None) -> tuple[LocalMinimum, float]:
             found = self.weighted(trial).minimum(z if last is None else last.z)
-            return found, self.misfit(found.z)
+            return found, self.excess(found.z)
 
-        enough = _MEETS * min(bound, 1e3 * excess)
-        found, weight, misfit = meet_residual(
-            solve, excess, guess=weight, limits=_WEIGHTS, enough=enough
+        enough = _MEETS * min(bound, 1e3 * wanted)
+        found, weight, excess = meet_residual(
+            solve, wanted, guess=weight, limits=_WEIGHTS, enough=enough
         )
-        if abs(misfit - excess) <= max(enough, _NEARLY_MEETS * bound):
+        if abs(excess - wanted) <= max(enough, _NEARLY_MEETS * bound):
             return found, weight
         raise IdentificationError(
             f"No local minimum has the residual {bound:.6g}: as gamma changes, it jumps from one "
-            f"minimum to another; the nearest found has {self._floor + misfit:.6g}.",
+            f"minimum to another; the nearest found has {self.floor + excess:.6g}.",
             advice="Take another residual bound, or the entropic regularizer, which is convex.",
-            residual=self._floor + misfit,
-            gamma=weight * self.gamma,
+            residual=self.floor + excess,
+            gamma=weight * float(self.gammas.max()),
         )
-
-    @property
-    def _floor(self) -> float:
-        """Least residual that any parameters reach."""
-        x = self.coordinates.problem.prior_mean
-        return self.coordinates.problem.residual(x) - self.misfit(np.zeros(len(x)))
 
     def compared(self, found: Mapping[str, LocalMinimum | None], best: LocalMinimum) -> LocalMinima:
         """Return what several starts led to (name -> minimum or None) against the best of them."""
@@ -401,11 +312,8 @@ def log_derivatives(S: Array, *, convex: bool = False) -> tuple[Array, Array]:
     """Return gradients (..., 10) and Hessians (..., 10, 10) at positive definite S (..., 4, 4).
 
     The function is a spectral one, so that its gradient is V diag(h) Vᵀ with h(λ) = log λ / λ, and
-    its Hessian has the divided differences of h as coefficients in the eigenvectors V.
-
-    Args:
-        S: (..., 4, 4) matrices.
-        convex: Whether negative coefficients are turned positive, and small ones enlarged.
+    its Hessian has the divided differences of h as coefficients in the eigenvectors V. If `convex`,
+    negative coefficients are turned positive, and small ones enlarged.
     """
     eigenvalues, V = np.linalg.eigh(S)
     logs = np.log(eigenvalues)

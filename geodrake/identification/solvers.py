@@ -116,25 +116,16 @@ def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
 
 def run_solver(
     program: MathematicalProgram, solver: str, accuracies: Sequence[Tolerances] = EXACTLY
-) -> MathematicalProgramResult:
-    """Return the solution of a program, in this process; `solved_apart` is safe where this is not.
+) -> tuple[MathematicalProgramResult, float]:
+    """Return the solution of a program, and the duality gap that Clarabel may have left.
 
-    Args:
-        program: Any program the solver can take.
-        solver: A name of `SOLVERS`.
-        accuracies: What to try in turn.
+    It runs in this process; `solved_apart` is safe where this is not. The gap is in the unit of the
+    cost.
 
     Raises:
         ArgumentError: There is no such solver here, or it cannot solve this kind of program.
         IdentificationError: The solver found no solution; its `evidence` has the status.
     """
-    return run_to_gap(program, solver, accuracies)[0]
-
-
-def run_to_gap(
-    program: MathematicalProgram, solver: str, accuracies: Sequence[Tolerances]
-) -> tuple[MathematicalProgramResult, float]:
-    """Return also the duality gap that Clarabel may have left, in the unit of the cost."""
     check_solver(solver)
     engine = SOLVERS[solver]()
     if solver == "csdp":
@@ -152,8 +143,7 @@ def run_to_gap(
         result = engine.Solve(program, None, options)
         status = result.get_solution_result()
         if result.is_success():
-            details = result.get_solver_details()
-            exact = getattr(details, "status", "") == "Solved"
+            exact = getattr(result.get_solver_details(), "status", "") == "Solved"
             share = own.get("tol_gap_rel" if exact else "reduced_tol_gap_rel", np.nan)
             return result, float(share) * max(1.0, abs(result.get_optimal_cost()))
         if status != SolutionResult.kSolverSpecificError:

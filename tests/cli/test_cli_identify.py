@@ -293,12 +293,12 @@ def test_effects_by_name():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--regularizer", "ridge"), "no regularizer 'ridge'. There are: euclidean, pullback"),
-        (("--gamma", "0"), "gamma must be positive; got 0"),
-        (("--gamma", "nan"), "gamma must be positive"),
+        (("--regularizer", "ridge"), 'regularizer must be one of "euclidean", "pullback"'),
+        (("--gamma", "0"), "gamma must be a finite number above 0; it is 0"),
+        (("--gamma", "nan"), "gamma must be a finite number above 0"),
         (("--gamma", "1", "--residual-bound", "1.1"), "Give one of them"),
         (("--residual-bound", "0.9"), "must be above 1"),
-        (("--total-mass", "-1"), "total mass must be positive, in kg; got -1"),
+        (("--total-mass", "-1"), "total_mass must be a finite number above 0; it is -1"),
         (("--effects", "friction"), "Did you mean"),
         (("--effects", "payload"), "payload cannot be everywhere. Say on which body it is"),
         (("--effects", "payload@hand"), "no body 'hand'"),

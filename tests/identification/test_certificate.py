@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_newton import PRIOR, constrained, cost, example
+from identified_bodies import THREE as PRIOR
+from test_newton import constrained, cost, example
 
 from geodrake.errors import IdentificationError
 from geodrake.identification import BodyConstraints, certification, identify, solve_fit

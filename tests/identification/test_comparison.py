@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from identified_bodies import TWO as PRIOR
+from identified_bodies import random_data
 from pydrake.solvers import MathematicalProgram, MosekSolver
 
 from geodrake.errors import ArgumentError, IdentificationError
@@ -16,20 +18,11 @@ from geodrake.identification import (
     physical_least_squares,
 )
 from geodrake.identification.solvers import cone_multiplier, run_solver
-from geodrake.inertia import from_mass_com_inertia, is_physical
-
-PRIOR = from_mass_com_inertia(
-    np.array([4.0, 0.8]),
-    np.array([[0.0, 0.02, 0.2], [0.0, 0.0, 0.04]]),
-    np.array([np.diag([0.06, 0.05, 0.02]), 0.002 * np.eye(3)]),
-)
+from geodrake.inertia import is_physical
 
 
-def data(seed, *, rows=15, extra=0, noise=0.3):
-    rng = np.random.default_rng(seed)
-    A = rng.normal(size=(rows, PRIOR.size + extra))
-    phi = PRIOR * rng.uniform(0.7, 1.4, (2, 1))
-    return A, A @ np.append(phi.ravel(), np.full(extra, 2.0)) + noise * rng.normal(size=rows)
+def data(seed, *, rows=15, **options):
+    return random_data(seed, PRIOR, rows=rows, **options)
 
 
 def test_a_regularizer_has_its_own_prior_of_scalars():
@@ -171,8 +164,8 @@ def test_solvers_say_what_they_cannot_do():
     cone = program.AddLorentzConeConstraint(np.eye(3)[:, 1:], np.eye(3)[0], x)
     program.AddLinearCost(x[0])
     with pytest.raises(ArgumentError, match="CSDP gives no multipliers"):
-        cone_multiplier(run_solver(program, "csdp"), cone)
-    assert cone_multiplier(run_solver(program, "clarabel"), cone) == pytest.approx(1.0, rel=1e-6)
+        cone_multiplier(run_solver(program, "csdp")[0], cone)
+    assert cone_multiplier(run_solver(program, "clarabel")[0], cone) == pytest.approx(1.0, rel=1e-6)
     if not MosekSolver().enabled():
         with pytest.raises(ArgumentError, match="MOSEK needs a licence"):
             identify(A, b, PRIOR, regularizer="entropic", gamma=1.0, solver="mosek")

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import example as with_example
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from identified_bodies import THREE as PRIOR
+from identified_bodies import random_data, restated
 from measurements import DATA
-from scipy.linalg import block_diag, eigh
-from scipy.spatial.transform import Rotation
+from scipy.linalg import eigh
 
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification import FitProblem, solve_fit
@@ -19,18 +20,12 @@ from geodrake.identification.newton_path import minimize
 from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.problem import LinearConstraints, whitened_factor
 from geodrake.inertia import (
-    change_frame,
     from_mass_com_inertia,
     is_physical,
     pseudo_inertia,
     pseudo_inertia_basis,
 )
 
-PRIOR = from_mass_com_inertia(
-    np.array([4.0, 2.5, 0.8]),
-    np.array([[0.0, 0.02, 0.2], [0.05, 0.0, 0.15], [0.0, 0.0, 0.04]]),
-    np.array([np.diag([0.06, 0.05, 0.02]), np.diag([0.03, 0.028, 0.01]), 0.002 * np.eye(3)]),
-)
 BODIES = tuple(range(0, PRIOR.size, 10))
 
 
@@ -123,24 +118,6 @@ def test_clarabel_and_scs_find_the_same(seed, kind):
     assert cost(problem, newton.x) == pytest.approx(cost(problem, scs.x), rel=1e-5)
 
 
-def test_it_is_the_minimum_of_the_program_as_cvxpy_states_it():
-    cp = pytest.importorskip("cvxpy")
-    problem = constrained(example(5, gamma=0.3, rows=40))
-    x = cp.Variable(problem.size)
-    value = cp.sum_squares(problem.factor[:, :-1] @ x - problem.factor[:, -1])
-    limits = [x[30] >= 0, x[30] <= 1.5, x[31] <= 4.0]
-    for start, (phi, gamma) in problem.entropic.items():
-        P = cp.Variable((4, 4), symmetric=True)
-        parts = [x[start + i] * basis for i, basis in enumerate(pseudo_inertia_basis())]
-        limits.append(sum(parts) == P)
-        trace = cp.trace(np.linalg.inv(pseudo_inertia(phi)) @ P)
-        value += gamma * (trace - 4 - cp.log_det(P) + np.linalg.slogdet(pseudo_inertia(phi))[1])
-    rows = problem.constraints
-    limits += [rows.matrix[:3] @ x >= 0, rows.matrix[3] @ x == 8.0]
-    least = cp.Problem(cp.Minimize(value), limits).solve(solver="CLARABEL")
-    assert cost(problem, solve_newton(problem).x) == pytest.approx(least, rel=1e-6)
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_slopes_vanish_where_nothing_is_bounded(seed):
     problem = example(seed, extra=0, gamma=0.2)
@@ -171,16 +148,8 @@ def test_slopes_vanish_where_nothing_is_bounded(seed):
 @settings(max_examples=25)
 def test_invariance_under_frames_and_units(seed, length, mass, power):
     """The same bodies, whatever frame and units their parameters are stated in."""
-    rng = np.random.default_rng(seed)
-    units = mass * np.repeat([1.0, length, length**2], [1, 3, 6])
-    changes, prior = [], []
-    for phi in PRIOR:
-        R, p = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3) * 0.3
-        changes.append((change_frame(np.eye(10), R, p) * units).T)
-        prior.append(changes[-1] @ phi)
-    T = block_diag(*changes)
-    A = rng.normal(size=(24, 30))
-    b = A @ (PRIOR * rng.uniform(0.7, 1.4, (3, 1))).ravel() + 0.3 * rng.normal(size=24)
+    T, prior = restated(seed, PRIOR, length, mass)
+    A, b = random_data(seed, PRIOR, rows=24)
     options = {"regularizer": "entropic", "gamma": 10.0**power, "solver": "newton"}
     first = identify(A, b, PRIOR, **options)
     other = identify(A @ np.linalg.inv(T), b, prior, **options)

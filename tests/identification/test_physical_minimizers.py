@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from identified_bodies import frames_and_units
 from scipy.linalg import block_diag
-from scipy.spatial.transform import Rotation
 
 from geodrake.identification.conic_fit import solve_with_fallback
 from geodrake.identification.physical_minimizers import (
@@ -14,7 +14,7 @@ from geodrake.identification.physical_minimizers import (
     physical_minimizers,
 )
 from geodrake.identification.problem import FitProblem
-from geodrake.inertia import change_frame, from_mass_com_inertia, is_physical
+from geodrake.inertia import from_mass_com_inertia, is_physical
 
 SMALL = from_mass_com_inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
 BLOCKS = (0, 13)  # two bodies, with scalars between and behind them
@@ -82,12 +82,7 @@ def test_where_all_is_physical_it_is_the_plain_minimum():
 @settings(max_examples=15)
 def test_frames_and_units_change_nothing(seed, length, mass):
     gram, rhs = problems(seed)
-    rng = np.random.default_rng(seed)
-    units = mass * np.repeat([1.0, length, length**2], [1, 3, 6])
-    changes = []
-    for _ in BLOCKS:
-        R, p = Rotation.random(rng=rng).as_matrix(), 0.3 * rng.normal(size=3)
-        changes.append((change_frame(np.eye(10), R, p) * units).T)
+    changes = frames_and_units(seed, len(BLOCKS), length, mass)
     T = block_diag(changes[0], np.eye(3), changes[1], np.eye(2))
     back = np.linalg.inv(T)
     bounds = LOWER, UPPER

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from identified_bodies import TWO as PRIOR
+from identified_bodies import random_data
 from scipy.optimize import minimize, nnls
 
 from geodrake.errors import ArgumentError
@@ -14,27 +16,18 @@ from geodrake.identification import (
 )
 from geodrake.inertia import (
     Ellipsoid,
-    from_mass_com_inertia,
     from_pseudo_inertia,
     is_physical,
     pseudo_inertia,
 )
 
-PRIOR = from_mass_com_inertia(
-    np.array([4.0, 0.8]),
-    np.array([[0.0, 0.02, 0.2], [0.0, 0.0, 0.04]]),
-    np.array([np.diag([0.06, 0.05, 0.02]), 0.002 * np.eye(3)]),
-)
 POINTS = PointMasses.of_bodies(PRIOR, [40, 25])
 TURNED = [np.eye(3), np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])]
 KINDS = [PointMassEuclidean, PointMassKL]
 
 
 def data(seed, *, rows=15, extra=0, noise=0.1):
-    rng = np.random.default_rng(seed)
-    A = rng.normal(size=(rows, PRIOR.size + extra))
-    phi = PRIOR * rng.uniform(0.6, 1.5, (2, 1))
-    return A, A @ np.append(phi.ravel(), np.full(extra, 2.0)) + noise * rng.normal(size=rows)
+    return random_data(seed, PRIOR, rows=rows, extra=extra, noise=noise, scale=(0.6, 1.5))
 
 
 def test_points_have_the_bodies_parameters():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from identified_bodies import THREE as PRIOR
 from scipy.optimize import minimize_scalar
-from test_newton import PRIOR
 
 from geodrake.errors import ArgumentError
 from geodrake.identification import PointMasses, PointMassKL, compare_regularizers, identify

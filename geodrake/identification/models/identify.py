@@ -65,9 +65,6 @@ def identify_model(
         effects: Effects to fit beside those of the model.
         progress: Called with what is going on, in words.
 
-    Returns:
-        The fitted model, held-out errors before and after, and what became of every body.
-
     Raises:
         ArgumentError: The model has one of the effects already, or a body of it cannot exist.
         LogError: A log cannot be used.

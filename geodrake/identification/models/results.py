@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from geodrake.boundary.arguments import instance, integer, number, real_array
+from geodrake.boundary.arguments import integer, number, one_of
 from geodrake.boundary.showing import Short, Shown
 from geodrake.errors import ArgumentError
 from geodrake.identification.identify import REGULARIZERS, IdentificationResult
@@ -46,7 +44,6 @@ class Alternative(Short):
     """What another regularizer makes of the same training residual.
 
     Attributes:
-        regularizer: Its name.
         gamma: Weight with which it reaches the residual.
         residual: Weighted squared residual of the training data.
         errors: Held-out errors.
@@ -121,8 +118,6 @@ class IdentificationSettings(Short):
             `geodrake.model.logged_joints.holding_resting`. None is held beside a total mass, which
             is that of all bodies.
 
-    Raises:
-        ArgumentError: A name or value is impossible.
     """
 
     regularizer: str = "entropic"
@@ -136,27 +131,18 @@ class IdentificationSettings(Short):
 
     def __post_init__(self) -> None:
         """Refuse what cannot be done before the long work."""
-        for name in ("gamma", "residual_ratio", "total_mass"):
+        one_of(self.regularizer, "regularizer", REGULARIZERS)
+        for name in ("gamma", "total_mass"):
             if (given := getattr(self, name)) is not None:
-                real_array(given, name, (), finite=False)
+                number(given, name, lower=0.0, strict=True)
         if self.bandwidth is not None:
             number(self.bandwidth, "bandwidth")
         if self.blocks is not None:
             integer(self.blocks, "blocks")
-        if instance(self.regularizer, "regularizer", str) not in REGULARIZERS:
-            raise ArgumentError(
-                f"There is no regularizer {self.regularizer!r}.",
-                advice=f"There are: {', '.join(REGULARIZERS)}.",
-            )
         if self.gamma is not None and self.residual_ratio is not None:
             raise ArgumentError("A γ and a residual bound are given.", advice="Give one of them.")
-        if self.gamma is not None and not (np.isfinite(self.gamma) and self.gamma > 0):
-            raise ArgumentError(f"gamma must be positive; got {self.gamma:g}.")
-        mass = self.total_mass
-        if mass is not None and not (np.isfinite(mass) and mass > 0):
-            raise ArgumentError(f"The total mass must be positive, in kg; got {mass:g}.")
         ratio = self.residual_ratio
-        if ratio is not None and not 1.0 < ratio <= _LARGEST_RATIO:
+        if ratio is not None and not 1.0 < number(ratio, "residual_ratio") <= _LARGEST_RATIO:
             raise ArgumentError(
                 f"The residual bound {ratio:g} is relative to the least RMS residual that any "
                 f"parameters reach, so it must be above 1, and at most {_LARGEST_RATIO:g}.",
