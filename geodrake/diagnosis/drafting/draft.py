@@ -104,9 +104,6 @@ def draft_effects(
 def rest_correlates(investigation: Investigation) -> tuple[Correlate, ...]:
     """Return what the error that an investigation left goes with, without a search for formulas.
 
-    Args:
-        investigation: What was found so far.
-
     Returns:
         Signals and products of two of them, for the joints that err most beyond noise.
     """
@@ -122,12 +119,7 @@ def rest_correlates(investigation: Investigation) -> tuple[Correlate, ...]:
 
 
 def draft_rest(investigation: Investigation, *, progress: Progress | None = None) -> Draft:
-    """Draft formulas for what an investigation left, joint by joint, the worst first.
-
-    Args:
-        investigation: What was found so far.
-        progress: Called with each formula.
-    """
+    """Draft formulas for what an investigation left, joint by joint, the worst first."""
     found, start = _where_fewest_joints_err(investigation.found)
     model, hypothesis = found.case.model, start
     low, high = range_of_motion(found.case.trajectories)

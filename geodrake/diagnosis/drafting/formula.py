@@ -128,12 +128,7 @@ class FormulaTerm:
     factors: tuple[Factor, ...]
 
     def values(self, motions: Callable[[str], JointMotion], samples: int) -> Array:
-        """(N,) values.
-
-        Args:
-            motions: Maps a joint to its motion.
-            samples: N.
-        """
+        """(N,) values."""
         product = np.ones(samples)
         for factor in self.factors:
             product = product * factor.values(motions(factor.joint))
@@ -165,12 +160,7 @@ class FormulaTerm:
         return " times ".join(f.words(own) for f in self.factors) or "a constant"
 
     def turned(self, place: int, constant: float) -> FormulaTerm:
-        """Return the term with another constant in one of its factors.
-
-        Args:
-            place: Index of the factor.
-            constant: Its new constant.
-        """
+        """Return the term with another constant in one of its factors."""
         factors = list(self.factors)
         factors[place] = replace(factors[place], constant=constant)
         return FormulaTerm(tuple(factors))
