@@ -21,7 +21,7 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 
 _LEAST_EFFORT = 1e-12  # N·m or N, by which efforts that were measured change
-_MOST_JOINTS = 40
+_MOST_JOINTS = 30
 _WORTH_NAMING = 0.05  # probability of a rival
 
 
@@ -47,7 +47,7 @@ def check_columns(
     Returns:
         What is wrong, in the order in which to correct it; nothing if the columns are right, if
         the logs do not tell, if an effort never changes, which fits refuse, or if there are more
-        than 40 joints, as weighing all that may be wrong with them takes minutes.
+        than 30 joints, as weighing all that may be wrong with them takes minutes.
 
     Raises:
         LogError: A log cannot be used.
