@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -328,7 +327,7 @@ class _System:
             for j, joint in enumerate(self.near(x)):
                 small, at = joint.gram, joint.parameters
                 weight = each[j] / count[j] / mse[j]
-                _add(H, at, weight * small[:-1, :-1])
+                H[at[:, None], at] += weight * small[:-1, :-1]
                 b[at] += weight * small[:-1, -1]
                 local.append((at, small))
             H, b = H[free[:, None], free], b[free]
@@ -359,15 +358,6 @@ class _System:
         by_column = np.zeros(len(count))
         by_column[assignment.effort] = spreads / scale
         return ColumnFit(assignment, x, by_column, score)
-
-
-def _add(H: Array, at: Indices, block: Array) -> None:
-    """Add a block (m, m) to some rows and columns (m,) of a matrix, run by run, which is quick."""
-    ends = [0, *(1 + np.flatnonzero(np.diff(at) != 1)).tolist(), len(at)]
-    runs = [(slice(a, b), slice(at[a], at[a] + b - a)) for a, b in pairwise(ends)]
-    for own, rows in runs:
-        for other, columns in runs:
-            H[rows, columns] += block[own, other]
 
 
 def _bounded(A: Array, b: Array, lower: Array, held: NDArray[np.bool_]) -> Array:
