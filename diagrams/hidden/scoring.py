@@ -15,7 +15,6 @@ from geodrake.diagnosis.drafting.draft import draft_rest
 from geodrake.diagnosis.explain import Investigation, investigate
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.compare import compare
-from geodrake.identification.logs.model_fit import effects_of
 from geodrake.model import RobotModel
 from geodrake.report.words import correlate_words
 from hidden.draws import OFF, UNKNOWN, WRONG_INERTIA, Draw
@@ -54,7 +53,7 @@ def score_draw(draw: Draw) -> dict[str, Any]:
         **_judged(steps, recording.secrets, draw),
     }
     if draw.case == UNKNOWN:
-        row |= _drafted(model, found, recording.secrets[0])
+        row |= _drafted(found, recording.secrets[0])
     return row
 
 
@@ -130,10 +129,10 @@ def _named(steps: Sequence[Step], secret: Secret) -> bool:
     return any(s.effect == secret.name and set(secret.where) <= set(s.where) for s in steps)
 
 
-def _drafted(model: RobotModel, found: Investigation, secret: Secret) -> dict[str, Any]:
+def _drafted(found: Investigation, secret: Secret) -> dict[str, Any]:
     """What geodrake says of the rest, and whether joint and kind are right."""
     began = time.process_time()
-    draft = draft_rest(found, fixed=effects_of(model))
+    draft = draft_rest(found)
     correlates = draft.correlates
     there = [c for c in correlates if c.joint in secret.joints]
     return {

@@ -49,12 +49,12 @@ class Investigation(Short):
     Attributes:
         explanation: The explanation.
         case: The case, with the columns of what was found.
-        hypothesis: What was found, fitted fold by fold to that case.
+        found: What was found, without what no effect describes.
     """
 
     explanation: Explanation
     case: Case
-    hypothesis: Hypothesis
+    found: Found
 
 
 def explain(
@@ -167,8 +167,7 @@ def explained(
         found.is_stopped,
         fit.result.certificate if steps else None,
     )
-    end = found.model.validated(found.fit).moved(after_case.dataset, delay=0)
-    return Investigation(explanation, after_case, end)
+    return Investigation(explanation, after_case, found)
 
 
 def _without_unknown(found: Found) -> Found:

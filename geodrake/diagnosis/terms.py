@@ -104,7 +104,7 @@ def key_of(effect: Effect, kind: type[Effect] | None = None) -> Key:
         kind: The other kind.
     """
     log = [str(effect.window[3])] if isinstance(effect, Episode) else []
-    return (kind or type(effect)).name, (*effect.where, *log)
+    return (kind or effect).name, (*effect.where, *log)
 
 
 def terms_of(
@@ -136,7 +136,7 @@ def terms_of(
             known = [_slab(effect, sizes[columns], beliefs)]
             positive = [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
         first, again = _prices(effect, odds, beliefs)
-        says = frozenset(key_of(effect, kind) for kind in (type(effect), *effect.contains))
+        says = frozenset(key_of(effect, kind) for kind in (None, *effect.contains))
         needs = tuple(frozenset((e.name, effect.where) for e in bases) for bases in effect.refines)
         least = np.array(positive, np.intp)
         terms += [

@@ -17,8 +17,8 @@ from geodrake.diagnosis import (
     with_motor_limits,
 )
 from geodrake.diagnosis.columns.assignment import Assignment
+from geodrake.diagnosis.columns.finding import mistake_words
 from geodrake.diagnosis.columns.limits import likely_limits, spread
-from geodrake.diagnosis.columns.words import mistake_words
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
 from geodrake.model.effort_signal import EffortSignal

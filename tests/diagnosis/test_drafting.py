@@ -6,24 +6,16 @@ from functools import cache
 import numpy as np
 import pytest
 from pydrake.systems.framework import DiagramBuilder
-from scipy.linalg import block_diag
 
 from geodrake import load_model
 from geodrake.control.systems import EffectForce
 from geodrake.diagnosis.drafting import Draft, draft_effects, source_of
 from geodrake.diagnosis.drafting.formula import Factor, Formula, FormulaTerm
 from geodrake.diagnosis.drafting.results import DraftedEffect
-from geodrake.diagnosis.drafting.screening import Screen
-from geodrake.diagnosis.drafting.term_columns import TermColumns
-from geodrake.diagnosis.drafting.vocabulary import short_vocabulary, vocabulary
+from geodrake.diagnosis.drafting.vocabulary import vocabulary
 from geodrake.diagnosis.explain import explain
 from geodrake.effects import load_effect_file
-from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.cross_validation import CrossValidation
-from geodrake.identification.logs.hypothesis import first_hypothesis
 from geodrake.identification.logs.model_errors import ErrorTable, JointError
-from geodrake.identification.logs.model_fit import effects_of, model_unknowns
-from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs.motion import Motion
 
 pytest.importorskip("pinocchio")
@@ -135,7 +127,8 @@ def test_invented_effects(name, tmp_path):
     assert effect.formula.joint == joint
     assert frozenset().union(*(term.signals for term in effect.formula.terms)) == signals
     assert draft.after.nrms < 1.15 * draft.after.floor_nrms
-    assert effect.rms_after < 0.3 * effect.rms_before
+    before, after = np.square([effect.rms_before, effect.rms_after]) - effect.floor**2
+    assert after < 0.09 * before  # of what is more than noise
     assert any(c.joint == joint and c.share > 0.5 for c in draft.correlates)
 
     file = tmp_path / "my_effect.py"
@@ -180,7 +173,7 @@ def test_a_written_effect_is_its_formula_and_acts_on_a_plant(tmp_path):
     (written,) = load_effect_file(file)
     rng = np.random.default_rng(0)
     seen = model.motion(Motion(*rng.normal(size=(3, 20, 6))), sign_width=0.01)
-    expected = TermColumns(formula).rows(seen)[ELBOW]
+    expected = formula.rows(seen)[ELBOW]
     np.testing.assert_allclose(written().rows(seen)[ELBOW], expected, rtol=1e-5, atol=1e-12)
     # By hand: the second column.
     q, v = seen.q, seen.v
@@ -189,7 +182,7 @@ def test_a_written_effect_is_its_formula_and_acts_on_a_plant(tmp_path):
 
     direct = Formula(ELBOW, formula.terms[:3])
     plant = load_model(MODELS / "arm6.urdf").plant
-    force = EffectForce(plant, [(TermColumns(direct), [0.5, 2.0, 3.0])], sign_width=0.01)
+    force = EffectForce(plant, [(direct, [0.5, 2.0, 3.0])], sign_width=0.01)
     builder = DiagramBuilder()
     builder.AddSystem(force)
     builder.ExportInput(force.GetInputPort("state"))
@@ -201,37 +194,6 @@ def test_a_written_effect_is_its_formula_and_acts_on_a_plant(tmp_path):
     wanted = np.zeros(6)
     wanted[2] = -expected[0, :3] @ [0.5, 2.0, 3.0]
     np.testing.assert_allclose(output, wanted, rtol=1e-12)
-
-
-@pytest.mark.thorough
-def test_screen_agrees_with_cross_validation():
-    """Held-out errors by the formulas of the screen, and by refitting with each candidate."""
-    log = recording(INVENTED["damper that another joint's position opens"][0], 2, seconds=12.0)
-    model = load_model(MODELS / "arm6.urdf")
-    case = open_case(model, [log], candidates=False)
-    reach = dict.fromkeys(JOINTS, (-1.0, 1.0))
-    terms = tuple(vocabulary(YAW, JOINTS, reach)[::37])
-    columns = TermColumns(Formula(YAW, terms))
-    dataset = reduce_logs(
-        model, case.trajectories, case.folds, effects=[*effects_of(model), columns]
-    )
-    hypothesis = first_hypothesis(dataset, model_unknowns(dataset, model))
-    screen = Screen.of(hypothesis, dataset, columns)
-    before, after = screen.next_terms(())
-    j = JOINTS.index(YAW)
-    np.testing.assert_allclose(before, hypothesis.held_out.sse[:, j], rtol=1e-5)
-    numbers, known = dataset.effect_columns(columns), hypothesis.unknowns
-    for k in np.flatnonzero(np.isfinite(after).all(0)):
-        unknowns = replace(
-            known,
-            columns=np.append(known.columns, numbers[k]),
-            mean=np.append(known.mean, 0.0),
-            information=block_diag(known.information, 0.0),
-            lower=np.append(known.lower, -np.inf),
-            upper=np.append(known.upper, np.inf),
-        )
-        exact = CrossValidation(dataset, unknowns, hypothesis.cv.weights, physical=False).held_out
-        np.testing.assert_allclose(after[:, k], exact.sse[:, j], rtol=1e-4)
 
 
 @pytest.mark.thorough
@@ -274,7 +236,7 @@ def test_vocabulary_has_nothing_twice():
 
 def test_the_short_vocabulary_has_nothing_twice_and_nothing_else():
     joints = ("a", "b", "c")
-    short = short_vocabulary("a", joints)
+    short = vocabulary("a", joints)
     every = vocabulary("a", joints, dict.fromkeys(joints, (-1.0, 1.0)))
     assert len({frozenset(term.factors) for term in short}) == len(short) < len(every) / 2
     assert {frozenset(t.factors) for t in short} <= {frozenset(t.factors) for t in every}

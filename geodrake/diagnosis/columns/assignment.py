@@ -84,24 +84,12 @@ class Assignment:
         return tuple(j for j, column in enumerate(self.effort.tolist()) if column in self.limits)
 
     def limited(self, joint: int, limit: MotorLimit) -> Assignment:
-        """With a limit of what a joint's motor can give.
-
-        Args:
-            joint: The joint.
-            limit: The limit.
-        """
+        """With a limit of what a joint's motor can give."""
         own = limit.times(1.0 / abs(float(self.gain[joint])))
         return replace(self, limits={**self.limits, int(self.effort[joint]): own})
 
     def swapped(self, i: int, j: int, *, positions: bool, efforts: bool) -> Assignment:
-        """With the columns of two joints swapped.
-
-        Args:
-            i: One joint.
-            j: The other.
-            positions: Whether those of positions and velocities are.
-            efforts: Whether those of efforts are.
-        """
+        """With the columns of two joints swapped."""
         order = np.arange(len(self.gain))
         order[[i, j]] = j, i
         found = self

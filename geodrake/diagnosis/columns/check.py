@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.evidence import ColumnFit, ColumnModel
-from geodrake.diagnosis.columns.finding import ColumnFinding
+from geodrake.diagnosis.columns.finding import ColumnFinding, mistake_advice, mistake_words
 from geodrake.diagnosis.columns.samples import column_samples
 from geodrake.diagnosis.columns.search import ColumnSearch, Judged, MistakeFound
-from geodrake.diagnosis.columns.words import mistake_advice, mistake_words
 from geodrake.identification.logs.case import prepared_as_measured
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
@@ -22,6 +21,7 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 
 _LEAST_EFFORT = 1e-12  # N·m or N, by which efforts that were measured change
+_MOST_JOINTS = 30
 _WORTH_NAMING = 0.05  # probability of a rival
 
 
@@ -46,13 +46,16 @@ def check_columns(
 
     Returns:
         What is wrong, in the order in which to correct it; nothing if the columns are right, if
-        the logs do not tell, or if an effort never changes, which fits refuse.
+        the logs do not tell, if an effort never changes, which fits refuse, or if there are more
+        than 30 joints, as weighing all that may be wrong with them takes minutes.
 
     Raises:
         LogError: A log cannot be used.
         ArgumentError: There is no log, or a setting is no usable number.
     """
     prepared = prepared_as_measured(model, logs, bandwidth=bandwidth, blocks=blocks)
+    if len(model.joints) > _MOST_JOINTS:
+        return ()
     samples = column_samples(model, *prepared)
     if not (samples.effort.std(axis=0) > _LEAST_EFFORT).all():
         return ()  # which whoever fits them says

@@ -41,10 +41,6 @@ def corrected(log: JointLog, findings: Sequence[ColumnFinding]) -> JointLog:
     What was taken out of the efforts stays so: no column has it. A limit of a motor is one of its
     efforts: currents, voltages and commands stay as they are.
 
-    Args:
-        log: The log.
-        findings: What `check_columns` found in it.
-
     Raises:
         ArgumentError: A finding is of a joint that the log does not have.
     """
@@ -67,11 +63,6 @@ def with_motor_limits(
 
     Limits are left out of motors whose logs have something else than what the model knows of them,
     such as currents of unknown gains, and of servos, which have their own.
-
-    Args:
-        model: The model.
-        logs: Its logs.
-        findings: What `check_columns` found in them.
 
     Raises:
         ArgumentError: A finding is of a joint that the model does not have.

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.samples import ColumnSamples
+from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects import catalogue
-from geodrake.effects.base import Effect
+from geodrake.effects.base import Effect, JointMotion
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.role import Role
 from geodrake.identification.logs.criteria import SPREAD
@@ -37,7 +38,7 @@ USUAL_ZERO = 0.02
 USUAL_REST = 0.1
 """Of friction and rotors that drives take out, so much may be left, or be taken out twice."""
 
-UNKNOWN = 11
+UNKNOWN = len(UnknownFunction.parameters)
 """Columns of an unknown function of a joint's motion."""
 
 EffectRows = dict[Hashable, Mapping[int, Array]]
@@ -215,12 +216,7 @@ class JointDesign:
 
 
 def joint_motion(samples: ColumnSamples, assignment: Assignment) -> tuple[Array, Array, Array]:
-    """(N, n) positions, velocities and accelerations of the joints by an assignment.
-
-    Args:
-        samples: The samples.
-        assignment: What the columns are.
-    """
+    """(N, n) positions, velocities and accelerations of the joints by an assignment."""
     at, scale, time = assignment.position, assignment.scale, assignment.time
     q = samples.q[:, at] * scale + assignment.zero
     return q, samples.v[:, at] * scale / time, samples.vd[:, at] * scale / time**2
@@ -229,14 +225,7 @@ def joint_motion(samples: ColumnSamples, assignment: Assignment) -> tuple[Array,
 def joint_designs(
     samples: ColumnSamples, parameters: Parameters, assignment: Assignment, known: EffectRows
 ) -> tuple[JointDesign, ...]:
-    """Return the designs of all joints for one motion.
-
-    Args:
-        samples: The samples.
-        parameters: What fits may move.
-        assignment: What the columns are.
-        known: Columns of effects that were computed before; used and filled.
-    """
+    """Return the designs of all joints for one motion."""
     model = parameters.model
     width = parameters.layout.sign_width[assignment.position]
     width = width * np.abs(assignment.scale) / assignment.time
@@ -253,7 +242,7 @@ def joint_designs(
             own = own + more[:, j, columns[columns < model.phi.size]]
         effects = [part[j] for part in others if j in part]
         rows = np.flatnonzero(samples.used[:, assignment.position[j]])
-        unknown = _unknown_function(q[rows, j], v[rows, j], width[j])
+        unknown = _unknown_function(model.joints[j], q[rows, j], v[rows, j], width[j])
         parts = (own, *effects, tilts[:, j], turned[:, j])
         after = held[rows, j], samples.effort[rows]
         X = np.column_stack([*(part[rows] for part in parts), unknown, *after])
@@ -263,16 +252,15 @@ def joint_designs(
     return tuple(designs)
 
 
-def _unknown_function(q: Array, v: Array, width: float) -> Array:
+def _unknown_function(joint: str, q: Array, v: Array, width: float) -> Array:
     """(K, 11) columns of a smooth function of a joint's motion, none larger than about one."""
-    middle = 0.5 * (q.max() + q.min())
-    q = (q - middle) / max(0.5 * float(np.ptp(q)), 1e-300)
-    direction = np.tanh(v / max(float(width), 1e-300))
-    v = v / max(float(np.abs(v).max()), 1e-300)
-    even = q * q - 1.0 / 3.0
-    position = [np.ones_like(q), q, even, q**3 - 0.6 * q]
-    speed = [v, np.abs(v) * v, v**3, v * v - 1.0 / 3.0]
-    return np.column_stack([*position, *speed, q * v, even * v, direction * q])
+    reach = max(0.5 * float(np.ptp(q)), 1e-300)
+    speed = max(float(np.abs(v).max()), 1e-300)
+    function = UnknownFunction(joint, 0.5 * float(q.max() + q.min()), reach, speed)
+    sign = np.tanh(v / max(float(width), 1e-300))
+    return np.column_stack(
+        function.columns(JointMotion(q, v, np.zeros_like(v), np.zeros_like(v), sign))
+    )
 
 
 def _further_weight(

@@ -77,12 +77,7 @@ class ColumnFit:
 
 
 class ColumnModel:
-    """The Gaussian model of some samples.
-
-    Args:
-        samples: The samples.
-        beliefs: Prior widths.
-    """
+    """The Gaussian model of some samples."""
 
     def __init__(self, samples: ColumnSamples, beliefs: Beliefs) -> None:
         self.samples, self.parameters = samples, Parameters.of(samples)

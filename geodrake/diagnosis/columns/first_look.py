@@ -16,11 +16,7 @@ _AGREEMENT = 0.1  # of an effort's deviation: bodies of a model file are no near
 
 
 class FirstLook:
-    """Errors of all joints with the model's bodies, beside what is linear in each joint alone.
-
-    Args:
-        model: The Gaussian model.
-    """
+    """Errors of all joints with the model's bodies, beside what is linear in each joint alone."""
 
     def __init__(self, model: ColumnModel) -> None:
         self._model, samples = model, model.samples

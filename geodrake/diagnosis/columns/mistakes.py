@@ -30,6 +30,7 @@ _TURNS = 12  # zeros that are tried at a joint, evenly over a turn
 _TURNS_ROUND = 0.1  # of its samples, in which a joint needs efforts of the rarer sign
 _KNOWN = 0.5  # deviation of the logarithm of a gain that something is known of
 _LEAST_FACTOR = 1e-100  # of measured velocities: less is none, of which there is no reciprocal
+_MOST_SUSPECTS = 20  # joints, those that err most, of which motions and pairs are looked at
 _OTHER = 1.1  # factor by which times, or velocities, are to differ for a hypothesis of its own
 
 
@@ -64,12 +65,7 @@ class Mistake:
 
 
 class Mistakes:
-    """Everything that may be wrong beside what a fit corrects already.
-
-    Args:
-        model: The Gaussian model.
-        base: The fit by what is known of the columns.
-    """
+    """Everything that may be wrong beside what a fit corrects already."""
 
     def __init__(self, model: ColumnModel, base: ColumnFit) -> None:
         self._model, self._base, self._start = model, base, base.assignment
@@ -78,6 +74,8 @@ class Mistakes:
         # A gain that nobody knows, such as a servo's, cannot be wrong.
         known = model.samples.gain_deviations[self._start.effort] < _KNOWN
         self._measured = np.flatnonzero(known).tolist()
+        errors = (base.mse / np.maximum(model.noise, 1e-300) ** 2)[self._start.effort]
+        self._suspects = np.sort(np.argsort(-errors)[:_MOST_SUSPECTS]).tolist()
 
     def all(self) -> list[Mistake]:
         """Return all of them."""
@@ -101,7 +99,7 @@ class Mistakes:
                 yield Mistake("effort_unit", (j,), start.times("gain", j, factor))
         for factor in _THOUSAND if n == len(self._measured) > 1 else ():
             yield Mistake("effort_unit", (), start.times("gain", None, factor))
-        for i, j in combinations(range(n), 2):
+        for i, j in combinations(self._suspects, 2):
             swapped = start.swapped(i, j, positions=False, efforts=True)
             yield Mistake("swapped_efforts", (i, j), swapped)
 
@@ -181,7 +179,7 @@ class Mistakes:
             yield Mistake("position_unit", where, replace(alone, rate=start.rate * by))
             if measured:
                 yield Mistake("position_alone_unit", where, alone)
-        for j in range(n):
+        for j in self._suspects:
             for factor, kind in ((-1.0, "sign"), (_DEGREE, "unit"), (1.0 / _DEGREE, "unit")):
                 if kind == "unit" and j not in turning:
                     continue
@@ -189,14 +187,15 @@ class Mistakes:
                 yield Mistake(f"position_{kind}", (j,), alone.times("rate", j, factor))
                 if measured:
                     yield Mistake(f"position_alone_{kind}", (j,), alone)
-        for i, j in combinations(range(n), 2):
+        for i, j in combinations(self._suspects, 2):
             for efforts, kind in ((True, "swapped_joints"), (False, "swapped_positions")):
                 yield Mistake(kind, (i, j), start.swapped(i, j, positions=True, efforts=efforts))
 
     def _zeros(self) -> Iterator[Mistake]:
         """Other zeros, near ones and all over a turn."""
         at = self._model.parameters.zeros()
-        for j, joint in enumerate(self._robot.joints):
+        for j in self._suspects:
+            joint = self._robot.joints[j]
             yield Mistake("position_zero", (j,), self._start, (int(at[j]),), self._moved(0, 0.0))
             steps = 2.0 * np.pi * np.arange(1, _TURNS) / _TURNS
             for step in steps.tolist() if joint not in self._robot.sliding_joints else ():
@@ -251,12 +250,7 @@ def _is_other(factor: float) -> bool:
 
 
 def velocity_factors(model: ColumnModel, base: ColumnFit) -> Array:
-    """Return (n,) ratios of measured velocities to derived ones; NaN where nothing moves.
-
-    Args:
-        model: The Gaussian model.
-        base: A fit.
-    """
+    """Return (n,) ratios of measured velocities to derived ones; NaN where nothing moves."""
     samples, start = model.samples, base.assignment
     if samples.rate is None:
         return np.full(len(start.gain), np.nan)
@@ -270,10 +264,6 @@ def velocity_factors(model: ColumnModel, base: ColumnFit) -> Array:
 
 def own_gains(model: ColumnModel, base: ColumnFit) -> tuple[Array, Array]:
     """Find factors of the efforts by which each is nearest to what the model's bodies need.
-
-    Args:
-        model: The Gaussian model.
-        base: A fit.
 
     Returns:
         (n,) factors, and (n,) the mean square of the efforts that goes with what bodies need.

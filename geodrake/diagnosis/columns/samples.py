@@ -73,12 +73,7 @@ class ColumnSamples:
         )
 
     def effective(self, residuals: Sequence[Array], rows: Sequence[NDArray[np.intp]]) -> Array:
-        """(J,) how many independent samples residuals are worth.
-
-        Args:
-            residuals: Residuals (K_j,) of each of J columns.
-            rows: (K_j,) their samples.
-        """
+        """(J,) how many independent samples residuals are worth."""
         series = []
         for left, at in zip(residuals, rows, strict=True):
             cuts = np.flatnonzero(np.diff(self.block[at])) + 1
@@ -89,13 +84,7 @@ class ColumnSamples:
 def column_samples(
     model: RobotModel, trajectories: tuple[Trajectory, ...], folds: Sequence[Fold]
 ) -> ColumnSamples:
-    """Return the samples of prepared logs.
-
-    Args:
-        model: The model.
-        trajectories: The logs.
-        folds: Their folds.
-    """
+    """Return the samples of prepared logs."""
     width = sign_widths(model, trajectories)
     still = STILL_SPEED * peak_speeds(trajectories)
     blocks = [block for fold in folds for block in fold.blocks]

@@ -63,11 +63,7 @@ class MistakeFound:
 
 
 class ColumnSearch:
-    """A search on the samples of logs.
-
-    Args:
-        model: The Gaussian model.
-    """
+    """A search on the samples of logs."""
 
     def __init__(self, model: ColumnModel) -> None:
         self.model = model

@@ -19,10 +19,6 @@ def clock_correlates(hypothesis: Hypothesis, joint: str) -> list[Correlate]:
 
     Amplitudes are fitted to all folds but one, and judged on that one. Several logs have no clock
     in common: they give none.
-
-    Args:
-        hypothesis: What is known to be there.
-        joint: The joint.
     """
     dataset = hypothesis.dataset
     if len(dataset.logs) > 1:

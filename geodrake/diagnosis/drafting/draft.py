@@ -1,34 +1,51 @@
-"""Formulas for what no effect of the catalogue explains."""
+"""Formulas for what no effect of the catalogue explains.
+
+Terms of a formula are effects like those of the catalogue: `LogModel` weighs them by the same
+evidence, with prior odds by their complexity, and the same moves add, drop and swap them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from geodrake.boundary.arguments import function, instance, typed
 from geodrake.diagnosis.beliefs import Beliefs
-from geodrake.diagnosis.drafting.formula import Formula
-from geodrake.diagnosis.drafting.judgement import judge
+from geodrake.diagnosis.climbing import climb, gain_of
+from geodrake.diagnosis.drafting.clock import clock_correlates
+from geodrake.diagnosis.drafting.formula import Formula, FormulaTerm
 from geodrake.diagnosis.drafting.results import Array, Correlate, Draft, DraftedEffect
-from geodrake.diagnosis.drafting.screening import Screen
-from geodrake.diagnosis.drafting.search import FoundFormula, JointSearch
-from geodrake.diagnosis.drafting.term_columns import TermColumns
-from geodrake.diagnosis.drafting.vocabulary import short_vocabulary
+from geodrake.diagnosis.drafting.vocabulary import TURNS, vocabulary
 from geodrake.diagnosis.explain import Investigation, investigate
+from geodrake.diagnosis.log_model import Choice, Fit, LogModel
+from geodrake.diagnosis.moves import neighbours
+from geodrake.diagnosis.posterior import Certainty
 from geodrake.diagnosis.results import Explanation
+from geodrake.diagnosis.search import Found
 from geodrake.diagnosis.search_progress import FoundStep, Progress
+from geodrake.diagnosis.steps import Finding, holds
+from geodrake.diagnosis.terms import Term
+from geodrake.diagnosis.unknown_efforts import range_of_motion, reversals
 from geodrake.effects.base import Effect
-from geodrake.identification.logs.case import error_table, open_case
-from geodrake.identification.logs.criteria import FIXED, NOISE_MARGIN
+from geodrake.identification.logs.case import error_table, open_case, reduced
+from geodrake.identification.logs.criteria import NOISE_MARGIN
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_fit import effects_of
-from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
 _MOST_JOINTS = 3  # of which it is reported what their error goes with
+_MOST_CORRELATES, _TRIED = 3, 12  # of a joint, and sets of signals of which each is fitted
+_NOTABLE = 0.1  # share of the squared error that is reported
+_NO_FURTHER = 0.05  # share more than a simpler correlate has, to be reported beside it
+_ROUNDS, _STEPS = (
+    3,
+    np.linspace(-1.0, 1.0, 9).tolist(),
+)  # closer and closer constants at which terms turn
+_TOLD = 0.05  # probability of a rival
 
 
 def draft_effects(
@@ -44,10 +61,9 @@ def draft_effects(
 ) -> tuple[Explanation, Draft]:
     """Explain, and draft formulas for what stays unexplained.
 
-    A formula is a sum of up to three terms at a joint, each a product of up to two simple functions
-    of positions, velocities, directions, accelerations and loads of any joints. It is judged by
-    held-out error, everything that may move refitted, with the number of formulas that were tried
-    counted against it.
+    A formula is a sum of terms at a joint, each a product of up to two simple functions of
+    positions, velocities, directions, accelerations and loads of any joints. It is found by its
+    evidence, as effects are, and judged once by held-out error.
 
     Args:
         model: The model as it stands.
@@ -81,139 +97,243 @@ def draft_effects(
         hold_resting=hold_resting,
     )
     found = investigate(case, beliefs=beliefs, progress=progress)
-    return found.explanation, draft_rest(found, fixed=effects_of(case.model), progress=progress)
+    return found.explanation, draft_rest(found, progress=progress)
 
 
 @typed
 def rest_correlates(investigation: Investigation) -> tuple[Correlate, ...]:
     """Return what the error that an investigation left goes with, without a search for formulas.
 
-    Args:
-        investigation: What was found so far.
-
     Returns:
         Signals and products of two of them, for the joints that err most beyond noise.
     """
-    case, hypothesis = investigation.case, _where_fewest_joints_err(investigation.hypothesis)
-    joints = [joint for joint in _worst_first(hypothesis) if _left(hypothesis, joint)]
-    terms = {j: short_vocabulary(j, case.model.single_joints) for j in joints[:_MOST_JOINTS]}
-    columns = [TermColumns(Formula(joint, tuple(each))) for joint, each in terms.items()]
-    if not columns:
+    found, hypothesis = _where_fewest_joints_err(investigation.found)
+    joints = _erring(hypothesis)[:_MOST_JOINTS]
+    if not joints:
         return ()
-    effects = [*hypothesis.unknowns.effects, *columns]
-    dataset = reduce_logs(case.model, case.trajectories, case.folds, effects=effects)
-    found: list[Correlate] = []
-    for each in columns:
-        search = JointSearch(case, hypothesis, each.formula.joint)
-        found += search.correlates(Screen.of(hypothesis, dataset, each))
-    return tuple(found)
+    every = found.case.model.single_joints
+    offered = _offered(
+        found, [Formula(j, (term,)) for j in joints for term in vocabulary(j, every)]
+    )
+    return tuple(each for joint in joints for each in _correlates(offered, joint))
 
 
-def draft_rest(
-    investigation: Investigation,
-    *,
-    fixed: Sequence[Effect] = (),
-    progress: Progress | None = None,
-) -> Draft:
-    """Draft formulas for what an investigation left, joint by joint, the worst first.
-
-    Args:
-        investigation: What was found so far.
-        fixed: Effects that stay even if a formula makes them needless.
-        progress: Called with each formula.
-    """
-    start = hypothesis = _where_fewest_joints_err(investigation.hypothesis)
-    drafted: list[DraftedEffect] = []
-    correlates: list[Correlate] = []
-    stopped = investigation.explanation.is_interrupted
-    for joint in () if stopped else _worst_first(start):
-        if not _left(hypothesis, joint):
+def draft_rest(investigation: Investigation, *, progress: Progress | None = None) -> Draft:
+    """Draft formulas for what an investigation left, joint by joint, the worst first."""
+    found, start = _where_fewest_joints_err(investigation.found)
+    model, hypothesis = found.case.model, start
+    low, high = range_of_motion(found.case.trajectories)
+    ends = zip(model.joints, low.tolist(), high.tolist(), strict=True)
+    reach = {joint: (a, b) for joint, a, b in ends if joint in model.single_joints}
+    drafted, correlates = list[DraftedEffect](), list[Correlate]()
+    before = set(_effects(found.fit))
+    for joint in () if investigation.explanation.is_interrupted else _erring(start):
+        if joint not in _erring(hypothesis):
             continue
-        search = JointSearch(investigation.case, hypothesis, joint)
-        screen = search.screened()
-        correlates += search.correlates(screen)
-        found = search.judged(search.formulas(screen), len(screen.vocabulary))
-        if found is not None:
-            drafts = [e for e in found.after.unknowns.effects if e.name == found.columns.name]
-            before = hypothesis.nrms
-            hypothesis = _without_needless(found.after, {*fixed, *drafts})
-            drafted.append(_drafted(found, hypothesis))
-            if progress is not None:
-                floor = error_table(start.dataset, start.held_out).floor_nrms
-                nrms = before, hypothesis.nrms, start.nrms, floor
-                progress(FoundStep("a formula", (joint,), *nrms))
-    kept = hypothesis.unknowns.effects
+        words = vocabulary(joint, model.single_joints, reach)
+        offered = _offered(found, [Formula(joint, (term,)) for term in words])
+        correlates += _correlates(offered, joint)
+        after = _with_formula(offered, joint, reach)
+        finding = _finding(offered, after, joint)
+        validated = after.model.validated(after.fit)
+        if finding is None or not holds(after, finding, hypothesis.held_out, validated.held_out):
+            continue
+        drafted.append(_drafted(after, finding, hypothesis, validated))
+        if progress is not None:
+            floor = error_table(start.dataset, start.held_out).floor_nrms
+            nrms = hypothesis.nrms, validated.nrms, start.nrms, floor
+            progress(FoundStep("a formula", (joint,), *nrms))
+        found, hypothesis = after, validated
     return Draft(
         tuple(drafted),
         tuple(correlates),
-        tuple(e for e in start.unknowns.effects if e not in kept),
+        tuple(effect for effect in before if effect not in _effects(found.fit)),
         error_table(start.dataset, start.held_out),
         error_table(hypothesis.dataset, hypothesis.held_out),
         start.dataset.logs,
     )
 
 
-def _without_needless(hypothesis: Hypothesis, kept: set[Effect]) -> Hypothesis:
-    """The hypothesis less the effects that a formula made needless, those kept left aside."""
-    for effect in hypothesis.unknowns.effects:
-        if effect not in kept:
-            less = hypothesis.without([effect])
-            hypothesis = hypothesis if judge(less, hypothesis).is_better else less
-    return hypothesis
-
-
-def _where_fewest_joints_err(hypothesis: Hypothesis) -> Hypothesis:
-    """The hypothesis, or with bodies that stay as the model has them if fewer joints err then.
+def _where_fewest_joints_err(found: Found) -> tuple[Found, Hypothesis]:
+    """Return what was found, or the same with bodies as the model has them if fewer joints err.
 
     Bodies that follow what is unknown at one joint, as a hose on the sum of two angles goes with a
     pendulum's weight, spread it over the joints further in.
     """
-    fixed = hypothesis.loosened(FIXED / hypothesis.looseness)
-    free, fewer = (sum(_left(each, j) for j in each.dataset.joints) for each in (hypothesis, fixed))
-    return fixed if fewer < free else hypothesis
+    model, was, kinds = found.model, found.fit.choice, []
+    for width in dict.fromkeys((was.width, model.widths[0])):
+        choice = Choice(was.terms, width, was.delay)
+        fit = model.fit(choice, model.shares(found.fit), found.fit.variance, bounded=False)
+        if fit is not None:
+            kinds.append((replace(found, fit=fit), model.validated(fit)))
+    return min(kinds, key=lambda kind: len(_erring(kind[1])))
 
 
-def _worst_first(hypothesis: Hypothesis) -> list[str]:
-    excess = hypothesis.held_out.rms / hypothesis.dataset.noise_floor
-    return [hypothesis.dataset.joints[k] for k in np.argsort(-excess)]
+def _erring(hypothesis: Hypothesis) -> list[str]:
+    """Return the joints with more held-out error than noise, the worst first."""
+    excess = hypothesis.held_out.rms / np.maximum(hypothesis.dataset.noise_floor, 1e-300)
+    joints = hypothesis.dataset.joints
+    return [joints[k] for k in np.argsort(-excess) if excess[k] > NOISE_MARGIN]
 
 
-def _left(hypothesis: Hypothesis, joint: str) -> bool:
-    """Return whether a joint has more error than noise, so that a formula of it is searched."""
-    j = hypothesis.dataset.joints.index(joint)
-    return bool(hypothesis.held_out.rms[j] > NOISE_MARGIN * hypothesis.dataset.noise_floor[j])
+def _effects(fit: Fit) -> list[Effect]:
+    return [term.effect for term in fit.terms if term.effect is not None]
 
 
-def _drafted(found: FoundFormula, end: Hypothesis) -> DraftedEffect:
+def _offered(found: Found, more: Sequence[Effect]) -> Found:
+    """Return what was found, in a model that has columns for other effects beside it."""
+    case = found.case
+    effects = [*dict.fromkeys([*effects_of(case.model), *_effects(found.fit), *more])]
+    columns = [*effects, *reversals(case.model, case.trajectories)]
+    case = replace(case, dataset=reduced(case, columns))
+    was = found.model
+    model = LogModel(case.model, case.dataset, effects, was.beliefs, was.on_time)
+    return replace(found, case=case, model=model, fit=model.refitted(found.fit))
+
+
+def _with_formula(found: Found, joint: str, reach: dict[str, tuple[float, float]]) -> Found:
+    """Climb with the terms that are offered at a joint, then with closer and closer constants."""
+    spacing, before = float(TURNS[1] - TURNS[0]), _effects(found.fit)
+    fit = climb(found.model, found.fit, hopeful=True)
+    found = replace(found, fit=fit)
+    for _ in range(_ROUNDS):
+        near = list[Effect]()
+        for term in _terms(found.fit, joint):
+            for place in term.turning:
+                factor = term.factors[place]
+                low, high = reach[factor.joint]
+                for step in _STEPS:
+                    closer = term.turned(place, factor.constant + step * spacing * (high - low))
+                    alone = FormulaTerm((closer.factors[place],))
+                    near += [Formula(joint, (each,)) for each in (closer, alone)]
+        if not near:
+            break
+        found = _offered(found, [*before, *near])
+        found = replace(found, fit=climb(found.model, found.fit, hopeful=True, joints=[joint]))
+        spacing *= 2.0 / (len(_STEPS) - 1)
+    fit = climb(found.model, found.fit, hopeful=False)
+    return replace(found, fit=_without_needless(found.model, fit))
+
+
+def _without_needless(model: LogModel, fit: Fit) -> Fit:
+    """Return a fit without the effects that a formula makes needless, bodies as near as can be."""
+    for term in fit.terms:
+        if not isinstance(term.effect, Formula):
+            was = fit.choice
+            less = Choice(tuple(t for t in fit.terms if t is not term), was.width, was.delay)
+            fit = _better(model, fit, less) if model.are_compatible(less.terms) else fit
+    for width in model.widths:
+        fit = _better(model, fit, Choice(fit.terms, width, fit.choice.delay))
+    return fit
+
+
+def _better(model: LogModel, fit: Fit, choice: Choice) -> Fit:
+    """Return the more probable of a fit and another explanation."""
+    other = model.fit(choice, model.shares(fit), fit.variance)
+    found = None if other is None else gain_of(model, fit, other)
+    return found[1] if found is not None and found[0] > 0.0 else fit
+
+
+def _terms(fit: Fit, joint: str) -> list[FormulaTerm]:
+    return [
+        t for e in _effects(fit) if isinstance(e, Formula) and e.joint == joint for t in e.terms
+    ]
+
+
+def _finding(before: Found, after: Found, joint: str) -> Finding | None:
+    """Return the formula at a joint with its probability; None if there is none."""
+    model, fit = after.model, after.fit
+    terms = tuple(t for t in fit.terms if isinstance(t.effect, Formula) and t.joint == joint)
+    if not terms:
+        return None
+    shares = model.shares(fit)
+    fit = model.fit(fit.choice, shares, fit.variance, bounded=False) or fit
+    less = model.refitted(before.fit)
+    without = model.fit(less.choice, shares, less.variance, bounded=False)
+    gain = np.inf if without is None else fit.score - without.score
+    chance = float(1.0 / (1.0 + np.exp(0.5 * np.clip(gain, -1e3, 1e3))))
+    name = " + ".join(term.name for term in terms)
+    return Finding(name, terms, Certainty(1.0 - chance, chance, ()))
+
+
+def _rivals(found: Found, joint: str) -> list[str]:
+    """Return formulas of no more terms from which the logs hardly tell the one that was found."""
+    model, shares = found.model, found.model.shares(found.fit)
+    fits = [
+        model.fit(c, shares, found.fit.variance)
+        for c in neighbours(model, found.fit, joints=[joint])
+    ]
+    near = sorted((fit for fit in fits if fit is not None), key=lambda fit: -fit.score)
+    scores = np.array([found.fit.score, *(fit.score for fit in near)])
+    weights = np.exp(0.5 * (scores - scores.max()))
+    likely = [f for f, w in zip(near, weights[1:] / weights.sum(), strict=True) if w >= _TOLD]
+    most = len(_terms(found.fit, joint))
+    others = [Formula(joint, tuple(_terms(fit, joint))) for fit in likely]
+    return [f.words() for f in others if 0 < len(f.terms) <= most]
+
+
+def _correlates(found: Found, joint: str) -> list[Correlate]:
+    """Return what the error at a joint goes with, each set of signals once."""
+    model, fit = found.model, found.fit
+    j = model.dataset.joints.index(joint)
+    offered = [t for t in model.terms if isinstance(t.effect, Formula) and t.joint == joint]
+    offered = [t for t in offered if t not in fit.terms]
+    best = dict[frozenset[tuple[str, str]], tuple[Term, FormulaTerm]]()
+    gains = model.around(fit).gains([(term,) for term in offered])
+    for k in np.argsort(-gains):
+        if len(best) < _TRIED and isinstance(offered[k].effect, Formula):
+            (term,) = offered[k].effect.terms
+            best.setdefault(term.signals, (offered[k], term))
+    hypothesis, was = model.validated(fit), fit.choice
+    before, shares = float(hypothesis.held_out.sse[:, j].sum()), model.shares(fit)
+    told = list[tuple[float, FormulaTerm]]()
+    for each, term in best.values():
+        choice = model.choice((*fit.terms, each), was.width, was.delay)
+        other = model.fit(choice, shares, fit.variance, bounded=False)
+        if other is not None:
+            left = model.validated(other).held_out.sse[:, j].sum()
+            told.append((1.0 - float(left) / before, term))
+    told.sort(key=lambda each: -each[0])
+    chosen = list[tuple[float, FormulaTerm]]()
+    for share, term in told:
+        known = any(c.signals <= term.signals and share < s + _NO_FURTHER for s, c in chosen)
+        if share > max(_NOTABLE, 0.5 * told[0][0]) and not known:
+            chosen.append((share, term))
+    found_ones = [Correlate(joint, term.words(joint), share) for share, term in chosen]
+    clock = clock_correlates(hypothesis, joint)
+    return sorted([*found_ones[:_MOST_CORRELATES], *clock], key=lambda each: -each.share)
+
+
+def _drafted(
+    found: Found, finding: Finding, before: Hypothesis, after: Hypothesis
+) -> DraftedEffect:
     """Return what was found, with the coefficients of the fit to all logs."""
-    formula, span = found.columns.formula, end.unknowns.span(found.columns)
-    j = end.dataset.joints.index(formula.joint)
-    coefficients = end.cv.fit_all()[span]
+    effects = [term.effect for term in finding.terms if isinstance(term.effect, Formula)]
+    joint = effects[0].joint
+    dataset, j = after.dataset, after.dataset.joints.index(joint)
+    at = np.concatenate([np.r_[after.unknowns.span(effect)] for effect in effects])
     return DraftedEffect(
-        formula,
-        coefficients,
-        end.cv.deviations()[span],
-        float(found.before.held_out.rms[j]),
-        float(end.held_out.rms[j]),
-        float(end.dataset.noise_floor[j]),
-        found.alarm,
-        tuple(rival.words() for rival in found.rivals),
-        *_traces(end, found.columns),
+        Formula(joint, tuple(_terms(found.fit, joint))),
+        after.cv.fit_all()[at],
+        after.cv.deviations()[at],
+        float(before.held_out.rms[j]),
+        float(after.held_out.rms[j]),
+        float(dataset.noise_floor[j]),
+        finding.certainty.chance,
+        tuple(_rivals(found, joint)),
+        *_traces(after, j, at),
     )
 
 
-def _traces(end: Hypothesis, columns: TermColumns) -> tuple[Array, Array, Array]:
+def _traces(end: Hypothesis, joint: int, at: Array) -> tuple[Array, Array, Array]:
     """Instants, held-out residual without a formula, and the formula's effort, (K,) each."""
-    dataset, span = end.dataset, end.unknowns.span(columns)
-    joint = dataset.joints.index(columns.formula.joint)
-    data, late = dataset.data[joint], end.delay[joint]
-    local, own = data.local(end.unknowns.columns), data.local(dataset.effect_columns(columns))
-    used = local >= 0
-    parts = []
+    data, late = end.dataset.data[joint], end.delay[joint]
+    local = data.local(end.unknowns.columns)
+    used, parts = local >= 0, []
     for fold, blocks in enumerate(data.rows):
         x = end.held_out.x[fold]
         for rows in blocks:
-            effort = rows.A[:, own] @ x[span]
+            effort = rows.A[:, local[at]] @ x[at]
             residual = rows.b[:, late] - rows.A[:, local[used]] @ x[used]
             parts.append((rows.time, residual + effort, effort))
     time, residual, effort = (np.concatenate(part) for part in zip(*parts, strict=True))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.effects import JointMotion, Parameter, RobotMotion
+from geodrake.effects import Effect, JointMotion, Parameter, RobotMotion
 
 Array = NDArray[np.float64]
 
@@ -127,12 +128,7 @@ class FormulaTerm:
     factors: tuple[Factor, ...]
 
     def values(self, motions: Callable[[str], JointMotion], samples: int) -> Array:
-        """(N,) values.
-
-        Args:
-            motions: Maps a joint to its motion.
-            samples: N.
-        """
+        """(N,) values."""
         product = np.ones(samples)
         for factor in self.factors:
             product = product * factor.values(motions(factor.joint))
@@ -164,12 +160,7 @@ class FormulaTerm:
         return " times ".join(f.words(own) for f in self.factors) or "a constant"
 
     def turned(self, place: int, constant: float) -> FormulaTerm:
-        """Return the term with another constant in one of its factors.
-
-        Args:
-            place: Index of the factor.
-            constant: Its new constant.
-        """
+        """Return the term with another constant in one of its factors."""
         factors = list(self.factors)
         factors[place] = replace(factors[place], constant=constant)
         return FormulaTerm(tuple(factors))
@@ -186,37 +177,46 @@ class FormulaTerm:
 
 
 @dataclass(frozen=True)
-class Formula:
-    """Effort at a joint as a sum of terms with free coefficients.
+class Formula(Effect):
+    """Effort at a joint as a sum of terms, each with a coefficient of its own.
 
-    Attributes:
-        joint: The joint.
-        terms: The terms.
+    A search has one effect for each term; a draft is written out as a class of its own.
     """
 
     joint: str
     terms: tuple[FormulaTerm, ...]
+    places: ClassVar[str] = "joint"
 
     @property
-    def complexity(self) -> int:
-        """Sum over the terms, one each for its coefficient."""
-        return sum(1 + term.complexity for term in self.terms)
+    def name(self) -> str:  # type: ignore[override]
+        """Its words, constants forgotten: a formula has no term twice but for constants."""
+        return " + ".join(term.kind.words(self.joint) for term in self.terms)
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:
+    def where(self) -> tuple[str, ...]:
+        """The joint."""
+        return (self.joint,)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
         """Names and units of the coefficients."""
         return tuple(Parameter(f"c{k + 1}", term.unit) for k, term in enumerate(self.terms))
 
     @property
-    def free(self) -> int:
-        """Coefficients, and constants that a search may have chosen."""
-        return len(self.terms) + sum(len(term.turning) for term in self.terms)
+    def complexity(self) -> int:  # type: ignore[override]
+        """Sum over the terms, one each for its coefficient."""
+        return sum(1 + term.complexity for term in self.terms)
 
-    def columns(self, motion: RobotMotion) -> Array:
-        """(N, terms) columns of a regressor."""
+    @property
+    def free_shapes(self) -> int:
+        """Constants that the data choose."""
+        return sum(len(term.turning) for term in self.terms)
+
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """Columns at the joint."""
         motions = {name: motion.joint(name) for name in self.joints}
         values = [term.values(motions.__getitem__, len(motion.v)) for term in self.terms]
-        return np.stack(values, -1)
+        return {self.joint: np.stack(values, -1)}
 
     def words(self) -> str:
         """In words: "its direction of motion times the position of wrist"."""

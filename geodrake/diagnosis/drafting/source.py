@@ -62,11 +62,7 @@ class {title}(Effect):
 
 @typed
 def source_of(draft: Draft) -> str:
-    """Return the drafted effects as a Python file that `geodrake.effects.load_effect_file` reads.
-
-    Args:
-        draft: A draft with an effect at least.
-    """
+    """Return drafted effects as a Python file that `geodrake.effects.load_effect_file` reads."""
     joints, names = ", ".join(draft.names), draft.names
     titles = identifiers(names.values(), style=_title)
     head = _HEAD.format(

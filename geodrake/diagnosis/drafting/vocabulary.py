@@ -37,48 +37,30 @@ TURNS = (0.2, 0.35, 0.5, 0.65, 0.8)
 
 
 def vocabulary(
-    joint: str, joints: Sequence[str], reach: Mapping[str, tuple[float, float]]
+    joint: str,
+    joints: Sequence[str],
+    reach: Mapping[str, tuple[float, float]] | None = None,
 ) -> list[FormulaTerm]:
-    """All terms for the effort of a joint: simple functions of one signal, and products of two.
+    """Return the terms for the effort of a joint: functions of one signal, and products of two.
 
     Args:
         joint: The joint.
         joints: Joints whose motion may matter.
-        reach: Joint -> least and greatest position in the logs, rad or m.
+        reach: Joint -> least and greatest position in the logs, rad or m. Without it, only the
+            commonest of all terms: enough to see what an error goes with, and quickly so.
 
     Returns:
         Terms, a constant first; none twice.
     """
-    own = [Factor(joint, signal, function) for signal, function in _OWN]
-    factors = [Factor(name, signal, function) for name in joints for signal, function in _ANY]
-    for name in joints:
-        low, high = reach[name]
+    every, firsts = (_ANY, _OWN) if reach else (_FEW, _FEW_OWN)
+    own = [Factor(joint, signal, function) for signal, function in firsts]
+    factors = [Factor(name, signal, function) for name in joints for signal, function in every]
+    for low, high, name in ((*ends, name) for name, ends in (reach or {}).items()):
         for share in TURNS:
             constant = float(low + share * (high - low))
             factors += [Factor(name, "q", side, constant) for side in ("above", "below")]
     terms = [FormulaTerm(()), *(FormulaTerm((factor,)) for factor in (*own, *factors))]
     terms += [FormulaTerm((a, b)) for a in own for b in factors if a != b]
-    plain = [Factor(name, signal) for name in joints for signal in _MIXED]
+    plain = [Factor(name, signal) for name in joints for signal in _MIXED if reach]
     terms += [FormulaTerm(pair) for pair in combinations(plain, 2)]
-    return list({_key(term): term for term in reversed(terms)}.values())[::-1]
-
-
-def short_vocabulary(joint: str, joints: Sequence[str]) -> list[FormulaTerm]:
-    """Return the commonest of all terms: enough to see what an error goes with, and quickly so.
-
-    Args:
-        joint: The joint.
-        joints: Joints whose motion may matter.
-
-    Returns:
-        Terms, a constant first; none twice.
-    """
-    own = [Factor(joint, signal, function) for signal, function in _FEW_OWN]
-    factors = [Factor(name, signal, function) for name in joints for signal, function in _FEW]
-    terms = [FormulaTerm(()), *(FormulaTerm((factor,)) for factor in factors)]
-    terms += [FormulaTerm((a, b)) for a in own for b in factors if a != b]
-    return list({_key(term): term for term in reversed(terms)}.values())[::-1]
-
-
-def _key(term: FormulaTerm) -> frozenset[Factor]:
-    return frozenset(term.factors)
+    return list({frozenset(term.factors): term for term in reversed(terms)}.values())[::-1]
