@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from rich.console import Console
 
 from geodrake.cli.tables import show_list
-from geodrake.diagnosis.columns import ColumnFinding, check_columns
+from geodrake.diagnosis.columns import MOST_JOINTS, ColumnFinding, check_columns
 from geodrake.errors import GeodrakeError
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
@@ -62,6 +62,17 @@ def show_columns(console: Console, columns: Sequence[ColumnFinding], *, correcte
         corrected: Whether the command works on corrected logs.
     """
     show_list(console, _HEAD, column_words(columns, corrected=corrected))
+
+
+def unchecked_words(model: RobotModel) -> list[str]:
+    """Return that the columns of a robot were not checked, where it has too many joints."""
+    count = len(model.joints)
+    if count <= MOST_JOINTS:
+        return []
+    return [
+        f"Columns are not checked: of {count} joints that would take minutes (at most "
+        f"{MOST_JOINTS} are); hold joints with --lock to check the others."
+    ]
 
 
 def columns_list(columns: Sequence[ColumnFinding]) -> list[dict[str, Any]]:

@@ -23,6 +23,7 @@ from geodrake.cli.columns import (
     columns_list,
     found_columns,
     show_columns,
+    unchecked_words,
     with_first_notes,
 )
 from geodrake.cli.guard import INTERRUPTED
@@ -136,7 +137,9 @@ def _run(command: Command[R], options: LogOptions) -> None:
         numbers = to_json(
             {"version": version(), "command": command.name, **command.numbers(result), **told}
         )
-        noted = with_first_notes(result, column_words(columns or (), corrected=corrects))
+        unchecked = [] if columns is None else unchecked_words(given.model)
+        about_columns = [*column_words(columns or (), corrected=corrects), *unchecked]
+        noted = with_first_notes(result, about_columns)
         makers = _makers(command, options, given, noted, pages)
         fitted = getattr(result, "model", given.model)
         written = targets.write(fitted, {"json": lambda: numbers, **makers})
@@ -147,6 +150,8 @@ def _run(command: Command[R], options: LogOptions) -> None:
         names = ", ".join(path.name for path in options.logs)
         console.print(f"{options.model.name} against {names}", soft_wrap=True)
         show_columns(console, columns or (), corrected=corrects)
+        for words in unchecked:
+            console.print(words, soft_wrap=True)
         command.show(console, result, Units.of(fitted, given.extra))
         show_saved(console, written, command.saved)
     if getattr(result, "is_interrupted", False):

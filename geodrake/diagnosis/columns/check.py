@@ -21,7 +21,8 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 
 _LEAST_EFFORT = 1e-12  # N·m or N, by which efforts that were measured change
-_MOST_JOINTS = 30
+MOST_JOINTS = 30
+"""With more, weighing all that may be wrong takes minutes: nothing is checked."""
 _WORTH_NAMING = 0.05  # probability of a rival
 
 
@@ -54,7 +55,7 @@ def check_columns(
         ArgumentError: There is no log, or a setting is no usable number.
     """
     prepared = prepared_as_measured(model, logs, bandwidth=bandwidth, blocks=blocks)
-    if len(model.joints) > _MOST_JOINTS:
+    if len(model.joints) > MOST_JOINTS:
         return ()
     samples = column_samples(model, *prepared)
     if not (samples.effort.std(axis=0) > _LEAST_EFFORT).all():
