@@ -34,7 +34,7 @@ from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import NOISE_MARGIN, SPREAD
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut, hold_out
 from geodrake.identification.logs.dataset import Dataset, is_payload
-from geodrake.identification.logs.hypothesis import Hypothesis, effective_of_each
+from geodrake.identification.logs.hypothesis import Hypothesis, effective_per_joint
 from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.identification.normal_equations import scaled_cholesky, solved
@@ -390,7 +390,7 @@ class LogModel:
         if key not in self._shares:
             columns, x = self.dataset_parameters(fit)
             folds = np.tile(x, (len(self.dataset.folds), 1))
-            found = effective_of_each(self.dataset, [(columns, folds)], delay=fit.choice.delay)[0]
+            found = effective_per_joint(self.dataset, columns, folds, delay=fit.choice.delay)
             worth = np.minimum(found, self.beliefs.discrepancy)
             # What is more than sensor noise goes with the motion, however often that repeats.
             noise = np.square(NOISE_MARGIN * self.dataset.noise_floor) / fit.variance

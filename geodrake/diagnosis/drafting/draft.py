@@ -188,11 +188,11 @@ def _drafted(found: FoundFormula, end: Hypothesis) -> DraftedEffect:
     """Return what was found, with the coefficients of the fit to all logs."""
     formula, span = found.columns.formula, end.unknowns.span(found.columns)
     j = end.dataset.joints.index(formula.joint)
-    coefficients = end.cv.fit_all()[span]
+    coefficients = end.cv.fit_all[span]
     return DraftedEffect(
         formula,
         coefficients,
-        end.cv.deviations()[span],
+        end.cv.deviations[span],
         float(found.before.held_out.rms[j]),
         float(end.held_out.rms[j]),
         float(end.dataset.noise_floor[j]),

@@ -86,7 +86,7 @@ class Screen:
         """
         unknowns, weights, delay = hypothesis.unknowns, hypothesis.cv.weights, hypothesis.delay
         used = unknowns.columns
-        gram, rhs = normal_matrices(hypothesis.dataset, weights, used, used, delay=delay)
+        gram, rhs = normal_matrices(hypothesis.dataset, weights, used, delay=delay)
         j = dataset.joints.index(columns.formula.joint)
         data = dataset.data[j]
         local = data.local(hypothesis.moved_columns(dataset))
