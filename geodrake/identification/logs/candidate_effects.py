@@ -103,11 +103,7 @@ def _at_joint(
 
 
 def mean_temperatures(trajectories: Sequence[Trajectory]) -> dict[str, float]:
-    """Joint -> mean temperature in the logs, °C, where it changes enough to show what it does.
-
-    Args:
-        trajectories: Prepared logs.
-    """
+    """Joint -> mean temperature in the logs, °C, where it changes enough to show what it does."""
     courses = [t.temperatures.courses for t in trajectories if t.temperatures is not None]
     found = {}
     for joint in trajectories[0].joints:

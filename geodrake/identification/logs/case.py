@@ -48,63 +48,43 @@ _LEAST_EFFORT = 1e-12  # N·m or N, by which a measured effort changes
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """What a case was opened with.
+    """What a case was opened with."""
 
-    Attributes:
-        logs: The logs, joints in the model's order.
-        extra: Effect classes of the user's own.
-        bandwidth: Bandwidth that it was to have, Hz; None if it was chosen from the data.
-        blocks: Blocks asked for.
-    """
-
-    logs: tuple[JointLog, ...]
-    extra: tuple[type[Effect], ...]
+    logs: tuple[JointLog, ...]  # the logs, joints in the model's order
+    extra: tuple[type[Effect], ...]  # effect classes of the user's own
+    # Bandwidth that it was to have, Hz; None if it was chosen from the data.
     bandwidth: float | None
-    blocks: int | None
+    blocks: int | None  # blocks asked for
 
 
 @dataclass(eq=False)
 class KeptMotion:
-    """What was computed of a model and its logs alone, and serves again.
+    """What was computed of a model and its logs alone, and serves again."""
 
-    Attributes:
-        segments: The segments of all logs in memory, with the index of their log.
-        seen: Their motion as effects see it.
-        columns: Effect -> its column at every joint, for each segment.
-    """
-
+    # The segments of all logs in memory, with the index of their log.
     segments: list[tuple[int, Segment]] = field(default_factory=list)
-    seen: list[RobotMotion] = field(default_factory=list)
+    seen: list[RobotMotion] = field(default_factory=list)  # their motion as effects see it
+    # Effect -> its column at every joint, for each segment.
     columns: dict[Effect, list[Array]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Case(Short):
-    """A model and its logs.
-
-    Attributes:
-        model: The model.
-        trajectories: The prepared logs.
-        folds: Validation folds.
-        dataset: The reduced logs, with columns for the model's effects and the candidates.
-        fingerprints: Fingerprints of the logs.
-        notes: What was done to the logs and noticed about the model.
-        asked: What it was opened with.
-        kept: What was computed of model and motion alone, and serves again.
-        shared: What reductions of the logs share.
-        loads: (nb, 10) inertial parameters that efforts of bodies are computed with, which
-            columns of effects may depend on; the model's if None.
-    """
+    """A model and its logs."""
 
     model: RobotModel
     trajectories: tuple[Trajectory, ...]
     folds: tuple[Fold, ...]
-    dataset: Dataset
+    dataset: Dataset  # the reduced logs, with columns for the model's effects and the candidates
     fingerprints: tuple[str, ...]
-    notes: tuple[str, ...]
-    asked: Asked
+    notes: tuple[str, ...]  # what was done to the logs and noticed about the model
+    asked: Asked  # what it was opened with
+    # What was computed of model and motion alone, and serves again.
     kept: KeptMotion = field(default_factory=KeptMotion, repr=False)
+    # What reductions of the logs share.
     shared: SharedRows = field(default_factory=SharedRows, repr=False)
+    # (nb, 10) inertial parameters that efforts of bodies are computed with, which columns of
+    # effects may depend on; the model's if None.
     loads: Array | None = None
 
     @property
@@ -329,18 +309,17 @@ def series(
 
 
 def _matched(model: RobotModel, logs: Sequence[JointLog | str | Path]) -> list[JointLog]:
-    """Logs read if they are files, joints in the model's order, each with a name of its own."""
-    matched = _with_names_of_their_own(
-        [
-            log_of_model(
-                log
-                if isinstance(log, JointLog)
-                else read_log(log, joints=model.known_joints, partial=True),
-                model,
-            )
-            for log in logs
-        ]
-    )
+    """Return logs, read if they are files, joints in the model's order, each of its own name."""
+    read = [
+        log if isinstance(log, JointLog) else read_log(log, joints=model.known_joints, partial=True)
+        for log in logs
+    ]
+    matched = [log_of_model(log, model) for log in read]
+    names = [log.name for log in matched]
+    matched = [
+        replace(log, name=f"{log.name} ({k + 1})") if names.count(log.name) > 1 else log
+        for k, log in enumerate(matched)
+    ]
     check_repeated(matched)
     for log in matched:
         check_commands(log)
@@ -357,14 +336,6 @@ def _still_notes(dataset: Dataset) -> list[str]:
         "left out of fit and errors: samples at which a joint stands still, where dry friction "
         f"may be anything ({100 * dataset.still[most]:.0f} % of {dataset.joints[most]}'s, the most "
         "of all joints)"
-    ]
-
-
-def _with_names_of_their_own(logs: Sequence[JointLog]) -> list[JointLog]:
-    names = [log.name for log in logs]
-    return [
-        replace(log, name=f"{log.name} ({k + 1})") if names.count(log.name) > 1 else log
-        for k, log in enumerate(logs)
     ]
 
 
@@ -397,23 +368,19 @@ def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
 def _check_efforts(logs: Sequence[JointLog]) -> None:
     check_repeated(logs)  # also those whose efforts were not there
     for log in logs:
-        _check_changes(log)
-
-
-def _check_changes(log: JointLog) -> None:
-    known = np.isfinite(log.effort)
-    highest = log.effort.max(axis=0, initial=-np.inf, where=known)
-    lowest = log.effort.min(axis=0, initial=np.inf, where=known)
-    largest = np.maximum(np.abs(highest), np.abs(lowest))
-    constant = highest - np.maximum(1e-9 * largest, _LEAST_EFFORT) <= lowest
-    constant &= known.any(axis=0)
-    if constant.any():
-        joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
-        raise LogError(
-            f"The effort of {', '.join(joints)} never changes in log {log.name!r}.",
-            advice="Check what is logged there.",
-            joints=joints,
-        )
+        known = np.isfinite(log.effort)
+        highest = log.effort.max(axis=0, initial=-np.inf, where=known)
+        lowest = log.effort.min(axis=0, initial=np.inf, where=known)
+        largest = np.maximum(np.abs(highest), np.abs(lowest))
+        constant = highest - np.maximum(1e-9 * largest, _LEAST_EFFORT) <= lowest
+        constant &= known.any(axis=0)
+        if constant.any():
+            joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
+            raise LogError(
+                f"The effort of {', '.join(joints)} never changes in log {log.name!r}.",
+                advice="Check what is logged there.",
+                joints=joints,
+            )
 
 
 @contextmanager

@@ -102,9 +102,9 @@ class SignalRows:
         mix = np.zeros((last + 1, k + len(inertial) + 2))
         mix[[*order, *inertial], range(mix.shape[1] - 2)] = 1.0
         mix[last, -1] = 1.0
-        for column, effect in ((-2, held), (-1, added)):
-            if effect is not None:
-                mix[data.local(dataset.effect_columns(effect)), column] = 1.0
+        for column, beside in ((-2, held), (-1, added)):
+            if beside is not None:
+                mix[data.local(dataset.effect_columns(beside)), column] = 1.0
         variance = float(dataset.effort_std[joint] ** 2)
         prior = np.eye(k, mix.shape[1]) * np.sqrt(np.array(known) * variance)[:, None]
         factors = [factor[:, : last + 1] @ mix for factor in data.factors]

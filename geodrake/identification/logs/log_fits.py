@@ -72,18 +72,14 @@ class LogFits:
     parameters of effects that the model has, such as friction and rotor inertias, have a prior too:
     they are known to within their own size. Others are not regularized, but for a prior so weak
     that it only decides where the data say nothing.
-
-    Attributes:
-        dataset: The reduced logs.
-        unknowns: What the fits move; its means are the prior.
-        weights: (nv,) weight of a squared residual of each joint, so that the weighted squared
-            residual counts effective samples.
-        total_mass: Mass of all bodies and payloads together, kg; None if it is not known.
     """
 
     dataset: Dataset
-    unknowns: Unknowns
+    unknowns: Unknowns  # what the fits move; its means are the prior
+    # (nv,) weight of a squared residual of each joint, so that the weighted squared residual counts
+    # effective samples.
     weights: Array
+    # Mass of all bodies and payloads together, kg; None if it is not known.
     total_mass: float | None = None
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,23 +45,15 @@ Dry friction can then be anything up to breakaway, and no model of the motion sa
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Which columns each joint has, and how they are computed.
-
-    Attributes:
-        model: The model.
-        effects: Effects that have columns.
-        sign_width: (nv,) speed below which the direction of motion is not known.
-        still_speed: (nv,) speed below which a joint counts as at rest.
-        columns: Per joint, the global indices of its columns.
-        base: Combinations of inertial parameters that take the place of all of them, if columns
-            are to be no more than a robot can show; see `over_base`.
-    """
+    """Which columns each joint has, and how they are computed."""
 
     model: RobotModel
-    effects: tuple[Effect, ...]
-    sign_width: Array
-    still_speed: Array
-    columns: tuple[Indices, ...]
+    effects: tuple[Effect, ...]  # effects that have columns
+    sign_width: Array  # (nv,) speed below which the direction of motion is not known
+    still_speed: Array  # (nv,) speed below which a joint counts as at rest
+    columns: tuple[Indices, ...]  # per joint, the global indices of its columns
+    # Combinations of inertial parameters that take the place of all of them, if columns are to be
+    # no more than a robot can show; see `over_base`.
     base: BaseParameters | None = None
 
     @classmethod
@@ -125,12 +117,7 @@ class Layout:
         return _felt(self.model, self.effects)
 
     def in_bodies(self, joint: int, blocks: Mapping[Effect, Blocks]) -> Array | float:
-        """(K,) effort of effects that a joint's columns of bodies have in them; 0 for none.
-
-        Args:
-            joint: The joint.
-            blocks: Columns of the effects.
-        """
+        """(K,) effort of effects that a joint's columns of bodies have in them; 0 for none."""
         effect = self._felt[1]
         if effect is None or joint not in blocks[effect]:
             return 0.0
@@ -195,21 +182,13 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class LogSlice:
-    """Samples of a stretch that are filtered together.
+    """Samples of a stretch that are filtered together."""
 
-    Attributes:
-        layout: Which columns each joint has.
-        trajectory: The log.
-        stretch: One of its segments.
-        samples: Some of the segment's samples.
-        advance: (nv,) seconds by which the efforts were logged late, for each column of efforts.
-        place: Names the samples.
-    """
-
-    layout: Layout
+    layout: Layout  # which columns each joint has
     trajectory: Trajectory
     stretch: Stretch
-    samples: slice
+    samples: slice  # some of the segment's samples
+    # (nv,) seconds by which the efforts were logged late, for each column of efforts.
     advance: Sequence[Array]
     place: Hashable
 
@@ -254,32 +233,28 @@ class LogSlice:
 
     def _motion_rows(self, shared: SharedRows) -> Blocks:
         """Per joint (K, 4) motion and share of time at rest; at −1 the (K,) instants."""
-        key = ("motion", self.place)
-        found = shared.get(key)
-        if found is None:
+
+        def make() -> Blocks:
             here, low_pass = self._here, self.trajectory.filter
             at = low_pass.output_indices(len(here))
             states = np.stack([here.position, here.velocity, here.acceleration], 2)[at]
             still = low_pass.apply(np.abs(here.velocity) < self.layout.still_speed)
             both = np.concatenate([states, still[:, :, None]], 2)
-            found = {-1: here.time[at], **{j: both[:, j] for j in range(both.shape[1])}}
-            shared.keep(key, found)
-        return found
+            return {-1: here.time[at], **{j: both[:, j] for j in range(both.shape[1])}}
+
+        return shared.once(("motion", self.place), make)
 
     def _efforts(self, shared: SharedRows) -> Array:
         """(K, nv, d) filtered efforts as they were logged `advance` seconds later."""
-        columns = []
-        for seconds in self.advance:
-            key = ("effort", seconds.tobytes(), self.place)
-            found = shared.get(key)
-            if found is None:
-                near, inner = self._near
-                spline, period = self._effort_spline, self.stretch.period
-                moved = delayed_by(-seconds, near.effort, period, spline=spline)
-                found = {0: self.trajectory.filter.apply(moved[inner])}
-                shared.keep(key, found)
-            columns.append(found[0])
-        return np.stack(columns, -1)
+
+        def advanced(seconds: Array) -> Blocks:
+            (near, inner), period = self._near, self.stretch.period
+            moved = delayed_by(-seconds, near.effort, period, spline=self._effort_spline)
+            return {0: self.trajectory.filter.apply(moved[inner])}
+
+        keys = [("effort", seconds.tobytes(), self.place) for seconds in self.advance]
+        pairs = zip(keys, self.advance, strict=True)
+        return np.stack([shared.once(key, partial(advanced, s))[0] for key, s in pairs], -1)
 
     def _carried(self, blocks: Sequence[Blocks]) -> list[Array]:
         """Per joint (K,) filtered effort beside what is fitted: of the log's known payloads.
@@ -330,13 +305,13 @@ class LogSlice:
         ]
 
     def _motion(self, shared: SharedRows) -> Motion:
-        key, model = ("unfiltered motion", self.place), self.layout.model
-        found = shared.get(key)
-        if found is None:
+
+        def make() -> Blocks:
             here = self._here
-            parts = (here.position, here.velocity, here.acceleration, here.time)
-            found = dict(enumerate(parts))
-            shared.keep(key, found, signals=True)
+            return dict(enumerate((here.position, here.velocity, here.acceleration, here.time)))
+
+        model = self.layout.model
+        found = shared.once(("unfiltered motion", self.place), make, signals=True)
         position, velocity, acceleration, time = (found[i] for i in range(4))
         return Motion(
             model.positions(position),

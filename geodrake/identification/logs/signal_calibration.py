@@ -88,11 +88,7 @@ def _limit_notes(model: RobotModel, asked: JointLog, given: JointLog) -> list[st
 
 
 def _known_efforts(model: RobotModel, log: JointLog) -> JointLog:
-    """Return the log with efforts at joints of whose signals the model knows what makes efforts.
-
-    Raises:
-        LogError: A servo is at its limit nearly all the time.
-    """
+    """Return the log with efforts at joints of whose signals the model knows what makes efforts."""
     signals = model.effort_signals
     summed = any(each.integral and kind_of(log, each.joint) == COMMAND for each in signals)
     known = in_efforts(log, signals, _needed(model, log) if summed else None)
@@ -243,11 +239,7 @@ def signals_as_efforts(logs: Sequence[JointLog], kinds: Sequence[str]) -> list[J
 
 
 def _kinds(model: RobotModel, logs: Sequence[JointLog]) -> tuple[str, ...]:
-    """Return (nv,) what stands for the efforts of each joint.
-
-    Raises:
-        LogError: Logs or model disagree.
-    """
+    """Return (nv,) what stands for the efforts of each joint."""
     found = []
     for joint in model.joints:
         kinds = {kind_of(log, joint): log.name for log in logs}
