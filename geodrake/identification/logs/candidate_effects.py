@@ -87,13 +87,9 @@ def candidate_effects(
 def _at_joint(
     effect: type[Effect], joint: str, speed: float, temperature: float | None
 ) -> Sequence[Effect]:
-    """Instances of an effect to try at a joint.
+    """Return instances of an effect to try at a joint of a peak speed, rad/s or m/s.
 
-    Args:
-        effect: Class of the effect.
-        joint: The joint.
-        speed: Its peak speed, rad/s or m/s.
-        temperature: Its mean temperature, °C; None where it does not change or nobody knows it.
+    Its mean `temperature`, °C, is None where it does not change or nobody knows it.
     """
     if "temperature" not in effect.depends_on:
         return candidates_of(effect, joint, speed)
