@@ -31,7 +31,7 @@ from geodrake.diagnosis.terms import (
 )
 from geodrake.diagnosis.unknown_efforts import UnresolvedReversal
 from geodrake.effects.base import Effect
-from geodrake.identification.logs.criteria import NOISE_MARGIN, SPREAD
+from geodrake.identification.logs.criteria import LEAST_NOISE, NOISE_MARGIN, SPREAD
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut, hold_out
 from geodrake.identification.logs.dataset import Dataset, is_payload
 from geodrake.identification.logs.hypothesis import Hypothesis, effective_per_joint
@@ -45,7 +45,6 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Delay = tuple[int, ...]
 
-_LEAST_NOISE = 1e-4  # of the effort's deviation
 _LEAST_SHARE = 1e-4
 _RIDGE = 1e-11
 _ALIKE = 0.02  # noise is settled if no logarithm of a variance changes by more
@@ -196,7 +195,7 @@ class LogModel:
             for _ in effect.parameters
         ]
         self._nuisances = np.concatenate([gains, unsure])
-        self._floor = np.square(_LEAST_NOISE * np.maximum(data.effort_std, 1e-12))
+        self._floor = np.square(LEAST_NOISE * np.maximum(data.effort_std, 1e-12))
 
     def _prior(self, choice: Choice) -> tuple[Array, float]:
         """Return the prior information Λ (n, n) of an explanation and log |Λ|, up to a constant."""

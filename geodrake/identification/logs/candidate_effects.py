@@ -110,11 +110,9 @@ def mean_temperatures(trajectories: Sequence[Trajectory]) -> dict[str, float]:
 
 
 def candidate_delays(period: float, bandwidth: float) -> tuple[float, ...]:
-    """Delays to try beside none, s: multiples of a step the data can resolve, to either side.
+    """Return delays to try, s: 0 and multiples of a step the data can resolve, to either side.
 
-    Args:
-        period: Time between two samples, s.
-        bandwidth: Bandwidth of efforts and regressors, Hz.
+    That depends on the time between samples, s, and the bandwidth of efforts and regressors, Hz.
     """
     step = max(period, LONGEST_DELAY / 10, min(0.02 / bandwidth, LONGEST_DELAY / 2))
     steps = np.arange(1, max(2, int(LONGEST_DELAY / step + 1e-9) + 1)) * step

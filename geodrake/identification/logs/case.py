@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.boundary.arguments import instance, instances, integer, real_array
 from geodrake.boundary.showing import Short
 from geodrake.effects import catalogue
 from geodrake.effects.base import Effect
@@ -19,7 +20,6 @@ from geodrake.identification.logs.candidate_effects import candidate_delays, can
 from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
 from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.dataset import Dataset, Delay
-from geodrake.identification.logs.inputs import checked_logs
 from geodrake.identification.logs.model_errors import ErrorTable, JointError, Series
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.noise import filtered_below
@@ -41,6 +41,7 @@ from geodrake.model.logged_joints import holding_resting, log_of_model
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
+Logs = Sequence[JointLog | str | Path]
 
 _OTHER_SCALE = 0.1  # of a logarithm: time that is so far from what velocities say is another
 _LEAST_EFFORT = 1e-12  # N·m or N, by which a measured effort changes
@@ -189,6 +190,28 @@ def open_case(
     return Case(model, trajectories, folds, dataset, fingerprints, said, opened, shared=shared)
 
 
+def checked_logs(
+    model: RobotModel,
+    logs: Logs,
+    extra: Sequence[type[Effect]],
+    bandwidth: float | None,
+    blocks: int | None,
+) -> tuple[JointLog | str | Path, ...]:
+    """Return the logs, or their files, if all that a caller passed can be understood at all.
+
+    Raises:
+        ArgumentError: Something is not what it must be.
+    """
+    instance(model, "model", RobotModel)
+    instances(extra, "extra", type)
+    if bandwidth is not None:
+        real_array(bandwidth, "bandwidth", (), finite=False)
+    if blocks is not None:
+        integer(blocks, "blocks")
+    each = (logs,) if isinstance(logs, JointLog | str | Path) else logs
+    return instances(each, "logs", (JointLog, str, Path))
+
+
 def prepared_as_measured(
     model: RobotModel,
     logs: Sequence[JointLog | str | Path],
@@ -196,17 +219,13 @@ def prepared_as_measured(
     bandwidth: float | None = None,
     blocks: int | None = None,
 ) -> tuple[tuple[Trajectory, ...], tuple[Fold, ...]]:
-    """Prepared logs and their folds, for which what the model says of the efforts does not matter.
+    """Return prepared logs and their folds, whatever the model says of efforts.
 
     Args:
         model: The model, whose joints the logs are of.
         logs: Logs or their files.
         bandwidth: Bandwidth of the filter, Hz; by default chosen from the motion.
         blocks: As for `open_case`.
-
-    Raises:
-        LogError: A log cannot be used.
-        ArgumentError: There is no log, one is there twice, or a setting is no usable number.
     """
     logs = checked_logs(model, logs, (), bandwidth, blocks)
     _, matched, _ = with_efforts(model, _matched(model, logs))
@@ -223,12 +242,7 @@ def prepared_as_measured(
 
 
 def reopen(case: Case, model: RobotModel) -> Case:
-    """Return the case with a model fitted to it, whose effects alone get columns.
-
-    Args:
-        case: Prepared logs.
-        model: A model with the joints and bodies of the case's.
-    """
+    """Return the case with a model fitted to it, whose effects alone get columns."""
     dataset = reduce_logs(
         model,
         case.trajectories,
@@ -245,11 +259,8 @@ def reduced(
 ) -> Dataset:
     """Return the logs of a case with columns for other effects.
 
-    Args:
-        case: The case.
-        effects: Effects that get columns.
-        delays: Delays to try on top of the model's, s, of all joints or (nv,) of each; by default
-            those of the case.
+    Delays to try on top of the model's, s, of all joints or (nv,) of each, are by default those of
+    the case.
     """
     return reduce_logs(
         case.load_model,
@@ -263,12 +274,7 @@ def reduced(
 
 
 def error_table(dataset: Dataset, held_out: HeldOut) -> ErrorTable:
-    """Errors of every joint.
-
-    Args:
-        dataset: The reduced logs.
-        held_out: Held-out errors on them.
-    """
+    """Return the errors of every joint."""
     known = np.broadcast_to(dataset.noise_known, len(dataset.joints))
     columns = (held_out.rms, dataset.effort_std, dataset.noise_floor, known)
     return ErrorTable(tuple(map(JointError, dataset.joints, *(c.tolist() for c in columns))))
@@ -277,14 +283,7 @@ def error_table(dataset: Dataset, held_out: HeldOut) -> ErrorTable:
 def series(
     dataset: Dataset, unknowns: Unknowns, held_out: HeldOut, *, delay: Delay = 0
 ) -> tuple[Series, ...]:
-    """Measured and predicted efforts of every joint and block.
-
-    Args:
-        dataset: The reduced logs.
-        unknowns: The p parameters that the predictions are made with.
-        held_out: Their values, fitted without each fold.
-        delay: Index of the effort column that counts as measured.
-    """
+    """Return measured and predicted efforts of every joint and block, the prediction held out."""
     found = []
     lates = dataset.delay_of_each(delay)
     for joint, data, late in zip(dataset.joints, dataset.data, lates, strict=True):
@@ -349,12 +348,7 @@ def _trained_on(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
 
 
 def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
-    """That efforts were filtered before, in words; nothing if they were not.
-
-    Args:
-        trajectory: The prepared log.
-        fitted: Whether there is a model fitted to it, or will be.
-    """
+    """That efforts were filtered before, in words; nothing if not. It counts that a fit follows."""
     end = filtered_below(trajectory)
     if not np.isfinite(end):
         return ""

@@ -89,12 +89,9 @@ class JointData:
         return self._positions[np.minimum(columns, len(self._positions) - 1)]
 
     def products(self, left: Indices, right: Indices) -> Array:
-        """(l, r, F) blocks of the normal matrices, for positions (l,) and (r,) that may be −1.
+        """(l, r, F) blocks of the normal matrices, for positions (l,) and (r,).
 
-        Args:
-            left: (l,) positions among the joint's columns, its efforts last; −1 for columns of
-                zeros.
-            right: (r,) the same of the other side.
+        They are among the joint's columns, its efforts last, or −1 for columns of zeros.
         """
         size = self.factors.shape[2] + 1
         return self._entries.take((left % size)[:, None] * size + right % size, axis=0)
@@ -105,11 +102,9 @@ class JointData:
         return float(1.0 - self.samples.sum() / self.seen.sum())
 
     def parameters(self, columns: Indices, x: Array) -> Array:
-        """(F, p_j) parameters of the columns of this joint.
+        """(F, p_j) parameters of this joint's columns, from those (F, p) of some global columns.
 
-        Args:
-            columns: (p,) global columns, one of which may be there twice.
-            x: (F, p) their parameters; those of all others are zero.
+        One of these may be there twice; parameters of all others are zero.
         """
         parameters = np.zeros((len(self.columns) + 1, len(x)))  # the last takes what is not seen
         np.add.at(parameters, self.local(columns), x.T)
@@ -192,12 +187,7 @@ class Dataset(Short):
 
 
 def column_starts(effects: tuple[Effect, ...], bodies: tuple[str, ...]) -> dict[Effect, int]:
-    """First column of every effect, after the inertial columns that payloads share.
-
-    Args:
-        effects: Effects that get columns.
-        bodies: Names of the model's nb bodies.
-    """
+    """First column of every effect, after the inertial columns that payloads share."""
     starts, free = {}, len(bodies) * PARAMETERS_PER_BODY
     for effect in effects:
         if is_payload(effect):
@@ -209,10 +199,10 @@ def column_starts(effects: tuple[Effect, ...], bodies: tuple[str, ...]) -> dict[
 
 
 def is_payload(effect: Effect) -> bool:
-    """Whether an effect adds inertial parameters to a body, so that it shares its columns."""
+    """Return whether an effect adds to the parameters of a body, and so shares its columns."""
     return effect.role is Role.BODY
 
 
 def is_body(effect: Effect) -> bool:
-    """Whether the parameters of an effect are those of a rigid body, held always or for a while."""
+    """Return whether the parameters of an effect are those of a body, held always or a while."""
     return isinstance(effect.manifold, PhysicalInertia)

@@ -73,10 +73,8 @@ def log_likelihood_gain(mse_before: Array, mse_after: Array, effective: Array) -
 def false_alarm_probability(gain: float, parameters: int, tried: int) -> float:
     """Return the chance that the best of `tried` irrelevant candidates would gain as much.
 
-    Args:
-        gain: Twice the held-out log-likelihood ratio (smaller than the in-sample one: cautious).
-        parameters: Linear and shape parameters of the candidate.
-        tried: Number of candidates (Bonferroni).
+    The gain is twice the held-out log-likelihood ratio (smaller than the in-sample one: cautious),
+    by linear and shape parameters; candidates are counted as by Bonferroni.
     """
     return min(1.0, tried * chi2_tail(gain, parameters))
 
@@ -92,11 +90,8 @@ def fold_agreement(before: Array, after: Array) -> float:
     Play, for example, shows only in the folds where a load changes its sign. Where the loss falls
     clearly in more than half of the folds, one in which it hardly changes therefore counts half, as
     in a sign test; and where it is halved in two or more, each predicted by the others, only those
-    count against it in which it rises, by a notable share of what folds lose in the mean.
-
-    Args:
-        before: (F,) loss of every fold before; folds without samples have none.
-        after: (F,) loss afterwards.
+    count against it in which it rises, by a notable share of what folds lose in the mean. Losses
+    are (F,); folds without samples have none before.
     """
     seen = before > 0.0
     if not seen.any():
@@ -116,10 +111,7 @@ def tie_probability(loss_a: Array, loss_b: Array) -> float:
     time shows in few of them: the ranks of the differences tell more than their mean. It is the
     one-sided p-value of Wilcoxon's signed-rank test among the folds that differ by more than
     hardly, of the paired t-test where these are too few for ranks; one half where none does.
-
-    Args:
-        loss_a: (F,) held-out loss of the better hypothesis per fold.
-        loss_b: (F,) held-out loss of the other.
+    Losses (F,) are held-out ones of the better hypothesis and of the other, per fold.
     """
     difference = loss_b - loss_a
     difference = difference[np.abs(difference) > _HARDLY * np.maximum(loss_a, loss_b)]

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
 from geodrake.effects.base import Effect
-from geodrake.identification.logs.criteria import FIXED
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut
 from geodrake.identification.logs.dataset import Dataset, Delay
 from geodrake.identification.logs.evidence import effective_samples_of_each
@@ -20,7 +19,6 @@ from geodrake.inertia import PARAMETERS_PER_BODY
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_ROUNDED = 1.0 + 1e-9  # what is narrowed to a width may be wider by rounding
 _SETTLED = 0.3  # weights are settled if they change by less than this share
 _MOST_REFITS = 8
 _FIRST_SHARE = 0.05  # of the samples that count as effective ones in the first fit
@@ -47,11 +45,6 @@ class Hypothesis(Short):
     def nrms(self) -> float:
         """Held-out error over effort standard deviation, root mean square over joints."""
         return float(np.sqrt(np.mean(self.held_out.mse / self.dataset.effort_std**2)))
-
-    @property
-    def has_fixed_bodies(self) -> bool:
-        """Return whether bodies stay as the model has them."""
-        return self.looseness <= _ROUNDED * FIXED
 
     def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
         """Return this hypothesis and further effects, refitted."""
@@ -149,9 +142,7 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
         before, weights = weights, deserved(cv)
         if _alike(weights, before):
             break
-    # Bodies that are fixed are those of the model; payloads beside them are to be physical still.
-    only_bodies = len(unknowns.inertia_blocks) == len(dataset.bodies)
-    if not ((hypothesis.has_fixed_bodies and only_bodies) or cv.is_physical):
+    if not cv.is_physical:
         cv = CrossValidation(dataset, unknowns, cv.weights, delay=delay)
         effective = counted(cv)
         weights = deserved(cv)

@@ -33,7 +33,6 @@ Array = NDArray[np.float64]
 INERTIA = "inertia"
 """What columns of inertial parameters belong to, as others belong to an effect."""
 
-_ROWS = 512  # that are put together at once
 _WIDE = 16  # columns that are filtered as they are
 
 MOSTLY_STILL = 0.3
@@ -60,14 +59,7 @@ class Layout:
     def of(
         cls, model: RobotModel, effects: tuple[Effect, ...], sign_width: Array, still_speed: Array
     ) -> Layout:
-        """The layout of the columns of a model's bodies and some effects.
-
-        Args:
-            model: The model.
-            effects: Effects that get columns.
-            sign_width: (nv,) speed below which the direction of motion is not known, rad/s or m/s.
-            still_speed: (nv,) speed below which a joint counts as at rest, rad/s or m/s.
-        """
+        """Return the layout of the columns of bodies and effects; speeds (nv,) in rad/s or m/s."""
         inertial = _inertial_structure(model, _felt(model, effects)[0])
         starts = column_starts(effects, model.bodies)
         columns = [[np.flatnonzero(inertial[j])] for j in range(len(model.joints))]
@@ -82,12 +74,9 @@ class Layout:
         return cls(model, effects, sign_width, still_speed, joined)
 
     def over_base(self, base: BaseParameters) -> Layout:
-        """The layout with the columns of a robot's base parameters alone, which say the same.
+        """Return the layout with the columns of the tree's base parameters, which say as much.
 
         Y φ = Y_B (B φ), and Y_B are some of the columns of Y.
-
-        Args:
-            base: The base parameters of `tree`.
         """
         bodies = np.arange(self.model.phi.size)
         gone = np.setdiff1d(bodies, base.independent)
@@ -140,16 +129,9 @@ class Layout:
         parts: Collection[Effect | str],
         load: Array | None = None,
     ) -> tuple[list[Blocks], Array]:
-        """Unfiltered columns of some of the parts at a motion of a log.
+        """Return unfiltered columns of some parts at a motion of a log, and the load (N, nv).
 
-        Args:
-            motion: The motion, N samples.
-            trajectory: The log.
-            parts: The parts.
-            load: (N, nv) effort of the bodies with what they hold, where it is known already.
-
-        Returns:
-            The columns of each part, and the load.
+        That is the effort of the bodies with what they hold, which may be known already.
         """
         robot, inertial = carrying(self.model, trajectory.payloads), dict[int, Array]()
         if INERTIA in parts:
@@ -295,7 +277,7 @@ class LogSlice:
         flat = [block for blocks in parts for block in blocks.values()]
         narrow = [block for block in flat if block.shape[1] < _WIDE]
         ends = np.cumsum([block.shape[1] for block in narrow])
-        pieces = iter(np.split(apply(_beside(narrow)), ends[:-1], axis=1) if narrow else ())
+        pieces = iter(np.split(apply(np.hstack(narrow)), ends[:-1], axis=1) if narrow else ())
         return [
             {
                 j: next(pieces) if block.shape[1] < _WIDE else apply(block)
@@ -328,17 +310,6 @@ class LogSlice:
         if start == 0 or not any(effect.state_count for effect in self.layout.effects):
             return np.zeros((0, len(self.layout.model.joints)))
         return self.stretch[max(0, start - MEMORY) : start].position
-
-
-def _beside(blocks: Sequence[Array]) -> Array:
-    """`np.hstack` of many narrow blocks (N, ·), in rows that stay in the cache meanwhile."""
-    both = np.empty((len(blocks[0]), sum(block.shape[1] for block in blocks)))
-    for start in range(0, len(both), _ROWS):
-        rows, at = slice(start, start + _ROWS), 0
-        for block in blocks:
-            both[rows, at : at + block.shape[1]] = block[rows]
-            at += block.shape[1]
-    return both
 
 
 def _probe(model: RobotModel, samples: int) -> Motion:
