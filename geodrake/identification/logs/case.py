@@ -348,7 +348,7 @@ def _trained_on(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
 
 
 def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
-    """That efforts were filtered before, in words; nothing if not. It counts that a fit follows."""
+    """Say that efforts were filtered before, if so; a model is fitted to them, or will be."""
     end = filtered_below(trajectory)
     if not np.isfinite(end):
         return ""

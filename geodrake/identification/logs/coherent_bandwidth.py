@@ -18,17 +18,10 @@ from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-_EXCESS = 25.0
-"""Efforts differ clearly if one has this many times the other's power: five times the amplitude."""
-
-_ENOUGH = 400
-"""So many filtered samples of each joint make folds of some fifty samples."""
-
-_SAMPLES = 100_000
-"""At most so many samples of a segment are looked at."""
-
-_LARGEST_RATIO = 700.0
-"""Logarithm of a ratio that is a number still."""
+_EXCESS = 25.0  # times the other's power: five times the amplitude is a clear difference
+_ENOUGH = 400  # filtered samples of each joint, which make folds of some fifty
+_SAMPLES = 100_000  # of a segment that are looked at
+_LARGEST_RATIO = 700.0  # logarithm of a ratio that is a number still
 
 
 def prepare_for_model(

@@ -29,30 +29,14 @@ from geodrake.robot.reduction import triangular_factor
 
 Array = NDArray[np.float64]
 
-LEAST_SIGN_WIDTH = 0.002
-"""The direction of motion is unknown below this share of a joint's peak speed, at least."""
-
-SIGN_NOISE = 1.2
-"""The direction of motion is unknown below so many deviations σ of the speed's noise: its mean is
-erf(v / √2σ), about tanh(v / 1.2 σ)."""
-
-AT_REST = 8.0
-"""A joint never moves if its speed stays below so many deviations of its noise."""
-
-LEAST_SPEED = 1e-4
-"""A joint never moves if its speed stays below this share of the fastest joint's."""
-
-STILL_SPEED = 0.01
-"""A joint is at rest below this share of its peak speed."""
-
-WORTHWHILE = 20
-"""Rows are folded into a triangular factor if there are so many times more than columns."""
-
-LEAST_DEVIATION = 1e-7
-"""An effort is constant if it deviates by less than this share of its RMS: it is rounding."""
-
-ROWS_KEPT = 4_000
-"""So many filtered rows of each fold and joint are kept for autocorrelations and figures."""
+LEAST_SIGN_WIDTH = 0.002  # of a joint's peak speed, below which its direction is not known
+SIGN_NOISE = 1.2  # deviations σ of a speed's noise; the mean sign is erf(v/√2σ) ≈ tanh(v/1.2σ)
+AT_REST = 8.0  # deviations of a speed's noise, below which a joint never moves
+LEAST_SPEED = 1e-4  # of the fastest joint's speed, below which a joint never moves
+STILL_SPEED = 0.01  # of a joint's peak speed, below which it is at rest
+WORTHWHILE = 20  # times more rows than columns are folded into a triangular factor
+LEAST_DEVIATION = 1e-7  # of an effort's RMS: what is less is rounding of a constant
+ROWS_KEPT = 4_000  # filtered rows of each fold and joint, for autocorrelations and figures
 
 
 def reduce_logs(
