@@ -77,7 +77,7 @@ def find_episodes(
     scale = _scaled(case, hypothesis)
     windows = _unknown_windows(case, hypothesis, scale)
     noise = error_table(case.dataset, hypothesis.held_out).is_noise
-    if not windows and not noise and not hypothesis.has_fixed_bodies:
+    if not windows and not noise:
         # Bodies that are free to follow a contact spread its error all over the log.
         hypothesis = hypothesis.loosened(FIXED / hypothesis.looseness)
         scale = _scaled(case, hypothesis)

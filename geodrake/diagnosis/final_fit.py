@@ -90,7 +90,7 @@ def searched_model(model: RobotModel, found: Hypothesis) -> RobotModel:
         model: The model before.
         found: The hypothesis.
     """
-    x, unknowns = found.cv.fit_all(), found.unknowns
+    x, unknowns = found.cv.fit_all, found.unknowns
     fitted = [FittedEffect(effect, x[unknowns.span(effect)]) for effect in unknowns.effects]
     phi = x[: model.phi.size].reshape(model.phi.shape)
     return replace(model, phi=phi, effects=tuple(fitted))

@@ -31,10 +31,10 @@ from geodrake.diagnosis.terms import (
 )
 from geodrake.diagnosis.unknown_efforts import UnresolvedReversal
 from geodrake.effects.base import Effect
-from geodrake.identification.logs.criteria import NOISE_MARGIN, SPREAD
+from geodrake.identification.logs.criteria import LEAST_NOISE, NOISE_MARGIN, SPREAD
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut, hold_out
 from geodrake.identification.logs.dataset import Dataset, is_payload
-from geodrake.identification.logs.hypothesis import Hypothesis, effective_of_each
+from geodrake.identification.logs.hypothesis import Hypothesis, effective_per_joint
 from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.identification.normal_equations import scaled_cholesky, solved
@@ -45,7 +45,6 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Delay = tuple[int, ...]
 
-_LEAST_NOISE = 1e-4  # of the effort's deviation
 _LEAST_SHARE = 1e-4
 _RIDGE = 1e-11
 _ALIKE = 0.02  # noise is settled if no logarithm of a variance changes by more
@@ -199,7 +198,7 @@ class LogModel:
             for _ in effect.parameters
         ]
         self._nuisances = np.concatenate([gains, unsure])
-        self._floor = np.square(_LEAST_NOISE * np.maximum(data.effort_std, 1e-12))
+        self._floor = np.square(LEAST_NOISE * np.maximum(data.effort_std, 1e-12))
 
     def _prior(self, choice: Choice) -> tuple[Array, float]:
         """Return the prior information Λ (n, n) of an explanation and log |Λ|, up to a constant."""
@@ -401,7 +400,7 @@ class LogModel:
         if key not in self._shares:
             columns, x = self.dataset_parameters(fit)
             folds = np.tile(x, (len(self.dataset.folds), 1))
-            found = effective_of_each(self.dataset, [(columns, folds)], delay=fit.choice.delay)[0]
+            found = effective_per_joint(self.dataset, columns, folds, delay=fit.choice.delay)
             worth = np.minimum(found, self.beliefs.discrepancy)
             # What is more than sensor noise goes with the motion, however often that repeats.
             noise = np.square(NOISE_MARGIN * self.dataset.noise_floor) / fit.variance

@@ -20,7 +20,7 @@ from geodrake.identification.logs.criteria import ALARM, NOISE_MARGIN
 from geodrake.identification.logs.evidence import false_alarm_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.reduce import peak_speeds
-from geodrake.identification.normal_equations import choleskies, solved
+from geodrake.identification.normal_equations import cholesky, solved
 from geodrake.logs.smoothing import Segment
 
 Array = NDArray[np.float64]
@@ -159,7 +159,7 @@ class _Folds:
     def held_out(self, ridge: float) -> Array:
         """(F,) squared error of the residual in each fold by a ridge regression on all others."""
         grams = self.grams.sum(axis=0) - self.grams
-        factors = choleskies(grams, ridge * sum(map(len, self.residuals)))
+        factors = cholesky(grams, ridge * sum(map(len, self.residuals)))
         fits = zip(self.features, self.residuals, factors, self.moments, strict=True)
         moment = self.moments.sum(axis=0)
         left = [b - A @ solved(factor, moment - own) for A, b, factor, own in fits]

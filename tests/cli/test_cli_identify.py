@@ -164,7 +164,7 @@ def test_held_out_errors_are_those_of_fits_without_the_fold(log):
     for j, data in enumerate(case.dataset.data):
         for f in fits.folds:
             result = fits.solve("pullback", gamma=3.0, without=f)
-            x = fits.parameters(result)
+            x = result.fit.x
             local = data.local(fits.unknowns.columns)
             squares = [
                 np.square(r.b[:, 0] - r.A[:, local[local >= 0]] @ x[local >= 0]).sum()

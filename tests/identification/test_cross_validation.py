@@ -125,7 +125,7 @@ def test_held_out_errors_are_those_of_ridge_regression(dataset, model, effects, 
     x = ridge_fit(dataset, unknowns, without=None, delay=delay)
     for joint in range(2):
         A, _ = stacked(dataset, unknowns.columns, 0, joint)
-        np.testing.assert_allclose(A @ cv.fit_all(), A @ x, atol=1e-5)
+        np.testing.assert_allclose(A @ cv.fit_all, A @ x, atol=1e-5)
 
 
 def test_information_of_a_fitted_model_is_kept(dataset, model):
@@ -163,9 +163,10 @@ def test_bodies_stay_physical(dataset, model):
     unknowns = model_unknowns(dataset, model, spread=3.0)
     wild = CrossValidation(negative(dataset), unknowns, WEIGHTS, physical=False)
     assert not is_physical(wild.held_out.x.reshape(-1, 10)).any()
-    kept = wild.physical()
+    assert not wild.is_physical
+    kept = CrossValidation(negative(dataset), unknowns, WEIGHTS)
     assert is_physical(kept.held_out.x.reshape(-1, 10)).all()
-    assert is_physical(kept.fit_all().reshape(-1, 10)).all()
+    assert is_physical(kept.fit_all.reshape(-1, 10)).all()
     conic = held_out_physical(negative(dataset), unknowns, WEIGHTS)
     np.testing.assert_allclose(kept.held_out.rms, conic.rms, rtol=1e-3)
 
@@ -213,14 +214,14 @@ def test_deviations_are_those_of_the_normal_matrix(dataset, model):
             matrix += WEIGHTS[joint] * A.T @ A
     scale = 1.0 / np.sqrt(np.diag(matrix))
     expected = scale * np.sqrt(np.diag(np.linalg.inv(matrix * np.outer(scale, scale))))
-    found = CrossValidation(dataset, unknowns, WEIGHTS).deviations()
+    found = CrossValidation(dataset, unknowns, WEIGHTS).deviations
     np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
 def test_fit_finds_the_friction_that_was_there(dataset, model):
     unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
     cv = CrossValidation(dataset, unknowns, WEIGHTS)
-    np.testing.assert_allclose(cv.fit_all()[-4:], [0.2, 0.1, 0.1, 0.05], atol=0.01)
+    np.testing.assert_allclose(cv.fit_all[-4:], [0.2, 0.1, 0.1, 0.05], atol=0.01)
 
 
 def test_physical_fit_is_the_ridge_fit_where_that_is_physical(dataset, model):
@@ -303,7 +304,7 @@ def test_every_joint_has_a_delay_of_its_own(dataset, model, delay):
     found = CrossValidation(dataset, unknowns, WEIGHTS, delay=delay)
     expected = CrossValidation(moved, unknowns, WEIGHTS)
     np.testing.assert_allclose(found.held_out.sse, expected.held_out.sse, rtol=1e-9)
-    np.testing.assert_allclose(found.fit_all(), expected.fit_all(), rtol=1e-7)
+    np.testing.assert_allclose(found.fit_all, expected.fit_all, rtol=1e-7)
     physical = held_out_physical(dataset, unknowns, WEIGHTS, delay=delay)
     np.testing.assert_allclose(
         physical.sse, held_out_physical(moved, unknowns, WEIGHTS).sse, rtol=1e-6

@@ -45,10 +45,9 @@ from geodrake.control.rollout.rollout_values import (
 from geodrake.control.rollout.simulation import Simulation
 from geodrake.control.rollout.simulations import Simulations, chosen_passages
 from geodrake.errors import LogError
-from geodrake.identification.logs.case import Case, open_case
+from geodrake.identification.logs.case import Case, checked_logs, open_case
 from geodrake.identification.logs.criteria import TIE
 from geodrake.identification.logs.evidence import tie_probability
-from geodrake.identification.logs.inputs import checked_logs
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 

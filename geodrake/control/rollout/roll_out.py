@@ -15,8 +15,7 @@ from geodrake.control.rollout.simulations import Simulations, chosen_passages
 from geodrake.effects import Role
 from geodrake.effects.lookup import effect_of
 from geodrake.errors import ArgumentError, LogError
-from geodrake.identification.logs.case import Case, open_case
-from geodrake.identification.logs.inputs import checked_logs
+from geodrake.identification.logs.case import Case, checked_logs, open_case
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import servos_of

@@ -77,8 +77,8 @@ class ColumnSamples:
         series = []
         for left, at in zip(residuals, rows, strict=True):
             cuts = np.flatnonzero(np.diff(self.block[at])) + 1
-            series.append([part[:, None] for part in np.split(left, cuts) if len(part)])
-        return effective_samples_of_each(series)[:, 0]
+            series.append([part for part in np.split(left, cuts) if len(part)])
+        return effective_samples_of_each(series)
 
 
 def column_samples(

@@ -314,8 +314,8 @@ def _drafted(
     at = np.concatenate([np.r_[after.unknowns.span(effect)] for effect in effects])
     return DraftedEffect(
         Formula(joint, tuple(_terms(found.fit, joint))),
-        after.cv.fit_all()[at],
-        after.cv.deviations()[at],
+        after.cv.fit_all[at],
+        after.cv.deviations[at],
         float(before.held_out.rms[j]),
         float(after.held_out.rms[j]),
         float(dataset.noise_floor[j]),

@@ -103,7 +103,7 @@ def _fitted(case: Case) -> tuple[RobotModel, Array]:
     mse = np.maximum(mse, 1e-12 * dataset.effort_std**2)
     samples = dataset.samples.sum(0)
     noise = np.sqrt(mse * samples / np.minimum(found.effective, samples))
-    x = found.cv.fit_all()
+    x = found.cv.fit_all
     effects = []
     for known in model.effects:
         values = known.parameters

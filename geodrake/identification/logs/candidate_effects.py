@@ -87,13 +87,9 @@ def candidate_effects(
 def _at_joint(
     effect: type[Effect], joint: str, speed: float, temperature: float | None
 ) -> Sequence[Effect]:
-    """Instances of an effect to try at a joint.
+    """Return instances of an effect to try at a joint of a peak speed, rad/s or m/s.
 
-    Args:
-        effect: Class of the effect.
-        joint: The joint.
-        speed: Its peak speed, rad/s or m/s.
-        temperature: Its mean temperature, °C; None where it does not change or nobody knows it.
+    Its mean `temperature`, °C, is None where it does not change or nobody knows it.
     """
     if "temperature" not in effect.depends_on:
         return candidates_of(effect, joint, speed)
@@ -103,11 +99,7 @@ def _at_joint(
 
 
 def mean_temperatures(trajectories: Sequence[Trajectory]) -> dict[str, float]:
-    """Joint -> mean temperature in the logs, °C, where it changes enough to show what it does.
-
-    Args:
-        trajectories: Prepared logs.
-    """
+    """Joint -> mean temperature in the logs, °C, where it changes enough to show what it does."""
     courses = [t.temperatures.courses for t in trajectories if t.temperatures is not None]
     found = {}
     for joint in trajectories[0].joints:
@@ -118,11 +110,9 @@ def mean_temperatures(trajectories: Sequence[Trajectory]) -> dict[str, float]:
 
 
 def candidate_delays(period: float, bandwidth: float) -> tuple[float, ...]:
-    """Delays to try beside none, s: multiples of a step the data can resolve, to either side.
+    """Return delays to try, s: 0 and multiples of a step the data can resolve, to either side.
 
-    Args:
-        period: Time between two samples, s.
-        bandwidth: Bandwidth of efforts and regressors, Hz.
+    That depends on the time between samples, s, and the bandwidth of efforts and regressors, Hz.
     """
     step = max(period, LONGEST_DELAY / 10, min(0.02 / bandwidth, LONGEST_DELAY / 2))
     steps = np.arange(1, max(2, int(LONGEST_DELAY / step + 1e-9) + 1)) * step

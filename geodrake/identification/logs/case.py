@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.boundary.arguments import instance, instances, integer, real_array
 from geodrake.boundary.showing import Short
 from geodrake.effects import catalogue
 from geodrake.effects.base import Effect
@@ -19,7 +20,6 @@ from geodrake.identification.logs.candidate_effects import candidate_delays, can
 from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
 from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.dataset import Dataset, Delay
-from geodrake.identification.logs.inputs import checked_logs
 from geodrake.identification.logs.model_errors import ErrorTable, JointError, Series
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.noise import filtered_below
@@ -41,6 +41,7 @@ from geodrake.model.logged_joints import holding_resting, log_of_model
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
+Logs = Sequence[JointLog | str | Path]
 
 _OTHER_SCALE = 0.1  # of a logarithm: time that is so far from what velocities say is another
 _LEAST_EFFORT = 1e-12  # N·m or N, by which a measured effort changes
@@ -48,63 +49,43 @@ _LEAST_EFFORT = 1e-12  # N·m or N, by which a measured effort changes
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """What a case was opened with.
+    """What a case was opened with."""
 
-    Attributes:
-        logs: The logs, joints in the model's order.
-        extra: Effect classes of the user's own.
-        bandwidth: Bandwidth that it was to have, Hz; None if it was chosen from the data.
-        blocks: Blocks asked for.
-    """
-
-    logs: tuple[JointLog, ...]
-    extra: tuple[type[Effect], ...]
+    logs: tuple[JointLog, ...]  # the logs, joints in the model's order
+    extra: tuple[type[Effect], ...]  # effect classes of the user's own
+    # Bandwidth that it was to have, Hz; None if it was chosen from the data.
     bandwidth: float | None
-    blocks: int | None
+    blocks: int | None  # blocks asked for
 
 
 @dataclass(eq=False)
 class KeptMotion:
-    """What was computed of a model and its logs alone, and serves again.
+    """What was computed of a model and its logs alone, and serves again."""
 
-    Attributes:
-        segments: The segments of all logs in memory, with the index of their log.
-        seen: Their motion as effects see it.
-        columns: Effect -> its column at every joint, for each segment.
-    """
-
+    # The segments of all logs in memory, with the index of their log.
     segments: list[tuple[int, Segment]] = field(default_factory=list)
-    seen: list[RobotMotion] = field(default_factory=list)
+    seen: list[RobotMotion] = field(default_factory=list)  # their motion as effects see it
+    # Effect -> its column at every joint, for each segment.
     columns: dict[Effect, list[Array]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Case(Short):
-    """A model and its logs.
-
-    Attributes:
-        model: The model.
-        trajectories: The prepared logs.
-        folds: Validation folds.
-        dataset: The reduced logs, with columns for the model's effects and the candidates.
-        fingerprints: Fingerprints of the logs.
-        notes: What was done to the logs and noticed about the model.
-        asked: What it was opened with.
-        kept: What was computed of model and motion alone, and serves again.
-        shared: What reductions of the logs share.
-        loads: (nb, 10) inertial parameters that efforts of bodies are computed with, which
-            columns of effects may depend on; the model's if None.
-    """
+    """A model and its logs."""
 
     model: RobotModel
     trajectories: tuple[Trajectory, ...]
     folds: tuple[Fold, ...]
-    dataset: Dataset
+    dataset: Dataset  # the reduced logs, with columns for the model's effects and the candidates
     fingerprints: tuple[str, ...]
-    notes: tuple[str, ...]
-    asked: Asked
+    notes: tuple[str, ...]  # what was done to the logs and noticed about the model
+    asked: Asked  # what it was opened with
+    # What was computed of model and motion alone, and serves again.
     kept: KeptMotion = field(default_factory=KeptMotion, repr=False)
+    # What reductions of the logs share.
     shared: SharedRows = field(default_factory=SharedRows, repr=False)
+    # (nb, 10) inertial parameters that efforts of bodies are computed with, which columns of
+    # effects may depend on; the model's if None.
     loads: Array | None = None
 
     @property
@@ -209,6 +190,28 @@ def open_case(
     return Case(model, trajectories, folds, dataset, fingerprints, said, opened, shared=shared)
 
 
+def checked_logs(
+    model: RobotModel,
+    logs: Logs,
+    extra: Sequence[type[Effect]],
+    bandwidth: float | None,
+    blocks: int | None,
+) -> tuple[JointLog | str | Path, ...]:
+    """Return the logs, or their files, if all that a caller passed can be understood at all.
+
+    Raises:
+        ArgumentError: Something is not what it must be.
+    """
+    instance(model, "model", RobotModel)
+    instances(extra, "extra", type)
+    if bandwidth is not None:
+        real_array(bandwidth, "bandwidth", (), finite=False)
+    if blocks is not None:
+        integer(blocks, "blocks")
+    each = (logs,) if isinstance(logs, JointLog | str | Path) else logs
+    return instances(each, "logs", (JointLog, str, Path))
+
+
 def prepared_as_measured(
     model: RobotModel,
     logs: Sequence[JointLog | str | Path],
@@ -216,17 +219,13 @@ def prepared_as_measured(
     bandwidth: float | None = None,
     blocks: int | None = None,
 ) -> tuple[tuple[Trajectory, ...], tuple[Fold, ...]]:
-    """Prepared logs and their folds, for which what the model says of the efforts does not matter.
+    """Return prepared logs and their folds, whatever the model says of efforts.
 
     Args:
         model: The model, whose joints the logs are of.
         logs: Logs or their files.
         bandwidth: Bandwidth of the filter, Hz; by default chosen from the motion.
         blocks: As for `open_case`.
-
-    Raises:
-        LogError: A log cannot be used.
-        ArgumentError: There is no log, one is there twice, or a setting is no usable number.
     """
     logs = checked_logs(model, logs, (), bandwidth, blocks)
     _, matched, _ = with_efforts(model, _matched(model, logs))
@@ -243,12 +242,7 @@ def prepared_as_measured(
 
 
 def reopen(case: Case, model: RobotModel) -> Case:
-    """Return the case with a model fitted to it, whose effects alone get columns.
-
-    Args:
-        case: Prepared logs.
-        model: A model with the joints and bodies of the case's.
-    """
+    """Return the case with a model fitted to it, whose effects alone get columns."""
     dataset = reduce_logs(
         model,
         case.trajectories,
@@ -265,11 +259,8 @@ def reduced(
 ) -> Dataset:
     """Return the logs of a case with columns for other effects.
 
-    Args:
-        case: The case.
-        effects: Effects that get columns.
-        delays: Delays to try on top of the model's, s, of all joints or (nv,) of each; by default
-            those of the case.
+    Delays to try on top of the model's, s, of all joints or (nv,) of each, are by default those of
+    the case.
     """
     return reduce_logs(
         case.load_model,
@@ -283,12 +274,7 @@ def reduced(
 
 
 def error_table(dataset: Dataset, held_out: HeldOut) -> ErrorTable:
-    """Errors of every joint.
-
-    Args:
-        dataset: The reduced logs.
-        held_out: Held-out errors on them.
-    """
+    """Return the errors of every joint."""
     known = np.broadcast_to(dataset.noise_known, len(dataset.joints))
     columns = (held_out.rms, dataset.effort_std, dataset.noise_floor, known)
     return ErrorTable(tuple(map(JointError, dataset.joints, *(c.tolist() for c in columns))))
@@ -297,14 +283,7 @@ def error_table(dataset: Dataset, held_out: HeldOut) -> ErrorTable:
 def series(
     dataset: Dataset, unknowns: Unknowns, held_out: HeldOut, *, delay: Delay = 0
 ) -> tuple[Series, ...]:
-    """Measured and predicted efforts of every joint and block.
-
-    Args:
-        dataset: The reduced logs.
-        unknowns: The p parameters that the predictions are made with.
-        held_out: Their values, fitted without each fold.
-        delay: Index of the effort column that counts as measured.
-    """
+    """Return measured and predicted efforts of every joint and block, the prediction held out."""
     found = []
     lates = dataset.delay_of_each(delay)
     for joint, data, late in zip(dataset.joints, dataset.data, lates, strict=True):
@@ -329,18 +308,17 @@ def series(
 
 
 def _matched(model: RobotModel, logs: Sequence[JointLog | str | Path]) -> list[JointLog]:
-    """Logs read if they are files, joints in the model's order, each with a name of its own."""
-    matched = _with_names_of_their_own(
-        [
-            log_of_model(
-                log
-                if isinstance(log, JointLog)
-                else read_log(log, joints=model.known_joints, partial=True),
-                model,
-            )
-            for log in logs
-        ]
-    )
+    """Return logs, read if they are files, joints in the model's order, each of its own name."""
+    read = [
+        log if isinstance(log, JointLog) else read_log(log, joints=model.known_joints, partial=True)
+        for log in logs
+    ]
+    matched = [log_of_model(log, model) for log in read]
+    names = [log.name for log in matched]
+    matched = [
+        replace(log, name=f"{log.name} ({k + 1})") if names.count(log.name) > 1 else log
+        for k, log in enumerate(matched)
+    ]
     check_repeated(matched)
     for log in matched:
         check_commands(log)
@@ -360,14 +338,6 @@ def _still_notes(dataset: Dataset) -> list[str]:
     ]
 
 
-def _with_names_of_their_own(logs: Sequence[JointLog]) -> list[JointLog]:
-    names = [log.name for log in logs]
-    return [
-        replace(log, name=f"{log.name} ({k + 1})") if names.count(log.name) > 1 else log
-        for k, log in enumerate(logs)
-    ]
-
-
 def _trained_on(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
     return [
         f"the model was fitted to {log.name} before: all errors on it are those of training data, "
@@ -378,12 +348,7 @@ def _trained_on(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
 
 
 def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
-    """That efforts were filtered before, in words; nothing if they were not.
-
-    Args:
-        trajectory: The prepared log.
-        fitted: Whether there is a model fitted to it, or will be.
-    """
+    """Say that efforts were filtered before, if so; a model is fitted to them, or will be."""
     end = filtered_below(trajectory)
     if not np.isfinite(end):
         return ""
@@ -397,23 +362,19 @@ def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
 def _check_efforts(logs: Sequence[JointLog]) -> None:
     check_repeated(logs)  # also those whose efforts were not there
     for log in logs:
-        _check_changes(log)
-
-
-def _check_changes(log: JointLog) -> None:
-    known = np.isfinite(log.effort)
-    highest = log.effort.max(axis=0, initial=-np.inf, where=known)
-    lowest = log.effort.min(axis=0, initial=np.inf, where=known)
-    largest = np.maximum(np.abs(highest), np.abs(lowest))
-    constant = highest - np.maximum(1e-9 * largest, _LEAST_EFFORT) <= lowest
-    constant &= known.any(axis=0)
-    if constant.any():
-        joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
-        raise LogError(
-            f"The effort of {', '.join(joints)} never changes in log {log.name!r}.",
-            advice="Check what is logged there.",
-            joints=joints,
-        )
+        known = np.isfinite(log.effort)
+        highest = log.effort.max(axis=0, initial=-np.inf, where=known)
+        lowest = log.effort.min(axis=0, initial=np.inf, where=known)
+        largest = np.maximum(np.abs(highest), np.abs(lowest))
+        constant = highest - np.maximum(1e-9 * largest, _LEAST_EFFORT) <= lowest
+        constant &= known.any(axis=0)
+        if constant.any():
+            joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
+            raise LogError(
+                f"The effort of {', '.join(joints)} never changes in log {log.name!r}.",
+                advice="Check what is logged there.",
+                joints=joints,
+            )
 
 
 @contextmanager

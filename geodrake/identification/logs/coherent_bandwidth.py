@@ -18,17 +18,10 @@ from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-_EXCESS = 25.0
-"""Efforts differ clearly if one has this many times the other's power: five times the amplitude."""
-
-_ENOUGH = 400
-"""So many filtered samples of each joint make folds of some fifty samples."""
-
-_SAMPLES = 100_000
-"""At most so many samples of a segment are looked at."""
-
-_LARGEST_RATIO = 700.0
-"""Logarithm of a ratio that is a number still."""
+_EXCESS = 25.0  # times the other's power: five times the amplitude is a clear difference
+_ENOUGH = 400  # filtered samples of each joint, which make folds of some fifty
+_SAMPLES = 100_000  # of a segment that are looked at
+_LARGEST_RATIO = 700.0  # logarithm of a ratio that is a number still
 
 
 def prepare_for_model(
@@ -39,14 +32,8 @@ def prepare_for_model(
     The motion alone suggests a bandwidth (`prepare_logs`). It is lowered to where the motion asks
     for efforts that were not measured: vibration, play and elasticity behind the motor move the
     joint without the motor's effort. It is raised where the log is short, as far as position noise
-    does not ask for more effort than was measured.
-
-    Args:
-        model: The model; a rough one will do.
-        logs: Logs, joints in the model's order; uniform ones if somebody has them already.
-
-    Returns:
-        The prepared logs, and a sentence on what was changed and why, if anything was.
+    does not ask for more effort than was measured. A rough model will do; logs have their joints in
+    its order. With the prepared logs comes a sentence on what was changed and why, if anything was.
     """
     uniform = [log if isinstance(log, UniformLog) else make_uniform(log) for log in logs]
     trajectories = prepare_logs(uniform)
@@ -77,16 +64,11 @@ def prepare_for_model(
 
 
 def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) -> float | None:
-    """Frequency above which the motion asks for efforts that were not measured, Hz.
+    """Return the frequency above which the motion asks for efforts that were not measured, Hz.
 
-    Args:
-        model: The model; a rough one will do.
-        trajectories: Prepared logs.
-
-    Returns:
-        The frequency from which on the effort that the model needs has more than 25 times the
-        measured power, the geometric mean over joints; None if it has not up to the bandwidth, or
-        has from the lowest frequency on, as where efforts are in other units.
+    From there on the effort that the model needs, a rough one, has more than 25 times the measured
+    power, the geometric mean over joints. None if it has not up to the bandwidth, or has from the
+    lowest frequency on, as where efforts are in other units.
     """
     frequency, ratio = effort_ratio(model, trajectories)
     inside = frequency <= trajectories[0].filter.bandwidth
@@ -99,14 +81,9 @@ def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) ->
 
 
 def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
-    """Power of the effort that the model needs over that of the measured effort.
+    """Return the power of the effort that the model needs over that of the measured effort.
 
-    Args:
-        model: The model as it stands.
-        trajectories: Prepared logs.
-
-    Returns:
-        frequency (K,) in Hz, without 0, and ratio (K,), the geometric mean over joints.
+    Those are frequencies (K,) in Hz, without 0, and ratios (K,), the geometric mean over joints.
     """
     robots = {t.payloads: carrying(model, t.payloads) for t in trajectories}
     held = [(robots[t.payloads], segment) for t in trajectories for segment in t.segments]

@@ -60,13 +60,7 @@ def compare(
 def comparison(
     case: Case, unknowns: Unknowns | None = None, held_out: HeldOut | None = None
 ) -> Comparison:
-    """The comparison of a case, with the model as it stands or with held-out predictions.
-
-    Args:
-        case: Prepared logs and the model.
-        unknowns: The parameters that were fitted; None for the model as it stands.
-        held_out: Their held-out errors; None for the model as it stands.
-    """
+    """Compare a case's model as it stands, or parameters fitted without each fold."""
     dataset = case.dataset
     if unknowns is None or held_out is None:
         unknowns, held_out = model_unknowns(dataset, case.model), as_it_stands(dataset, case.model)
@@ -86,13 +80,9 @@ def where_it_fails(
     sliding: Collection[str] = (),
     most: int = 6,
 ) -> tuple[Failing, ...]:
-    """Circumstances in which errors are concentrated, the worst of each joint first.
+    """Return circumstances in which errors are concentrated, the worst of each joint first.
 
-    Args:
-        found: Measured and predicted efforts.
-        errors: Errors of the joints, which come in the order of their nrms.
-        sliding: Names of prismatic joints, whose units are m and N.
-        most: Largest number of circumstances to return.
+    Joints come in the order of their nrms. The units of `sliding` ones are m and N.
     """
     worst = []
     for error in errors.joints:

@@ -50,9 +50,6 @@ FIXED = 1e-3
 LARGEST = 10.0
 """An effect is thought to need at most so many times the deviation of its joint's effort."""
 
-USUAL_GAIN = 2.0
-"""A gain is usual that is off by so many of its standard deviations, `effort_uncertainty`."""
-
 WORTH = 4.0
 """What goes with the motion and stays unexplained is worth so many samples, however long logs are.
 

@@ -15,37 +15,26 @@ from numpy.typing import NDArray
 
 from geodrake.identification.logs.dataset import Dataset, Delay
 from geodrake.identification.logs.unknowns import Unknowns
-from geodrake.identification.normal_equations import RIDGE, choleskies, cholesky, solved
+from geodrake.identification.normal_equations import RIDGE, cholesky, solved
 from geodrake.identification.physical_minimizers import (
     are_physical,
     inner_bodies,
     physical_minimizers,
 )
-from geodrake.inertia import PARAMETERS_PER_BODY
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_MOST_SEEN = 0.3
-"""If a joint sees more than this share of the products, adding zeros to the others is quicker."""
-
-_ROUNDING = 1e-12
-"""Rounding may take a parameter so far beyond its bound."""
+_ROUNDING = 1e-12  # by which a parameter may be beyond its bound
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Held-out squared errors.
+    """Held-out squared errors."""
 
-    Attributes:
-        sse: (F, nv) sums of squared held-out residuals, (N·m)² or N².
-        samples: (F, nv) rows behind them.
-        x: (F, p) parameters fitted without each fold.
-    """
-
-    sse: Array
-    samples: NDArray[np.int_]
-    x: Array
+    sse: Array  # (F, nv) sums of squared held-out residuals, (N·m)² or N²
+    samples: NDArray[np.int_]  # (F, nv) rows behind them
+    x: Array  # (F, p) parameters fitted without each fold
 
     @property
     def mse(self) -> Array:
@@ -59,7 +48,7 @@ class HeldOut:
 
 
 def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0) -> HeldOut:
-    """Errors of given parameters in every fold, through the triangular factors.
+    """Return the errors of given parameters in every fold, through the triangular factors.
 
     Args:
         dataset: The reduced logs.
@@ -76,35 +65,26 @@ def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0) 
 
 
 def normal_matrices(
-    dataset: Dataset, weights: Array, left: Indices, right: Indices, *, delay: Delay = 0
+    dataset: Dataset, weights: Array, columns: Indices, *, delay: Delay = 0
 ) -> tuple[Array, Array]:
-    """Weighted AᵀA between two sets of columns, and Aᵀb of the second, of every fold.
+    """Return the weighted AᵀA (F, p, p) and Aᵀb (F, p) of every fold.
 
     Args:
         dataset: The reduced logs.
         weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)² or 1 / N².
-        left: (l,) columns of the dataset.
-        right: (r,) columns of the dataset.
+        columns: (p,) columns of A in the dataset.
         delay: Index of the effort column that b is.
-
-    Returns:
-        (F, l, r) and (F, r).
     """
-    gram = np.zeros((len(left), len(right), len(dataset.folds)))
-    rhs = np.zeros((1, len(right), len(dataset.folds)))
+    p, folds = len(columns), len(dataset.folds)
+    gram, rhs = np.zeros((p, p, folds)), np.zeros((p, folds))
     delays = dataset.delay_of_each(delay)
     for data, weight, late in zip(dataset.data, weights, delays, strict=True):
-        at_left, at_right = data.local(left), data.local(right)
-        rows, columns = np.flatnonzero(at_left >= 0), np.flatnonzero(at_right >= 0)
-        if len(columns):
-            effort = np.array([len(data.columns) + late])
-            rhs += weight * data.products(effort, at_right)
-            if len(rows) * len(columns) > _MOST_SEEN * len(left) * len(right):
-                gram += weight * data.products(at_left, at_right)
-            else:
-                seen = weight * data.products(at_left[rows], at_right[columns])
-                gram[rows[:, None], columns] += seen
-    return np.ascontiguousarray(np.moveaxis(gram, 2, 0)), np.ascontiguousarray(rhs[0].T)
+        local = data.local(columns)
+        seen = np.flatnonzero(local >= 0)
+        effort = np.array([len(data.columns) + late])
+        gram[seen[:, None], seen] += weight * data.products(local[seen], local[seen])
+        rhs[seen] += weight * data.products(effort, local[seen])[0]
+    return np.ascontiguousarray(np.moveaxis(gram, 2, 0)), np.ascontiguousarray(rhs.T)
 
 
 class CrossValidation:
@@ -116,7 +96,6 @@ class CrossValidation:
         weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)².
         delay: Index of the effort column to fit.
         held_out: The held-out errors, if they are known already.
-        start: (F, p) parameters of like fits with physical bodies, to save some steps.
         physical: Whether bodies are kept physical.
     """
 
@@ -128,25 +107,20 @@ class CrossValidation:
         *,
         delay: Delay = 0,
         held_out: HeldOut | None = None,
-        start: Array | None = None,
         physical: bool = True,
     ) -> None:
-        self._start, self._physical = start, physical
         self.dataset, self.unknowns, self.weights = dataset, unknowns, weights
         self.delay = dataset.delay_of_each(delay)
-        self.held_out = self._hold_out() if held_out is None else held_out
-
-    def _hold_out(self) -> HeldOut:
-        gram, rhs = self._whole
-        own_gram, own_rhs = self._own
-        x = self._solved(gram - own_gram, rhs - own_rhs, self._start, self._physical)
-        return hold_out(self.dataset, self.unknowns.columns, x, delay=self.delay)
+        if held_out is None:
+            (gram, rhs), (own_gram, own_rhs) = self._whole, self._own
+            x = self._solved(gram - own_gram, rhs - own_rhs, unknowns.mean, physical=physical)
+            held_out = hold_out(dataset, unknowns.columns, x, delay=self.delay)
+        self.held_out = held_out
 
     @cached_property
     def _own(self) -> tuple[Array, Array]:
         """Normal matrix (F, p, p) and right side (F, p) of each fold."""
-        columns = self.unknowns.columns
-        return normal_matrices(self.dataset, self.weights, columns, columns, delay=self.delay)
+        return normal_matrices(self.dataset, self.weights, self.unknowns.columns, delay=self.delay)
 
     @cached_property
     def _whole(self) -> tuple[Array, Array]:
@@ -154,74 +128,42 @@ class CrossValidation:
         (gram, rhs), prior = self._own, self.unknowns.information
         return gram.sum(0) + prior, rhs.sum(0) + prior @ self.unknowns.mean
 
-    def physical(self, start: Array | None = None) -> CrossValidation:
-        """These fits with physical bodies; themselves if they are so already.
+    @property
+    def is_physical(self) -> bool:
+        """Return whether the bodies of the fits are physical."""
+        return bool(are_physical(self.held_out.x, self.unknowns.inertia_blocks).all())
 
-        Args:
-            start: (F, p) parameters of like fits with physical bodies, to save some steps.
-        """
-        if are_physical(self.held_out.x, self.unknowns.inertia_blocks).all():
-            return self
-        return CrossValidation(
-            self.dataset, self.unknowns, self.weights, delay=self.delay, start=start
-        )
-
-    def _solved(self, grams: Array, rhs: Array, start: Array | None, physical: bool) -> Array:
-        """(F, p) fits of matrices (F, p, p) and right sides (F, p), physical if asked for."""
-        x, blocks = self._within_bounds(grams, rhs), self.unknowns.inertia_blocks
+    def _solved(self, grams: Array, rhs: Array, near: Array, *, physical: bool) -> Array:
+        """(F, p) fits of matrices (F, p, p) and right sides (F, p), physical ones from (p,) on."""
+        scales = 1.0 / np.sqrt(np.diagonal(grams, axis1=1, axis2=2))
+        scaled, x = grams * scales[:, :, None] * scales[:, None, :], np.empty_like(rhs)
+        for f, factor in enumerate(cholesky(scaled)):
+            free = scales[f] * solved(factor, scales[f] * rhs[f])
+            x[f] = _within(free, rhs[f], (scaled[f], scales[f]), self.unknowns)
+        blocks = self.unknowns.inertia_blocks
         beyond = np.flatnonzero(~are_physical(x, blocks)) if physical else np.zeros(0, int)
         if len(beyond):
-            begin = np.broadcast_to(self.unknowns.mean, x.shape) if start is None else start
-            begin = inner_bodies(begin[beyond], blocks, self.dataset.payload)
-            inertial, bounds = self._inertial_and_bounds
-            begin = np.where(inertial, begin, x[beyond])
+            near = np.tile(near, (len(beyond), 1))
+            begin = inner_bodies(near, blocks, self.dataset.payload)
+            begin = np.where(self.unknowns.is_inertial, begin, x[beyond])
+            bounds = self.unknowns.scalar_bounds
             x[beyond] = physical_minimizers(grams[beyond], rhs[beyond], blocks, begin, bounds)
         return x
 
     @cached_property
-    def _inertial_and_bounds(self) -> tuple[NDArray[np.bool_], tuple[Array, Array]]:
-        """(p,) which unknowns are of bodies, and the bounds (p,) of the others."""
-        unknowns = self.unknowns
-        inertial = np.zeros(len(unknowns.mean), bool)
-        for block in unknowns.inertia_blocks:
-            inertial[block : block + PARAMETERS_PER_BODY] = True
-        lower = np.where(inertial, -np.inf, unknowns.lower)
-        return inertial, (lower, np.where(inertial, np.inf, unknowns.upper))
-
-    def _within_bounds(self, grams: Array, rhs: Array) -> Array:
-        """(F, p) minimizers within the bounds."""
-        scales = 1.0 / np.sqrt(np.diagonal(grams, axis1=1, axis2=2))
-        scaled = grams * scales[:, :, None] * scales[:, None, :]
-        found = np.empty_like(rhs)
-        for f, factor in enumerate(choleskies(scaled)):
-            free = scales[f] * solved(factor, scales[f] * rhs[f])
-            found[f] = _within(free, rhs[f], (scaled[f], scales[f]), self.unknowns)
-        return found
-
     def fit_all(self) -> Array:
         """(p,) parameters fitted to all folds."""
-        return self._all
-
-    def covariance(self) -> Array:
-        """(p, p) covariance of `fit_all`, bounds left aside."""
-        return self._covariance
-
-    def deviations(self) -> Array:
-        """(p,) standard deviations of `fit_all`, bounds left aside."""
-        return np.sqrt(np.diag(self._covariance))
-
-    @cached_property
-    def _all(self) -> Array:
         gram, rhs = self._whole
-        near = self.held_out.x.mean(0, keepdims=True)  # physical, if each of them is
+        near = self.held_out.x.mean(0)  # physical, if each of them is
         return self._solved(gram[None], rhs[None], near, physical=True)[0]
 
     @cached_property
-    def _covariance(self) -> Array:
+    def deviations(self) -> Array:
+        """(p,) standard deviations of `fit_all`, bounds left aside."""
         gram, _ = self._whole
         scale = 1.0 / np.sqrt(np.diag(gram))
         matrix = gram * scale[:, None] * scale + RIDGE * np.eye(len(scale))
-        return np.asarray(scale[:, None] * np.linalg.inv(matrix) * scale)
+        return scale * np.sqrt(np.diag(np.linalg.inv(matrix)))
 
 
 def _within(x: Array, rhs: Array, scaled: tuple[Array, Array], unknowns: Unknowns) -> Array:

@@ -8,7 +8,7 @@ hundreds of candidates are then small dense problems; no one goes back to the sa
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -27,79 +27,44 @@ Delay = int | Sequence[int]
 
 @dataclass(frozen=True, eq=False)
 class JointRows:
-    """Filtered, decimated rows of one joint in one block.
+    """Filtered, decimated rows of one joint in one block."""
 
-    Attributes:
-        time: (K,) instants, s.
-        motion: (K, 3) position, velocity and acceleration of the joint.
-        A: (K, p_j) columns, in the order of the joint's column indices.
-        b: (K, d) measured effort less `carried`, one column per delay of the dataset.
-        used: (K,) whether the joint moves, so that the row says something.
-        carried: (K,) effort beside what is fitted: of known payloads, less what columns of bodies
-            have in them of effects (`Effect.in_bodies`).
-    """
-
-    time: Array
-    motion: Array
-    A: Array
-    b: Array
-    used: NDArray[np.bool_]
+    time: Array  # (K,) instants, s
+    motion: Array  # (K, 3) position, velocity and acceleration of the joint
+    A: Array  # (K, p_j) columns, in the order of the joint's column indices
+    b: Array  # (K, d) measured effort less `carried`, one column per delay of the dataset
+    used: NDArray[np.bool_]  # (K,) whether the joint moves, so that the row says something
+    # (K,) effort beside what is fitted: of known payloads, less what columns of bodies have in them
+    # of effects (`Effect.in_bodies`).
     carried: Array
 
     def part(self, low: int, high: int) -> JointRows:
-        """Rows low to high, those not used left out.
-
-        Args:
-            low: First row.
-            high: Row after the last one.
-        """
+        """Return rows low to high − 1, those not used left out."""
         keep = low + np.flatnonzero(self.used[low:high])
-        return JointRows(
-            self.time[keep],
-            self.motion[keep],
-            self.A[keep],
-            self.b[keep],
-            self.used[keep],
-            self.carried[keep],
-        )
+        return JointRows(*(getattr(self, each.name)[keep] for each in fields(self)))
 
     @classmethod
     def join(cls, parts: Sequence[JointRows]) -> JointRows:
-        """Rows one after another."""
-        return cls(
-            np.concatenate([rows.time for rows in parts]),
-            np.concatenate([rows.motion for rows in parts]),
-            np.concatenate([rows.A for rows in parts]),
-            np.concatenate([rows.b for rows in parts]),
-            np.concatenate([rows.used for rows in parts]),
-            np.concatenate([rows.carried for rows in parts]),
-        )
+        """Return rows one after another."""
+        names = [each.name for each in fields(cls)]
+        return cls(*(np.concatenate([getattr(rows, name) for rows in parts]) for name in names))
 
 
 @dataclass(frozen=True, eq=False)
 class JointData:
-    """What all folds say about one joint.
+    """What all folds say about one joint."""
 
-    Attributes:
-        columns: (p_j,) global indices of the columns that can be nonzero at this joint, ascending.
-        factors: (F, m, p_j + d) triangular factors R of [A | b], with RᵀR = [A | b]ᵀ[A | b], one
-            for each fold; the rows themselves where these are fewer than the columns.
-        samples: (F,) rows behind each factor.
-        rows: Per fold, the kept rows of each of its blocks.
-        carried: (F, p_j) products Aᵀc with the effort c that b is without.
-        seen: (F,) rows before those were left out at which the joint stands still.
-        effort_sums: (F, 2) sums of the measured efforts, and of their squares.
-        peaks: (p_j,) largest size of every column in the kept rows.
-    """
-
+    # (p_j,) global indices of the columns that can be nonzero at this joint, ascending.
     columns: Indices
+    # (F, m, p_j + d) triangular factors R of [A | b], with RᵀR = [A | b]ᵀ[A | b], one for each
+    # fold; the rows themselves where these are fewer than the columns.
     factors: Array
-    samples: NDArray[np.int_]
-    rows: tuple[tuple[JointRows, ...], ...]
-    carried: Array
-    seen: NDArray[np.int_]
-    effort_sums: Array
-    peaks: Array
+    samples: NDArray[np.int_]  # (F,) rows behind each factor
+    rows: tuple[tuple[JointRows, ...], ...]  # per fold, the kept rows of each of its blocks
+    carried: Array  # (F, p_j) products Aᵀc with the effort c that b is without
+    seen: NDArray[np.int_]  # (F,) rows before those were left out at which the joint stands still
+    effort_sums: Array  # (F, 2) sums of the measured efforts, and of their squares
+    peaks: Array  # (p_j,) largest size of every column in the kept rows
 
     @property
     def grams(self) -> Array:
@@ -124,12 +89,9 @@ class JointData:
         return self._positions[np.minimum(columns, len(self._positions) - 1)]
 
     def products(self, left: Indices, right: Indices) -> Array:
-        """(l, r, F) blocks of the normal matrices, for positions (l,) and (r,) that may be −1.
+        """(l, r, F) blocks of the normal matrices, for positions (l,) and (r,).
 
-        Args:
-            left: (l,) positions among the joint's columns, its efforts last; −1 for columns of
-                zeros.
-            right: (r,) the same of the other side.
+        They are among the joint's columns, its efforts last, or −1 for columns of zeros.
         """
         size = self.factors.shape[2] + 1
         return self._entries.take((left % size)[:, None] * size + right % size, axis=0)
@@ -140,11 +102,9 @@ class JointData:
         return float(1.0 - self.samples.sum() / self.seen.sum())
 
     def parameters(self, columns: Indices, x: Array) -> Array:
-        """(F, p_j) parameters of the columns of this joint.
+        """(F, p_j) parameters of this joint's columns, from those (F, p) of some global columns.
 
-        Args:
-            columns: (p,) global columns, one of which may be there twice.
-            x: (F, p) their parameters; those of all others are zero.
+        One of these may be there twice; parameters of all others are zero.
         """
         parameters = np.zeros((len(self.columns) + 1, len(x)))  # the last takes what is not seen
         np.add.at(parameters, self.local(columns), x.T)
@@ -153,42 +113,29 @@ class JointData:
 
 @dataclass(frozen=True, eq=False)
 class Dataset(Short):
-    """Several logs, reduced.
+    """Several logs, reduced."""
 
-    Attributes:
-        joints: Names of the nv velocities.
-        bodies: Names of the nb bodies.
-        effects: Effects to fit or try, in column order after the 10·nb inertial ones; payloads
-            have the columns of their body.
-        delays: (d, nv) seconds by which the effort columns of each joint are advanced on top of
-            the model's delays; delays[0] is zero.
-        folds: Names of the validation folds.
-        logs: Names of the logs.
-        data: One entry per joint.
-        effort_std: (nv,) standard deviation of the measured effort, N·m or N; of a joint at rest
-            what else its effort could show, as in `effort_scale`.
-        noise_floor: (nv,) estimated RMS of the sensor noise after filtering, N·m or N.
-        bandwidth: Bandwidth of the filter, Hz.
-        still: (nv,) share of the samples left out because the joint stands still.
-        payload: (10,) a body in the middle of what the robot may carry.
-        gain_uncertainty: (nv,) how well the gains of the efforts are known; 0 where known payloads
-            say them.
-        noise_known: (nv,) whether the noise floor is known whatever a model leaves.
-    """
-
-    joints: tuple[str, ...]
-    bodies: tuple[str, ...]
+    joints: tuple[str, ...]  # names of the nv velocities
+    bodies: tuple[str, ...]  # names of the nb bodies
+    # Effects to fit or try, in column order after the 10·nb inertial ones; payloads have the
+    # columns of their body.
     effects: tuple[Effect, ...]
+    # (d, nv) seconds by which the effort columns of each joint are advanced on top of the model's
+    # delays; delays[0] is zero.
     delays: Array
-    folds: tuple[str, ...]
+    folds: tuple[str, ...]  # names of the validation folds
     logs: tuple[str, ...]
-    data: tuple[JointData, ...]
+    data: tuple[JointData, ...]  # one entry per joint
+    # (nv,) standard deviation of the measured effort, N·m or N; of a joint at rest what else its
+    # effort could show, as in `effort_scale`.
     effort_std: Array
-    noise_floor: Array
-    bandwidth: float
-    still: Array
-    payload: Array
+    noise_floor: Array  # (nv,) estimated RMS of the sensor noise after filtering, N·m or N
+    bandwidth: float  # bandwidth of the filter, Hz
+    still: Array  # (nv,) share of the samples left out because the joint stands still
+    payload: Array  # (10,) a body in the middle of what the robot may carry
+    # (nv,) how well the gains of the efforts are known; 0 where known payloads say them.
     gain_uncertainty: Array
+    # (nv,) whether the noise floor is known whatever a model leaves.
     noise_known: NDArray[np.bool_] | bool = True
 
     @cached_property
@@ -240,12 +187,7 @@ class Dataset(Short):
 
 
 def column_starts(effects: tuple[Effect, ...], bodies: tuple[str, ...]) -> dict[Effect, int]:
-    """First column of every effect, after the inertial columns that payloads share.
-
-    Args:
-        effects: Effects that get columns.
-        bodies: Names of the model's nb bodies.
-    """
+    """First column of every effect, after the inertial columns that payloads share."""
     starts, free = {}, len(bodies) * PARAMETERS_PER_BODY
     for effect in effects:
         if is_payload(effect):
@@ -257,10 +199,10 @@ def column_starts(effects: tuple[Effect, ...], bodies: tuple[str, ...]) -> dict[
 
 
 def is_payload(effect: Effect) -> bool:
-    """Whether an effect adds inertial parameters to a body, so that it shares its columns."""
+    """Return whether an effect adds to the parameters of a body, and so shares its columns."""
     return effect.role is Role.BODY
 
 
 def is_body(effect: Effect) -> bool:
-    """Whether the parameters of an effect are those of a rigid body, held always or for a while."""
+    """Return whether the parameters of an effect are those of a body, held always or a while."""
     return isinstance(effect.manifold, PhysicalInertia)

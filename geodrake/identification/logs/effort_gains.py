@@ -22,11 +22,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.effects import catalogue
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import SPREAD, WORTH
 from geodrake.identification.logs.dataset import Dataset
-from geodrake.identification.logs.evidence import effective_samples_of_each
+from geodrake.identification.logs.evidence import effective_samples
 from geodrake.identification.logs.unknowns import effect_prior
 from geodrake.inertia import PARAMETERS_PER_BODY, from_pseudo_inertia, pseudo_inertia
 from geodrake.model.robot_model import RobotModel
@@ -47,90 +46,28 @@ _CLEARLY = 3.0  # deviations of a negative gain that is taken for one
 
 @dataclass(frozen=True, eq=False)
 class SignalGains:
-    """What efforts the signals of joints are.
+    """What efforts the signals of joints are."""
 
-    Attributes:
-        gains: (nv,) N·m or N for a unit of the signal; negative where its sign is the other one.
-        deviations: (nv,) standard deviations of log |gain|.
-        phi: (nb, 10) inertial parameters that go with them.
-        nrms: (nv,) what stays unexplained, RMS over the deviation of the signal.
-        worth: (nv,) independent samples of what stays unexplained.
-    """
-
-    gains: Array
-    deviations: Array
-    phi: Array
-    nrms: Array
-    worth: Array
-
-
-def effects_beside_gains(model: RobotModel) -> tuple[Effect, ...]:
-    """The effects that any joint may have, at each joint of the model."""
-    kinds = [kind for kind in catalogue() if kind.beside_gains]
-    return tuple(kind.shaped(joint)[0] for joint in model.single_joints for kind in kinds)
-
-
-def signal_gains(
-    rows: Sequence[SignalRows], model: RobotModel, known: Array, kinds: Sequence[str] = ()
-) -> SignalGains:
-    """The gains of signals.
-
-    A gain that neither gravity nor inertia shows, as that of a light wrist, is drawn to those of
-    the other joints' signals of its kind; its deviation says how little is known of it.
-
-    Args:
-        rows: What logs say of each joint.
-        model: The model, whose inertias are known.
-        known: (nv,) standard deviations of log |gain| about 0, of signals that are efforts or
-            nearly so; inf where nothing is known of the gain.
-        kinds: Kinds (nv,) of the signals; all alike if empty.
-    """
-    bodies = _GeodesicBodies.of(model)
-    a = np.array([each.least_squares_gain(model.total_phi.ravel()) for each in rows])
-    a = np.where(np.isfinite(known), 1.0, a)
-    told = _told(known, kinds or ("",) * len(rows))
-    worth = _FIRST_SHARE * np.array([each.samples for each in rows])
-    at = _GainPoint(rows, bodies, told, worth, np.zeros(model.phi.size), a)
-    for _ in range(_ROUNDS):
-        at = at.converged()
-        at = replace(at, worth=at.effective())
-    return at.converged().result()
-
-
-def _told(known: Array, kinds: Sequence[str]) -> Array:
-    """(nv, nv) information of log |a|: by what is known, and as signals of a kind are alike."""
-    precision = np.where(np.isfinite(known), np.maximum(known, _NOTHING), np.inf) ** -2.0
-    told = np.diag(precision + _NOTHING)
-    for kind in dict.fromkeys(kinds):
-        same = np.array([each == kind for each in kinds]) & ~np.isfinite(known)
-        count = int(np.count_nonzero(same))
-        told[np.ix_(same, same)] += (np.eye(count) - 1.0 / max(1, count)) / _ALIKE**2
-    return told
+    gains: Array  # (nv,) N·m or N for a unit of the signal; negative where its sign is the other
+    deviations: Array  # (nv,) standard deviations of log |gain|
+    phi: Array  # (nb, 10) inertial parameters that go with them
+    worth: Array  # (nv,) independent samples of what stays unexplained
 
 
 @dataclass(frozen=True, eq=False)
 class SignalRows:
-    """One joint's rows [N, Y, h, s] with the columns N of free effects projected out.
+    """One joint's triangular factor of the columns [N, Y, h, s].
 
-    Attributes:
-        columns: (m,) inertial parameters that matter at the joint.
-        Y: (r, m) rows of these.
-        h: (r,) rows of the effort of known payloads.
-        s: (r,) rows of the signal.
-        N: (k, k + m + 2) rows that give the free effects' parameters for all others.
-        samples: Rows of the logs behind them.
-        variance: Of the signal.
-        blocks: Rows [N, Y, h, s] of blocks of the logs, for autocorrelations.
+    N are those of free effects, Y of inertial parameters, h of the effort of known payloads, s of
+    the signal. Rows below those of N have N projected out.
     """
 
-    columns: NDArray[np.intp]
-    Y: Array
-    h: Array
-    s: Array
-    N: Array
-    samples: int
-    variance: float
-    blocks: tuple[Array, ...]
+    columns: NDArray[np.intp]  # (m,) inertial parameters that matter at the joint
+    free: int  # number of columns N
+    factor: Array  # (k, n)
+    samples: int  # rows of the logs behind it
+    variance: float  # of the signal
+    blocks: tuple[Array, ...]  # rows of the same columns of blocks of the logs
 
     @classmethod
     def of(
@@ -143,7 +80,7 @@ class SignalRows:
         added: Effect | None = None,
         held: Effect | None = None,
     ) -> SignalRows:
-        """The rows of a joint.
+        """Return the rows of a joint.
 
         Args:
             dataset: Logs whose efforts are the signals, reduced.
@@ -165,93 +102,107 @@ class SignalRows:
         mix = np.zeros((last + 1, k + len(inertial) + 2))
         mix[[*order, *inertial], range(mix.shape[1] - 2)] = 1.0
         mix[last, -1] = 1.0
-        if held is not None:
-            mix[data.local(dataset.effect_columns(held)), -2] = 1.0
-        if added is not None:
-            mix[data.local(dataset.effect_columns(added)), -1] = 1.0
-        factors = [factor[:, : last + 1] @ mix for factor in data.factors]
-        samples = int(data.samples.sum())
-        blocks = (np.hstack([part.A, part.b[:, :1]]) for fold in data.rows for part in fold)
+        for column, beside in ((-2, held), (-1, added)):
+            if beside is not None:
+                mix[data.local(dataset.effect_columns(beside)), column] = 1.0
         variance = float(dataset.effort_std[joint] ** 2)
         prior = np.eye(k, mix.shape[1]) * np.sqrt(np.array(known) * variance)[:, None]
-        R = triangular_factor([prior, *factors])
+        factors = [factor[:, : last + 1] @ mix for factor in data.factors]
+        blocks = (np.hstack([part.A, part.b[:, :1]]) @ mix for fold in data.rows for part in fold)
         return cls(
             data.columns[inertial],
-            R[k:, k:-2],
-            R[k:, -2],
-            R[k:, -1],
-            R[:k],
-            samples,
+            k,
+            triangular_factor([prior, *factors]),
+            int(data.samples.sum()),
             variance,
-            tuple(block @ mix for block in blocks),
+            tuple(blocks),
         )
 
     def load(self, phi: Array) -> Array:
         """(r,) rows of the effort of the bodies and of known payloads, for φ (d,)."""
-        return self.Y @ phi[self.columns] + self.h
+        return self.factor[self.free :, self.free : -1] @ np.append(phi[self.columns], 1.0)
+
+    def left(self, a: float, phi: Array) -> Array:
+        """(r,) rows of what bodies with an inverse gain a leave, of the other sign."""
+        return a * self.load(phi) - self.factor[self.free :, -1]
 
     def least_squares_gain(self, phi: Array) -> float:
-        """Gain a with these bodies, of this joint alone; negative if it clearly is."""
+        """Return the inverse gain a with these bodies, of this joint alone; negative if clear."""
         load = self.load(phi)
         size = max(float(load @ load), np.finfo(float).tiny)
-        a = float(load @ self.s) / size
-        left = a * load - self.s
+        a = float(load @ self.factor[self.free :, -1]) / size
+        left = self.left(a, phi)
         error = float(np.sqrt(left @ left / (_FIRST_SHARE * self.samples * size)))
         return a if a < -_CLEARLY * error else float(max(abs(a), error))
 
-    def least_cost(self, phi: Array, worth: float) -> float:
-        """Twice the negative log-likelihood with these bodies and the gain that suits them best.
-
-        Args:
-            phi: (d,) inertial parameters.
-            worth: Independent samples of the residual.
-        """
-        left = self.least_squares_gain(phi) * self.load(phi) - self.s
+    def cost(self, a: float, phi: Array, worth: float) -> float:
+        """Return twice the negative log-likelihood, for so many independent samples."""
+        left = self.left(a, phi)
         return worth * float(np.log(left @ left / self.samples / self.variance + _NOTHING))
 
     def free_parameters(self, a: float, phi: Array, worth: float) -> tuple[Array, Array]:
-        """Parameters (k,) of the free columns on the scale of the signal, and their deviations.
-
-        Args:
-            a: The inverse gain.
-            phi: (d,) inertial parameters.
-            worth: Independent samples of the residual.
-        """
-        k, body = len(self.N), np.concatenate([a * phi[self.columns], [a, -1.0]])
-        N = self.N[:, :k]
-        left = a * self.load(phi) - self.s
+        """Return parameters (k,) of the free columns on the scale of the signal, and deviations."""
+        N, others = np.split(self.factor[: self.free], [self.free], axis=1)
+        left = self.left(a, phi)
         noise = left @ left / max(worth, 1.0)
         spread = noise * np.diag(np.linalg.pinv(N.T @ N, hermitian=True))
-        return np.linalg.lstsq(N, -self.N[:, k:] @ body, rcond=None)[0], np.sqrt(spread)
+        body = np.concatenate([a * phi[self.columns], [a, -1.0]])
+        return np.linalg.lstsq(N, -others @ body, rcond=None)[0], np.sqrt(spread)
 
     def effective(self, a: float, phi: Array) -> float:
-        """How many independent samples the residual is worth.
-
-        Args:
-            a: The inverse gain.
-            phi: (d,) inertial parameters.
-        """
+        """Return how many independent samples the residual is worth."""
         free = self.free_parameters(a, phi, 1.0)[0]
         x = np.concatenate([free, a * phi[self.columns], [a, -1.0]])
-        series = [[(rows @ x)[:, None] for rows in self.blocks]]
-        return float(effective_samples_of_each(series)[0, 0])
+        return effective_samples([rows @ x for rows in self.blocks])
+
+
+def signal_gains(
+    rows: Sequence[SignalRows], model: RobotModel, known: Array, kinds: Sequence[str]
+) -> SignalGains:
+    """Find the gains of signals.
+
+    A gain that neither gravity nor inertia shows, as that of a light wrist, is drawn to those of
+    the other joints' signals of its kind; its deviation says how little is known of it.
+
+    Args:
+        rows: What logs say of each joint.
+        model: The model, whose inertias are known.
+        known: (nv,) standard deviations of log |gain| about 0, of signals that are efforts or
+            nearly so; inf where nothing is known of the gain.
+        kinds: Kinds (nv,) of the signals.
+    """
+    told = np.diag(np.maximum(known, _NOTHING) ** -2.0 + _NOTHING)
+    for kind in dict.fromkeys(kinds):
+        same = np.array([each == kind for each in kinds]) & ~np.isfinite(known)
+        count = int(np.count_nonzero(same))
+        told[np.ix_(same, same)] += (np.eye(count) - 1.0 / max(1, count)) / _ALIKE**2
+    phi = model.total_phi.ravel()
+    a = np.where(np.isfinite(known), 1.0, [each.least_squares_gain(phi) for each in rows])
+    worth = _FIRST_SHARE * np.array([each.samples for each in rows])
+    at = _GainPoint(rows, _GeodesicBodies.of(model), told, worth, np.zeros(model.phi.size), a)
+    for _ in range(_ROUNDS):
+        at = at.converged()
+        pairs = zip(rows, at.a.tolist(), strict=True)
+        at = replace(at, worth=np.array([each.effective(a, at.phi) for each, a in pairs]))
+    at = at.converged()
+    # What stays unexplained goes with the motion, as in `fit_model`: it is worth few samples.
+    information, _, grams = at.system()
+    inverse = np.linalg.inv(information)
+    covariance = inverse + inverse @ np.tensordot(at.worth / WORTH, grams, 1) @ inverse
+    deviations = np.sqrt(np.diag(covariance)[len(at.x) :])
+    return SignalGains(1.0 / at.a, deviations, at.phi.reshape(-1, PARAMETERS_PER_BODY), at.worth)
 
 
 @dataclass(frozen=True, eq=False)
 class _GeodesicBodies:
-    """Bodies as end points of geodesics from where a model has them.
+    """Bodies as end points of geodesics from where a model has them."""
 
-    Attributes:
-        factors: (nb, 4, 4) lower factors L of P₀ = L Lᵀ.
-        information: (d, d) of the coordinates x of X, in an orthonormal basis of Sym(4).
-    """
-
-    factors: Array
-    information: Array
+    factors: Array  # (nb, 4, 4) lower factors L of P₀ = L Lᵀ
+    information: Array  # (d, d) of the coordinates x of X, in an orthonormal basis of Sym(4)
 
     @classmethod
     def of(cls, model: RobotModel) -> _GeodesicBodies:
-        """Bodies about those of a model, as well known as it says."""
+        """Return bodies about those of a model, as well known as it says."""
         factors = np.asarray(np.linalg.cholesky(pseudo_inertia(model.total_phi)), float)
         d = model.phi.size
         free = cls(factors, np.eye(d) / SPREAD**2)
@@ -266,7 +217,7 @@ class _GeodesicBodies:
         return replace(free, information=free.information + told)
 
     def at(self, x: Array) -> tuple[Array, Array]:
-        """φ (d,) and its slope (d, d) with the coordinates x (d,)."""
+        """Return φ (d,) and its slope (d, d) with the coordinates x (d,)."""
         X = np.einsum("bi,iac->bac", x.reshape(-1, PARAMETERS_PER_BODY), _SYMMETRIC)
         w, V = np.linalg.eigh(X)
         e, gap = np.exp(w), w[:, :, None] - w[:, None, :]
@@ -285,13 +236,10 @@ class _GeodesicBodies:
 
 def _orthonormal_symmetric() -> Array:
     """(10, 4, 4) orthonormal basis of the symmetric matrices."""
-    found = []
-    for i in range(4):
-        for j in range(i + 1):
-            E = np.zeros((4, 4))
-            E[i, j] = E[j, i] = 1.0 if i == j else np.sqrt(0.5)
-            found.append(E)
-    return np.array(found)
+    (i, j), basis = np.tril_indices(4), np.zeros((PARAMETERS_PER_BODY, 4, 4))
+    each = np.arange(PARAMETERS_PER_BODY)
+    basis[each, i, j] = basis[each, j, i] = np.where(i == j, 1.0, np.sqrt(0.5))
+    return basis
 
 
 _SYMMETRIC = _orthonormal_symmetric()
@@ -299,106 +247,64 @@ _SYMMETRIC = _orthonormal_symmetric()
 
 @dataclass(frozen=True, eq=False)
 class _GainPoint:
-    """Bodies and gains on the way to the likeliest ones.
-
-    Attributes:
-        rows: What the logs say of each joint.
-        bodies: What is known of the bodies.
-        told: (nv, nv) information of log |a|.
-        worth: (nv,) independent samples of each joint's residual.
-        x: (d,) coordinates of the bodies.
-        a: (nv,) inverse gains.
-    """
+    """Bodies and gains on the way to the likeliest ones."""
 
     rows: Sequence[SignalRows]
     bodies: _GeodesicBodies
-    told: Array
-    worth: Array
-    x: Array
-    a: Array
+    told: Array  # (nv, nv) information of log |a|
+    worth: Array  # (nv,) independent samples of each joint's residual
+    x: Array  # (d,) coordinates of the bodies
+    a: Array  # (nv,) inverse gains
 
     @cached_property
-    def _phi(self) -> tuple[Array, Array]:
+    def _bodies(self) -> tuple[Array, Array]:
         return self.bodies.at(self.x)
 
-    @cached_property
-    def mse(self) -> Array:
-        """(nv,) mean squared residual of each joint over the variance of its signal."""
-        left = [a * rows.load(self._phi[0]) - rows.s for rows, a in self._pairs]
-        return np.array(
-            [r @ r / rows.samples / rows.variance for r, rows in zip(left, self.rows, strict=True)]
-        )
-
     @property
-    def _pairs(self) -> list[tuple[SignalRows, float]]:
-        return list(zip(self.rows, self.a.tolist(), strict=True))
-
-    def effective(self) -> Array:
-        """(nv,) independent samples of each residual."""
-        return np.array([rows.effective(a, self._phi[0]) for rows, a in self._pairs])
+    def phi(self) -> Array:
+        """(d,) inertial parameters."""
+        return self._bodies[0]
 
     @cached_property
     def cost(self) -> float:
         """Twice the negative log-likelihood, noise profiled out, with what is known before."""
+        joints = zip(self.rows, self.a.tolist(), self.worth.tolist(), strict=True)
         gains = np.log(np.abs(self.a))
-        told = gains @ self.told @ gains
-        noise = self.worth @ np.log(self.mse + _NOTHING)
-        return float(noise + told + self.x @ self.bodies.information @ self.x)
+        known = gains @ self.told @ gains + self.x @ self.bodies.information @ self.x
+        return float(sum(rows.cost(a, self.phi, worth) for rows, a, worth in joints) + known)
 
-    @cached_property
-    def _system(self) -> tuple[Array, Array, Array]:
-        """Gauss–Newton information and slope of half the cost, and what is unexplained."""
-        d, (phi, slope) = len(self.x), self._phi
+    def system(self) -> tuple[Array, Array, Array]:
+        """Gauss–Newton information and slope of half the cost, and each joint's part of it."""
+        d, slope = len(self.x), self._bodies[1]
         size = d + len(self.a)
-        information, gradient = np.zeros((size, size)), np.zeros(size)
+        information, grams = np.zeros((size, size)), np.zeros((len(self.a), size, size))
         information[:d, :d] = self.bodies.information
-        gradient[:d] = self.bodies.information @ self.x
         information[d:, d:] = self.told
-        gradient[d:] = self.told @ np.log(np.abs(self.a))
-        unexplained = np.zeros((size, size))
-        for j, (rows, a) in enumerate(self._pairs):
-            load = rows.load(phi)
+        gradient = information @ np.concatenate([self.x, np.log(np.abs(self.a))])
+        for j, (rows, a) in enumerate(zip(self.rows, self.a.tolist(), strict=True)):
+            left, load = rows.left(a, self.phi), rows.load(self.phi)
             J = np.zeros((len(load), size))
-            J[:, :d] = a * rows.Y @ slope[rows.columns]
-            J[:, d + j] = a * load
-            weight = self.worth[j] / (rows.samples * rows.variance * (self.mse[j] + _NOTHING))
-            information += weight * J.T @ J
-            gradient += weight * J.T @ (a * load - rows.s)
-            unexplained += self.worth[j] / WORTH * weight * J.T @ J
-        return information, gradient, unexplained
+            Y = rows.factor[rows.free :, rows.free : -2]
+            J[:, :d], J[:, d + j] = a * Y @ slope[rows.columns], a * load
+            noise = left @ left + rows.samples * rows.variance * _NOTHING
+            grams[j] = self.worth[j] / noise * J.T @ J
+            gradient += self.worth[j] / noise * J.T @ left
+        return information + grams.sum(axis=0), gradient, grams
 
     def converged(self) -> _GainPoint:
-        """After Gauss–Newton steps, each as long as the cost falls."""
+        """Return where Gauss–Newton steps lead, each as long as the cost falls."""
         here, d = self, len(self.x)
         for _ in range(_STEPS):
-            step = -np.linalg.solve(*here._system[:2])
+            information, gradient, _ = here.system()
+            step = -np.linalg.solve(information, gradient)
             share = min(1.0, _LONGEST / max(float(np.abs(step).max()), _NOTHING))
-            there = here.moved(share * step[:d], share * step[d:])
-            while not there.cost < here.cost and share > _SHORTEST:
+            while True:
+                x, log_a = share * step[:d], share * step[d:]
+                there = replace(here, x=here.x + x, a=here.a * np.exp(log_a))
+                if there.cost < here.cost or share <= _SHORTEST:
+                    break
                 share *= 0.5
-                there = here.moved(share * step[:d], share * step[d:])
             if not there.cost < here.cost - _CLOSE:
                 break
             here = there
         return here
-
-    def moved(self, x: Array, log_a: Array) -> _GainPoint:
-        """Another point, by steps of the coordinates and of log |a|."""
-        return replace(self, x=self.x + x, a=self.a * np.exp(log_a))
-
-    def result(self) -> SignalGains:
-        """What is told of it.
-
-        What stays unexplained goes with the motion, as in `systematic.unexplained_covariance`: it
-        is worth few samples, however long logs are.
-        """
-        information, _, unexplained = self._system
-        d, inverse = len(self.x), np.linalg.inv(information)
-        covariance = inverse + inverse @ unexplained @ inverse
-        return SignalGains(
-            1.0 / self.a,
-            np.sqrt(np.diag(covariance)[d:]),
-            self._phi[0].reshape(-1, PARAMETERS_PER_BODY),
-            np.sqrt(self.mse),
-            self.worth,
-        )

@@ -20,50 +20,39 @@ _MOST = 0.5  # of a loss, or of the folds: more than this share
 _FEW = 2  # folds
 _ENOUGH, _EXACT = 5, 10  # folds: for ranks, and of which every pattern of signs is counted
 _UNCORRELATED = 0.02  # autocorrelation from which on there is none
-_AT_ONCE = 100_000  # numbers that are transformed together
 
 
 def effective_samples(blocks: Sequence[Array]) -> float:
-    """How many independent samples a coloured residual is worth; see `effective_samples_of_each`.
-
-    Args:
-        blocks: Residuals (K_i,) of each block.
-
-    Returns:
-        A number between 1 and Σ K_i.
-    """
-    return float(effective_samples_of_each([[block[:, None] for block in blocks]])[0, 0])
+    """Return how many independent samples a coloured residual of blocks (K_i,) is worth."""
+    return float(effective_samples_of_each([blocks])[0])
 
 
 def effective_samples_of_each(series: Sequence[Sequence[Array]]) -> Array:
-    """Return how many independent samples each of several coloured residuals is worth.
-
-    Blocks are stretches without gaps.
+    """Return (J,) how many independent samples each of J coloured residuals is worth.
 
     Args:
-        series: Of each of J joints, the blocks (K_i, m) of m residuals.
-
-    Returns:
-        (J, m) numbers between 1 and the joint's Σ K_i.
+        series: The blocks (K_i,) of each residual, which are stretches without gaps.
     """
-    n = np.array([[float(sum(map(len, blocks)))] for blocks in series])
     longest = max(len(block) for blocks in series for block in blocks)
     size = next_fast_len(2 * longest, real=True)
-    covariance = irfft(_power_spectra(series, size), size)[..., :longest]
-    return effective_by_covariance(covariance, n)
+    spectra = np.zeros((len(series), size // 2 + 1))
+    for j, blocks in enumerate(series):
+        for block in blocks:
+            transform = rfft(block, size)
+            spectra[j] += np.square(transform.real) + np.square(transform.imag)
+    samples = np.array([float(sum(map(len, blocks))) for blocks in series])
+    return effective_by_covariance(irfft(spectra, size)[:, :longest], samples)
 
 
 def effective_by_covariance(covariance: Array, samples: ArrayLike) -> Array:
     """Return how many independent samples n of some autocovariance are worth: n / (1 + 2 Σ ρ_k).
 
-    The autocorrelation ρ is summed up to its first value below 0.02.
+    The autocorrelation ρ is summed up to its first value below 0.02. The numbers (…) are between 1
+    and n, and n where nothing is known of ρ.
 
     Args:
         covariance: (…, L) sums of r_t r_{t+k} over t, for k = 0, 1, …
         samples: (…) numbers n.
-
-    Returns:
-        (…) numbers between 1 and n; n where nothing is known of ρ.
     """
     power = covariance[..., 0]
     correlation = covariance[..., 1:] / np.where(power > 0.0, power, 1.0)[..., None]
@@ -72,69 +61,37 @@ def effective_by_covariance(covariance: Array, samples: ArrayLike) -> Array:
     return np.where(power > 0.0, np.maximum(1.0, samples / (1.0 + 2.0 * total)), samples)
 
 
-def _power_spectra(series: Sequence[Sequence[Array]], size: int) -> Array:
-    """(J, m, size // 2 + 1) power spectra, summed over the blocks of each joint."""
-    rows = [(j, block) for j, blocks in enumerate(series) for block in blocks]
-    residuals = rows[0][1].shape[1]
-    spectra = np.zeros((len(series), residuals, size // 2 + 1))
-    # Blocks are short and many: they are transformed together.
-    at_once = max(1, _AT_ONCE // (residuals * size))
-    for first in range(0, len(rows), at_once):
-        part = rows[first : first + at_once]
-        padded = np.zeros((len(part), residuals, size))
-        for row, (_, block) in zip(padded, part, strict=True):
-            row[:, : len(block)] = block.T
-        transform = rfft(padded)
-        joints, starts = np.unique([j for j, _ in part], return_index=True)
-        power = np.square(transform.real) + np.square(transform.imag)
-        spectra[joints] += np.add.reduceat(power, starts, axis=0)
-    return spectra
-
-
 def log_likelihood_gain(mse_before: Array, mse_after: Array, effective: Array) -> Array:
-    """(nv,) gain Σ_j n_j log(mse_before / mse_after): twice the log-likelihood ratio per joint.
+    """Return (nv,) gains n_j log(mse_before / mse_after): twice the log-likelihood ratios.
 
-    Args:
-        mse_before: (nv,) mean squared held-out errors without the effect, (N·m)² or N².
-        mse_after: (nv,) the same with it.
-        effective: (nv,) independent samples that the residuals are worth.
+    n_j are the `effective` samples of the joints' residuals.
     """
     tiny = np.finfo(float).tiny
     return effective * np.log(np.maximum(mse_before, tiny) / np.maximum(mse_after, tiny))
 
 
 def false_alarm_probability(gain: float, parameters: int, tried: int) -> float:
-    """Chance that the best of `tried` irrelevant candidates would gain as much.
+    """Return the chance that the best of `tried` irrelevant candidates would gain as much.
 
-    Args:
-        gain: Twice the held-out log-likelihood ratio (smaller than the in-sample one: cautious).
-        parameters: Linear and shape parameters of the candidate.
-        tried: Number of candidates among which it was the best (Bonferroni).
+    The gain is twice the held-out log-likelihood ratio (smaller than the in-sample one: cautious),
+    by linear and shape parameters; candidates are counted as by Bonferroni.
     """
     return min(1.0, tried * chi2_tail(gain, parameters))
 
 
 def chi2_tail(gain: float, degrees: int) -> float:
-    """Chance that χ² is larger than a gain.
-
-    Args:
-        gain: The gain; below zero, it is certain.
-        degrees: Degrees of freedom.
-    """
+    """Return the chance that χ² is larger than a gain; certain below zero."""
     return float(chdtrc(degrees, max(gain, 0.0)))
 
 
 def fold_agreement(before: Array, after: Array) -> float:
-    """Share of the folds whose loss falls.
+    """Return the share of the folds whose loss falls.
 
     Play, for example, shows only in the folds where a load changes its sign. Where the loss falls
     clearly in more than half of the folds, one in which it hardly changes therefore counts half, as
     in a sign test; and where it is halved in two or more, each predicted by the others, only those
-    count against it in which it rises, by a notable share of what folds lose in the mean.
-
-    Args:
-        before: (F,) loss of every fold before; folds without samples have none.
-        after: (F,) loss afterwards.
+    count against it in which it rises, by a notable share of what folds lose in the mean. Losses
+    are (F,); folds without samples have none before.
     """
     seen = before > 0.0
     if not seen.any():
@@ -148,18 +105,13 @@ def fold_agreement(before: Array, after: Array) -> float:
 
 
 def tie_probability(loss_a: Array, loss_b: Array) -> float:
-    """Chance that b is truly no worse than a, from the paired losses of the folds.
+    """Return the chance that b is truly no worse than a, from the paired losses of the folds.
 
     Folds differ by orders of magnitude, as those of slow and fast motion do, and what goes with
-    time shows in few of them: the ranks of the differences tell more than their mean.
-
-    Args:
-        loss_a: (F,) held-out loss of the better hypothesis per fold.
-        loss_b: (F,) held-out loss of the other.
-
-    Returns:
-        One-sided p-value of Wilcoxon's signed-rank test among the folds that differ by more than
-        hardly, of the paired t-test where these are too few for ranks; one half where none does.
+    time shows in few of them: the ranks of the differences tell more than their mean. It is the
+    one-sided p-value of Wilcoxon's signed-rank test among the folds that differ by more than
+    hardly, of the paired t-test where these are too few for ranks; one half where none does.
+    Losses (F,) are held-out ones of the better hypothesis and of the other, per fold.
     """
     difference = loss_b - loss_a
     difference = difference[np.abs(difference) > _HARDLY * np.maximum(loss_a, loss_b)]

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
 from geodrake.effects.base import Effect
-from geodrake.identification.logs.criteria import FIXED
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut
-from geodrake.identification.logs.dataset import Dataset, Delay, JointData
+from geodrake.identification.logs.dataset import Dataset, Delay
 from geodrake.identification.logs.evidence import effective_samples_of_each
 from geodrake.identification.logs.unknowns import Unknowns, effect_prior
 from geodrake.inertia import PARAMETERS_PER_BODY
@@ -20,39 +19,22 @@ from geodrake.inertia import PARAMETERS_PER_BODY
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_ROUNDED = 1.0 + 1e-9  # what is narrowed to a width may be wider by rounding
-
-_AT_ONCE = 16
-"""So many fits have their residuals computed together."""
-
-_SETTLED = 0.3
-"""Weights are settled if they change by less than this share."""
+_SETTLED = 0.3  # weights are settled if they change by less than this share
 _MOST_REFITS = 8
-_FIRST_SHARE = 0.05
-"""A fit begins with this share of the samples as effective ones."""
+_FIRST_SHARE = 0.05  # of the samples that count as effective ones in the first fit
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis(Short):
-    """The model with the effects among `unknowns`, and what it gets wrong on held-out data.
-
-    Attributes:
-        dataset: The reduced logs.
-        unknowns: What the fit may move.
-        weights: (nv,) weight of a squared residual: effective share of the samples / mse.
-        delay: Index of the dataset's effort delay, for every joint.
-        looseness: Factor by which the inertial prior is widened.
-        cv: The fits.
-        effective: (nv,) effective number of samples.
-    """
+    """The model with the effects among `unknowns`, and what it gets wrong on held-out data."""
 
     dataset: Dataset
     unknowns: Unknowns
-    weights: Array
-    delay: tuple[int, ...]
-    looseness: float
+    weights: Array  # (nv,) of squared residuals: effective share of the samples / mse
+    delay: tuple[int, ...]  # index of the dataset's effort delay of each joint
+    looseness: float  # factor by which the prior of the bodies is widened
     cv: CrossValidation
-    effective: Array
+    effective: Array  # (nv,) effective number of samples
 
     @property
     def held_out(self) -> HeldOut:
@@ -64,13 +46,8 @@ class Hypothesis(Short):
         """Held-out error over effort standard deviation, root mean square over joints."""
         return float(np.sqrt(np.mean(self.held_out.mse / self.dataset.effort_std**2)))
 
-    @property
-    def has_fixed_bodies(self) -> bool:
-        """Return whether bodies stay as the model has them."""
-        return self.looseness <= _ROUNDED * FIXED
-
     def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
-        """This hypothesis and further effects, refitted."""
+        """Return this hypothesis and further effects, refitted."""
         unknowns = self.unknowns
         for effect in effects:
             columns = self.dataset.effect_columns(effect)
@@ -79,18 +56,15 @@ class Hypothesis(Short):
         return settle(replace(self, unknowns=unknowns))
 
     def without(self, effects: Sequence[Effect]) -> Hypothesis:
-        """This hypothesis less some effects, refitted."""
-        return settle(replace(self, unknowns=self._less(effects)))
-
-    def _less(self, gone: Sequence[Effect]) -> Unknowns:
+        """Return this hypothesis less some effects, refitted."""
         unknowns = self.unknowns
-        for effect in gone:
+        for effect in effects:
             unknowns = unknowns.without_effect(effect)
-        return unknowns
+        return settle(replace(self, unknowns=unknowns))
 
     def loosened(self, factor: float) -> Hypothesis:
-        """This hypothesis with the inertial prior `factor` times as wide, refitted."""
-        unknowns = self.unknowns.loosened(factor, 10 * len(self.dataset.bodies))
+        """Return this hypothesis with the prior of bodies `factor` times as wide, refitted."""
+        unknowns = self.unknowns.loosened(factor, PARAMETERS_PER_BODY * len(self.dataset.bodies))
         return settle(replace(self, unknowns=unknowns, looseness=self.looseness * factor))
 
     def moved_columns(self, dataset: Dataset) -> Indices:
@@ -100,13 +74,7 @@ class Hypothesis(Short):
         return np.concatenate(columns)
 
     def moved(self, dataset: Dataset, *, delay: Delay, iterations: int = 2) -> Hypothesis:
-        """This hypothesis on another dataset of the same bodies that has its effects, refitted.
-
-        Args:
-            dataset: The dataset.
-            delay: Index of the delay among those of the dataset.
-            iterations: As in `settle`.
-        """
+        """Return this hypothesis on another dataset of the same bodies and effects, refitted."""
         unknowns = replace(self.unknowns, columns=self.moved_columns(dataset))
         delays = dataset.delay_of_each(delay)
         moved = replace(self, dataset=dataset, unknowns=unknowns, delay=delays)
@@ -116,7 +84,7 @@ class Hypothesis(Short):
 def residual_blocks(
     dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0
 ) -> list[list[Array]]:
-    """Held-out residuals: per joint, one array per block.
+    """Return held-out residuals: per joint, one array (K_i,) per block.
 
     Args:
         dataset: The reduced logs.
@@ -125,53 +93,20 @@ def residual_blocks(
         delay: Index of the effort column.
     """
     return [
-        [block[:, 0] for block in _residuals(data, late, [(columns, x)])]
+        [
+            rows.b[:, late] - rows.A @ own
+            for own, blocks in zip(data.parameters(columns, x), data.rows, strict=True)
+            for rows in blocks
+        ]
         for data, late in zip(dataset.data, dataset.delay_of_each(delay), strict=True)
     ]
 
 
-def effective_per_joint(
-    dataset: Dataset, columns: Indices, held_out: HeldOut, *, delay: Delay = 0
-) -> Array:
-    """(nv,) effective samples of the held-out residuals.
-
-    Args:
-        dataset: The reduced logs.
-        columns: (p,) columns that were fitted.
-        held_out: The fit without each fold.
-        delay: Index of the effort column that was fitted.
-    """
-    return effective_of_each(dataset, [(columns, held_out.x)], delay=delay)[0]
-
-
-def effective_of_each(
-    dataset: Dataset, fits: Sequence[tuple[Indices, Array]], *, delay: Delay = 0
-) -> Array:
-    """(m, nv) effective samples of the held-out residuals of each of m fits.
-
-    Args:
-        dataset: The reduced logs.
-        fits: Columns (p,) in use and parameters (F, p) for each fold.
-        delay: Index of the effort column.
-    """
-    delays, found = dataset.delay_of_each(delay), [np.empty((0, len(dataset.joints)))]
-    samples = dataset.samples.sum(axis=0)
-    for first in range(0, len(fits), _AT_ONCE):
-        part = fits[first : first + _AT_ONCE]
-        blocks = [_residuals(*joint, part) for joint in zip(dataset.data, delays, strict=True)]
-        kept = np.array([max(1, sum(map(len, joint))) for joint in blocks])
-        found.append(effective_samples_of_each(blocks).T * (samples / kept))
-    return np.concatenate(found)
-
-
-def _residuals(data: JointData, delay: int, fits: Sequence[tuple[Indices, Array]]) -> list[Array]:
-    """Held-out residuals (K_i, m) of m fits at a joint, one array per block."""
-    x = np.stack([data.parameters(columns, values) for columns, values in fits], axis=-1)
-    return [
-        rows.b[:, delay, None] - rows.A @ x[fold]
-        for fold, blocks in enumerate(data.rows)
-        for rows in blocks
-    ]
+def effective_per_joint(dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0) -> Array:
+    """Return (nv,) effective samples of the held-out residuals, as in `residual_blocks`."""
+    blocks = residual_blocks(dataset, columns, x, delay=delay)
+    kept = np.array([max(1, sum(map(len, joint))) for joint in blocks])
+    return effective_samples_of_each(blocks) * (dataset.samples.sum(axis=0) / kept)
 
 
 def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
@@ -187,61 +122,31 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
             agree with the errors; fewer where the weights stay.
     """
     dataset, unknowns, delay = hypothesis.dataset, hypothesis.unknowns, hypothesis.delay
+    samples, variance = dataset.samples.sum(axis=0), dataset.effort_std**2
     weights, effective = hypothesis.weights, hypothesis.effective
-    samples = dataset.samples.sum(0)
+
+    def deserved(cv: CrossValidation) -> Array:
+        mse = np.maximum(cv.held_out.mse, 1e-12 * variance)
+        return np.asarray(effective / samples / np.sqrt(mse * np.mean(mse / variance) * variance))
+
+    def counted(cv: CrossValidation) -> Array:
+        return effective_per_joint(dataset, unknowns.columns, cv.held_out.x, delay=delay)
+
     for _ in range(iterations):
-        cv, weights = _refitted(hypothesis, weights, effective / samples)
-        effective = effective_per_joint(dataset, unknowns.columns, cv.held_out, delay=delay)
-        before, weights = weights, _deserved_weights(dataset, cv.held_out, effective / samples)
+        for _ in range(_MOST_REFITS):
+            cv = CrossValidation(dataset, unknowns, weights, delay=delay, physical=False)
+            before, weights = weights, deserved(cv)
+            if _alike(weights, before):
+                break
+        effective = counted(cv)
+        before, weights = weights, deserved(cv)
         if _alike(weights, before):
             break
-    # Bodies that are fixed are those of the model; payloads beside them are to be physical still.
-    only_bodies = len(unknowns.inertia_blocks) == len(dataset.bodies)
-    physical = cv if hypothesis.has_fixed_bodies and only_bodies else _physical(hypothesis, cv)
-    if physical is not cv:
-        cv = physical
-        effective = effective_per_joint(dataset, unknowns.columns, cv.held_out, delay=delay)
-        weights = _deserved_weights(dataset, cv.held_out, effective / samples)
+    if not cv.is_physical:
+        cv = CrossValidation(dataset, unknowns, cv.weights, delay=delay)
+        effective = counted(cv)
+        weights = deserved(cv)
     return replace(hypothesis, weights=weights, cv=cv, effective=effective)
-
-
-def _physical(hypothesis: Hypothesis, cv: CrossValidation) -> CrossValidation:
-    """The fits with physical bodies, begun at those of the hypothesis if it has the same folds."""
-    was, start = hypothesis.cv, None
-    if len(was.held_out.x) == len(hypothesis.dataset.folds):
-        start = hypothesis.unknowns.carried(was.unknowns, was.held_out.x)
-    return cv.physical(start)
-
-
-def _refitted(
-    hypothesis: Hypothesis, weights: Array, share: Array
-) -> tuple[CrossValidation, Array]:
-    """The fits with weights (nv,) that agree with their errors, at effective shares (nv,)."""
-    for _ in range(_MOST_REFITS):
-        cv = CrossValidation(
-            hypothesis.dataset,
-            hypothesis.unknowns,
-            weights,
-            delay=hypothesis.delay,
-            physical=False,
-        )
-        before, weights = weights, _deserved_weights(hypothesis.dataset, cv.held_out, share)
-        if _alike(weights, before):
-            break
-    return cv, weights
-
-
-def _deserved_weights(dataset: Dataset, held_out: HeldOut, share: Array) -> Array:
-    """(nv,) weights of squared residuals that held-out errors deserve; see `settle`.
-
-    Args:
-        dataset: The reduced logs.
-        held_out: Errors.
-        share: (nv,) effective samples, as a share of all.
-    """
-    mse = np.maximum(held_out.mse, 1e-12 * dataset.effort_std**2)
-    relative = np.mean(mse / dataset.effort_std**2)
-    return np.asarray(share / np.sqrt(mse * relative * dataset.effort_std**2))
 
 
 def _alike(weights: Array, before: Array) -> bool:
@@ -249,13 +154,7 @@ def _alike(weights: Array, before: Array) -> bool:
 
 
 def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: Delay = 0) -> Hypothesis:
-    """Return the model as it came, its parameters refitted within their prior.
-
-    Args:
-        dataset: The reduced logs.
-        unknowns: The model's parameters, with their prior.
-        delay: Index of the effort column to fit.
-    """
+    """Return the model as it came, its parameters refitted within their prior."""
     weights = _FIRST_SHARE / dataset.effort_std**2
     cv = CrossValidation(dataset, unknowns, weights, delay=delay)
     effective = _FIRST_SHARE * dataset.samples.sum(0)

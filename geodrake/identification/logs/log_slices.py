@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,6 @@ Array = NDArray[np.float64]
 INERTIA = "inertia"
 """What columns of inertial parameters belong to, as others belong to an effect."""
 
-_ROWS = 512  # that are put together at once
 _WIDE = 16  # columns that are filtered as they are
 
 MOSTLY_STILL = 0.3
@@ -45,37 +44,22 @@ Dry friction can then be anything up to breakaway, and no model of the motion sa
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Which columns each joint has, and how they are computed.
-
-    Attributes:
-        model: The model.
-        effects: Effects that have columns.
-        sign_width: (nv,) speed below which the direction of motion is not known.
-        still_speed: (nv,) speed below which a joint counts as at rest.
-        columns: Per joint, the global indices of its columns.
-        base: Combinations of inertial parameters that take the place of all of them, if columns
-            are to be no more than a robot can show; see `over_base`.
-    """
+    """Which columns each joint has, and how they are computed."""
 
     model: RobotModel
-    effects: tuple[Effect, ...]
-    sign_width: Array
-    still_speed: Array
-    columns: tuple[Indices, ...]
+    effects: tuple[Effect, ...]  # effects that have columns
+    sign_width: Array  # (nv,) speed below which the direction of motion is not known
+    still_speed: Array  # (nv,) speed below which a joint counts as at rest
+    columns: tuple[Indices, ...]  # per joint, the global indices of its columns
+    # Combinations of inertial parameters that take the place of all of them, if columns are to be
+    # no more than a robot can show; see `over_base`.
     base: BaseParameters | None = None
 
     @classmethod
     def of(
         cls, model: RobotModel, effects: tuple[Effect, ...], sign_width: Array, still_speed: Array
     ) -> Layout:
-        """The layout of the columns of a model's bodies and some effects.
-
-        Args:
-            model: The model.
-            effects: Effects that get columns.
-            sign_width: (nv,) speed below which the direction of motion is not known, rad/s or m/s.
-            still_speed: (nv,) speed below which a joint counts as at rest, rad/s or m/s.
-        """
+        """Return the layout of the columns of bodies and effects; speeds (nv,) in rad/s or m/s."""
         inertial = _inertial_structure(model, _felt(model, effects)[0])
         starts = column_starts(effects, model.bodies)
         columns = [[np.flatnonzero(inertial[j])] for j in range(len(model.joints))]
@@ -90,12 +74,9 @@ class Layout:
         return cls(model, effects, sign_width, still_speed, joined)
 
     def over_base(self, base: BaseParameters) -> Layout:
-        """The layout with the columns of a robot's base parameters alone, which say the same.
+        """Return the layout with the columns of the tree's base parameters, which say as much.
 
         Y φ = Y_B (B φ), and Y_B are some of the columns of Y.
-
-        Args:
-            base: The base parameters of `tree`.
         """
         bodies = np.arange(self.model.phi.size)
         gone = np.setdiff1d(bodies, base.independent)
@@ -125,12 +106,7 @@ class Layout:
         return _felt(self.model, self.effects)
 
     def in_bodies(self, joint: int, blocks: Mapping[Effect, Blocks]) -> Array | float:
-        """(K,) effort of effects that a joint's columns of bodies have in them; 0 for none.
-
-        Args:
-            joint: The joint.
-            blocks: Columns of the effects.
-        """
+        """(K,) effort of effects that a joint's columns of bodies have in them; 0 for none."""
         effect = self._felt[1]
         if effect is None or joint not in blocks[effect]:
             return 0.0
@@ -153,16 +129,9 @@ class Layout:
         parts: Collection[Effect | str],
         load: Array | None = None,
     ) -> tuple[list[Blocks], Array]:
-        """Unfiltered columns of some of the parts at a motion of a log.
+        """Return unfiltered columns of some parts at a motion of a log, and the load (N, nv).
 
-        Args:
-            motion: The motion, N samples.
-            trajectory: The log.
-            parts: The parts.
-            load: (N, nv) effort of the bodies with what they hold, where it is known already.
-
-        Returns:
-            The columns of each part, and the load.
+        That is the effort of the bodies with what they hold, which may be known already.
         """
         robot, inertial = carrying(self.model, trajectory.payloads), dict[int, Array]()
         if INERTIA in parts:
@@ -195,21 +164,13 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class LogSlice:
-    """Samples of a stretch that are filtered together.
+    """Samples of a stretch that are filtered together."""
 
-    Attributes:
-        layout: Which columns each joint has.
-        trajectory: The log.
-        stretch: One of its segments.
-        samples: Some of the segment's samples.
-        advance: (nv,) seconds by which the efforts were logged late, for each column of efforts.
-        place: Names the samples.
-    """
-
-    layout: Layout
+    layout: Layout  # which columns each joint has
     trajectory: Trajectory
     stretch: Stretch
-    samples: slice
+    samples: slice  # some of the segment's samples
+    # (nv,) seconds by which the efforts were logged late, for each column of efforts.
     advance: Sequence[Array]
     place: Hashable
 
@@ -254,32 +215,28 @@ class LogSlice:
 
     def _motion_rows(self, shared: SharedRows) -> Blocks:
         """Per joint (K, 4) motion and share of time at rest; at −1 the (K,) instants."""
-        key = ("motion", self.place)
-        found = shared.get(key)
-        if found is None:
+
+        def make() -> Blocks:
             here, low_pass = self._here, self.trajectory.filter
             at = low_pass.output_indices(len(here))
             states = np.stack([here.position, here.velocity, here.acceleration], 2)[at]
             still = low_pass.apply(np.abs(here.velocity) < self.layout.still_speed)
             both = np.concatenate([states, still[:, :, None]], 2)
-            found = {-1: here.time[at], **{j: both[:, j] for j in range(both.shape[1])}}
-            shared.keep(key, found)
-        return found
+            return {-1: here.time[at], **{j: both[:, j] for j in range(both.shape[1])}}
+
+        return shared.once(("motion", self.place), make)
 
     def _efforts(self, shared: SharedRows) -> Array:
         """(K, nv, d) filtered efforts as they were logged `advance` seconds later."""
-        columns = []
-        for seconds in self.advance:
-            key = ("effort", seconds.tobytes(), self.place)
-            found = shared.get(key)
-            if found is None:
-                near, inner = self._near
-                spline, period = self._effort_spline, self.stretch.period
-                moved = delayed_by(-seconds, near.effort, period, spline=spline)
-                found = {0: self.trajectory.filter.apply(moved[inner])}
-                shared.keep(key, found)
-            columns.append(found[0])
-        return np.stack(columns, -1)
+
+        def advanced(seconds: Array) -> Blocks:
+            (near, inner), period = self._near, self.stretch.period
+            moved = delayed_by(-seconds, near.effort, period, spline=self._effort_spline)
+            return {0: self.trajectory.filter.apply(moved[inner])}
+
+        keys = [("effort", seconds.tobytes(), self.place) for seconds in self.advance]
+        pairs = zip(keys, self.advance, strict=True)
+        return np.stack([shared.once(key, partial(advanced, s))[0] for key, s in pairs], -1)
 
     def _carried(self, blocks: Sequence[Blocks]) -> list[Array]:
         """Per joint (K,) filtered effort beside what is fitted: of the log's known payloads.
@@ -320,7 +277,7 @@ class LogSlice:
         flat = [block for blocks in parts for block in blocks.values()]
         narrow = [block for block in flat if block.shape[1] < _WIDE]
         ends = np.cumsum([block.shape[1] for block in narrow])
-        pieces = iter(np.split(apply(_beside(narrow)), ends[:-1], axis=1) if narrow else ())
+        pieces = iter(np.split(apply(np.hstack(narrow)), ends[:-1], axis=1) if narrow else ())
         return [
             {
                 j: next(pieces) if block.shape[1] < _WIDE else apply(block)
@@ -330,13 +287,13 @@ class LogSlice:
         ]
 
     def _motion(self, shared: SharedRows) -> Motion:
-        key, model = ("unfiltered motion", self.place), self.layout.model
-        found = shared.get(key)
-        if found is None:
+
+        def make() -> Blocks:
             here = self._here
-            parts = (here.position, here.velocity, here.acceleration, here.time)
-            found = dict(enumerate(parts))
-            shared.keep(key, found, signals=True)
+            return dict(enumerate((here.position, here.velocity, here.acceleration, here.time)))
+
+        model = self.layout.model
+        found = shared.once(("unfiltered motion", self.place), make, signals=True)
         position, velocity, acceleration, time = (found[i] for i in range(4))
         return Motion(
             model.positions(position),
@@ -353,17 +310,6 @@ class LogSlice:
         if start == 0 or not any(effect.state_count for effect in self.layout.effects):
             return np.zeros((0, len(self.layout.model.joints)))
         return self.stretch[max(0, start - MEMORY) : start].position
-
-
-def _beside(blocks: Sequence[Array]) -> Array:
-    """`np.hstack` of many narrow blocks (N, ·), in rows that stay in the cache meanwhile."""
-    both = np.empty((len(blocks[0]), sum(block.shape[1] for block in blocks)))
-    for start in range(0, len(both), _ROWS):
-        rows, at = slice(start, start + _ROWS), 0
-        for block in blocks:
-            both[rows, at : at + block.shape[1]] = block[rows]
-            at += block.shape[1]
-    return both
 
 
 def _probe(model: RobotModel, samples: int) -> Motion:

@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from geodrake.effects import FittedEffect
+from geodrake.effects import FittedEffect, Role
 from geodrake.effects.base import Effect
 from geodrake.identification.certification import certified
 from geodrake.identification.conic_fit import solve_with_fallback
 from geodrake.identification.fit import FitResult
-from geodrake.identification.logs.criteria import SPREAD
+from geodrake.identification.logs.criteria import SPREAD, WORTH
 from geodrake.identification.logs.cross_validation import HeldOut, hold_out
 from geodrake.identification.logs.dataset import Dataset, Delay, is_body
-from geodrake.identification.logs.systematic import gain_shifts, unexplained_covariance
 from geodrake.identification.logs.unknowns import (
     Unknowns,
     inertial_unknowns,
     pullback_information,
 )
+from geodrake.identification.normal_equations import scaled_cholesky, solved
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.model.robot_model import RobotModel
@@ -32,33 +32,24 @@ Array = NDArray[np.float64]
 
 
 def model_unknowns(dataset: Dataset, model: RobotModel, *, spread: float = SPREAD) -> Unknowns:
-    """Everything a fit of the model may move, with what is known about it as the prior.
+    """Return everything a fit of the model may move, with what is known about it as the prior.
 
     A model that was fitted before is known as well as its information matrix says; of a model
-    file, inertias are known to within `spread` and stated frictions to within their own size.
-
-    Args:
-        dataset: The logs, with columns for the model's effects.
-        model: The model.
-        spread: Relative uncertainty of a model file's inertias, as a geometric distance.
+    file, inertias are known to within `spread`, a geometric distance, and stated frictions to
+    within their own size.
     """
-    p, fitted = model.phi.size, [f for f in model.effects if _has_columns(f)]
+    p, fitted = model.phi.size, [f for f in model.effects if f.effect.parameters]
     if model.information is None:
         sizes = [np.diag(1.0 / np.maximum(f.parameters**2, 1e-12)) for f in fitted]
         information = block_diag(pullback_information(model.phi, spread), *sizes)
     else:
         information = model.information
     unknowns = inertial_unknowns(model.phi, information[:p, :p])
-    at = p
     for f in fitted:
-        k = len(f.parameters)
+        own = np.zeros((len(f.parameters),) * 2)  # of all together below
         unknowns = unknowns.with_effect(
-            f.effect,
-            dataset.effect_columns(f.effect),
-            information[at : at + k, at : at + k],
-            f.parameters,
+            f.effect, dataset.effect_columns(f.effect), own, f.parameters
         )
-        at += k
     return replace(unknowns, information=information)
 
 
@@ -70,7 +61,7 @@ def fit_problem(
     without: int | None = None,
     delay: Delay = 0,
 ) -> FitProblem:
-    """The convex program of a fit to all folds, or to all but one.
+    """Return the convex program of a fit to all folds, or to all but one.
 
     Args:
         dataset: The logs.
@@ -80,43 +71,32 @@ def fit_problem(
         delay: Index of the effort column to fit.
     """
     p = len(unknowns.columns)
+    kept = [fold for fold in range(len(dataset.folds)) if fold != without]
     triangle = np.zeros((1, p + 1))
     delays = dataset.delay_of_each(delay)
     for data, weight, late in zip(dataset.data, weights, delays, strict=True):
         local = data.local(unknowns.columns)
-        used = local >= 0
-        kept = [fold for fold in range(len(dataset.folds)) if fold != without]
         stacked = np.concatenate(data.factors[kept])
         rows = np.zeros((len(stacked), p + 1))
-        rows[:, :p][:, used] = stacked[:, local[used]]
+        rows[:, :p][:, local >= 0] = stacked[:, local[local >= 0]]
         rows[:, p] = stacked[:, len(data.columns) + late]
         triangle = triangular_factor([triangle, np.sqrt(weight) * rows])
-    payloads = [e for e in unknowns.effects if is_body(e)]
-    scalar = np.ones(p, bool)  # P ≻ 0 bounds the inertial parameters
-    for start in unknowns.inertia_blocks:
-        scalar[start : start + PARAMETERS_PER_BODY] = False
+    lower, upper = unknowns.scalar_bounds
     return FitProblem(
         factor=triangle,
         inertia_blocks=unknowns.inertia_blocks,
         prior_mean=unknowns.mean,
         prior_information=unknowns.information,
-        lower=np.where(scalar, unknowns.lower, -np.inf),
-        upper=np.where(scalar, unknowns.upper, np.inf),
-        reference={unknowns.span(e).start: dataset.payload for e in payloads},
+        lower=lower,
+        upper=upper,
+        reference={unknowns.span(e).start: dataset.payload for e in unknowns.effects if is_body(e)},
     )
 
 
 def held_out_physical(
     dataset: Dataset, unknowns: Unknowns, weights: Array, *, delay: Delay = 0
 ) -> HeldOut:
-    """Held-out errors of physically consistent fits, one for every fold.
-
-    Args:
-        dataset: The reduced logs.
-        unknowns: What the fits may move.
-        weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)² or 1 / N².
-        delay: Index of the effort column to fit.
-    """
+    """Return held-out errors of physically consistent fits, one for every fold."""
     folds = range(len(dataset.folds))
     problems = (fit_problem(dataset, unknowns, weights, without=f, delay=delay) for f in folds)
     x = np.array([solve_with_fallback(problem).x for problem in problems])
@@ -125,25 +105,15 @@ def held_out_physical(
 
 @dataclass(frozen=True, eq=False)
 class ModelFit:
-    """A model fitted to logs.
+    """A model fitted to logs."""
 
-    Attributes:
-        model: The fitted model.
-        held_out: Held-out errors of the same fit without each fold.
-        result: The solution, with its information matrix and the certificate of its program.
-        unknowns: What was fitted.
-        gain_shifts: (nv, p) what the parameters change by with the gain of each joint's efforts.
-        unexplained_covariance: (p, p) how far the parameters may be off by what stays unexplained.
-        of_motion: (nv,) share of each joint's squared error that goes with the motion.
-    """
-
-    model: RobotModel
-    held_out: HeldOut
-    result: FitResult
-    unknowns: Unknowns
-    gain_shifts: Array
-    unexplained_covariance: Array
-    of_motion: Array
+    model: RobotModel  # the fitted one
+    held_out: HeldOut  # errors of the same fit without each fold
+    result: FitResult  # with its information matrix and the certificate of its program
+    unknowns: Unknowns  # what was fitted
+    gain_shifts: Array  # (nv, p) change of the parameters with the gain of each joint's efforts
+    unexplained_covariance: Array  # (p, p) by what stays unexplained
+    of_motion: Array  # (nv,) share of each joint's squared error that goes with the motion
 
 
 def fit_model(
@@ -183,29 +153,68 @@ def fit_model(
         effort_noise=held_out.rms,
     )
     known = model.information is not None
-    shifts = gain_shifts(dataset, unknowns, weights, result, known=known)
+    shifts = _gain_shifts(dataset, unknowns, weights, result, known=known)
     share = np.zeros(len(weights)) if of_motion is None else of_motion
     samples = dataset.samples.sum(axis=0) if effective is None else effective
-    off = unexplained_covariance(dataset, unknowns, weights, result, samples * share)
+    off = _unexplained_covariance(dataset, unknowns, weights, result, samples * share)
     return ModelFit(fitted, held_out, result, unknowns, shifts, off, share)
 
 
-def as_it_stands(dataset: Dataset, model: RobotModel) -> HeldOut:
-    """Errors of a model on logs without any fit to them.
+def _gain_shifts(
+    dataset: Dataset, unknowns: Unknowns, weights: Array, fit: FitResult, *, known: bool
+) -> Array:
+    """Return (nv, p) what the parameters of a fit change by with the gain of each joint's efforts.
 
-    Args:
-        dataset: The reduced logs.
-        model: The model.
+    A wrong gain 1 + g of joint j moves them by g times its row, to first order; that of a joint
+    whose gain is fitted moves nothing else. It acts on the measured effort, of which known payloads
+    are a part. If the prior is `known` by a fit to efforts of the same gains, these have gone into
+    it: then what a gain moves is only what has changed since.
     """
+    pulls = np.zeros((len(dataset.joints), len(unknowns.columns)))
+    fitted = {effect.where[0] for effect in unknowns.effects if effect.role is Role.SCALE}
+    for j, (data, weight) in enumerate(zip(dataset.data, weights, strict=True)):
+        if dataset.joints[j] in fitted:
+            continue
+        local = data.local(unknowns.columns)
+        if known:
+            pull = data.products(local, local).sum(axis=2) @ (fit.x - unknowns.mean)
+        else:
+            pull = data.products(np.array([len(data.columns)]), local)[0].sum(axis=1)
+        carried = np.append(data.carried.sum(axis=0), 0.0)[local]  # 0 where the joint sees nothing
+        pulls[j] = weight * (pull + carried)
+    return _moved(fit, pulls.T).T
+
+
+def _unexplained_covariance(
+    dataset: Dataset, unknowns: Unknowns, weights: Array, fit: FitResult, samples: Array
+) -> Array:
+    """Return the covariance (p, p) of the parameters of a fit by what stays unexplained.
+
+    With A the information of the fit and G_j the weighted normal matrix of joint j, noise gives
+    Σ_j A⁻¹ G_j A⁻¹, if samples are counted by what they are worth. Of the part of the residual that
+    is no noise, all n_j of them are worth no more than `WORTH`. `samples` (nv,) are n_j times the
+    share of the squared residual that goes with the motion.
+    """
+    gram = np.zeros((len(unknowns.columns),) * 2)
+    for data, weight, worth in zip(dataset.data, weights, samples, strict=True):
+        local = data.local(unknowns.columns)
+        gram += worth / WORTH * weight * data.products(local, local).sum(axis=2)
+    return _moved(fit, _moved(fit, gram).T)
+
+
+def _moved(fit: FitResult, pulls: Array) -> Array:
+    """(p, k) what parameters change by with each of some slopes (p, k) of the fit's cost."""
+    factor, scale = scaled_cholesky(fit.information)
+    return np.asarray(scale[:, None] * solved(factor, scale[:, None] * pulls))
+
+
+def as_it_stands(dataset: Dataset, model: RobotModel) -> HeldOut:
+    """Return the errors of a model on logs without any fit to them."""
     unknowns = model_unknowns(dataset, model)
     x = np.tile(unknowns.mean, (len(dataset.folds), 1))
     return hold_out(dataset, unknowns.columns, x)
 
 
-def _has_columns(fitted: FittedEffect) -> bool:
-    return bool(fitted.effect.parameters)
-
-
 def effects_of(model: RobotModel) -> tuple[Effect, ...]:
-    """The model's effects that have columns."""
-    return tuple(f.effect for f in model.effects if _has_columns(f))
+    """Return the model's effects that have columns."""
+    return tuple(f.effect for f in model.effects if f.effect.parameters)

@@ -91,11 +91,7 @@ def known_noise(
 
 
 def filtered_below(trajectory: Trajectory) -> float:
-    """Where the efforts of a log end, Hz, as they were filtered before; infinite if they were not.
-
-    Args:
-        trajectory: The prepared log.
-    """
+    """Return where the efforts of a log end, Hz, if they were filtered before; else infinity."""
     bandwidth, ends = trajectory.filter.bandwidth, []
     for segment in trajectory.segments:
         start, rate = segment[:_SAMPLES], 1.0 / segment.period

@@ -29,16 +29,9 @@ def effort_scale(
 ) -> Array:
     """Return (nv,) what each joint's effort could show, N·m or N.
 
-    That is the deviation of its effort, if it moves. The effort of a joint at rest deviates by next
-    to nothing, and is no measure of an error: there it is the effort that it holds, or that by
+    That is the `deviation` of its effort, if it moves. The effort of a joint at rest deviates by
+    next to nothing, and is no measure of an error: there it is the effort that it holds, or that by
     which gravity could load it if the robot stood on its side, whichever is larger.
-
-    Args:
-        model: The model.
-        tree: Its tree, under the gravity that bodies feel.
-        trajectories: Prepared logs, joints in the model's order.
-        data: What logs say about each joint.
-        deviation: (nv,) standard deviation of the measured efforts, N·m or N.
     """
     still = _at_rest(model, data)
     if not still.any():

@@ -29,30 +29,14 @@ from geodrake.robot.reduction import triangular_factor
 
 Array = NDArray[np.float64]
 
-LEAST_SIGN_WIDTH = 0.002
-"""The direction of motion is unknown below this share of a joint's peak speed, at least."""
-
-SIGN_NOISE = 1.2
-"""The direction of motion is unknown below so many deviations σ of the speed's noise: its mean is
-erf(v / √2σ), about tanh(v / 1.2 σ)."""
-
-AT_REST = 8.0
-"""A joint never moves if its speed stays below so many deviations of its noise."""
-
-LEAST_SPEED = 1e-4
-"""A joint never moves if its speed stays below this share of the fastest joint's."""
-
-STILL_SPEED = 0.01
-"""A joint is at rest below this share of its peak speed."""
-
-WORTHWHILE = 20
-"""Rows are folded into a triangular factor if there are so many times more than columns."""
-
-LEAST_DEVIATION = 1e-7
-"""An effort is constant if it deviates by less than this share of its RMS: it is rounding."""
-
-ROWS_KEPT = 4_000
-"""So many filtered rows of each fold and joint are kept for autocorrelations and figures."""
+LEAST_SIGN_WIDTH = 0.002  # of a joint's peak speed, below which its direction is not known
+SIGN_NOISE = 1.2  # deviations σ of a speed's noise; the mean sign is erf(v/√2σ) ≈ tanh(v/1.2σ)
+AT_REST = 8.0  # deviations of a speed's noise, below which a joint never moves
+LEAST_SPEED = 1e-4  # of the fastest joint's speed, below which a joint never moves
+STILL_SPEED = 0.01  # of a joint's peak speed, below which it is at rest
+WORTHWHILE = 20  # times more rows than columns are folded into a triangular factor
+LEAST_DEVIATION = 1e-7  # of an effort's RMS: what is less is rounding of a constant
+ROWS_KEPT = 4_000  # filtered rows of each fold and joint, for autocorrelations and figures
 
 
 def reduce_logs(
@@ -84,7 +68,8 @@ def reduce_logs(
         LogError: The effort of a joint never changes, or a joint moves for a moment only.
     """
     effects = tuple(e for e in dict.fromkeys(effects) if e.parameters)
-    layout = _layout(model, effects, trajectories)
+    still = STILL_SPEED * peak_speeds(trajectories)
+    layout = Layout.of(model, effects, sign_widths(model, trajectories), still)
     further = np.array([np.broadcast_to(delay, len(model.joints)) for delay in delays])
     data = reduced_joints(layout, trajectories, folds, list(further + model.delays), shared)
     _check_moving(model.joints, data)
@@ -117,14 +102,10 @@ def reduced_joints(
     advance: Sequence[Array],
     shared: SharedRows | None = None,
 ) -> tuple[JointData, ...]:
-    """Return what logs say about every joint, over the columns of a layout.
+    """Return what logs say about every joint, over the columns of a layout; see `reduce_logs`.
 
-    Args:
-        layout: The columns, and below which speeds joints rest. A joint may rest all the time.
-        trajectories: Prepared logs, joints in the model's order.
-        folds: Validation folds of the trajectories.
-        advance: (nv,) seconds by which the efforts were logged late, for each column of efforts.
-        shared: As in `reduce_logs`.
+    A joint may rest all the time. `advance` are (nv,) seconds by which the efforts were logged
+    late, for each column of efforts.
     """
     shared = SharedRows(0) if shared is None else shared
     boxes = [[_Box(len(c) + len(advance)) for _ in folds] for c in layout.columns]
@@ -147,7 +128,7 @@ def reduced_joints(
 
 
 def _joint_data(columns: Indices, boxes: Sequence[_Box]) -> JointData:
-    rows = tuple(box.blocks() for box in boxes)
+    rows = tuple(tuple(map(JointRows.join, box.kept.values())) for box in boxes)
     kept = [np.abs(each.A).max(axis=0) for fold in rows for each in fold if len(each.A)]
     return JointData(
         columns,
@@ -162,7 +143,7 @@ def _joint_data(columns: Indices, boxes: Sequence[_Box]) -> JointData:
 
 
 class HasGains(Protocol):
-    """A log, of which it is known how well the gains of its efforts are."""
+    """A log, prepared or digested, of which it is known how well the gains of its efforts are."""
 
     @property
     def payloads(self) -> tuple[KnownPayload, ...]:
@@ -174,12 +155,7 @@ class HasGains(Protocol):
 
 
 def gain_uncertainty(model: RobotModel, logs: Sequence[HasGains]) -> Array:
-    """(nv,) how well the gains of the efforts are known; 0 where known payloads say them.
-
-    Args:
-        model: The model.
-        logs: The logs, prepared or digested.
-    """
+    """Return (nv,) how well gains of efforts are known; 0 where known payloads say them."""
     payloads = [log.payloads for log in logs]
     known = joints_with_known_gain(model, payloads) if any(payloads) else ()
     largest = np.max(
@@ -189,7 +165,7 @@ def gain_uncertainty(model: RobotModel, logs: Sequence[HasGains]) -> Array:
 
 
 def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
-    """(nv,) largest speed of every joint, rad/s or m/s; 0 for one that does not move."""
+    """Return (nv,) the largest speed of every joint, rad/s or m/s; 0 for one that does not move."""
     segments = [segment for trajectory in trajectories for segment in trajectory.segments]
     peak = np.max([segment.peak_speed for segment in segments], axis=0)
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
@@ -198,31 +174,17 @@ def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
 
 
 def sign_widths(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:
-    """(nv,) speed below which dry friction fades, or the direction of motion is not known.
-
-    Args:
-        model: The model, whose dry friction may fade below a speed of its own.
-        trajectories: Prepared logs.
-    """
+    """Return (nv,) the speed below which dry friction of the model fades, or signs are unknown."""
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
     return model.sign_widths(least_sign_widths(peak_speeds(trajectories), noise))
 
 
 def least_sign_widths(peaks: Array, noise: Array) -> Array:
-    """(nv,) speed below which the direction of motion is not known.
+    """Return (nv,) the speed below which the direction of motion is not known.
 
-    Args:
-        peaks: (nv,) peak speeds, rad/s or m/s.
-        noise: (nv,) deviation of the noise of velocities.
+    Peak speeds (nv,) and deviations (nv,) of the noise of velocities are in rad/s or m/s.
     """
     return np.maximum(LEAST_SIGN_WIDTH * peaks, SIGN_NOISE * noise)
-
-
-def _layout(
-    model: RobotModel, effects: tuple[Effect, ...], trajectories: Sequence[Trajectory]
-) -> Layout:
-    still = STILL_SPEED * peak_speeds(trajectories)
-    return Layout.of(model, effects, sign_widths(model, trajectories), still)
 
 
 @dataclass(eq=False)
@@ -255,23 +217,15 @@ class _Box:
     def whole_factor(self) -> Array:
         """Return the factor of all rows: they themselves where they are fewer than the columns."""
         blocks = [*([] if self.factor is None else [self.factor]), *self.pending]
-        few = sum(map(len, blocks)) <= self.width
-        return (
-            np.concatenate([np.zeros((0, self.width)), *blocks])
-            if few
-            else triangular_factor(blocks)
-        )
-
-    def blocks(self) -> tuple[JointRows, ...]:
-        return tuple(JointRows.join(rows) for rows in self.kept.values())
+        if sum(map(len, blocks)) > self.width:
+            return triangular_factor(blocks)
+        return np.concatenate([np.zeros((0, self.width)), *blocks])
 
 
 def _stacked(factors: Sequence[Array]) -> Array:
     """(F, m, p) factors (m_i, p), with rows of zeros where one has fewer than another."""
-    stacked = np.zeros((len(factors), max(map(len, factors)), factors[0].shape[1]))
-    for own, factor in zip(stacked, factors, strict=True):
-        own[: len(factor)] = factor
-    return stacked
+    most = max(map(len, factors))
+    return np.array([np.pad(factor, ((0, most - len(factor)), (0, 0))) for factor in factors])
 
 
 def _slices(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,23 +34,25 @@ class SharedRows:
         self._room, self._signals, self._kept = room, signals, dict[Hashable, Blocks]()
 
     def get(self, key: Hashable) -> Blocks | None:
-        """What is kept under a key, if anything is."""
+        """Return what is kept under a key, if anything is."""
         return self._kept.get(key)
 
+    def once(self, key: Hashable, make: Callable[[], Blocks], *, signals: bool = False) -> Blocks:
+        """Return what is kept under a key, or make it and keep it; `signals` as in `keep`."""
+        found = self._kept.get(key)
+        if found is None:
+            found = make()
+            self.keep(key, found, signals=signals)
+        return found
+
     def read_only(self) -> SharedRows:
-        """What is kept here, for reductions whose columns are not needed again."""
+        """Return what is kept here, for reductions whose columns are not needed again."""
         reader = SharedRows(0)
         reader._kept = self._kept
         return reader
 
     def keep(self, key: Hashable, blocks: Blocks, *, signals: bool = False) -> None:
-        """Keeps blocks as long as there is room.
-
-        Args:
-            key: What to keep them under.
-            blocks: The blocks.
-            signals: Whether they are signals at the full rate.
-        """
+        """Keep blocks as long as there is room; `signals` are at the full rate."""
         size = sum(block.size for block in blocks.values())
         room = min(self._room, self._signals) if signals else self._room
         if 0 < size <= room and key not in self._kept:

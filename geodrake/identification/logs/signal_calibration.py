@@ -2,35 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.effects import Role
+from geodrake.effects import Role, catalogue
 from geodrake.effects.base import Effect
 from geodrake.effects.robot_motion import log_number
 from geodrake.effects.shape import when_sliding
 from geodrake.errors import LogError
-from geodrake.identification.logs.command_columns import (
-    CommandColumn,
-    Commands,
-    IntegralColumn,
-    Integrals,
-    LogConstant,
-)
 from geodrake.identification.logs.criteria import PENALTY
 from geodrake.identification.logs.dataset import Dataset
-from geodrake.identification.logs.effort_gains import (
-    SignalGains,
-    SignalRows,
-    effects_beside_gains,
-    signal_gains,
-)
+from geodrake.identification.logs.effort_gains import SignalGains, SignalRows, signal_gains
+from geodrake.identification.logs.logged_columns import CarriedColumn, Commands, LoggedColumn
 from geodrake.identification.logs.model_fit import effects_of
-from geodrake.identification.logs.payload_column import CarriedBodies, CarriedColumn
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.identification.logs.servo_fit import (
     LONGEST_DELAY,
@@ -43,7 +31,7 @@ from geodrake.logs.folds import validation_blocks
 from geodrake.logs.learnable import check_saturation
 from geodrake.logs.motion import JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
-from geodrake.model.carried_payloads import carrying
+from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.signal_efforts import in_efforts, kind_of
@@ -52,23 +40,17 @@ Array = NDArray[np.float64]
 
 _SHARP = 20.0  # Hz
 _ROUNDS = 2  # of choosing how servos take commands, and of bodies and gains with that
-_DELAYS = 16  # that are tried
+_DELAYS = tuple(np.linspace(0.0, LONGEST_DELAY, 16).tolist())  # that are tried, s
 _USUAL_DELAY = 0.01  # s, mean of how late servos are
 
 
 def with_efforts(
     model: RobotModel, logs: Sequence[JointLog]
 ) -> tuple[RobotModel, list[JointLog], list[str]]:
-    """Logs with efforts at all joints, and the model that knows what makes efforts of its signals.
+    """Return the model that makes efforts of signals, logs with efforts, and what was found.
 
-    Gains that the model does not know are found by its inertias; see `effort_gains`.
-
-    Args:
-        model: The model.
-        logs: Logs, joints in the model's order.
-
-    Returns:
-        Model, logs, and what was found in words.
+    Gains that the model does not know are found by its inertias; see `effort_gains`. Logs have
+    their joints in the model's order.
 
     Raises:
         LogError: Something else stands for the efforts of a joint in one log than in another or in
@@ -90,13 +72,7 @@ def with_efforts(
 
 
 def _limit_notes(model: RobotModel, asked: JointLog, given: JointLog) -> list[str]:
-    """Notes on efforts that motors were asked for and that are beyond their limits.
-
-    Args:
-        model: The model, which knows the limits.
-        asked: A log of it.
-        given: The same with what motors give.
-    """
+    """Return notes on efforts of a log that motors were `asked` for, beyond what they gave."""
     notes = []
     for at, joint in enumerate(asked.joints):
         signal = signal_of(model.effort_signals, joint)
@@ -112,11 +88,7 @@ def _limit_notes(model: RobotModel, asked: JointLog, given: JointLog) -> list[st
 
 
 def _known_efforts(model: RobotModel, log: JointLog) -> JointLog:
-    """The log with efforts at joints of whose signals the model knows what makes efforts.
-
-    Raises:
-        LogError: A servo is at its limit nearly all the time.
-    """
+    """Return the log with efforts at joints of whose signals the model knows what makes efforts."""
     signals = model.effort_signals
     summed = any(each.integral and kind_of(log, each.joint) == COMMAND for each in signals)
     known = in_efforts(log, signals, _needed(model, log) if summed else None)
@@ -125,7 +97,7 @@ def _known_efforts(model: RobotModel, log: JointLog) -> JointLog:
 
 
 def _needed(model: RobotModel, log: JointLog) -> Array:
-    """(N, n) efforts, N·m or N, that a model needs for positions of a log, noise and all.
+    """Return (N, n) efforts, N·m or N, that a model needs for positions of a log, noise and all.
 
     What the robot carried in the log needs its share of them.
     """
@@ -144,12 +116,7 @@ def _needed(model: RobotModel, log: JointLog) -> Array:
 
 
 def gain_words(model: RobotModel, signals: Sequence[EffortSignal]) -> str:
-    """What was found of signals, in words.
-
-    Args:
-        model: The model.
-        signals: The signals.
-    """
+    """Return what was found of signals, in words."""
     words = []
     for signal in signals:
         slides = signal.joint in model.sliding_joints
@@ -160,11 +127,9 @@ def gain_words(model: RobotModel, signals: Sequence[EffortSignal]) -> str:
 
 
 def calibrated(
-    model: RobotModel,
-    logs: Sequence[JointLog],
-    kinds: Sequence[str],
+    model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]
 ) -> tuple[EffortSignal, ...]:
-    """What makes efforts of the signals of all joints whose efforts were not measured.
+    """Find what makes efforts of the signals of all joints whose efforts were not measured.
 
     Args:
         model: The model.
@@ -176,118 +141,66 @@ def calibrated(
     """
     known = signals_as_efforts(logs, kinds)
     trajectories = prepare_logs(known)
-    told = _commands(model, logs, kinds)
-    own = [effect for effect in effects_of(model) if effect.role is not Role.BODY]
-    beside = tuple(dict.fromkeys((*effects_beside_gains(model), *own)))
-    carried = any(log.payloads for log in logs)
-    held = CarriedColumn(CarriedBodies.of(model, logs)) if carried else None
-    columns: list[Effect] = [column for each in told.values() for column in each.columns]
+    commanded = {
+        j: _CommandColumns.of(logs, model.joints[j]) for j, k in enumerate(kinds) if k == COMMAND
+    }
+    usual = [kind for kind in catalogue() if kind.beside_gains]
+    free = [kind.shaped(joint)[0] for joint in model.single_joints for kind in usual]
+    free += [effect for effect in effects_of(model) if effect.role is not Role.BODY]
+    free = list(dict.fromkeys(free))
+    held = None
+    if any(log.payloads for log in logs):
+        each = [(log_number(log.name), carried_phi(model, log.payloads)) for log in logs]
+        held = CarriedColumn({n: _by_body(model, phi) for n, phi in each})
+    columns: list[Effect] = [column for each in commanded.values() for column in each.all]
     columns += [] if held is None else [held]
     folds = validation_blocks(trajectories)
-    dataset = reduce_logs(model, trajectories, folds, effects=(*beside, *columns))
+    dataset = reduce_logs(model, trajectories, folds, effects=(*free, *columns))
     deviations = np.max([log.gain_deviations for log in logs], axis=0)
-    prior = np.where([kind == "effort" for kind in kinds], np.maximum(deviations, 1e-6), np.inf)
-    plain = _Choice(dataset, model.phi.size, beside, told, held)
+    prior = np.where([kind == EFFORT for kind in kinds], np.maximum(deviations, 1e-6), np.inf)
     alike = [f"{k} {j in model.sliding_joints}" for j, k in zip(model.joints, kinds, strict=True)]
-    settle = partial(_settled, model=model, prior=prior, alike=alike)
-    if not told:
-        return settle(plain).signals(model, kinds)
+    gains = partial(signal_gains, model=model, known=prior, kinds=alike)
+    plain = _Calibration.of(_Choice(dataset, model, tuple(free), commanded, held), gains)
+    if not commanded:
+        return plain.signals(kinds)
     bandwidth = trajectories[0].bandwidths[0]
     sharp = prepare_logs(known, bandwidth=bandwidth, motion_bandwidth=_sharp(trajectories))
 
-    def by_motion(found: _Settled) -> tuple[EffortSignal, ...]:
-        signals = found.signals(model, kinds)
+    def by_motion(found: _Calibration) -> tuple[EffortSignal, ...]:
         bodies = replace(model, phi=found.gains.phi, effects=())
-        motions = motions_of(bodies, logs, sharp, tuple(told))
-        places = {model.joints[j]: j for j in told}
+        motions = motions_of(bodies, logs, sharp, tuple(commanded))
+        places = {model.joints[j]: j for j in commanded}
         return tuple(
             s
             if (j := places.get(s.joint)) is None
             else _by_motion(motions[j], s, float(model.effort_limits[j]))
-            for s in signals
+            for s in found.signals(kinds)
         )
 
-    without, summed = settle(plain), settle(replace(plain, integral=True))
-    if summed.cost + PENALTY * len(told) < without.cost:
+    summed = _Calibration.of(replace(plain.first, integral=True), gains)
+    if summed.cost + PENALTY * len(commanded) < plain.cost:
         found = by_motion(summed)
         if any(signal.integral for signal in found):
             return found
-    return by_motion(without)
+    return by_motion(plain)
 
 
-@dataclass(frozen=True, eq=False)
-class _Settled:
-    """What a linear fit says of all signals.
-
-    Attributes:
-        choice: How servos take their commands.
-        rows: What logs say of each joint, so chosen.
-        gains: Gains of all joints.
-    """
-
-    choice: _Choice
-    rows: Sequence[SignalRows]
-    gains: SignalGains
-
-    @property
-    def cost(self) -> float:
-        """That of the choice; less for a likelier one."""
-        return self.choice.cost(self.gains)
-
-    def signals(self, model: RobotModel, kinds: Sequence[str]) -> tuple[EffortSignal, ...]:
-        """What makes efforts of the signals of joints whose efforts were not measured.
-
-        Args:
-            model: The model.
-            kinds: (nv,) what stands for the efforts of each joint.
-
-        Raises:
-            LogError: A servo pushes away from where it is told to go.
-        """
-        return tuple(
-            self.choice.signal(model.joints[j], kind, j, self.rows[j], self.gains)
-            for j, kind in enumerate(kinds)
-            if kind != "effort"
-        )
-
-
-def _settled(choice: _Choice, *, model: RobotModel, prior: Array, alike: Sequence[str]) -> _Settled:
-    """Bodies, gains, and how servos take their commands, in turn.
-
-    Args:
-        choice: The choice to begin with.
-        model: The model.
-        prior: (nv,) as for `signal_gains`.
-        alike: (nv,) which signals are alike.
-    """
-    rows = choice.rows()
-    gains = signal_gains(rows, model, prior, alike)
-    if choice.integral:
-        # What is wrong with a delay of 0 shows more in an error that an integral keeps small.
-        gains = replace(gains, phi=model.total_phi)
-    for _ in range(_ROUNDS if choice.told else 0):
-        choice = choice.at(gains)
-        rows = choice.rows()
-        gains = signal_gains(rows, model, prior, alike)
-    return _Settled(choice, rows, gains)
+def _by_body(model: RobotModel, phi: Array) -> dict[str, Array]:
+    """Name -> inertial parameters (10,) of bodies (nb, 10) that are something."""
+    return {body: own for body, own in zip(model.bodies, phi, strict=True) if own.any()}
 
 
 def _sharp(trajectories: Sequence[Trajectory]) -> float:
-    """Bandwidth of the motion that simulations are compared with, Hz."""
+    """Return the bandwidth of the motion that simulations are compared with, Hz."""
     highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in trajectories)
     return min(max(trajectories[0].bandwidths[1], _SHARP), highest)
 
 
 def _by_motion(motions: JointMotions, signal: EffortSignal, limit: float) -> EffortSignal:
-    """The servo of a joint by how it moves, if that is predicted better for it.
+    """Return the servo of a joint by how it moves, if that is predicted better for it.
 
     An integral counts only where windows of the motion ask for it, and so does the limit of the
-    joint's effort.
-
-    Args:
-        motions: The joint.
-        signal: The servo by a linear fit.
-        limit: Largest effort of the joint, N·m or N.
+    joint's effort, N·m or N. `signal` is the servo by a linear fit.
     """
     fit = fit_servo(motions, signal, limit if limit > 0.0 else np.inf)
     if fit is None:
@@ -310,13 +223,10 @@ def _by_motion(motions: JointMotions, signal: EffortSignal, limit: float) -> Eff
 
 
 def signals_as_efforts(logs: Sequence[JointLog], kinds: Sequence[str]) -> list[JointLog]:
-    """Logs with signals in the place of efforts: of servos, how far the command is from there.
+    """Return logs with signals in the place of efforts: of servos, how far the command is away.
 
-    What known payloads need is not taken off a signal of unknown gain: they are left out.
-
-    Args:
-        logs: Logs, joints in the model's order.
-        kinds: (nv,) what stands for the efforts of each joint.
+    What known payloads need is not taken off a signal of unknown gain: they are left out. `kinds`
+    (nv,) are what stands for the efforts of each joint.
     """
     found = []
     for log in logs:
@@ -329,11 +239,7 @@ def signals_as_efforts(logs: Sequence[JointLog], kinds: Sequence[str]) -> list[J
 
 
 def _kinds(model: RobotModel, logs: Sequence[JointLog]) -> tuple[str, ...]:
-    """(nv,) what stands for the efforts of each joint.
-
-    Raises:
-        LogError: Logs or model disagree.
-    """
+    """Return (nv,) what stands for the efforts of each joint."""
     found = []
     for joint in model.joints:
         kinds = {kind_of(log, joint): log.name for log in logs}
@@ -360,44 +266,36 @@ def _kinds(model: RobotModel, logs: Sequence[JointLog]) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Told:
-    """Columns of the commands of one joint, for every delay that is tried.
+class _CommandColumns:
+    """Columns of the commands of one joint, for every delay that is tried."""
 
-    Attributes:
-        late: Columns c(t − δ) − c(t).
-        rates: Columns dc/dt(t − δ).
-        integrals: Columns ∫(c(t − δ) − q) dt.
-        constants: What integrals begin with in logs, of all but the first one.
-    """
+    late: tuple[LoggedColumn, ...]  # c(t − δ) − c(t)
+    rates: tuple[LoggedColumn, ...]  # dc/dt(t − δ)
+    integrals: tuple[LoggedColumn, ...]  # ∫(c(t − δ) − q) dt
+    constants: tuple[LoggedColumn, ...]  # what integrals begin with in logs but the first one
 
-    late: tuple[CommandColumn, ...]
-    rates: tuple[CommandColumn, ...]
-    integrals: tuple[IntegralColumn, ...]
-    constants: tuple[LogConstant, ...]
+    @classmethod
+    def of(cls, logs: Sequence[JointLog], joint: str) -> _CommandColumns:
+        """Return those of a joint."""
+        commands = Commands.of(logs, joint)
+        late, rates, integrals = (
+            tuple(LoggedColumn(joint, partial(values, delay)) for delay in _DELAYS)
+            for values in (commands.late, commands.rate, commands.integral)
+        )
+        constants = (
+            LoggedColumn(joint, partial(_is_log, log_number(log.name))) for log in logs[1:]
+        )
+        return cls(late, rates, integrals, tuple(constants))
 
     @property
-    def columns(self) -> tuple[Effect, ...]:
+    def all(self) -> tuple[LoggedColumn, ...]:
         """All of them; the first of `late`, which is zero, left out."""
         return (*self.late[1:], *self.rates, *self.integrals, *self.constants)
 
 
-def _commands(
-    model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]
-) -> dict[int, _Told]:
-    """Columns of commands, by joint."""
-    delays = np.linspace(0.0, LONGEST_DELAY, _DELAYS).tolist()
-    found = {}
-    for j, kind in enumerate(kinds):
-        if kind == COMMAND:
-            joint, command = model.joints[j], Commands.of(logs, model.joints[j])
-            integrals = Integrals.of(logs, joint)
-            found[j] = _Told(
-                tuple(CommandColumn(joint, command, delay) for delay in delays),
-                tuple(CommandColumn(joint, command, delay, is_rate=True) for delay in delays),
-                tuple(IntegralColumn(joint, integrals, delay) for delay in delays),
-                tuple(LogConstant(joint, log_number(log.name)) for log in logs[1:]),
-            )
-    return found
+def _is_log(number: int, log: int, time: Array) -> Array:
+    """(N,) ones in one log, and zeros in all others."""
+    return np.full(len(time), float(log == number))
 
 
 @dataclass(frozen=True, eq=False)
@@ -405,66 +303,95 @@ class _Choice:
     """How servos take their commands: how late, whether damping knows its rate, and an integral.
 
     All servos of a robot are alike in that.
-
-    Attributes:
-        dataset: The logs.
-        d: Number of inertial parameters.
-        beside: Effects that are free.
-        told: Columns of commands, by joint.
-        held: The column of known payloads' efforts, if there are some.
-        delay: Index of the delay.
-        rate: Whether the rate counts.
-        integral: Whether they have an integral.
     """
 
     dataset: Dataset
-    d: int
-    beside: tuple[Effect, ...]
-    told: dict[int, _Told]
-    held: CarriedColumn | None = None
-    delay: int = 0
+    model: RobotModel
+    beside: tuple[Effect, ...]  # effects that are free
+    commanded: dict[int, _CommandColumns]  # by the index of the joint
+    held: CarriedColumn | None = None  # the column of known payloads' efforts, if there are some
+    delay: int = 0  # which of `_DELAYS`
     rate: bool = False
     integral: bool = False
 
     def at(self, gains: SignalGains) -> _Choice:
-        """The likeliest choice with these bodies and gains."""
+        """Return the likeliest choice with these bodies and gains."""
         choices = [
             replace(self, delay=delay, rate=rate)
             for rate in (False, True)
-            for delay in range(_DELAYS)
+            for delay in range(len(_DELAYS))
         ]
         return min(choices, key=lambda choice: choice.cost(gains))
 
     def cost(self, gains: SignalGains) -> float:
-        """Twice the negative log-likelihood of this choice with some bodies and gains."""
-        seconds, phi = LONGEST_DELAY * self.delay / (_DELAYS - 1), gains.phi.ravel()
-        rows = {j: self.joint(j) for j in self.told}
-        # Where an integral holds a joint up, so little is left of the error that its sign may go.
-        if self.integral and any(each.least_squares_gain(phi) < 0.0 for each in rows.values()):
-            return np.inf
-        return 2.0 * seconds / _USUAL_DELAY + sum(
-            each.least_cost(phi, gains.worth[j]) + PENALTY * self.rate for j, each in rows.items()
-        )
+        """Return twice the negative log-likelihood of this choice with some bodies and gains."""
+        phi, total = gains.phi.ravel(), 2.0 * _DELAYS[self.delay] / _USUAL_DELAY
+        for j in self.commanded:
+            rows = self.joint(j)
+            a = rows.least_squares_gain(phi)
+            # Where an integral holds a joint up, so little is left of the error that its sign may
+            # go.
+            if self.integral and a < 0.0:
+                return np.inf
+            total += rows.cost(a, phi, gains.worth[j]) + PENALTY * self.rate
+        return float(total)
 
     def joint(self, j: int) -> SignalRows:
-        """The rows of a joint."""
-        free, added = list[Effect](self.beside), None
-        if j in self.told:
-            added = self.told[j].late[self.delay] if self.delay else None
-            free += self.told[j].constants if self.integral else ()
-            free += [self.told[j].integrals[self.delay]] if self.integral else []
-            free += [self.told[j].rates[self.delay]] if self.rate else []
-        return SignalRows.of(self.dataset, j, self.d, free, added=added, held=self.held)
+        """Return the rows of a joint."""
+        free, added = list(self.beside), None
+        if j in self.commanded:
+            own = self.commanded[j]
+            added = own.late[self.delay] if self.delay else None
+            free += [*own.constants, own.integrals[self.delay]] if self.integral else []
+            free += [own.rates[self.delay]] if self.rate else []
+        d = self.model.phi.size
+        return SignalRows.of(self.dataset, j, d, free, added=added, held=self.held)
 
     def rows(self) -> list[SignalRows]:
-        """The rows of all joints."""
+        """Return the rows of all joints."""
         return [self.joint(j) for j in range(len(self.dataset.joints))]
 
-    def signal(
-        self, joint: str, kind: str, j: int, rows: SignalRows, gains: SignalGains
-    ) -> EffortSignal:
-        """What makes efforts of the signal of a joint."""
-        gain, deviation = float(gains.gains[j]), float(gains.deviations[j] * abs(gains.gains[j]))
+
+@dataclass(frozen=True, eq=False)
+class _Calibration:
+    """What a linear fit says of all signals."""
+
+    first: _Choice  # how servos take their commands, before anything is known
+    choice: _Choice  # and afterwards
+    rows: Sequence[SignalRows]  # what logs say of each joint, so chosen
+    gains: SignalGains  # of all joints
+
+    @classmethod
+    def of(cls, first: _Choice, fit: Callable[[Sequence[SignalRows]], SignalGains]) -> _Calibration:
+        """Return bodies, gains, and how servos take their commands, which are found in turn."""
+        choice, rows = first, first.rows()
+        gains = fit(rows)
+        if choice.integral:
+            # What is wrong with a delay of 0 shows more in an error that an integral keeps small.
+            gains = replace(gains, phi=choice.model.total_phi)
+        for _ in range(_ROUNDS if choice.commanded else 0):
+            choice = choice.at(gains)
+            rows = choice.rows()
+            gains = fit(rows)
+        return cls(first, choice, rows, gains)
+
+    @property
+    def cost(self) -> float:
+        """That of the choice; less for a likelier one."""
+        return self.choice.cost(self.gains)
+
+    def signals(self, kinds: Sequence[str]) -> tuple[EffortSignal, ...]:
+        """Return what makes efforts of the signals (nv,) of joints whose efforts are unknown.
+
+        Raises:
+            LogError: A servo pushes away from where it is told to go.
+        """
+        return tuple(self._signal(j, kind) for j, kind in enumerate(kinds) if kind != EFFORT)
+
+    def _signal(self, j: int, kind: str) -> EffortSignal:
+        joint, choice = self.choice.model.joints[j], self.choice
+        gain = float(self.gains.gains[j])
+        deviation = float(self.gains.deviations[j] * abs(gain))
         if kind != COMMAND:
             return EffortSignal(joint, kind, gain, deviation)
         if gain < 0.0:
@@ -474,20 +401,14 @@ class _Choice:
                 advice="Has its command or its position the wrong sign, or is it of another joint?",
                 joint=joint,
             )
-        shares, deviations = rows.free_parameters(1.0 / gain, gains.phi.ravel(), gains.worth[j])
-        found = [(0.0, 0.0), (0.0, 0.0)]
-        for k, at in enumerate((-1, -1 - self.rate)):
-            if (self.rate, self.integral)[k] and shares[at] < 0.0:
-                found[k] = -gain * float(shares[at]), gain * float(deviations[at])
-        (damping, spread), (integral, integral_spread) = found
-        return EffortSignal(
-            joint,
-            kind,
-            gain,
-            deviation,
-            damping,
-            spread,
-            self.told[j].late[self.delay].delay,
-            integral=integral,
-            integral_deviation=integral_spread,
-        )
+        phi, worth = self.gains.phi.ravel(), float(self.gains.worth[j])
+        shares, deviations = self.rows[j].free_parameters(1.0 / gain, phi, worth)
+        found = {}
+        for name, is_there, at in (
+            ("damping", choice.rate, -1),
+            ("integral", choice.integral, -1 - choice.rate),
+        ):
+            if is_there and shares[at] < 0.0:
+                found[name] = -gain * float(shares[at])
+                found[f"{name}_deviation"] = gain * float(deviations[at])
+        return EffortSignal(joint, kind, gain, deviation, delay=_DELAYS[choice.delay], **found)

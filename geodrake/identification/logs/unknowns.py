@@ -20,44 +20,40 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Unknown parameters of a fit, p in all.
+    """Unknown parameters of a fit, p in all."""
 
-    Attributes:
-        columns: (p,) columns of the dataset; a column may serve twice (a link and its payload).
-        mean: (p,) prior mean.
-        information: (p, p) prior information, inverse of the prior covariance.
-        lower: (p,) lower bounds.
-        upper: (p,) upper bounds.
-        inertia_blocks: First unknown of every block of ten that must stay physical.
-        effects: The effects among the unknowns.
-        starts: First unknown of every effect.
-    """
+    columns: Indices  # (p,) of the dataset; one may serve twice (a link and its payload)
+    mean: Array  # (p,) prior mean
+    information: Array  # (p, p) prior information, inverse of the prior covariance
+    lower: Array  # (p,) lower bounds
+    upper: Array  # (p,) upper bounds
+    inertia_blocks: tuple[int, ...]  # first unknown of every ten that must stay physical
+    effects: tuple[Effect, ...] = ()  # those among the unknowns
+    starts: tuple[int, ...] = ()  # first unknown of every effect
 
-    columns: Indices
-    mean: Array
-    information: Array
-    lower: Array
-    upper: Array
-    inertia_blocks: tuple[int, ...]
-    effects: tuple[Effect, ...] = ()
-    starts: tuple[int, ...] = ()
+    @property
+    def is_inertial(self) -> NDArray[np.bool_]:
+        """(p,) which unknowns are of bodies."""
+        inertial = np.zeros(len(self.columns), bool)
+        for start in self.inertia_blocks:
+            inertial[start : start + PARAMETERS_PER_BODY] = True
+        return inertial
+
+    @property
+    def scalar_bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (p,), infinite for those of bodies, which P ≻ 0 bounds."""
+        inertial = self.is_inertial
+        return np.where(inertial, -np.inf, self.lower), np.where(inertial, np.inf, self.upper)
 
     def span(self, effect: Effect) -> slice:
-        """Where an effect's parameters stand among the unknowns."""
+        """Return where an effect's parameters stand among the unknowns."""
         start = self.starts[self.effects.index(effect)]
         return slice(start, start + len(effect.parameters))
 
     def with_effect(
         self, effect: Effect, columns: Indices, information: Array, mean: Array | None = None
     ) -> Unknowns:
-        """These unknowns and one more effect.
-
-        Args:
-            effect: The effect.
-            columns: (k,) its columns in the dataset.
-            information: (k, k) prior information of its parameters.
-            mean: (k,) prior mean, zero if not given.
-        """
+        """Return these unknowns and an effect of k columns, prior information (k, k), mean (k,)."""
         start, k = len(self.columns), len(effect.parameters)
         return Unknowns(
             np.concatenate([self.columns, columns]),
@@ -71,7 +67,7 @@ class Unknowns:
         )
 
     def without_effect(self, effect: Effect) -> Unknowns:
-        """These unknowns less one effect."""
+        """Return these unknowns less one effect."""
         gone = self.span(effect)
         width = gone.stop - gone.start
         kept = np.r_[0 : gone.start, gone.stop : len(self.columns)]
@@ -90,26 +86,10 @@ class Unknowns:
             shifted(self.starts),
         )
 
-    def carried(self, other: Unknowns, x: Array) -> Array:
-        """Parameters (F, p) of these unknowns that are as others', and means where those have none.
-
-        Args:
-            other: Unknowns of the same bodies.
-            x: (F, q) their parameters.
-        """
-        found = np.tile(self.mean, (len(x), 1))
-        bodies = min([len(self.mean), *self.starts])
-        found[:, :bodies] = x[:, :bodies]
-        for effect in set(self.effects).intersection(other.effects):
-            found[:, self.span(effect)] = x[:, other.span(effect)]
-        return found
-
     def released(self, effect: Effect, information: Array) -> Unknowns:
-        """These unknowns with what was known about one effect forgotten.
+        """Return these unknowns with what was known about one effect forgotten.
 
-        Args:
-            effect: One of the effects.
-            information: (k, k) what is known about it instead, around zero.
+        `information` (k, k) is what is known about it instead, around zero.
         """
         span = self.span(effect)
         inside = np.zeros(len(self.columns), bool)
@@ -124,23 +104,16 @@ class Unknowns:
         return replace(self, mean=np.where(inside, 0.0, self.mean), information=known)
 
     def loosened(self, factor: float, inertial: int) -> Unknowns:
-        """These unknowns with the prior of the first `inertial` ones `factor` times as wide.
-
-        Args:
-            factor: By how much the standard deviations of the prior grow.
-            inertial: Number of unknowns, from the first on, whose prior is widened.
-        """
+        """Return these unknowns with the prior of the first `inertial` ones so much wider."""
         scale = np.ones(len(self.columns))
         scale[:inertial] = 1.0 / factor
         return replace(self, information=self.information * scale[:, None] * scale)
 
 
 def inertial_unknowns(phi: Array, information: Array) -> Unknowns:
-    """The inertial parameters of all bodies as unknowns.
+    """Return the inertial parameters of all bodies as unknowns.
 
-    Args:
-        phi: (nb, 10) prior mean.
-        information: (10·nb, 10·nb) prior information.
+    Their prior has the mean φ (nb, 10) and the information (10·nb, 10·nb).
     """
     p = phi.size
     unbounded = np.full(p, np.inf)
@@ -149,27 +122,19 @@ def inertial_unknowns(phi: Array, information: Array) -> Unknowns:
 
 
 def pullback_information(phi: Array, spread: float) -> Array:
-    """Information of inertial parameters known to within a relative geometric distance.
+    """Return the information G(φ)/spread² (10·nb, 10·nb) of bodies φ (nb, 10) known so well.
 
-    Args:
-        phi: (nb, 10) physical inertial parameters.
-        spread: Standard deviation of the geometric distance along any direction: 0.1 means that
-            mass and lengths are known to about 10 %.
-
-    Returns:
-        (10·nb, 10·nb) matrix G(φ)/spread² of [Lee2019] Eq. (3.5.51).
+    `spread` is the standard deviation of the geometric distance along any direction: 0.1 means that
+    mass and lengths are known to about 10 %. G is that of [Lee2019] Eq. (3.5.51).
     """
     return block_diag(*pullback_metric(phi)) / spread**2
 
 
 def payload_reference(phi: Array) -> Array:
-    """(10,) a body in the middle of what a robot may carry, whatever its size.
+    """Return a body (10,) in the middle of what a robot of bodies φ (nb, 10) may carry.
 
     Its mass is a tenth of the robot's. Its radius of gyration is a third of that of the robot's
     bodies about their own origins.
-
-    Args:
-        phi: (nb, 10) inertial parameters of the robot.
     """
     mass = phi[:, 0].sum()
     square = 0.5 * phi[:, 4:7].sum() / mass
@@ -177,18 +142,11 @@ def payload_reference(phi: Array) -> Array:
 
 
 def effect_prior(dataset: Dataset, effect: Effect) -> tuple[Array, Array]:
-    """Prior mean and information of an effect that a fit adds: as large as effects may be.
+    """Return the prior mean (k,) and information (k, k) of an effect: as large as any may be.
 
     A payload is known to within ten times the size of the dataset's `payload`, in the geometric
     distance; of everything else, no parameter is thought to need more than `LARGEST` times the
     deviation of its joint's effort at any instant, or more than it says itself.
-
-    Args:
-        dataset: The reduced logs, with columns for the effect.
-        effect: The effect, of k parameters.
-
-    Returns:
-        mean (k,) and information (k, k).
     """
     k = len(effect.parameters)
     if is_body(effect):

@@ -41,18 +41,11 @@ class Weighing:
 
 
 def weigh(fits: LogFits, regularizer: str) -> tuple[float, tuple[Weighing, ...]]:
-    """The γ that held-out errors ask for: the largest that is not clearly worse than the best.
+    """Return the largest γ that is not clearly worse than the best, and what each one tried gives.
 
     Decades of γ are tried, then half decades around the best; none below
     `LEAST_DECADE` is chosen. "Clearly" is one standard error of the difference over the folds,
-    so that where the data say little the prior stays.
-
-    Args:
-        fits: The logs.
-        regularizer: Name of the regularizer.
-
-    Returns:
-        The γ, and what each one tried gives, the largest γ first.
+    so that where the data say little the prior stays. Tried ones come with the largest γ first.
 
     Raises:
         IdentificationError: No fit succeeded.

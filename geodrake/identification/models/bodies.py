@@ -9,7 +9,7 @@ import numpy as np
 from geodrake.effects import Role, catalogue
 from geodrake.identification.fit import FitResult
 from geodrake.identification.identify import IdentificationResult
-from geodrake.identification.logs.criteria import SPREAD, USUAL_GAIN
+from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.log_fits import LogFits
 from geodrake.identification.logs.model_fit import ModelFit
 from geodrake.identification.logs.weighing import Weighing
@@ -27,6 +27,9 @@ _NOTABLY = 0.95
 
 _FAR = 2.0
 """Factor of a mass from which on a body's change is worth a word."""
+
+_USUAL = 2.0
+"""All bodies together are usually no farther off than so many times what a file knows them to."""
 
 _NOTHING = 1e-140
 """Square root of information, in any unit, that is none: its inverse would be beyond floats."""
@@ -117,7 +120,7 @@ def common_factor_notes(bodies: Sequence[BodyChange]) -> list[str]:
     motors, do that.
     """
     before, after = (sum(body.mass[k] for body in bodies) for k in (0, 1))
-    if before <= 0.0 or after <= 0.0 or abs(np.log(after / before)) <= USUAL_GAIN * SPREAD:
+    if before <= 0.0 or after <= 0.0 or abs(np.log(after / before)) <= _USUAL * SPREAD:
         return []
     return [
         f"these bodies weigh {after:.3g} kg, and {before:.3g} kg before: are the efforts of all "

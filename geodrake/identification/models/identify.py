@@ -240,7 +240,7 @@ def _fitted(
     case: Case,
 ) -> RobotModel:
     """The model with the result in it."""
-    x, information = fits.parameters(result), fits.information(result)
+    x, information = result.fit.x, result.fit.information
     deviations = np.sqrt(np.diagonal(covariance_of(information)))
     effects = [
         FittedEffect(e, x[fits.unknowns.span(e)], deviations[fits.unknowns.span(e)])
