@@ -30,7 +30,7 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.episode import Episode, PointEpisode
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case, error_table, reduced
-from geodrake.identification.logs.criteria import ALARM, FIXED
+from geodrake.identification.logs.criteria import ALARM
 from geodrake.identification.logs.evidence import chi2_tail
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.logs.folds import set_apart
@@ -53,6 +53,7 @@ _REST = 1.0  # s, of standing still that do not end an episode
 _MARGIN = 0.3  # s, around a window that is set apart
 _RISE = 0.03  # s, at first
 _LATE = 0.005  # s, by which the clock of a log that begins is said not to be at zero
+_FIXED = 1e-3  # of the width of their prior: inertias stay as they are
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +80,7 @@ def find_episodes(
     noise = error_table(case.dataset, hypothesis.held_out).is_noise
     if not windows and not noise:
         # Bodies that are free to follow a contact spread its error all over the log.
-        hypothesis = hypothesis.loosened(FIXED / hypothesis.looseness)
+        hypothesis = hypothesis.loosened(_FIXED / hypothesis.looseness)
         scale = _scaled(case, hypothesis)
         windows = _unknown_windows(case, hypothesis, scale)
     found, promising = _contacts(case, scale, windows, alarm)

@@ -34,10 +34,6 @@ def cholesky(matrices: Array, ridge: float = RIDGE) -> Array:
     return np.asarray(factors)
 
 
-choleskies = cholesky
-"""The same, where they are many."""
-
-
 def scaled_cholesky(matrices: Array, ridge: float = RIDGE) -> tuple[Array, Array]:
     """Return lower Cholesky factors L (..., n, n) and scales s (..., n) of symmetric matrices.
 

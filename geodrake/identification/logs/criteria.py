@@ -44,9 +44,6 @@ squared error is something else.
 SPREAD = 0.3
 """A model file knows its inertias to about 30 %, as a geometric distance."""
 
-FIXED = 1e-3
-"""Inertias stay as they are if their prior is narrowed to this share of the assumed width."""
-
 LARGEST = 10.0
 """An effect is thought to need at most so many times the deviation of its joint's effort."""
 

@@ -61,15 +61,6 @@ def effective_by_covariance(covariance: Array, samples: ArrayLike) -> Array:
     return np.where(power > 0.0, np.maximum(1.0, samples / (1.0 + 2.0 * total)), samples)
 
 
-def log_likelihood_gain(mse_before: Array, mse_after: Array, effective: Array) -> Array:
-    """Return (nv,) gains n_j log(mse_before / mse_after): twice the log-likelihood ratios.
-
-    n_j are the `effective` samples of the joints' residuals.
-    """
-    tiny = np.finfo(float).tiny
-    return effective * np.log(np.maximum(mse_before, tiny) / np.maximum(mse_after, tiny))
-
-
 def false_alarm_probability(gain: float, parameters: int, tried: int) -> float:
     """Return the chance that the best of `tried` irrelevant candidates would gain as much.
 

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
-from geodrake.effects.base import Effect
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut
 from geodrake.identification.logs.dataset import Dataset, Delay
 from geodrake.identification.logs.evidence import effective_samples_of_each
-from geodrake.identification.logs.unknowns import Unknowns, effect_prior
+from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.inertia import PARAMETERS_PER_BODY
 
 Array = NDArray[np.float64]
@@ -45,22 +43,6 @@ class Hypothesis(Short):
     def nrms(self) -> float:
         """Held-out error over effort standard deviation, root mean square over joints."""
         return float(np.sqrt(np.mean(self.held_out.mse / self.dataset.effort_std**2)))
-
-    def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
-        """Return this hypothesis and further effects, refitted."""
-        unknowns = self.unknowns
-        for effect in effects:
-            columns = self.dataset.effect_columns(effect)
-            mean, information = effect_prior(self.dataset, effect)
-            unknowns = unknowns.with_effect(effect, columns, information, mean)
-        return settle(replace(self, unknowns=unknowns))
-
-    def without(self, effects: Sequence[Effect]) -> Hypothesis:
-        """Return this hypothesis less some effects, refitted."""
-        unknowns = self.unknowns
-        for effect in effects:
-            unknowns = unknowns.without_effect(effect)
-        return settle(replace(self, unknowns=unknowns))
 
     def loosened(self, factor: float) -> Hypothesis:
         """Return this hypothesis with the prior of bodies `factor` times as wide, refitted."""
