@@ -41,10 +41,8 @@ _MOST_JOINTS = 3  # of which it is reported what their error goes with
 _MOST_CORRELATES, _TRIED = 3, 12  # of a joint, and sets of signals of which each is fitted
 _NOTABLE = 0.1  # share of the squared error that is reported
 _NO_FURTHER = 0.05  # share more than a simpler correlate has, to be reported beside it
-_ROUNDS, _STEPS = (
-    3,
-    np.linspace(-1.0, 1.0, 9).tolist(),
-)  # closer and closer constants at which terms turn
+_ROUNDS = 3  # of closer and closer constants at which terms turn
+_STEPS = np.linspace(-1.0, 1.0, 9).tolist()
 _TOLD = 0.05  # probability of a rival
 
 
@@ -126,7 +124,7 @@ def draft_rest(investigation: Investigation, *, progress: Progress | None = None
     ends = zip(model.joints, low.tolist(), high.tolist(), strict=True)
     reach = {joint: (a, b) for joint, a, b in ends if joint in model.single_joints}
     drafted, correlates = list[DraftedEffect](), list[Correlate]()
-    before = set(_effects(found.fit))
+    before = _effects(found.fit)
     for joint in () if investigation.explanation.is_interrupted else _erring(start):
         if joint not in _erring(hypothesis):
             continue
