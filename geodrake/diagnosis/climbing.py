@@ -35,13 +35,9 @@ def climb(
 ) -> Fit:
     """Climb from neighbour to more probable neighbour.
 
-    Args:
-        model: The Gaussian model.
-        fit: Where to begin.
-        hopeful: Whether residuals count for more than they do now, as terms may be missing still.
-        watch: Called with each step.
-        pause: Whether to return with what a step led to, as it is to be made exact first.
-        joints: Joints whose own effects alone may change; everything may if None.
+    Hopeful, residuals count for more than they do now, as terms may be missing still. `pause` tells
+    whether to return with what a step led to, as it is to be made exact first. If `joints` are
+    given, their own effects alone may change.
     """
     seen = {fit.choice.key}  # samples are counted anew at each step, which may lead back
     for _ in range(_MOST_STEPS):
@@ -62,10 +58,6 @@ def settled(model: LogModel, fit: Fit) -> Fit:
 
     Probabilities are told by the samples that the residuals of the answer are worth. So nothing
     nearby may be more probable by them.
-
-    Args:
-        model: The Gaussian model.
-        fit: Where climbing ended.
     """
     for _ in range(_MOST_COUNTS):
         better = _settled(model, _refitted(model, fit, model.shares(fit)))
@@ -131,12 +123,6 @@ def gain_of(
     """Return how much higher another fit scores, residuals counted alike, and that fit.
 
     Residuals of either joint are worth as many samples as those of the fit that leaves less.
-
-    Args:
-        model: The Gaussian model.
-        fit: A fit.
-        other: Another one.
-        hopeful: As for `climb`.
     """
     shares = np.where(other.variance < fit.variance, model.shares(other), model.shares(fit))
     shares = np.maximum(shares, _OPTIMISTIC) if hopeful else shares

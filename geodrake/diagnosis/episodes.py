@@ -68,13 +68,7 @@ class _Scale:
 def find_episodes(
     case: Case, hypothesis: Hypothesis, *, alarm: float = ALARM
 ) -> tuple[PointEpisode, ...]:
-    """Contacts that stand out of the held-out residuals of a hypothesis.
-
-    Args:
-        case: The case.
-        hypothesis: What is known so far.
-        alarm: Largest probability of a false alarm, as of other findings.
-    """
+    """Contacts that stand out of the held-out residuals of a hypothesis."""
     scale = _scaled(case, hypothesis)
     windows = _unknown_windows(case, hypothesis, scale)
     noise = error_table(case.dataset, hypothesis.held_out).is_noise
@@ -97,12 +91,7 @@ def find_episodes(
 
 
 def episode_notes(case: Case, model: RobotModel) -> list[str]:
-    """Return in which log episodes are, and when by its clock, where that is not plain.
-
-    Args:
-        case: The case.
-        model: The fitted model.
-    """
+    """Return in which log episodes are, and when by its clock, where that is not plain."""
     found = list[str]()
     for effect in [f.effect for f in model.effects if isinstance(f.effect, Episode)]:
         for log in case.trajectories:

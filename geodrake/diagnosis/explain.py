@@ -44,17 +44,11 @@ _STOPPED = "interrupted before the search had ended: there may be more to find, 
 
 @dataclass(frozen=True, eq=False)
 class Investigation(Short):
-    """An explanation, and what it rests on.
-
-    Attributes:
-        explanation: The explanation.
-        case: The case, with the columns of what was found.
-        found: What was found, without what no effect describes.
-    """
+    """An explanation, and what it rests on."""
 
     explanation: Explanation
-    case: Case
-    found: Found
+    case: Case  # the case, with the columns of what was found
+    found: Found  # what was found, without what no effect describes
 
 
 def explain(
@@ -111,13 +105,7 @@ def explain(
 def investigate(
     case: Case, *, beliefs: Beliefs | None = None, progress: Progress | None = None
 ) -> Investigation:
-    """Explain a case that has columns for candidates; see `explain`.
-
-    Args:
-        case: Prepared logs and the model, with columns for candidates.
-        beliefs: Prior odds and widths.
-        progress: Called with each step.
-    """
+    """Explain a case that has columns for candidates; see `explain`."""
     found = searched(case, beliefs, progress=progress)
     found, posterior = believed(found)
     findings = [e for e in findings_of(found, posterior) if e.name != UnknownFunction.name]
@@ -132,15 +120,7 @@ def explained(
     forced: bool = False,
     notes: Sequence[str] = (),
 ) -> Investigation:
-    """Fit what a search found, and judge it once by held-out data.
-
-    Args:
-        case: The case that was opened.
-        found: The search.
-        findings: What it found.
-        forced: Whether findings stay that do not lower the held-out error.
-        notes: Further notes.
-    """
+    """Fit what a search found, and judge it once by held-out data."""
     found, after_case, fit, start, steps = _holding(case, found, findings, forced=forced)
     before, model = comparison(case), case.model
     after = comparison(after_case, fit.unknowns, fit.held_out) if steps else before

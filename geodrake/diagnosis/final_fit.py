@@ -27,14 +27,8 @@ _MOST_ITERATIONS = 10
 def final_fit(case: Case, found: Found, *, companions: bool = True) -> tuple[Case, ModelFit]:
     """Fit what was found, physically consistent, with loads and delay brought up to date.
 
-    Args:
-        case: The case that was opened.
-        found: What was found.
-        companions: Whether to fit companions beside the effects that have them; see
-            `with_companions`.
-
-    Returns:
-        The case with the columns of the fit, and the fit.
+    Companions are fitted beside the effects that have them, if asked; see `with_companions`.
+    Returned with it is the case with the columns of the fit.
     """
     end = found.model.validated(found.fit)
     delays = found.case.model.delays + delays_of(found.model, found.fit).seconds
@@ -84,12 +78,7 @@ def _with_fitted_loads(
 
 
 def searched_model(model: RobotModel, found: Hypothesis) -> RobotModel:
-    """Return the model that all data of a hypothesis give, without delays.
-
-    Args:
-        model: The model before.
-        found: The hypothesis.
-    """
+    """Return the model that all data of a hypothesis give, without delays."""
     x, unknowns = found.cv.fit_all, found.unknowns
     fitted = [FittedEffect(effect, x[unknowns.span(effect)]) for effect in unknowns.effects]
     phi = x[: model.phi.size].reshape(model.phi.shape)
@@ -101,10 +90,6 @@ def with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
 
     Where dry friction was found and viscous friction was not worth a step, the viscous one is
     fitted along all the same: left out, it would bias the dry one by all that it may be.
-
-    Args:
-        unknowns: What the final fit may move.
-        dataset: The reduced logs.
     """
     for effect in unknowns.effects:
         kind, present = effect.companion, unknowns.effects
@@ -120,12 +105,7 @@ def with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
 
 
 def companion_notes(found: Unknowns, fit: ModelFit) -> list[str]:
-    """Describe what was fitted along without being a step.
-
-    Args:
-        found: The unknowns of the search.
-        fit: The final fit, with the companions.
-    """
+    """Describe what was fitted along without being a step."""
     added = [f for f in fit.model.effects if f.effect not in found.effects and len(f.parameters)]
     sliding = set(fit.model.sliding_joints)
     notes = []

@@ -50,10 +50,7 @@ _MOVED = 5e-4  # s, below which an instant stays
 def handled(case: Case, model: LogModel, fit: Fit) -> list[Episode]:
     """Return bodies that a log shows to be held for a while.
 
-    Args:
-        case: The case.
-        model: The Gaussian model of its logs.
-        fit: The explanation so far, beside which friction and offsets may be.
+    Friction and offsets may be beside the explanation so far.
     """
     kinds = [kind for kind in case.effect_classes if kind.proposer is Proposer.HANDLING]
     usual = _beside(model, fit)
@@ -82,13 +79,7 @@ def handled(case: Case, model: LogModel, fit: Fit) -> list[Episode]:
 
 
 def instants(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
-    """Return the effects of a fit that are held for a while, at the instants that suit it best.
-
-    Args:
-        case: The case.
-        model: The Gaussian model of its logs.
-        fit: The explanation.
-    """
+    """Return the effects of a fit that are held for a while, at the instants that suit it best."""
     moved = dict[Effect, Effect]()
     for term in fit.terms:
         effect = term.effect
@@ -100,12 +91,7 @@ def instants(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
 
 
 def is_short(case: Case, effect: Effect | None) -> bool:
-    """Return whether an effect is held for so short a part of its log that it may be a contact.
-
-    Args:
-        case: The case.
-        effect: The effect; None for a body that is wrong.
-    """
+    """Return whether an effect is held for so short a part of its log that it may be a contact."""
     if not isinstance(effect, Episode) or effect.proposer is not Proposer.HANDLING:
         return False
     start, end, _, number = effect.window
@@ -154,19 +140,12 @@ def _beside(model: LogModel, fit: Fit) -> Fit | None:
 
 @dataclass(frozen=True, eq=False)
 class _Around:
-    """A fit, perhaps less one of its terms, in the form that rows of further columns need.
+    """A fit, perhaps less one of its terms, in the form that rows of further columns need."""
 
-    Attributes:
-        fit: The fit, whose noise counts.
-        kept: Which of its parameters are left.
-        root: (n, n) lower triangle L with L Lᵀ = H, of those.
-        x: (n,) their values without the term.
-    """
-
-    fit: Fit
-    kept: NDArray[np.bool_]
-    root: Array
-    x: Array
+    fit: Fit  # the fit, whose noise counts
+    kept: NDArray[np.bool_]  # which of its parameters are left
+    root: Array  # (n, n) lower triangle L with L Lᵀ = H, of those
+    x: Array  # (n,) their values without the term
 
     @classmethod
     def of(cls, model: LogModel, fit: Fit, *, without: Term | None) -> _Around:
@@ -186,23 +165,14 @@ class _Around:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Rows of one joint in one log, over columns of a body and those of a fit.
-
-    Attributes:
-        joint: Index of the joint.
-        time: (K,) instants since the log began, s.
-        body: (K, 10) columns of the body.
-        known: (K, n) columns of the fit, each through its root: Σ wᵀ is a part of a complement.
-        left: (K,) what the fit leaves.
-        weight: Weight of a squared residual.
-    """
+    """Rows of one joint in one log, over columns of a body and those of a fit."""
 
     joint: int
-    time: Array
-    body: Array
-    known: Array
-    left: Array
-    weight: float
+    time: Array  # (K,) instants since the log began, s
+    body: Array  # (K, 10) columns of the body
+    known: Array  # (K, n) columns of the fit, each through its root: Σ wᵀ is a part of a complement
+    left: Array  # (K,) what the fit leaves
+    weight: float  # weight of a squared residual
 
     def part(self, rows: NDArray[np.bool_] | slice) -> _Rows:
         """Return some of the rows."""
@@ -262,21 +232,13 @@ def _prior(model: LogModel) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """Sums of products over the time of a log.
+    """Sums of products over the time of a log."""
 
-    Attributes:
-        edges: (B + 1,) instants between which rows are summed, s since the log began.
-        total: (B + 1, 10, n + 11) sums up to each.
-        share: (B + 1,) share of the rows up to each.
-        known: (10, 10) prior information of what is held.
-        price: Evidence that an instant must be worth.
-    """
-
-    edges: Array
-    total: Array
-    share: Array
-    known: Array
-    price: float
+    edges: Array  # (B + 1,) instants between which rows are summed, s since the log began
+    total: Array  # (B + 1, 10, n + 11) sums up to each
+    share: Array  # (B + 1,) share of the rows up to each
+    known: Array  # (10, 10) prior information of what is held
+    price: float  # evidence that an instant must be worth
 
     @classmethod
     def of(cls, case: Case, model: LogModel, around: _Around, log: int, body: str) -> _Sums | None:
@@ -411,20 +373,12 @@ def _timed(case: Case, model: LogModel, around: _Around, held: Episode) -> Episo
 
 @dataclass(frozen=True, eq=False)
 class _Near:
-    """The columns of a body near an instant, at the full rate.
+    """The columns of a body near an instant, at the full rate."""
 
-    Attributes:
-        time: (N,) instants since the log began, s.
-        body: (N, nv, 10) columns of the body.
-        outputs: (K,) instants of the filtered samples.
-        period: Time from one of them to the next, s.
-        apply: The filter.
-    """
-
-    time: Array
-    body: Array
-    outputs: Array
-    period: float
+    time: Array  # (N,) instants since the log began, s
+    body: Array  # (N, nv, 10) columns of the body
+    outputs: Array  # (K,) instants of the filtered samples
+    period: float  # time from one of them to the next, s
     apply: Callable[[Array], Array]
 
     @classmethod

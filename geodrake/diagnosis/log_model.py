@@ -58,17 +58,11 @@ _DRAWS = np.random.default_rng(0).normal(size=(200, PARAMETERS_PER_BODY))
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """An explanation: terms, how far bodies may be from the file, and delays.
+    """An explanation: terms, how far bodies may be from the file, and delays."""
 
-    Attributes:
-        terms: The terms, in the order of their columns.
-        width: Width of the prior of all bodies, as a geometric distance.
-        delay: (nv,) index of the delay of each joint.
-    """
-
-    terms: Terms
-    width: float
-    delay: Delay
+    terms: Terms  # the terms, in the order of their columns
+    width: float  # width of the prior of all bodies, as a geometric distance
+    delay: Delay  # (nv,) index of the delay of each joint
 
     @property
     def key(self) -> tuple[frozenset[Term], float, Delay]:
@@ -78,25 +72,15 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The most probable parameters and noise of an explanation.
-
-    Attributes:
-        choice: The explanation.
-        columns: (n,) its columns among those of the model.
-        x: (n,) parameters.
-        variance: (nv,) mean squared residuals, (N·m)² or N².
-        weights: (nv,) w_j.
-        hessian: (n, n) Λ + Σ_j w_j A_jᵀA_j.
-        score: Twice the logarithm of the evidence and of the prior odds, but for a constant.
-    """
+    """The most probable parameters and noise of an explanation."""
 
     choice: Choice
-    columns: Indices
-    x: Array
-    variance: Array
-    weights: Array
-    hessian: Array
-    score: float
+    columns: Indices  # (n,) its columns among those of the model
+    x: Array  # (n,) parameters
+    variance: Array  # (nv,) mean squared residuals, (N·m)² or N²
+    weights: Array  # (nv,) w_j
+    hessian: Array  # (n, n) Λ + Σ_j w_j A_jᵀA_j
+    score: float  # twice the logarithm of the evidence and of the prior odds, but for a constant
 
     @property
     def terms(self) -> Terms:
@@ -106,30 +90,19 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Dropped:
-    """What leaving terms out of a fit changes, at its noise.
+    """What leaving terms out of a fit changes, at its noise."""
 
-    Attributes:
-        loss: What is lost of the score, prior odds left aside.
-        rows: (i, P) rows of the dropped parameters in H⁻¹AᵀA.
-        inverse: (i, i) inverse of their covariance.
-        x: (i,) their values.
-    """
-
-    loss: float
-    rows: Array
-    inverse: Array
-    x: Array
+    loss: float  # what is lost of the score, prior odds left aside
+    rows: Array  # (i, P) rows of the dropped parameters in H⁻¹AᵀA
+    inverse: Array  # (i, i) inverse of their covariance
+    x: Array  # (i,) their values
 
 
 class LogModel:
     """The Gaussian model of reduced logs.
 
-    Args:
-        model: The robot's model, whose parameters have a prior.
-        dataset: The reduced logs, with columns for effects and nuisances.
-        effects: Effects that the model may lack.
-        beliefs: Prior odds and widths.
-        on_time: (nv,) index of the dataset's delay that the model itself has.
+    `effects` are those that the model may lack, and `on_time` (nv,) is the index of the dataset's
+    delay that the model itself has.
     """
 
     def __init__(
@@ -273,14 +246,8 @@ class LogModel:
     ) -> Fit | None:
         """Fit the most probable parameters and noise of an explanation.
 
-        Args:
-            choice: The explanation.
-            shares: (nv,) independent samples over rows.
-            variance: (nv,) variances of the noise to begin with.
-            bounded: Whether what cannot be negative must not be.
-
-        Returns:
-            The fit; None if something is negative that must not be.
+        `shares` (nv,) are independent samples over rows, and `variance` (nv,) is that of the noise
+        to begin with. None if something is negative that must not be.
         """
         columns = np.concatenate(
             [np.arange(self._first_term), *(self.at[term] for term in choice.terms)]
@@ -440,11 +407,8 @@ class LogModel:
     def row_columns(self, fit: Fit, joint: int, A: Array, b: Array) -> tuple[Array, Array]:
         """Return the columns (K, n) of a fit, and the efforts (K,), in rows of a joint.
 
-        Args:
-            fit: The fit.
-            joint: Index of the joint.
-            A: (K, p) columns of the rows, in the order of the joint's.
-            b: (K, d) their efforts, for each delay.
+        A (K, p) are columns of the rows in the order of the joint's, and b (K, d) their efforts for
+        each delay.
         """
         bodies = self.dataset.data[joint].local(np.arange(self._bodies))
         load = A[:, bodies[bodies >= 0]] @ self.unknowns.mean[: self._bodies][bodies >= 0]
@@ -525,12 +489,7 @@ class LogModel:
 
 
 class Neighbourhood:
-    """Schur complements of all columns beside a fit, at its noise.
-
-    Args:
-        model: The Gaussian model.
-        fit: The fit.
-    """
+    """Schur complements of all columns beside a fit, at its noise."""
 
     def __init__(self, model: LogModel, fit: Fit) -> None:
         self._model, self.fit = model, fit
@@ -587,12 +546,8 @@ class Neighbourhood:
     def gains(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
         """Return (m,) what each package of terms adds to the score, without prior odds.
 
-        Args:
-            packages: Terms that come together, none of which is in the fit, or only in `dropped`.
-            dropped: What is left out first.
-
-        Returns:
-            Gains, without `dropped.loss`; −∞ where something is negative that cannot be.
+        No term of a package is in the fit, or only in `dropped`, which is left out first. Gains are
+        without `dropped.loss`, and −∞ where something is negative that cannot be.
         """
         found, widths = np.full(len(packages), -np.inf), dict[int, list[int]]()
         for k, package in enumerate(packages):

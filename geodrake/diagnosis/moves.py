@@ -22,15 +22,10 @@ _LOSS = -25.0
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """A neighbour of an explanation.
-
-    Attributes:
-        choice: The neighbour.
-        gain: What it adds to the score, at the noise of the fit.
-    """
+    """A neighbour of an explanation."""
 
     choice: Choice
-    gain: float
+    gain: float  # what it adds to the score, at the noise of the fit
 
 
 def neighbours(
@@ -38,11 +33,8 @@ def neighbours(
 ) -> list[Choice]:
     """Find the most promising neighbours of an explanation.
 
-    Args:
-        model: The Gaussian model.
-        fit: The explanation, fitted.
-        most: How many, beside other widths of the bodies and the best delays.
-        joints: Joints whose own effects alone may change; everything may if None.
+    `most` counts them beside other widths of the bodies and the best delays. If `joints` are given,
+    their own effects alone may change.
     """
     finder = _Finder(model, fit)
     moves = finder.moves() if joints is None else finder.rebuilt(joints)
@@ -67,12 +59,7 @@ def neighbours(
 
 
 def additions(model: LogModel, fit: Fit) -> list[Fit]:
-    """Add terms of one name to an explanation at every place where they gain, best first.
-
-    Args:
-        model: The Gaussian model.
-        fit: The explanation, fitted.
-    """
+    """Add terms of one name to an explanation at every place where they gain, best first."""
     shares = model.shares(fit)
     choices = [move.choice for move in _Finder(model, fit).added()]
     fits = [model.fit(choice, shares, fit.variance) for choice in choices]

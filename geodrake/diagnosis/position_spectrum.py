@@ -24,21 +24,13 @@ _BACKGROUND = 40.0  # width of the running median, in independent orders
 
 @dataclass(frozen=True)
 class Peak:
-    """A peak of the spectrum.
+    """A peak of the spectrum."""
 
-    Attributes:
-        order: Waves in 2π of position.
-        share: Share of the residual's power that waves of this order explain.
-        height: Evidence for the waves; about χ² of two degrees of freedom where there are none.
-        tried: Independent orders that were looked at.
-        resolution: Distance of orders that can be distinguished.
-    """
-
-    order: float
-    share: float
-    height: float
-    tried: int
-    resolution: float
+    order: float  # waves in 2π of position
+    share: float  # share of the residual's power that waves of this order explain
+    height: float  # evidence for the waves; about χ² of two degrees of freedom where there are none
+    tried: int  # independent orders that were looked at
+    resolution: float  # distance of orders that can be distinguished
 
 
 def highest_peak(

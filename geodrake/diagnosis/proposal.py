@@ -9,14 +9,8 @@ from geodrake.effects.base import Effect
 
 @dataclass(frozen=True)
 class Proposal:
-    """An effect that a residual suggests.
+    """An effect that a residual suggests."""
 
-    Attributes:
-        effects: The effect with the shapes to try.
-        share: Share of the squared error at its joint that it explains.
-        alarm: Probability that noise alone suggests as much.
-    """
-
-    effects: tuple[Effect, ...]
-    share: float
-    alarm: float
+    effects: tuple[Effect, ...]  # the effect with the shapes to try
+    share: float  # share of the squared error at its joint that it explains
+    alarm: float  # probability that noise alone suggests as much

@@ -31,13 +31,7 @@ share of a joint's squared error: the search judges it."""
 
 
 def proposed(case: Case, model: LogModel, fit: Fit) -> list[Effect]:
-    """Return effects that the residual of a fit suggests, with the shapes to try.
-
-    Args:
-        case: The case.
-        model: The Gaussian model of its logs.
-        fit: The explanation.
-    """
+    """Return effects that the residual of a fit suggests, with the shapes to try."""
     joints, motion = joint_residuals(case, model.hypothesis(fit)), full_motion(case)
     known = [term.effect for term in fit.terms if term.effect is not None]
     proposals = [*coupled_joints(case, joints, motion), *_ripples(case, joints, known)]

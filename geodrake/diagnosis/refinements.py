@@ -34,26 +34,20 @@ _OTHER_LOADS = 0.02
 
 @dataclass(frozen=True)
 class Least:
-    """The least error near a value of a parameter.
+    """The least error near a value of a parameter."""
 
-    Attributes:
-        step: From that value to where the error is least, within what was tried.
-        gain: How much smaller the error is there.
-        deviation: Standard deviation of the step where errors are twice log-likelihoods; infinite
-            where there is no minimum.
-    """
-
-    step: float
-    gain: float
+    step: float  # from that value to where the error is least, within what was tried
+    gain: float  # how much smaller the error is there
+    # Standard deviation of the step where errors are twice log-likelihoods; infinite where there is
+    # no minimum.
     deviation: float
 
 
 def least_between(offsets: Array, errors: Array) -> Least:
     """Return the minimum of the parabola through three errors; no step if it has none.
 
-    Args:
-        offsets: (3,) values of a parameter, in order, from the middle one on, which is zero.
-        errors: (3,) errors there.
+    `offsets` (3,) are in order, from the middle one on, which is zero, and `errors` (3,) are those
+    there.
     """
     (first, _, last), (low, middle, high) = offsets.tolist(), errors.tolist()
     slopes = (low - middle) / first, (high - middle) / last
@@ -70,24 +64,14 @@ def least_between(offsets: Array, errors: Array) -> Least:
 
 @dataclass(frozen=True, eq=False)
 class Delays:
-    """Delays of all joints between those of a grid.
+    """Delays of all joints between those of a grid."""
 
-    Attributes:
-        seconds: (nv,) on top of the model's, s.
-        deviations: (nv,) standard deviations, s; infinite where nobody knows.
-    """
-
-    seconds: Array
-    deviations: Array
+    seconds: Array  # (nv,) on top of the model's, s
+    deviations: Array  # (nv,) standard deviations, s; infinite where nobody knows
 
 
 def delays_of(model: LogModel, fit: Fit) -> Delays:
-    """Find the delays near those of a fit at which it is most probable.
-
-    Args:
-        model: The Gaussian model.
-        fit: A fit.
-    """
+    """Find the delays near those of a fit at which it is most probable."""
     dataset, delay = model.dataset, fit.choice.delay
     joints = np.arange(len(delay))
     seconds = dataset.delays[list(delay), joints].copy()
@@ -131,24 +115,14 @@ def _late_together(model: LogModel, choice: Choice) -> list[list[int]]:
 
 
 def with_delays(case: Case, found: Delays) -> Case:
-    """Return a case whose model has the delays that were found.
-
-    Args:
-        case: The case.
-        found: Delays on top of the model's.
-    """
+    """Return a case whose model has the delays that were found."""
     lags = fitted_delays(case.model.delays + found.seconds, case.model.joints)
     kept = [f for f in case.model.effects if f.effect.parameters]
     return replace(case, model=replace(case.model, effects=(*kept, *lags)))
 
 
 def fitted_delays(delays: Array, joints: Sequence[str]) -> list[FittedEffect]:
-    """Return the effects of a fitted model that make delays (nv,), s, at its joints.
-
-    Args:
-        delays: (nv,) delays, s.
-        joints: Names of the nv joints.
-    """
+    """Return the effects of a fitted model that make delays (nv,), s, at its joints."""
     none = np.empty(0)
     return [FittedEffect(effect, none, none) for effect in effort_delays(delays, joints)]
 
@@ -161,10 +135,7 @@ def finer_shapes(
 ) -> list[Effect]:
     """Shapes between those of a grid, around those that were found.
 
-    Args:
-        terms: Terms of an explanation.
-        grid: Effects that are tried, with the coarse grids of their shapes.
-        zooms: Name and place -> how often the shape there was made finer.
+    `zooms` tells how often the shape of a name and place was made finer.
     """
     found = list[Effect]()
     for term in terms:
@@ -181,12 +152,7 @@ _ZOOMS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)
 def free_shape(effect: Effect, grid: Sequence[Effect]) -> tuple[str, Array] | None:
     """Return the shape parameter that a grid tries at several positive values, and these in order.
 
-    Args:
-        effect: An effect.
-        grid: Effects that are tried, among them those of its name and place.
-
-    Returns:
-        None where no parameter varies, more than one does, or not continuously.
+    None where no parameter varies, more than one does, or not continuously.
     """
     tried = [e for e in grid if (e.name, e.where) == (effect.name, effect.where)]
     values = {f.name: {getattr(e, f.name) for e in tried} for f in fields(effect)}  # type: ignore[arg-type]
@@ -216,13 +182,7 @@ def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]
 
 
 def expansions(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
-    """Return the effects whose columns are slopes, moved to the fitted point, by effect.
-
-    Args:
-        case: The case.
-        model: The Gaussian model.
-        fit: A fit.
-    """
+    """Return the effects whose columns are slopes, moved to the fitted point, by effect."""
     terms = [term for term in fit.terms if term.effect is not None and term.effect.expandable]
     if not terms:
         return {}
@@ -244,11 +204,6 @@ def fitted_loads(case: Case, model: LogModel, fit: Fit) -> Array | None:
 
     Friction that grows with the load, gears that give way or have play: what they do is known at
     the right instants only if the load is.
-
-    Args:
-        case: The case.
-        model: The Gaussian model.
-        fit: A fit.
     """
     robot, was = case.model, case.load_model.phi
     phi = model.bodies(fit)
@@ -286,15 +241,9 @@ def fading_speeds(case: Case, model: LogModel, fit: Fit) -> Array | None:
     Surfaces that touch give way a little before they slide, so that measured dry friction does not
     jump where a joint turns round.
 
-    Args:
-        case: The case.
-        model: The Gaussian model.
-        fit: A fit.
-
-    Returns:
-        None where no joint has less than half of its squared error with another speed than now.
-        Friction that fades with the way from a reversal on, as real friction does, has more: a
-        speed found for it does not hold where joints creep.
+    None where no joint has less than half of its squared error with another speed than now.
+    Friction that fades with the way from a reversal on, as real friction does, has more: a speed
+    found for it does not hold where joints creep.
     """
     robot, logs = case.model, case.trajectories
     effects = [*model.unknowns.effects, *(t.effect for t in fit.terms if t.effect is not None)]
@@ -335,12 +284,7 @@ _DOUBLINGS = 7
 
 
 def fading_notes(before: RobotModel, after: RobotModel) -> list[str]:
-    """Describe the speeds at which dry friction was found to fade.
-
-    Args:
-        before: The model as it came.
-        after: The fitted model.
-    """
+    """Describe the speeds at which dry friction was found to fade."""
     speeds, known = after.sign_widths(0.0), before.sign_widths(0.0)
     rubbing = {p for f in after.effects if f.effect.jumps for p in f.effect.where}
     return [

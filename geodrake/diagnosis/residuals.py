@@ -23,25 +23,15 @@ SLOW = 0.01
 
 @dataclass(frozen=True, eq=False)
 class JointResidual:
-    """Held-out residuals of a joint, the kept rows of all folds one after another.
-
-    Attributes:
-        joint: Name of the joint.
-        time: (K,) instants since the row's log began, s.
-        log: (K,) index of the row's log.
-        q: (K,) position, rad or m.
-        v: (K,) velocity, rad/s or m/s.
-        residual: (K,) measured less predicted effort, filtered.
-        effective: How many independent samples these are worth.
-    """
+    """Held-out residuals of a joint, the kept rows of all folds one after another."""
 
     joint: str
-    time: Array
-    log: NDArray[np.int_]
-    q: Array
-    v: Array
-    residual: Array
-    effective: float
+    time: Array  # (K,) instants since the row's log began, s
+    log: NDArray[np.int_]  # (K,) index of the row's log
+    q: Array  # (K,) position, rad or m
+    v: Array  # (K,) velocity, rad/s or m/s
+    residual: Array  # (K,) measured less predicted effort, filtered
+    effective: float  # how many independent samples these are worth
 
     @property
     def sign_v(self) -> Array:
@@ -61,13 +51,9 @@ class JointResidual:
     def improvement(self, base: Sequence[Array], columns: Sequence[Array]) -> tuple[float, float]:
         """What columns explain of the residual beyond others, in sample.
 
-        Args:
-            base: Columns (K,) that may be there anyway.
-            columns: Further columns (K,).
-
-        Returns:
-            Share of the squared residual that they take away, and about χ² of as many degrees of
-            freedom as they are where they are irrelevant.
+        `base` are columns (K,) that may be there anyway. Returned are the share of the squared
+        residual that the further columns (K,) take away, and about χ² of as many degrees of freedom
+        as they are where they are irrelevant.
         """
         first = _left(self.residual, np.stack(base, 1))
         second = _left(self.residual, np.stack([*base, *columns], 1))
@@ -80,10 +66,7 @@ def joint_residuals(
 ) -> list[JointResidual]:
     """Residuals of all joints.
 
-    Args:
-        case: The case.
-        hypothesis: A hypothesis.
-        without: Effects of it whose effort is left in the residual.
+    The effort of the effects `without` is left in them.
     """
     dataset, x = hypothesis.dataset, hypothesis.held_out.x.copy()
     for effect in without:
@@ -134,14 +117,8 @@ def filtered_columns(
 ) -> Array:
     """Columns of the motion at its full rate, filtered as the residual is.
 
-    Args:
-        case: The case.
-        motion: `full_motion` of the case.
-        joint: A residual.
-        columns: Columns (N, k) of each segment.
-
-    Returns:
-        (K, k) columns at the residual's rows, NaN where the motion was not looked at.
+    `motion` is `full_motion` of the case, with columns (N, k) of each segment. Returned are (K, k)
+    columns at the residual's rows, NaN where the motion was not looked at.
     """
     began = [trajectory.began for trajectory in case.trajectories]
     parts: list[tuple[NDArray[np.bool_], Array]] = []

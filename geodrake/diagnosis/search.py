@@ -46,32 +46,19 @@ _OTHER_DELAY = 3.0  # deviations
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """The most probable explanation that a search found.
+    """The most probable explanation that a search found."""
 
-    Attributes:
-        case: The case, with the columns of what was tried last.
-        model: The Gaussian model of its logs.
-        fit: The explanation.
-        start: The model without anything new, with bodies that may move.
-        is_stopped: Whether the search was stopped before its end.
-    """
-
-    case: Case
-    model: LogModel
+    case: Case  # the case, with the columns of what was tried last
+    model: LogModel  # the Gaussian model of its logs
     fit: Fit
-    start: Fit
-    is_stopped: bool = False
+    start: Fit  # the model without anything new, with bodies that may move
+    is_stopped: bool = False  # whether the search was stopped before its end
 
 
 def searched(
     case: Case, beliefs: Beliefs | None = None, *, progress: Progress | None = None
 ) -> Found:
     """Find the most probable explanation of the logs of a case.
-
-    Args:
-        case: The case, with columns for candidates.
-        beliefs: Prior odds and widths.
-        progress: Called with each step.
 
     Raises:
         StopSearch: It was stopped before it had found anything.
@@ -87,11 +74,8 @@ def with_forced(
 ) -> Found:
     """Return the explanation with one effect, whatever the evidence for it.
 
-    Args:
-        case: The case, with columns for candidates.
-        kind: The effect.
-        places: Where; None for all joints, or the place that helps most.
-        further: Instances to try beside those that the case has columns for.
+    Places are all joints if None, or the place that helps most. `further` instances are tried
+    beside those that the case has columns for.
 
     Raises:
         ArgumentError: It is one of an episode, and the residual shows none.
@@ -100,13 +84,7 @@ def with_forced(
 
 
 class _Search:
-    """Where a search is.
-
-    Attributes:
-        case: The case as it was reduced last.
-        model: Its Gaussian model.
-        fit: The most probable explanation so far.
-    """
+    """Where a search is."""
 
     def __init__(self, case: Case, beliefs: Beliefs, progress: Progress | None) -> None:
         self.case, self._beliefs, self._progress = case, beliefs, progress
@@ -300,9 +278,8 @@ class _Search:
     def _anew(self, moved: dict[Effect, Effect] | None = None, *, retimed: bool = False) -> None:
         """Make columns for what is tried now, and carry the explanation over.
 
-        Args:
-            moved: Effects that others take the place of.
-            retimed: Whether the model has the delays of the explanation now.
+        `moved` are effects that others take the place of, and `retimed` tells whether the model has
+        the delays of the explanation now.
         """
         moved, was = moved or {}, self.fit
         self.model = self._made()

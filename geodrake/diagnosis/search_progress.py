@@ -52,13 +52,7 @@ Progress = Callable[[FoundStep], None]
 
 
 def progress_of(model: LogModel, before: Fit, after: Fit) -> FoundStep:
-    """Return the step from one explanation to another.
-
-    Args:
-        model: The Gaussian model.
-        before: The explanation before.
-        after: The explanation after.
-    """
+    """Return the step from one explanation to another."""
     data = model.dataset
     deviation = np.where(data.effort_std > 0.0, data.effort_std, np.inf)
     new = [term for term in after.terms if term not in before.terms]

@@ -18,10 +18,6 @@ def stated_mass_notes(case: Case, fitted: RobotModel) -> list[str]:
 
     It does where all joints that bear it have one gain, or all but one, as the bodies take in the
     rest. Where bodies are known from other logs, they cannot.
-
-    Args:
-        case: The case.
-        fitted: The fitted model.
     """
     known = joints_with_known_gain(
         case.model, [trajectory.payloads for trajectory in case.trajectories]

@@ -27,10 +27,8 @@ def systematic_parameters(fitted: FittedEffect, shifts: Array) -> dict[str, floa
 
     To first order, as the shifts are; shapes and what else has no deviation are left out.
 
-    Args:
-        fitted: The effect.
-        shifts: (s, k) what its parameters change by with each of some independent causes, as the
-            gain of a joint's efforts, that is off by one standard deviation.
+    `shifts` (s, k) are what its parameters change by with each of s independent causes, such as the
+    gain of a joint's efforts that is off by one standard deviation.
     """
     values, deviations = reported_parameters(fitted)
     squares = {name: 0.0 for name in values if name in deviations}

@@ -42,16 +42,10 @@ DELAY, INERTIA = effect_of(Role.DELAY).name, effect_of(Role.INERTIA).name
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """What one step adds: effects of one name, a delay, or bodies that are wrong.
-
-    Attributes:
-        name: Name of the effect.
-        terms: Its terms; none for a delay, and for bodies that all move a little.
-        certainty: How probable it is.
-    """
+    """What one step adds: effects of one name, a delay, or bodies that are wrong."""
 
     name: str
-    terms: tuple[Term, ...]
+    terms: tuple[Term, ...]  # its terms; none for a delay, and for bodies that all move a little
     certainty: Certainty
 
 
@@ -96,12 +90,7 @@ def without(found: Found, gone: Sequence[Term]) -> Found:
 
 
 def findings_of(found: Found, posterior: Posterior | None = None) -> list[Finding]:
-    """Return each finding of a search once.
-
-    Args:
-        found: The search.
-        posterior: Its probabilities, if they are known already.
-    """
+    """Return each finding of a search once."""
     names = dict[str, list[Term]]()
     posterior = Posterior(found.model, found.fit) if posterior is None else posterior
     for term in found.fit.terms:
@@ -129,26 +118,15 @@ def _late(found: Found) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class StagedFinding:
-    """A finding in the order of steps.
-
-    Attributes:
-        finding: The finding.
-        fit: The explanation with it and all before it.
-        validated: That, validated fold by fold.
-    """
+    """A finding in the order of steps."""
 
     finding: Finding
-    fit: Fit
-    validated: Hypothesis
+    fit: Fit  # the explanation with it and all before it
+    validated: Hypothesis  # that, validated fold by fold
 
 
 def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[StagedFinding]]:
-    """Return the model before the first step, and findings in the order of their gains.
-
-    Args:
-        found: The search.
-        findings: What it found.
-    """
+    """Return the model before the first step, and findings in the order of their gains."""
     model, end = found.model, found.fit
     width = end.choice.width
     if any(f.name == INERTIA and not f.terms for f in findings):
@@ -187,13 +165,7 @@ def _fitted(model: LogModel, terms: Sequence[Term], width: float, delay: Delay, 
 def probable(
     case: Case, found: Found, findings: Sequence[Finding]
 ) -> tuple[Found, Hypothesis, list[StagedFinding]]:
-    """Return what was found and its stages, less findings that likely are parts of an unknown.
-
-    Args:
-        case: The case that was opened.
-        found: The search.
-        findings: What it found.
-    """
+    """Return what was found and its stages, less findings that likely are parts of an unknown."""
     while True:
         start, stages = staged(found, findings)
         hypotheses = [start, *(stage.validated for stage in stages)]
@@ -226,13 +198,8 @@ def steps_of(
 ) -> tuple[Step, ...]:
     """Return the steps from the model refitted within its prior to the final fit.
 
-    Args:
-        case: The case that was opened.
-        found: The search.
-        start: What comes before the first step.
-        stages: Findings in order.
-        fit: The final fit.
-        end: Its physically consistent held-out errors, at which the last step ends.
+    `start` is what comes before the first step, and `end` the physically consistent held-out errors
+    of the final fit, at which the last step ends.
     """
     hypotheses = [start, *(stage.validated for stage in stages)]
     errors = [*(h.held_out for h in hypotheses[:-1]), fit.held_out]
@@ -282,11 +249,8 @@ def largest_residual(found: Found) -> float:
 def verdict_of(errors: ErrorTable, found: bool, *, left: float = np.inf) -> Verdict:
     """Return the verdict on an end result.
 
-    Args:
-        errors: Held-out errors at the end.
-        found: Whether a step was taken.
-        left: Largest ratio of a joint's residual to its noise, in a fit that allows for reversals
-            that the logs do not resolve, as those are no missing effect.
+    `left` is the largest ratio of a joint's residual to its noise, in a fit that allows for
+    reversals that the logs do not resolve, as those are no missing effect.
     """
     near = errors.shows_noise and errors.nrms <= MOST_OF_REVERSALS * errors.floor_nrms
     if not (errors.is_noise or (near and left <= JOINT_NOISE_MARGIN)):
@@ -302,10 +266,7 @@ def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTa
     Whatever is unknown, some effect takes a part of its squared error away. One that takes away
     many times of what is left in the end is likely to be there itself.
 
-    Args:
-        found: The search.
-        finding: The finding.
-        errors: Errors before and after it, and in the end.
+    `errors` are those before and after it, and in the end.
     """
     if verdict_of(errors[2], True, left=largest_residual(found)) != "unexplained":
         return 0.0
@@ -358,12 +319,6 @@ def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bo
     The squared error of the joints that feel it must fall, in the mean over the folds, by more than
     the standard error of that mean: what shows in one fold alone just does. That of all joints, as
     nrms counts them, must not rise by as much.
-
-    Args:
-        found: The search.
-        finding: The finding.
-        before: Held-out errors without it.
-        after: Held-out errors with it.
     """
     scale = np.maximum(found.model.dataset.effort_std, np.finfo(float).tiny)
     own = felt(found, finding) / np.maximum(before.mse, np.finfo(float).tiny)
@@ -415,13 +370,7 @@ def late_joints(found: Found) -> tuple[str, ...]:
 def moved_bodies(
     case: Case, phi: Array, wrong: set[str] | frozenset[str] = frozenset()
 ) -> Mapping[str, float]:
-    """Return the bodies that a fit (nb, 10) moved, and how far: the wrong ones, or the farthest.
-
-    Args:
-        case: The case, with the prior.
-        phi: (nb, 10) fitted inertial parameters.
-        wrong: Bodies that are wrong while others are right.
-    """
+    """Return the bodies that a fit (nb, 10) moved, and how far: the wrong ones, or the farthest."""
     step = phi - case.model.phi
     metric = pullback_metric(case.model.phi)
     distance = np.sqrt(np.einsum("bi,bij,bj->b", step, metric, step))
