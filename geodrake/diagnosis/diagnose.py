@@ -9,7 +9,6 @@ import numpy as np
 
 from geodrake.boundary.arguments import instance
 from geodrake.diagnosis.beliefs import Beliefs
-from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.diagnosis.moves import additions
 from geodrake.diagnosis.posterior import nrms_of
 from geodrake.diagnosis.results import Candidate, Diagnosis
@@ -108,7 +107,7 @@ def _candidates(
         where = tuple(dict.fromkeys(place for term in finding.terms for place in term.where))
     else:
         where = late_joints(found)
-    bare = _bare(found.model, first.fit)
+    bare = found.model.bare(found.model.shares(first.fit))
     candidates = [
         Candidate(
             finding.name,
@@ -135,10 +134,3 @@ def _candidates(
             nrms = nrms_of(found.model, fit)
             candidates.append(Candidate(name, places, before, nrms, gain, chance, tied=False))
     return candidates
-
-
-def _bare(model: LogModel, fit: Fit) -> Fit:
-    """Fit the model with nothing new, residuals counted as those of another fit."""
-    shares = model.shares(fit)
-    fits = [model.fit(model.nothing(width), shares) for width in model.widths]
-    return max((each for each in fits if each is not None), key=lambda each: each.score)

@@ -53,11 +53,10 @@ def handled(case: Case, model: LogModel, fit: Fit) -> list[Episode]:
     Friction and offsets may be beside the explanation so far.
     """
     kinds = [kind for kind in case.effect_classes if kind.proposer is Proposer.HANDLING]
-    usual = _beside(model, fit)
     found = list[Episode]()
-    if usual is None or not kinds:
+    if not kinds:
         return found
-    around = _Around.of(model, usual, without=None)
+    around = _Around.of(model, _beside(model, fit), without=None)
     for log, trajectory in enumerate(case.trajectories):
         number = log_number(trajectory.name)
         for body in case.model.last_bodies:
@@ -127,7 +126,7 @@ def _distance(one: Episode, other: Episode) -> float:
     return max(abs(a - b) for a, b in pairs if a is not None and b is not None)
 
 
-def _beside(model: LogModel, fit: Fit) -> Fit | None:
+def _beside(model: LogModel, fit: Fit) -> Fit:
     """Fit what any joint may have beside an explanation, bodies as free as they may be."""
     terms = fit.terms
     for term in model.terms:
@@ -135,7 +134,7 @@ def _beside(model: LogModel, fit: Fit) -> Fit | None:
         if likely and model.are_compatible((*terms, term)):
             terms = (*terms, term)
     choice = model.choice(terms, model.widths[-1], fit.choice.delay)
-    return model.fit(choice, model.shares(fit), bounded=False)
+    return model.unbounded(choice, model.shares(fit))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +151,7 @@ class _Around:
         """Return a fit less a term, at the noise of the fit."""
         kept = np.ones(len(fit.x), bool)
         if without is not None:
-            kept[model.span(fit, without)] = False
+            kept[model.spans(fit.terms)[without]] = False
         H, x = fit.hessian[np.ix_(kept, kept)], fit.x[kept]
         factor, scale = scaled_cholesky(H, _RIDGE)
         root = factor / scale[:, None]

@@ -50,7 +50,7 @@ class Posterior:
         shares = model.shares(fit)
         others = neighbours(model, fit, most=_MOST)
         fits = [
-            model.fit(fit.choice, shares, fit.variance, bounded=False),
+            model.unbounded(fit.choice, shares, fit.variance),
             *(model.fit(choice, shares, fit.variance) for choice in others),
         ]
         self._model, self._fit = model, fit

@@ -109,9 +109,7 @@ class _Search:
         try:
             more = proposed(self.case, self.model, self.fit)
             if more:  # before anything else makes up for them
-                self._effects += more
-                self._grid = (*self._grid, *more)
-                self._anew()
+                self._offer(more)
             self._climb(hopeful=True)
             self._climb(hopeful=False)
             for _ in range(_MOST_ROUNDS):
@@ -159,8 +157,9 @@ class _Search:
             return self._latest(was, places)
         if kind.role is Role.INERTIA:
             wrong = model.beliefs.wrong
-            choices = [model.nothing(w) for w in model.widths if w > wrong]
-            return self._best(choices or [model.nothing(model.widths[-1])], was)
+            widths = [w for w in model.widths if w > wrong] or [model.widths[-1]]
+            choices = [Choice((), width, self._on_time) for width in widths]
+            return self._best(choices, was)
         known = [w for w in model.widths if w <= model.beliefs.wrong] or [model.widths[0]]
         options = dict[tuple[str, ...], list[Term]]()
         for term in model.terms:
@@ -201,12 +200,10 @@ class _Search:
     def _best(self, choices: Sequence[Choice], was: Fit) -> Fit:
         """Return the most probable of some explanations, even where it is not physical."""
         shares = np.full(len(self.model.rows), _FORCED_SHARE)
-        for bounded in (True, False):
-            fits = [self.model.fit(c, shares, was.variance, bounded=bounded) for c in choices]
-            known = [fit for fit in fits if fit is not None]
-            if known:
-                return max(known, key=lambda fit: fit.score)
-        raise RuntimeError("a fit without bounds was refused")
+        fits = [self.model.fit(choice, shares, was.variance) for choice in choices]
+        known = [fit for fit in fits if fit is not None]
+        known = known or [self.model.unbounded(c, shares, was.variance) for c in choices]
+        return max(known, key=lambda fit: fit.score)
 
     def _suggested(self) -> list[Effect]:
         """Return what the residual suggests: shared actuators, ripples, contacts."""
@@ -222,18 +219,15 @@ class _Search:
     def _without_short_loads(self) -> Fit:
         """Return the explanation without what is held for a short while: it may be a contact."""
         was, model = self.fit, self.model
-        held = [term for term in was.terms if is_short(self.case, term.effect)]
-        if not held:
+        kept = [term for term in was.terms if not is_short(self.case, term.effect)]
+        if len(kept) == len(was.terms):
             return was
-        kept = tuple(term for term in was.terms if term not in held)
         choice = model.choice(kept, was.choice.width, was.choice.delay)
-        return model.fit(choice, model.shares(was), was.variance, bounded=False) or was
+        return model.unbounded(choice, model.shares(was), was.variance)
 
     def _start(self) -> Fit:
         """Return the model with nothing new, its bodies as near to the file as the logs say."""
-        shares = np.full(len(self.model.rows), _FIRST_SHARE)
-        fits = [self.model.fit(self.model.nothing(w), shares) for w in self.model.widths]
-        return max((fit for fit in fits if fit is not None), key=lambda fit: fit.score)
+        return self.model.bare(np.full(len(self.model.rows), _FIRST_SHARE))
 
     def _climb(self, *, hopeful: bool) -> None:
         def watch(before: Fit, after: Fit) -> None:
@@ -281,38 +275,33 @@ class _Search:
         `moved` are effects that others take the place of, and `retimed` tells whether the model has
         the delays of the explanation now.
         """
-        moved, was = moved or {}, self.fit
-        self.model = self._made()
-        by_effect = {term.effect: term for term in self.model.terms if term.effect is not None}
-        bodies = {term.where: term for term in self.model.terms if term.effect is None}
-        effects = [moved.get(term.effect, term.effect) for term in was.terms if term.effect]
-        terms = [bodies[term.where] for term in was.terms if term.effect is None]
-        terms += [by_effect[effect] for effect in effects if effect in by_effect]
+        self.model, was = self._made(), self.fit
+        terms = self.model.alike(was.terms, moved)
         delay = (0,) * len(self._on_time) if retimed else was.choice.delay
-        choice = self.model.choice(tuple(terms), was.choice.width, delay)
-        shares = np.full(len(self.model.rows), 0.3)
-        fit = self.model.fit(choice, shares, was.variance)
-        if fit is None:  # something became negative
-            kept = [t for t in terms if not len(t.positive)]
-            choice = self.model.choice(tuple(kept), was.choice.width, delay)
-            fit = self.model.fit(choice, shares, was.variance) or self._start()
-        self.fit = fit
+        shares = np.full(len(self.model.rows), _FORCED_SHARE)
+        for kept in (terms, [term for term in terms if not len(term.positive)]):
+            choice = self.model.choice(kept, was.choice.width, delay)
+            fit = self.model.fit(choice, shares, was.variance)
+            if fit is not None:
+                break
+        self.fit = fit or self._start()  # something became negative
+
+    def _offer(self, more: Sequence[Effect]) -> None:
+        """Try more effects from now on."""
+        self._effects += more
+        self._grid = (*self._grid, *more)
+        self._anew()
 
     def _goes_on(self) -> bool:
         """Make exact what was found, or find more to try; whether there is anything to search."""
-        if self._refined():
-            self._climb(hopeful=False)
-            return True
-        if self._fades():
+        if self._refined() or self._fades():
             self._climb(hopeful=False)
             return True
         if not self._looked:
             self._looked = True
             more = self._suggested()
             if more:
-                self._effects += more
-                self._grid = (*self._grid, *more)
-                self._anew()
+                self._offer(more)
                 if any(effect.role is Role.EPISODE for effect in more):
                     self.fit = self._start()  # what was found may have followed the contact
                 self._climb(hopeful=True)

@@ -85,8 +85,7 @@ def without(found: Found, gone: Sequence[Term]) -> Found:
     if not gone or not model.are_compatible(kept):
         return found
     choice = model.choice(kept, fit.choice.width, fit.choice.delay)
-    known = model.fit(choice, model.shares(fit), fit.variance, bounded=False)
-    return found if known is None else replace(found, fit=known)
+    return replace(found, fit=model.unbounded(choice, model.shares(fit), fit.variance))
 
 
 def findings_of(found: Found, posterior: Posterior | None = None) -> list[Finding]:
@@ -152,14 +151,9 @@ def _with(model: LogModel, fit: Fit, finding: Finding, end: Fit) -> Fit:
 
 
 def _fitted(model: LogModel, terms: Sequence[Term], width: float, delay: Delay, end: Fit) -> Fit:
-    choice = model.choice(tuple(terms), width, delay)
-    shares = model.shares(end)
-    found = model.fit(choice, shares)
-    if found is None:  # beside what is missing still, something is negative
-        found = model.fit(choice, shares, bounded=False)
-    if found is None:
-        raise RuntimeError("a fit without bounds was refused")
-    return found
+    choice, shares = model.choice(terms, width, delay), model.shares(end)
+    # Beside what is missing still, something may be negative.
+    return model.fit(choice, shares) or model.unbounded(choice, shares)
 
 
 def probable(
