@@ -38,7 +38,6 @@ _STEPS_IN_TIME = 3  # of them, the first
 class ResidualWindow:
     """A window of a log, with the residual and the motion around it."""
 
-    log: int
     start: float  # its first guess, s since the log began
     end: float  # the same of its end
     time: Array  # (N,) instants at the full rate, s since the log began

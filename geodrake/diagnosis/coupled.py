@@ -9,8 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.proposal import Proposal
-from geodrake.diagnosis.residuals import JointResidual, filtered_columns
+from geodrake.diagnosis.residuals import JointResidual, Proposal, filtered_columns
 from geodrake.effects.shared_actuator import SharedActuatorEffect
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.evidence import chi2_tail
@@ -52,7 +51,10 @@ def coupled_joints(
     own: the evidence is that of the joint that shows them less.
     """
     pairs = other_pairs(case.model, [j.joint for j in joints if np.ptp(j.q) > 0.0])
-    partners = {joint.joint: _partners(joint.joint, pairs) for joint in joints}
+    partners = {
+        joint.joint: [a if b == joint.joint else b for a, b in pairs if joint.joint in (a, b)]
+        for joint in joints
+    }
     for effect in case.effect_classes:
         if not issubclass(effect, SharedActuatorEffect):
             continue
@@ -78,11 +80,6 @@ def other_pairs(model: RobotModel, moving: Sequence[str]) -> list[tuple[str, str
         if (one in model.sliding_joints) == (other in model.sliding_joints)
         and not {(one, other), (other, one)}.intersection(model.joint_pairs)
     ]
-
-
-def _partners(joint: str, pairs: Sequence[tuple[str, str]]) -> list[str]:
-    """The other joints of the pairs that a joint is of."""
-    return [name for pair in pairs if joint in pair for name in pair if name != joint]
 
 
 def _look(

@@ -24,8 +24,7 @@ from geodrake.diagnosis.contact_window import (
     refined,
     with_point,
 )
-from geodrake.diagnosis.residuals import full_motion, joint_residuals
-from geodrake.effects import Effect
+from geodrake.diagnosis.residuals import cut_out, full_motion, joint_residuals
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.episode import Episode, PointEpisode
 from geodrake.effects.robot_motion import log_number
@@ -65,9 +64,7 @@ class _Scale:
     periods: list[float]
 
 
-def find_episodes(
-    case: Case, hypothesis: Hypothesis, *, alarm: float = ALARM
-) -> tuple[PointEpisode, ...]:
+def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[PointEpisode, ...]:
     """Contacts that stand out of the held-out residuals of a hypothesis."""
     scale = _scaled(case, hypothesis)
     windows = _unknown_windows(case, hypothesis, scale)
@@ -77,7 +74,7 @@ def find_episodes(
         hypothesis = hypothesis.loosened(_FIXED / hypothesis.looseness)
         scale = _scaled(case, hypothesis)
         windows = _unknown_windows(case, hypothesis, scale)
-    found, promising = _contacts(case, scale, windows, alarm)
+    found, promising = _contacts(case, scale, windows)
     if found or not promising:
         return found
     # What else the hypothesis fits may have followed the contact: it is not to see the windows.
@@ -87,7 +84,7 @@ def find_episodes(
     blind = hypothesis.moved(dataset, delay=hypothesis.delay)
     apart = replace(apart, dataset=dataset)
     scale = _scaled(apart, blind)
-    return _contacts(apart, scale, _unknown_windows(apart, blind, scale), alarm)[0]
+    return _contacts(apart, scale, _unknown_windows(apart, blind, scale))[0]
 
 
 def episode_notes(case: Case, model: RobotModel) -> list[str]:
@@ -121,12 +118,13 @@ def _unknown_windows(
 
 
 def _contacts(
-    case: Case, scale: _Scale, windows: Sequence[tuple[int, float, float]], alarm: float
+    case: Case, scale: _Scale, windows: Sequence[tuple[int, float, float]]
 ) -> tuple[tuple[PointEpisode, ...], bool]:
     """The contacts that explain windows, and whether one explains at least a good part of one."""
     motion = full_motion(case) if windows else []
-    cut = [_cut_out(case, scale, motion, place) for place in windows]
-    tried = [_contact(case, window, len(windows), alarm) for window in cut if window is not None]
+    cut = [(w[0], _cut_out(case, scale, motion, w)) for w in windows]
+    names = [trajectory.name for trajectory in case.trajectories]
+    tried = [_contact(case, names[k], w, len(windows)) for k, w in cut if w is not None]
     found = tuple(contact for contact, _ in tried if contact is not None)
     return found, any(share >= 0.5 * _LEAST_SHARE for _, share in tried)
 
@@ -137,8 +135,8 @@ def _overlap(case: Case, window: tuple[int, float, float], contact: PointEpisode
     return same and start < contact.end and contact.start < end
 
 
-def _scaled(case: Case, hypothesis: Hypothesis, *, without: Sequence[Effect] = ()) -> _Scale:
-    joints = joint_residuals(case, hypothesis, without=without)
+def _scaled(case: Case, hypothesis: Hypothesis) -> _Scale:
+    joints = joint_residuals(case, hypothesis)
     periods = [trajectory.filter.output_period for trajectory in case.trajectories]
     sizes = np.array([np.median(np.abs(j.residual)) / 0.6745 for j in joints])
     size = np.maximum(sizes, np.finfo(float).tiny)
@@ -182,50 +180,33 @@ def _cut_out(
 ) -> ResidualWindow | None:
     log, start, end = window
     trajectory = case.trajectories[log]
-    began, low_pass = trajectory.began, trajectory.filter
+    low_pass = trajectory.filter
     pad = (low_pass.halfwidth + 2 * low_pass.decimation) * low_pass.period + _AVERAGE
-    for index, segment in motion:
-        time = segment.time - began
-        if index == log and time[0] <= start and end <= time[-1]:
-            # Filtered samples of the cut are to be those of the whole segment.
-            step = low_pass.decimation
-            first, last = np.searchsorted(time, [start - pad, end + pad]).tolist()
-            near = slice(first // step * step, last)
-            here = segment[near]
-            outputs = time[near][low_pass.output_indices(len(here))]
-            place = np.rint(outputs / low_pass.output_period).astype(int)
-            inside = (place >= 0) & (place < len(scale.grids[log]))
-            residual = np.full((len(outputs), len(scale.size)), np.nan)
-            residual[inside] = scale.grids[log][place[inside]]
-            bodies = RobotBodies(
-                case.model.tree, case.model.positions(here.position), case.model.total_phi
-            )
-            within = residual[(outputs >= start) & (outputs <= end)]
-            known = np.maximum((~np.isnan(within)).sum(0), 1)
-            power = np.nansum(np.square(within), 0) / known
-            size = np.sqrt(1.0 + _MODEL**2 * power)
-            return ResidualWindow(
-                log,
-                start,
-                end,
-                time[near],
-                bodies,
-                outputs,
-                residual / size,
-                size * scale.size,
-                low_pass,
-            )
-    return None
+    cut = cut_out(trajectory, (s for index, s in motion if index == log), (start, end), pad)
+    if cut is None:
+        return None
+    here, time, outputs = cut
+    place = np.rint(outputs / low_pass.output_period).astype(int)
+    inside = (place >= 0) & (place < len(scale.grids[log]))
+    residual = np.full((len(outputs), len(scale.size)), np.nan)
+    residual[inside] = scale.grids[log][place[inside]]
+    model = case.model
+    bodies = RobotBodies(model.tree, model.positions(here.position), model.total_phi)
+    within = residual[(outputs >= start) & (outputs <= end)]
+    known = np.maximum((~np.isnan(within)).sum(0), 1)
+    size = np.sqrt(1.0 + _MODEL**2 * (np.nansum(np.square(within), 0) / known))
+    return ResidualWindow(
+        start, end, time, bodies, outputs, residual / size, size * scale.size, low_pass
+    )
 
 
 def _contact(
-    case: Case, window: ResidualWindow, tried: int, alarm: float
+    case: Case, log: str, window: ResidualWindow, tried: int
 ) -> tuple[PointEpisode | None, float]:
     """The contact that explains a window, if one does, and the share that the best one does."""
     bodies = sorted(case.model.bodies, key=lambda name: len(window.bodies.motion(name).dofs))
-    number = log_number(case.trajectories[window.log].name)
     kinds = [kind for kind in case.effect_classes if issubclass(kind, PointEpisode)]
-    window_of = {"rise": _RISE, "log": number}
+    window_of = {"rise": _RISE, "log": log_number(log)}
     guesses = [
         guess
         for kind in kinds
@@ -251,7 +232,7 @@ def _contact(
     # Times, rise and point were looked for too, the body, and whether it turns.
     chance = chi2_tail(found.gain, found.felt + contact.free_shapes)
     chance = min(1.0, tried * len(guesses) * chance)
-    convinces = found.share >= _LEAST_SHARE and chance <= alarm and _explains_all(found)
+    convinces = found.share >= _LEAST_SHARE and chance <= ALARM and _explains_all(found)
     return (contact if convinces else None), best
 
 

@@ -21,6 +21,7 @@ from scipy.optimize import minimize
 
 from geodrake.diagnosis.episodes import MOST_TIME
 from geodrake.diagnosis.log_model import Fit, LogModel
+from geodrake.diagnosis.residuals import cut_out
 from geodrake.diagnosis.terms import Term
 from geodrake.effects.base import Effect, Proposer
 from geodrake.effects.episode import Episode
@@ -29,7 +30,6 @@ from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.identification.normal_equations import scaled_cholesky
 from geodrake.inertia import PARAMETERS_PER_BODY
-from geodrake.logs.smoothing import Segment
 from geodrake.robot.regressor import body_regressor
 
 Array = NDArray[np.float64]
@@ -383,30 +383,16 @@ class _Near:
     @classmethod
     def of(cls, case: Case, body: str, log: int, edge: float) -> _Near | None:
         """Return the columns near an edge; None where the log has a gap."""
-        trajectory = case.trajectories[log]
-        low_pass, model = trajectory.filter, case.load_model
-        step = low_pass.decimation
-        halfwidth = low_pass.halfwidth * low_pass.period
-        reach = 3.0 * halfwidth + 2.0 * _SLOWEST
-        for segment in trajectory.segments:
-            time = segment[:].time - trajectory.began
-            if not time[0] <= edge <= time[-1]:
-                continue
-            first, last = np.searchsorted(time, [edge - reach, edge + reach])
-            near: Segment = segment[int(first) // step * step : int(last)]
-            at = near.time - trajectory.began
-            if low_pass.output_count(len(near)) < 2:
-                return None
-            columns = body_regressor(
-                model.tree,
-                model.positions(near.position),
-                near.velocity,
-                near.acceleration,
-                model.bodies.index(body),
-            )
-            outputs = at[low_pass.output_indices(len(near))]
-            return cls(at, columns, outputs, low_pass.output_period, low_pass.apply)
-        return None
+        trajectory, model = case.trajectories[log], case.load_model
+        low_pass = trajectory.filter
+        reach = 3.0 * low_pass.halfwidth * low_pass.period + 2.0 * _SLOWEST
+        cut = cut_out(trajectory, trajectory.segments, (edge, edge), reach)
+        if cut is None or low_pass.output_count(len(cut[0])) < 2:
+            return None
+        near, time, outputs = cut
+        q, index = model.positions(near.position), model.bodies.index(body)
+        columns = body_regressor(model.tree, q, near.velocity, near.acceleration, index)
+        return cls(time, columns, outputs, low_pass.output_period, low_pass.apply)
 
     def columns(self, held: Episode) -> Array:
         """(K, nv, 10) filtered columns of the body while it is held."""

@@ -10,8 +10,7 @@ from geodrake.diagnosis.coupled import coupled_joints
 from geodrake.diagnosis.handling import handled
 from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.diagnosis.position_spectrum import LEAST_WAVES, highest_peak
-from geodrake.diagnosis.proposal import Proposal
-from geodrake.diagnosis.residuals import JointResidual, full_motion, joint_residuals
+from geodrake.diagnosis.residuals import JointResidual, Proposal, full_motion, joint_residuals
 from geodrake.effects.base import Effect, Proposer
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.evidence import chi2_tail

@@ -32,31 +32,20 @@ _OTHER_LOADS = 0.02
 """Columns are made anew if a load changes by more than this share of the effort's deviation."""
 
 
-@dataclass(frozen=True)
-class Least:
-    """The least error near a value of a parameter."""
-
-    step: float  # from that value to where the error is least, within what was tried
-    gain: float  # how much smaller the error is there
-    # Standard deviation of the step where errors are twice log-likelihoods; infinite where there is
-    # no minimum.
-    deviation: float
-
-
-def least_between(offsets: Array, errors: Array) -> Least:
-    """Return the minimum of the parabola through three errors; no step if it has none.
+def least_between(offsets: Array, errors: Array) -> tuple[float, float]:
+    """Return where the parabola through three errors is least, and the deviation of that place.
 
     `offsets` (3,) are in order, from the middle one on, which is zero, and `errors` (3,) are those
-    there.
+    there, twice log-likelihoods. Without a minimum it stays, and its deviation is infinite.
     """
     (first, _, last), (low, middle, high) = offsets.tolist(), errors.tolist()
     slopes = (low - middle) / first, (high - middle) / last
     curvature = (slopes[1] - slopes[0]) / (last - first)
     slope = slopes[0] - curvature * first
     if curvature <= 0.0:
-        return Least(0.0, 0.0, float("inf"))
+        return 0.0, float("inf")
     step = float(np.clip(-slope / (2.0 * curvature), offsets[0], offsets[-1]))
-    return Least(step, -(slope + curvature * step) * step, curvature**-0.5)
+    return step, curvature**-0.5
 
 
 # Delays.
@@ -87,9 +76,8 @@ def delays_of(model: LogModel, fit: Fit) -> Delays:
         scores = [_score_at(model, fit, moved, int(k)) for k in near]
         if any(score is None for score in scores):
             continue
-        least = least_between(grid[near] - grid[own], -np.array(scores, float))
-        seconds[moved] += least.step
-        deviations[moved] = least.deviation
+        step, deviations[moved] = least_between(grid[near] - grid[own], -np.array(scores, float))
+        seconds[moved] += step
     return Delays(seconds, deviations)
 
 
@@ -149,30 +137,19 @@ _ZOOMS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)
 """Steps of finer and finer grids of a shape, in steps of the coarse one."""
 
 
-def free_shape(effect: Effect, grid: Sequence[Effect]) -> tuple[str, Array] | None:
-    """Return the shape parameter that a grid tries at several positive values, and these in order.
+def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]:
+    """Neighbours of an effect's shape, two to either side where they make sense.
 
-    None where no parameter varies, more than one does, or not continuously.
+    None where no parameter varies on the grid, more than one does, or not continuously.
     """
     tried = [e for e in grid if (e.name, e.where) == (effect.name, effect.where)]
     values = {f.name: {getattr(e, f.name) for e in tried} for f in fields(effect)}  # type: ignore[arg-type]
-    varied = [name for name, found in values.items() if len(found) > 1]
-    if len(varied) != 1:
-        return None
-    (name,) = varied
-    if not all(isinstance(value, float) and value > 0.0 for value in values[name]):
-        return None
-    return name, np.sort(np.array([*values[name]]))
-
-
-def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]:
-    """Neighbours of an effect's shape, two to either side where they make sense."""
-    found = free_shape(effect, grid)
-    if found is None:
+    varied = [(name, found) for name, found in values.items() if len(found) > 1]
+    if len(varied) != 1 or not all(isinstance(x, float) and x > 0.0 for x in varied[0][1]):
         return []
-    name, values = found
-    value, gaps = getattr(effect, name), np.diff(np.log(values))
-    at = int(np.clip(np.searchsorted(values, value) - 1, 0, len(gaps) - 1))
+    name, known = varied[0][0], np.sort(np.array([*varied[0][1]]))
+    value, gaps = getattr(effect, name), np.diff(np.log(known))
+    at = int(np.clip(np.searchsorted(known, value) - 1, 0, len(gaps) - 1))
     steps = share * gaps[at] * np.array([-2.0, -1.0, 1.0, 2.0])
     near = [replace(effect, **{name: float(value * factor)}) for factor in np.exp(steps)]  # type: ignore[type-var]
     return [e for e in near if e.distinct and bool(e.refines) == bool(effect.refines)]
@@ -183,17 +160,13 @@ def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]
 
 def expansions(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
     """Return the effects whose columns are slopes, moved to the fitted point, by effect."""
-    terms = [term for term in fit.terms if term.effect is not None and term.effect.expandable]
-    if not terms:
+    slopes = {t.effect: t for t in fit.terms if t.effect is not None and t.effect.expandable}
+    if not slopes:
         return {}
-    robot, found = case.model, dict[Effect, Effect]()
-    bodies = RobotBodies(robot.tree, np.zeros((0, robot.tree.num_positions)), robot.total_phi)
-    for term in terms:
-        if term.effect is not None:
-            moved = term.effect.expanded_about(model.parameters(fit, term), bodies)
-            if moved != term.effect:
-                found[term.effect] = moved
-    return found
+    tree = case.model.tree
+    bodies = RobotBodies(tree, np.zeros((0, tree.num_positions)), case.model.total_phi)
+    moved = {e: e.expanded_about(model.parameters(fit, t), bodies) for e, t in slopes.items()}
+    return {effect: other for effect, other in moved.items() if other != effect}
 
 
 # Loads.

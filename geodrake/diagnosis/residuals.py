@@ -12,6 +12,7 @@ from geodrake.effects.base import Effect
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.evidence import effective_samples
 from geodrake.identification.logs.hypothesis import Hypothesis, residual_blocks
+from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
 
 Array = NDArray[np.float64]
@@ -19,6 +20,15 @@ Array = NDArray[np.float64]
 _SAMPLES = 100_000  # of a segment that are looked at, and of all together that are kept
 SLOW = 0.01
 """Below this share of a joint's peak speed its direction of motion is doubtful."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """An effect that a residual suggests."""
+
+    effects: tuple[Effect, ...]  # the effect with the shapes to try
+    share: float  # of the squared error at its joint that it explains
+    alarm: float  # probability that noise alone suggests as much
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +42,6 @@ class JointResidual:
     v: Array  # (K,) velocity, rad/s or m/s
     residual: Array  # (K,) measured less predicted effort, filtered
     effective: float  # how many independent samples these are worth
-
-    @property
-    def sign_v(self) -> Array:
-        """(K,) direction of motion, smoothed at the slowest."""
-        return self.direction(self.v)
 
     def direction(self, v: Array) -> Array:
         """Direction of motion at velocities v of the joint, smoothed at the slowest."""
@@ -61,16 +66,9 @@ class JointResidual:
         return share, float(-self.effective * np.log1p(-min(share, 1.0 - 1e-9)))
 
 
-def joint_residuals(
-    case: Case, hypothesis: Hypothesis, *, without: Sequence[Effect] = ()
-) -> list[JointResidual]:
-    """Residuals of all joints.
-
-    The effort of the effects `without` is left in them.
-    """
-    dataset, x = hypothesis.dataset, hypothesis.held_out.x.copy()
-    for effect in without:
-        x[:, hypothesis.unknowns.span(effect)] = 0.0
+def joint_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
+    """Residuals of all joints."""
+    dataset, x = hypothesis.dataset, hypothesis.held_out.x
     blocks = residual_blocks(dataset, hypothesis.unknowns.columns, x, delay=hypothesis.delay)
     began = [trajectory.began for trajectory in case.trajectories]
     found = []
@@ -136,6 +134,25 @@ def filtered_columns(
     for rows, values in parts:
         found[rows] = values
     return found
+
+
+def cut_out(
+    trajectory: Trajectory, segments: Iterable[Segment], window: tuple[float, float], pad: float
+) -> tuple[Segment, Array, Array] | None:
+    """Return the samples around a window, with their instants and those of filtered samples.
+
+    Instants are s since the log began, and filtered samples those of the whole segment. None where
+    the log has a gap there.
+    """
+    low_pass, step = trajectory.filter, trajectory.filter.decimation
+    for segment in segments:
+        time = segment[:].time - trajectory.began
+        if time[0] <= window[0] and window[1] <= time[-1]:
+            first, last = np.searchsorted(time, [window[0] - pad, window[1] + pad]).tolist()
+            near = slice(first // step * step, last)
+            at = time[near]
+            return segment[near], at, at[low_pass.output_indices(len(at))]
+    return None
 
 
 def _left(residual: Array, columns: Array) -> float:

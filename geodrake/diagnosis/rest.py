@@ -34,7 +34,7 @@ _PROMISING = 3  # functions, by what they leave with the first ridge, are fitted
 _MOST = 4_000  # samples that are looked at
 
 
-def share_of_motion(case: Case, hypothesis: Hypothesis, *, alarm: float = ALARM) -> Array:
+def share_of_motion(case: Case, hypothesis: Hypothesis) -> Array:
     """(nv,) share of each joint's squared error that a smooth function of the motion could remove.
 
     Functions of all positions, and of position, velocity and direction of the joint itself and one
@@ -58,7 +58,7 @@ def share_of_motion(case: Case, hypothesis: Hypothesis, *, alarm: float = ALARM)
             folds = np.repeat(
                 np.arange(len(data.rows)), [sum(len(r.time) for r in fold) for fold in data.rows]
             )
-            shares[j] = _predictable(case, motion, residual, folds, speeds=speeds, alarm=alarm)
+            shares[j] = _predictable(case, motion, residual, folds, speeds)
     return shares
 
 
@@ -67,9 +67,7 @@ def _predictable(
     motion: Sequence[tuple[int, Segment]],
     joint: JointResidual,
     folds: Indices,
-    *,
     speeds: Array,
-    alarm: float,
 ) -> float:
     """Share of the squared residual of a joint that the best function of the motion predicts.
 
@@ -102,7 +100,7 @@ def _predictable(
     share = float(1.0 - left.sum() / np.square(b).sum())
     gain = -joint.effective * np.log1p(-max(share, 0.0))
     tried = len(offered) * len(_RIDGES)
-    return share if false_alarm_probability(gain, 1, tried) <= alarm else 0.0
+    return share if false_alarm_probability(gain, 1, tried) <= ALARM else 0.0
 
 
 def _signals(segment: Segment, speeds: Array) -> Array:
