@@ -10,9 +10,9 @@ import numpy as np
 from geodrake.boundary.arguments import instance, instances
 from geodrake.diagnosis.coupled import other_pairs
 from geodrake.diagnosis.explain import explained
+from geodrake.diagnosis.findings import findings_of
 from geodrake.diagnosis.results import Explanation
 from geodrake.diagnosis.search import with_forced
-from geodrake.diagnosis.steps import findings_of
 from geodrake.effects import Effect, FittedEffect, Role, effect_class
 from geodrake.effects.user_code import candidates_of
 from geodrake.errors import ArgumentError

@@ -9,21 +9,19 @@ import numpy as np
 
 from geodrake.boundary.arguments import instance
 from geodrake.diagnosis.beliefs import Beliefs
+from geodrake.diagnosis.findings import (
+    StagedFinding,
+    believed,
+    findings_of,
+    probable,
+    unknown_probability,
+    verdict_of,
+    where_of,
+)
 from geodrake.diagnosis.moves import additions
 from geodrake.diagnosis.posterior import nrms_of
 from geodrake.diagnosis.results import Candidate, Diagnosis
 from geodrake.diagnosis.search import Found, searched
-from geodrake.diagnosis.steps import (
-    INERTIA,
-    StagedFinding,
-    believed,
-    findings_of,
-    late_joints,
-    moved_bodies,
-    probable,
-    unknown_probability,
-    verdict_of,
-)
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
@@ -100,18 +98,11 @@ def _candidates(
     held_out = (start.held_out, first.validated.held_out, stages[-1].validated.held_out)
     errors = [error_table(data, each) for each in held_out]
     unknown = unknown_probability(found, finding, errors)
-    if finding.name == INERTIA:
-        wrong = {term.where[0] for term in finding.terms}
-        where = tuple(moved_bodies(case, found.model.bodies(first.fit), wrong))
-    elif finding.terms:
-        where = tuple(dict.fromkeys(place for term in finding.terms for place in term.where))
-    else:
-        where = late_joints(found)
     bare = found.model.bare(found.model.shares(first.fit))
     candidates = [
         Candidate(
             finding.name,
-            where,
+            where_of(found, finding, found.model.bodies(first.fit)),
             before,
             first.validated.nrms,
             first.fit.score - bare.score,

@@ -11,12 +11,7 @@ from geodrake.boundary.showing import Short
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.episodes import episode_notes
 from geodrake.diagnosis.final_fit import companion_notes, final_fit
-from geodrake.diagnosis.refinements import fading_notes
-from geodrake.diagnosis.results import Explanation, Step
-from geodrake.diagnosis.search import Found, searched
-from geodrake.diagnosis.search_progress import Progress
-from geodrake.diagnosis.stated_mass import stated_mass_notes
-from geodrake.diagnosis.steps import (
+from geodrake.diagnosis.findings import (
     Finding,
     believed,
     findings_of,
@@ -24,11 +19,16 @@ from geodrake.diagnosis.steps import (
     largest_residual,
     probable,
     staged,
-    steps_of,
     verdict_of,
     with_findings,
     without,
 )
+from geodrake.diagnosis.refinements import fading_notes
+from geodrake.diagnosis.results import Explanation, Step
+from geodrake.diagnosis.search import Found, searched
+from geodrake.diagnosis.search_progress import Progress
+from geodrake.diagnosis.stated_mass import stated_mass_notes
+from geodrake.diagnosis.steps import steps_of
 from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case

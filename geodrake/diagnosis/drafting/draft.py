@@ -20,6 +20,7 @@ from geodrake.diagnosis.drafting.formula import Formula, FormulaTerm
 from geodrake.diagnosis.drafting.results import Array, Correlate, Draft, DraftedEffect
 from geodrake.diagnosis.drafting.vocabulary import TURNS, vocabulary
 from geodrake.diagnosis.explain import Investigation, investigate
+from geodrake.diagnosis.findings import Finding, holds
 from geodrake.diagnosis.log_model import Choice, Fit, LogModel
 from geodrake.diagnosis.moves import neighbours
 from geodrake.diagnosis.neighbourhood import Neighbourhood
@@ -27,7 +28,6 @@ from geodrake.diagnosis.posterior import Certainty
 from geodrake.diagnosis.results import Explanation
 from geodrake.diagnosis.search import Found
 from geodrake.diagnosis.search_progress import FoundStep, Progress
-from geodrake.diagnosis.steps import Finding, holds
 from geodrake.diagnosis.terms import Term
 from geodrake.diagnosis.unknown_efforts import range_of_motion, reversals
 from geodrake.effects.base import Effect
