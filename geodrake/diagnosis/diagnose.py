@@ -44,16 +44,7 @@ def diagnose(
 
     Columns are taken at their word: `check_columns` tells of those that are not what they seem.
 
-    Args:
-        model: The model as it stands.
-        logs: Logs or their files; several logs are several trajectories.
-        extra: Effect classes of the user's own to try beside the catalogue's.
-        bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
-            or chosen from the data.
-        blocks: Blocks into which every log is cut for validation.
-        hold_resting: Whether joints that hardly move in any log are held; see
-            `geodrake.model.logged_joints.holding_resting`.
-        beliefs: Prior odds and widths.
+    Arguments are those of `explain`.
 
     Returns:
         Candidates. The first is the first step of `explain`, the most probable explanation's; what

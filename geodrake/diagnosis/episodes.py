@@ -26,7 +26,7 @@ from geodrake.diagnosis.contact_window import (
 )
 from geodrake.diagnosis.residuals import cut_out, full_motion, joint_residuals
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.episode import Episode, PointEpisode
+from geodrake.effects.episode import PointEpisode
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case, error_table, reduced
 from geodrake.identification.logs.criteria import ALARM
@@ -34,9 +34,10 @@ from geodrake.identification.logs.evidence import chi2_tail
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.logs.folds import set_apart
 from geodrake.logs.smoothing import Segment
-from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
+Window = tuple[int, float, float]
+"""Index of a log, and the instants since it began, s, at which a window starts and ends."""
 
 _AVERAGE = 0.3  # s, over which squared residuals are averaged
 _HIGH, _LOW = 12.0, 4.0  # of their typical size: within an episode, and at its ends
@@ -51,7 +52,6 @@ _MODEL = 0.05  # share of its effort that even a right contact leaves unexplaine
 _REST = 1.0  # s, of standing still that do not end an episode
 _MARGIN = 0.3  # s, around a window that is set apart
 _RISE = 0.03  # s, at first
-_LATE = 0.005  # s, by which the clock of a log that begins is said not to be at zero
 _FIXED = 1e-3  # of the width of their prior: inertias stay as they are
 
 
@@ -66,14 +66,12 @@ class _Scale:
 
 def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[PointEpisode, ...]:
     """Contacts that stand out of the held-out residuals of a hypothesis."""
-    scale = _scaled(case, hypothesis)
-    windows = _unknown_windows(case, hypothesis, scale)
+    scale, windows = _seen(case, hypothesis)
     noise = error_table(case.dataset, hypothesis.held_out).is_noise
     if not windows and not noise:
         # Bodies that are free to follow a contact spread its error all over the log.
         hypothesis = hypothesis.loosened(_FIXED / hypothesis.looseness)
-        scale = _scaled(case, hypothesis)
-        windows = _unknown_windows(case, hypothesis, scale)
+        scale, windows = _seen(case, hypothesis)
     found, promising = _contacts(case, scale, windows)
     if found or not promising:
         return found
@@ -81,44 +79,30 @@ def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[PointEpisode, ...
     wide = [(log, start - _MARGIN, end + _MARGIN) for log, start, end in windows]
     apart = replace(case, folds=set_apart(case.folds, case.trajectories, wide))
     dataset = reduced(apart, hypothesis.unknowns.effects)
-    blind = hypothesis.moved(dataset, delay=hypothesis.delay)
     apart = replace(apart, dataset=dataset)
-    scale = _scaled(apart, blind)
-    return _contacts(apart, scale, _unknown_windows(apart, blind, scale))[0]
+    return _contacts(apart, *_seen(apart, hypothesis.moved(dataset, delay=hypothesis.delay)))[0]
 
 
-def episode_notes(case: Case, model: RobotModel) -> list[str]:
-    """Return in which log episodes are, and when by its clock, where that is not plain."""
-    found = list[str]()
-    for effect in [f.effect for f in model.effects if isinstance(f.effect, Episode)]:
-        for log in case.trajectories:
-            if effect.window[3] != log_number(log.name):
-                continue
-            where = f" of {log.name}" if len(case.trajectories) > 1 else ""
-            edges = [edge for edge in effect.window[:2] if edge is not None]
-            clock = " and ".join(f"{log.began + edge:.2f} s" for edge in edges)
-            by_clock = f"; by its clock that is {clock}" if abs(log.began) >= _LATE else ""
-            if where or by_clock:
-                what = f"{effect.name} of {effect.place}"
-                found.append(
-                    f"times of {what} count from the beginning{where or ' of the log'}{by_clock}"
-                )
-    return found
-
-
-def _unknown_windows(
-    case: Case, hypothesis: Hypothesis, scale: _Scale
-) -> list[tuple[int, float, float]]:
-    """Windows of the residuals where the hypothesis has no contact; none if there are many."""
-    logs = enumerate(zip(scale.grids, scale.periods, strict=True))
-    windows = [w for log, (grid, period) in logs for w in _windows(log, grid, period)]
+def _seen(case: Case, hypothesis: Hypothesis) -> tuple[_Scale, list[Window]]:
+    """Return residuals, and windows where the hypothesis has no contact; none if there are many."""
+    scale = _scaled(case, hypothesis)
     known = [e for e in hypothesis.unknowns.effects if isinstance(e, PointEpisode)]
-    windows = [w for w in windows if not any(_overlap(case, w, contact) for contact in known)]
-    return windows if len(windows) <= _MOST else []
+    numbers = [log_number(trajectory.name) for trajectory in case.trajectories]
+    logs = enumerate(zip(scale.grids, scale.periods, strict=True))
+    windows = [
+        (log, start, end)
+        for log, (grid, period) in logs
+        for log, start, end in _windows(log, grid, period)
+        if not any(
+            contact.is_of(numbers[log]) and start < contact.end and contact.start < end
+            for contact in known
+        )
+    ]
+    return scale, windows if len(windows) <= _MOST else []
 
 
 def _contacts(
-    case: Case, scale: _Scale, windows: Sequence[tuple[int, float, float]]
+    case: Case, scale: _Scale, windows: Sequence[Window]
 ) -> tuple[tuple[PointEpisode, ...], bool]:
     """The contacts that explain windows, and whether one explains at least a good part of one."""
     motion = full_motion(case) if windows else []
@@ -127,12 +111,6 @@ def _contacts(
     tried = [_contact(case, names[k], w, len(windows)) for k, w in cut if w is not None]
     found = tuple(contact for contact, _ in tried if contact is not None)
     return found, any(share >= 0.5 * _LEAST_SHARE for _, share in tried)
-
-
-def _overlap(case: Case, window: tuple[int, float, float], contact: PointEpisode) -> bool:
-    log, start, end = window
-    same = contact.is_of(log_number(case.trajectories[log].name))
-    return same and start < contact.end and contact.start < end
 
 
 def _scaled(case: Case, hypothesis: Hypothesis) -> _Scale:
@@ -152,7 +130,7 @@ def _scaled(case: Case, hypothesis: Hypothesis) -> _Scale:
     return _Scale(size, grids, periods)
 
 
-def _windows(log: int, grid: Array, period: float) -> Iterator[tuple[int, float, float]]:
+def _windows(log: int, grid: Array, period: float) -> Iterator[Window]:
     """Log, start and end of stretches in which several joints err beyond the usual."""
     known, width = np.isfinite(grid), max(3, round(_AVERAGE / period))
     sums, counts = (
@@ -176,7 +154,7 @@ def _cut_out(
     case: Case,
     scale: _Scale,
     motion: Sequence[tuple[int, Segment]],
-    window: tuple[int, float, float],
+    window: Window,
 ) -> ResidualWindow | None:
     log, start, end = window
     trajectory = case.trajectories[log]

@@ -21,7 +21,6 @@ from geodrake.identification.logs.case import Case, reduced
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.reduce import peak_speeds, sign_widths
 from geodrake.inertia import is_physical
-from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -254,15 +253,3 @@ def fading_speeds(case: Case, model: LogModel, fit: Fit) -> Array | None:
 _FASTEST = 0.1
 """Dry friction fades below this share of a joint's peak speed at most."""
 _DOUBLINGS = 7
-
-
-def fading_notes(before: RobotModel, after: RobotModel) -> list[str]:
-    """Describe the speeds at which dry friction was found to fade."""
-    speeds, known = after.sign_widths(0.0), before.sign_widths(0.0)
-    rubbing = {p for f in after.effects if f.effect.jumps for p in f.effect.where}
-    return [
-        f"dry friction of {joint} fades below {speeds[j]:.2g} "
-        f"{'m/s' if joint in after.sliding_joints else 'rad/s'}"
-        for j, joint in enumerate(after.joints)
-        if joint in rubbing and speeds[j] not in (0.0, known[j])
-    ]

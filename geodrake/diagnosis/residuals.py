@@ -13,7 +13,7 @@ from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.evidence import effective_samples
 from geodrake.identification.logs.hypothesis import Hypothesis, residual_blocks
 from geodrake.logs.motion import Trajectory
-from geodrake.logs.smoothing import Segment
+from geodrake.logs.smoothing import Segment, Stretch
 
 Array = NDArray[np.float64]
 
@@ -137,7 +137,13 @@ def filtered_columns(
 
 
 def cut_out(
-    trajectory: Trajectory, segments: Iterable[Segment], window: tuple[float, float], pad: float
+    trajectory: Trajectory,
+    segments: Iterable[Segment | Stretch],
+    window: tuple[float, float],
+    pad: float,
+    segments: Iterable[Segment | Stretch],
+    window: tuple[float, float],
+    pad: float,
 ) -> tuple[Segment, Array, Array] | None:
     """Return the samples around a window, with their instants and those of filtered samples.
 

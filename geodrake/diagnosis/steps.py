@@ -26,10 +26,9 @@ from geodrake.diagnosis.results import FittedRival, Step
 from geodrake.diagnosis.search import Found
 from geodrake.effects import FittedEffect, Role
 from geodrake.identification.logs.case import Case, error_table, series
-from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.evidence import fold_agreement
 from geodrake.identification.logs.hypothesis import Hypothesis
-from geodrake.identification.logs.model_errors import ErrorTable, Series
+from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.identification.logs.model_fit import ModelFit
 from geodrake.model.effort_signal import signal_of
 from geodrake.model.robot_model import RobotModel
@@ -61,29 +60,29 @@ def steps_of(
     steps = []
     for i, stage in enumerate(stages):
         finding, before, after = stage.finding, tables[i], tables[i + 1]
-        certainty, last = finding.certainty, i == len(stages) - 1
-        where = where_of(found, finding, fit.model.phi)
+        certainty, h, last = finding.certainty, stage.validated, i == len(stages) - 1
+        weight = felt(found, finding) / np.maximum(errors[i].mse, np.finfo(float).tiny)
         values, deviations = _values(found, finding, fit)
         rivals = _rivals(certainty, finding, found)
         unknown = unknown_probability(found, finding, [before, after, tables[-1]])
         steps.append(
             Step(
                 finding.name,
-                where,
+                where_of(found, finding, fit.model.phi),
                 before.nrms,
                 after.nrms,
                 values,
                 deviations,
                 tuple(dict.fromkeys(name for r in rivals for name in r.names)),
                 float(np.clip(certainty.chance, 0.0, 1.0)) * (1.0 - unknown),
-                _agreement(errors[i], errors[i + 1], felt(found, finding)),
+                fold_agreement(errors[i].sse @ weight, errors[i + 1].sse @ weight),
                 before.by_joint(),
                 after.by_joint(),
                 rivals,
                 unknown,
                 _systematic(found, finding, fit),
-                () if last else _series(stage.validated),
-                None if last else _model(case, stage.validated, fit),
+                () if last else series(h.dataset, h.unknowns, h.held_out, delay=h.delay),
+                None if last else _model(case, h, fit),
             )
         )
     return tuple(steps)
@@ -102,18 +101,6 @@ def _rivals(certainty: Certainty, finding: Finding, found: Found) -> tuple[Fitte
             rival.probability / max(certainty.probability, 1e-300),
         )
         for rival in certainty.rivals
-    )
-
-
-def _agreement(before: HeldOut, after: HeldOut, joints: NDArray[np.bool_]) -> float:
-    """Share of the folds in which the error falls where a finding acts."""
-    weight = joints / np.maximum(before.mse, np.finfo(float).tiny)
-    return fold_agreement(before.sse @ weight, after.sse @ weight)
-
-
-def _series(hypothesis: Hypothesis) -> tuple[Series, ...]:
-    return series(
-        hypothesis.dataset, hypothesis.unknowns, hypothesis.held_out, delay=hypothesis.delay
     )
 
 
