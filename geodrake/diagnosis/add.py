@@ -12,7 +12,7 @@ from geodrake.diagnosis.coupled import other_pairs
 from geodrake.diagnosis.explain import explained
 from geodrake.diagnosis.findings import findings_of
 from geodrake.diagnosis.results import Explanation
-from geodrake.diagnosis.search import with_forced
+from geodrake.diagnosis.search import Search
 from geodrake.effects import Effect, Role, effect_class
 from geodrake.effects.user_code import candidates_of
 from geodrake.errors import ArgumentError
@@ -72,7 +72,7 @@ def add(
         hold_resting=hold_resting,
     )
     _refuse_what_cannot_be(kind, case.model, where)
-    found = with_forced(case, kind, _places(kind, case, where), _further(kind, case, where))
+    found = Search(case).forced(kind, _places(kind, case, where), _further(kind, case, where))
     findings = [finding for finding in findings_of(found) if finding.name == kind.name]
     result = explained(case, found, findings, forced=True).explanation
     added = {term.effect for term in found.fit.terms}

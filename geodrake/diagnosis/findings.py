@@ -88,24 +88,13 @@ def findings_of(found: Found, posterior: Posterior | None = None) -> list[Findin
     for term in found.fit.terms:
         names.setdefault(term.name, []).append(term)
     findings = [Finding(n, tuple(t), posterior.of_terms(t)) for n, t in names.items()]
-    if _late(found):
+    if found.fit.choice.delay != found.model.on_time:
         findings.append(Finding(DELAY, (), posterior.of_delay()))
-    wide = found.fit.choice.width > max(found.model.beliefs.wrong, found.model.widths[0])
-    far = found.model.model.information is not None or wide
-    if (
-        INERTIA not in names
-        and found.fit.choice.width > found.model.widths[0]
-        and (far or not findings)
-    ):
+    width, least, wrong = found.fit.choice.width, found.model.widths[0], found.model.beliefs.wrong
+    far = found.model.model.information is not None or width > wrong or not findings
+    if INERTIA not in names and width > least and far:
         findings.append(Finding(INERTIA, (), posterior.of_bodies()))
     return findings
-
-
-def _late(found: Found) -> bool:
-    """Return whether the efforts of a joint are late by another time than the model said."""
-    return found.case.dataset is not None and bool(
-        np.any(found.fit.choice.delay != np.array(found.model.on_time))
-    )
 
 
 @dataclass(frozen=True, eq=False)

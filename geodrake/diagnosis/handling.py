@@ -56,17 +56,17 @@ def handled(case: Case, model: LogModel, fit: Fit) -> list[Episode]:
     found = list[Episode]()
     if not kinds:
         return found
-    around = _Around.of(model, _beside(model, fit), without=None)
+    around = _Around.of(case, model, _beside(model, fit), without=None)
     for log, trajectory in enumerate(case.trajectories):
         number = log_number(trajectory.name)
         for body in case.model.last_bodies:
-            sums = _Sums.of(case, model, around, log, body)
+            sums = _Sums.of(around, log, body)
             for window in sums.best_windows() if sums is not None else ():
                 for kind in kinds:
                     make: Callable[..., Any] = kind
                     start, end = window
                     held = make(body, start=start, end=end, rise=_RISE, log=number)
-                    found.append(_timed(case, model, around, held))
+                    found.append(_timed(around, held))
     tried = [term.effect for term in model.terms if isinstance(term.effect, Episode)]
     known = [term.effect for term in fit.terms if isinstance(term.effect, Episode)]
     return [
@@ -83,7 +83,7 @@ def instants(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
     for term in fit.terms:
         effect = term.effect
         if isinstance(effect, Episode) and effect.proposer is Proposer.HANDLING:
-            timed = _timed(case, model, _Around.of(model, fit, without=term), effect)
+            timed = _timed(_Around.of(case, model, fit, without=term), effect)
             if _distance(effect, timed) > _MOVED:
                 moved[effect] = timed
     return moved
@@ -138,16 +138,40 @@ def _beside(model: LogModel, fit: Fit) -> Fit:
 
 
 @dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows of one joint in one log, over columns of a body and those of a fit."""
+
+    joint: int
+    time: Array  # (K,) instants since the log began, s
+    body: Array  # (K, 10) columns of the body
+    known: Array  # (K, n) columns of the fit, each through its root: Σ wᵀ is a part of a complement
+    left: Array  # (K,) what the fit leaves
+    weight: float  # weight of a squared residual
+
+    def part(self, rows: NDArray[np.generic] | slice) -> _Rows:
+        """Return some of the rows."""
+        kept = {name: getattr(self, name)[rows] for name in ("time", "body", "known", "left")}
+        return replace(self, **kept)
+
+    def products(self, body: Array) -> Array:
+        """(10, n + 11) weighted products of columns (K, 10) of the body with all."""
+        return np.asarray(self.weight * body.T @ np.hstack([self.known, self.left[:, None], body]))
+
+
+@dataclass(frozen=True, eq=False)
 class _Around:
     """A fit, perhaps less one of its terms, in the form that rows of further columns need."""
 
+    case: Case
+    model: LogModel
     fit: Fit  # the fit, whose noise counts
     kept: NDArray[np.bool_]  # which of its parameters are left
     root: Array  # (n, n) lower triangle L with L Lᵀ = H, of those
     x: Array  # (n,) their values without the term
+    prior: Array  # (10, 10) prior information of a payload
 
     @classmethod
-    def of(cls, model: LogModel, fit: Fit, *, without: Term | None) -> _Around:
+    def of(cls, case: Case, model: LogModel, fit: Fit, *, without: Term | None) -> _Around:
         """Return a fit less a term, at the noise of the fit."""
         kept = np.ones(len(fit.x), bool)
         if without is not None:
@@ -159,59 +183,35 @@ class _Around:
             pull = fit.hessian[np.ix_(kept, ~kept)] @ fit.x[~kept]
             half = solve_triangular(root, pull, lower=True)
             x = x + solve_triangular(root.T, half, lower=False)
-        return cls(fit, kept, root, x)
+        prior = pullback_information(model.dataset.payload[None], max(model.beliefs.payloads))
+        return cls(case, model, fit, kept, root, x, prior)
 
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Rows of one joint in one log, over columns of a body and those of a fit."""
-
-    joint: int
-    time: Array  # (K,) instants since the log began, s
-    body: Array  # (K, 10) columns of the body
-    known: Array  # (K, n) columns of the fit, each through its root: Σ wᵀ is a part of a complement
-    left: Array  # (K,) what the fit leaves
-    weight: float  # weight of a squared residual
-
-    def part(self, rows: NDArray[np.bool_] | slice) -> _Rows:
-        """Return some of the rows."""
-        kept = {name: getattr(self, name)[rows] for name in ("time", "body", "known", "left")}
-        return replace(self, **kept)
-
-    def products(self, body: Array) -> Array:
-        """(10, n + 11) weighted products of columns (K, 10) of the body with all."""
-        return np.asarray(self.weight * body.T @ np.hstack([self.known, self.left[:, None], body]))
-
-
-def _rows_of(case: Case, model: LogModel, around: _Around, log: int, body: str) -> list[_Rows]:
-    began, found = case.trajectories[log].began, list[_Rows]()
-    start = PARAMETERS_PER_BODY * case.model.bodies.index(body)
-    own = np.arange(start, start + PARAMETERS_PER_BODY)
-    for j, data in enumerate(model.dataset.data):
-        local = data.local(own)
-        if not np.any(local >= 0):
-            continue
-        parts = [
-            rows
-            for fold, kept in zip(case.folds, data.rows, strict=True)
-            for block, rows in zip(fold.blocks, kept, strict=False)
-            if block.trajectory == log and len(rows.b)
-        ]
-        if not parts:
-            continue
-        A, b = np.concatenate([p.A for p in parts]), np.concatenate([p.b for p in parts])
-        known, effort = model.row_columns(around.fit, j, A, b)
-        known = known[:, around.kept]
-        left = effort - known @ around.x
-        wide = np.hstack([A, np.zeros((len(A), 1))])
-        turned = solve_triangular(around.root, known.T, lower=True).T
-        time = np.concatenate([p.time for p in parts]) - began
-        order = np.argsort(time, kind="stable")
-        weight = float(around.fit.weights[j])
-        found.append(
-            _Rows(j, time[order], wide[order][:, local], turned[order], left[order], weight)
-        )
-    return found
+    def rows(self, log: int, body: str) -> list[_Rows]:
+        """Return the rows of a log over columns of a body, joint by joint, in order of time."""
+        began, found = self.case.trajectories[log].began, list[_Rows]()
+        start = PARAMETERS_PER_BODY * self.case.model.bodies.index(body)
+        own = np.arange(start, start + PARAMETERS_PER_BODY)
+        for j, data in enumerate(self.model.dataset.data):
+            local = data.local(own)
+            parts = [
+                rows
+                for fold, kept in zip(self.case.folds, data.rows, strict=True)
+                for block, rows in zip(fold.blocks, kept, strict=False)
+                if block.trajectory == log and len(rows.b)
+            ]
+            if not parts or not np.any(local >= 0):
+                continue
+            A, b = np.concatenate([p.A for p in parts]), np.concatenate([p.b for p in parts])
+            known, effort = self.model.row_columns(self.fit, j, A, b)
+            known = known[:, self.kept]
+            left = effort - known @ self.x
+            turned = solve_triangular(self.root, known.T, lower=True).T
+            wide = np.hstack([A, np.zeros((len(A), 1))])[:, local]
+            time = np.concatenate([p.time for p in parts]) - began
+            weight = float(self.fit.weights[j])
+            every = _Rows(j, time, wide, turned, left, weight)
+            found.append(every.part(np.argsort(time, kind="stable")))
+        return found
 
 
 def _gains(sums: Array, known: Array) -> tuple[Array, Array]:
@@ -222,11 +222,6 @@ def _gains(sums: Array, known: Array) -> tuple[Array, Array]:
     x = np.linalg.solve(schur, pull[..., None])[..., 0]
     logarithm = np.linalg.slogdet(known)[1] - np.linalg.slogdet(schur)[1]
     return np.asarray((pull * x).sum(-1) + logarithm), np.asarray(x[..., 0])
-
-
-def _prior(model: LogModel) -> Array:
-    """(10, 10) prior information of a payload."""
-    return pullback_information(model.dataset.payload[None], max(model.beliefs.payloads))
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,12 +235,12 @@ class _Sums:
     price: float  # evidence that an instant must be worth
 
     @classmethod
-    def of(cls, case: Case, model: LogModel, around: _Around, log: int, body: str) -> _Sums | None:
+    def of(cls, around: _Around, log: int, body: str) -> _Sums | None:
         """Return the sums of a body's columns; None if there is no row."""
-        rows = _rows_of(case, model, around, log, body)
+        rows = around.rows(log, body)
         if not rows:
             return None
-        period = case.trajectories[log].filter.output_period
+        period = around.case.trajectories[log].filter.output_period
         every = np.unique(np.rint(np.concatenate([each.time for each in rows]) / period))
         if len(every) < _FEWEST:
             return None
@@ -265,8 +260,8 @@ class _Sums:
         edges = np.append((first - 0.5) * period, (every[-1] + 0.5) * period)
         total = np.concatenate([np.zeros((1, *sums.shape[1:])), np.cumsum(sums, axis=0)])
         counts = np.concatenate([[0.0], np.cumsum(counts)])
-        price = 2.0 * float(np.log(model.beliefs.order))  # it is one of many
-        return cls(edges, total, counts / counts[-1], _prior(model), price)
+        price = 2.0 * float(np.log(around.model.beliefs.order))  # it is one of many
+        return cls(edges, total, counts / counts[-1], around.prior, price)
 
     def best_windows(self) -> list[tuple[float | None, float | None]]:
         """Return the windows whose columns add most: from an instant on, until one, between two."""
@@ -319,20 +314,20 @@ class _Sums:
 # Instants between rows.
 
 
-def _timed(case: Case, model: LogModel, around: _Around, held: Episode) -> Episode:
+def _timed(around: _Around, held: Episode) -> Episode:
     """Return an episode with edges, and a rise, with which its columns add most."""
-    numbers = [log_number(trajectory.name) for trajectory in case.trajectories]
+    numbers = [log_number(trajectory.name) for trajectory in around.case.trajectories]
     if held.window[3] not in numbers:
         return held
     log, body = numbers.index(held.window[3]), held.where[0]
     inside = dict(zip(("start", "end"), held.window[:2], strict=True))
     edges = {name: edge for name, edge in inside.items() if edge is not None}
-    near = [_Near.of(case, body, log, edge) for edge in edges.values()]
+    near = [_Near.of(around.case, body, log, edge) for edge in edges.values()]
     known = [each for each in near if each is not None]
     if len(known) < len(edges):  # the log has a gap there
         return held
     far, cut = np.zeros(()), list[tuple[int, _Rows, NDArray[np.intp]]]()
-    for rows in _rows_of(case, model, around, log, body):
+    for rows in around.rows(log, body):
         rest = np.ones(len(rows.time), bool)
         for k, each in enumerate(known):
             close = rest & (rows.time >= each.outputs[0]) & (rows.time <= each.outputs[-1])
@@ -360,10 +355,10 @@ def _timed(case: Case, model: LogModel, around: _Around, held: Episode) -> Episo
             return 0.0
         columns = [each.columns(other) for each in known]
         sums = far + sum(rows.products(columns[k][at, rows.joint]) for k, rows, at in cut)
-        gain, mass = _gains(np.asarray(sums)[None], prior)
+        gain, mass = _gains(np.asarray(sums)[None], around.prior)
         return -float(gain[0]) if mass[0] > 0.0 else 0.0
 
-    prior, steps = _prior(model), np.array([*(_STEP for _ in edges), _STEP_OF_RISE])
+    steps = np.array([*(_STEP for _ in edges), _STEP_OF_RISE])
     simplex = np.vstack([np.zeros(len(steps)), np.diag(steps)])
     options = {"initial_simplex": simplex, "maxiter": _TRIES, "xatol": 1e-4, "fatol": 1e-3}
     found = minimize(lost, simplex[0], method="Nelder-Mead", options=options)

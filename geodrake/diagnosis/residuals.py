@@ -53,18 +53,6 @@ class JointResidual:
         share = float(np.mean(rows))
         return replace(self, **kept, effective=max(1.0, share * self.effective))
 
-    def improvement(self, base: Sequence[Array], columns: Sequence[Array]) -> tuple[float, float]:
-        """What columns explain of the residual beyond others, in sample.
-
-        `base` are columns (K,) that may be there anyway. Returned are the share of the squared
-        residual that the further columns (K,) take away, and about χ² of as many degrees of freedom
-        as they are where they are irrelevant.
-        """
-        first = _left(self.residual, np.stack(base, 1))
-        second = _left(self.residual, np.stack([*base, *columns], 1))
-        share = 1.0 - second / first if first > 0.0 else 0.0
-        return share, float(-self.effective * np.log1p(-min(share, 1.0 - 1e-9)))
-
 
 def joint_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
     """Residuals of all joints."""
@@ -141,9 +129,6 @@ def cut_out(
     segments: Iterable[Segment | Stretch],
     window: tuple[float, float],
     pad: float,
-    segments: Iterable[Segment | Stretch],
-    window: tuple[float, float],
-    pad: float,
 ) -> tuple[Segment, Array, Array] | None:
     """Return the samples around a window, with their instants and those of filtered samples.
 
@@ -159,10 +144,3 @@ def cut_out(
             at = time[near]
             return segment[near], at, at[low_pass.output_indices(len(at))]
     return None
-
-
-def _left(residual: Array, columns: Array) -> float:
-    """Sum of squares that least squares leaves."""
-    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
-    found = np.linalg.lstsq(scaled, residual, rcond=1e-9)[0]
-    return float(np.square(residual - scaled @ found).sum())

@@ -36,6 +36,7 @@ from geodrake.identification.logs.model_fit import effects_of
 from geodrake.logs.folds import dealt_out
 
 Array = NDArray[np.float64]
+Places = tuple[tuple[str, ...], ...]
 
 _MOST_ROUNDS = 12
 _FIRST_SHARE = 0.05
@@ -63,31 +64,16 @@ def searched(
     Raises:
         StopSearch: It was stopped before it had found anything.
     """
-    return _Search(case, Beliefs() if beliefs is None else beliefs, progress).found()
+    return Search(case, beliefs, progress).found()
 
 
-def with_forced(
-    case: Case,
-    kind: type[Effect],
-    places: tuple[tuple[str, ...], ...] | None,
-    further: Sequence[Effect] = (),
-) -> Found:
-    """Return the explanation with one effect, whatever the evidence for it.
+class Search:
+    """A search for what a model lacks, and where it is."""
 
-    Places are all joints if None, or the place that helps most. `further` instances are tried
-    beside those that the case has columns for.
-
-    Raises:
-        ArgumentError: It is one of an episode, and the residual shows none.
-    """
-    return _Search(case, Beliefs(), None).forced(kind, places, further)
-
-
-class _Search:
-    """Where a search is."""
-
-    def __init__(self, case: Case, beliefs: Beliefs, progress: Progress | None) -> None:
-        self.case, self._beliefs, self._progress = case, beliefs, progress
+    def __init__(
+        self, case: Case, beliefs: Beliefs | None = None, progress: Progress | None = None
+    ) -> None:
+        self.case, self._beliefs, self._progress = case, beliefs or Beliefs(), progress
         self._effects = list(dict.fromkeys(case.dataset.effects))
         self._grid = tuple(self._effects)
         self._origin = case.model.delays
@@ -125,12 +111,16 @@ class _Search:
         return Found(self.case, self.model, self.fit, self._start(), self._is_stopped)
 
     def forced(
-        self,
-        kind: type[Effect],
-        places: tuple[tuple[str, ...], ...] | None,
-        further: Sequence[Effect],
+        self, kind: type[Effect], places: Places | None, further: Sequence[Effect] = ()
     ) -> Found:
-        """Return the explanation with one effect; see `with_forced`."""
+        """Return the explanation with one effect, whatever the evidence for it.
+
+        Places are all joints if None, or the place that helps most. `further` instances are tried
+        beside those that the case has columns for.
+
+        Raises:
+            ArgumentError: It is one of an episode, and the residual shows none.
+        """
         if kind.role is Role.EPISODE or kind.proposer is Proposer.WAVES:
             further = [e for e in self._suggested() if isinstance(e, kind)] or further
             if kind.role is Role.EPISODE and not further:
@@ -150,7 +140,7 @@ class _Search:
             self.fit = self._with_best(kind, places)
         return Found(self.case, self.model, self.fit, self._start())
 
-    def _with_best(self, kind: type[Effect], places: tuple[tuple[str, ...], ...] | None) -> Fit:
+    def _with_best(self, kind: type[Effect], places: Places | None) -> Fit:
         """The most probable explanation with one effect at some places, in its best shape."""
         model, was = self.model, self._start()
         if kind.role is Role.DELAY:
@@ -178,23 +168,18 @@ class _Search:
         together = tuple(fit.terms[0] for fit in best.values())
         return self._best([model.choice(together, w, was.choice.delay) for w in known], was)
 
-    def _latest(self, was: Fit, places: tuple[tuple[str, ...], ...] | None) -> Fit:
+    def _latest(self, was: Fit, places: Places | None) -> Fit:
         """Return the best delay of all efforts, or of those of each of some joints."""
-        joints, fit = range(len(was.choice.delay)), was
-        every = [tuple(joints)]
+        fit, every = was, [[*range(len(self._on_time))]]
         if places is not None:
-            every = [(self.case.model.joints.index(name),) for (name,) in places]
+            every = [[self.case.model.joints.index(name)] for (name,) in places]
         for moved in every:
-            choices = [
-                Choice(
-                    (),
-                    was.choice.width,
-                    tuple(k if j in moved else fit.choice.delay[j] for j in joints),
-                )
+            delays = [
+                tuple(k if j in moved else own for j, own in enumerate(fit.choice.delay))
                 for k in range(len(self.case.dataset.delays))
             ]
-            late = [c for c in choices if any(c.delay[j] != self._on_time[j] for j in moved)]
-            fit = self._best(late, was)
+            late = [d for d in delays if any(d[j] != self._on_time[j] for j in moved)]
+            fit = self._best([Choice((), was.choice.width, delay) for delay in late], was)
         return fit
 
     def _best(self, choices: Sequence[Choice], was: Fit) -> Fit:
