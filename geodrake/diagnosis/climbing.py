@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Hashable
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.log_model import Choice, Fit, LogModel
+from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.diagnosis.moves import neighbours
 
 Array = NDArray[np.float64]
@@ -72,7 +72,7 @@ def _settled(model: LogModel, fit: Fit) -> Fit:
     shares, seen = model.shares(fit), {fit.choice.key}
     for _ in range(_MOST_STEPS):
         choices = [choice for choice in neighbours(model, fit) if choice.key not in seen]
-        tried = _fitted(model, choices, fit.variance, shares)
+        tried = model.ranked(choices, shares, fit.variance)
         if not tried or tried[0].score <= fit.score:
             break
         fit = tried[0]
@@ -93,23 +93,17 @@ def _step(
     high = np.maximum(own, _OPTIMISTIC)
     fit = _refitted(model, fit, high if hopeful else own)
     choices = [choice for choice in neighbours(model, fit, joints=joints) if choice.key not in seen]
-    tried = _fitted(model, choices, fit.variance, high)
+    tried = model.ranked(choices, high, fit.variance)
     promising = tried[:_JUDGED]
     if not hopeful:
         choices = [each.choice for each in tried]
-        promising += _fitted(model, choices, fit.variance, own)[:_JUDGED]
+        promising += model.ranked(choices, own, fit.variance)[:_JUDGED]
     best, gain = None, 1e-6
     for other in {each.choice.key: each for each in promising}.values():
         found = gain_of(model, fit, other, hopeful=hopeful)
         if found is not None and found[0] > gain:
             gain, best = found
     return best
-
-
-def _fitted(model: LogModel, choices: list[Choice], variance: Array, shares: Array) -> list[Fit]:
-    """Fits of explanations, the most probable first."""
-    fits = [model.fit(choice, shares, variance) for choice in choices]
-    return sorted((fit for fit in fits if fit is not None), key=lambda fit: -fit.score)
 
 
 def _refitted(model: LogModel, fit: Fit, shares: Array) -> Fit:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -130,11 +131,15 @@ def refined(window: ResidualWindow, contact: PointEpisode, *, tries: int = ENOUG
         clear = values > max(cut**2 * values[-1], np.finfo(float).tiny)
         return float(np.sum(np.square((A.T @ b) @ vectors[:, clear]) / values[clear]))
 
-    start = np.zeros(len(steps))
-    simplex = np.vstack([start, np.diag(steps)])
-    options = {"initial_simplex": simplex, "maxiter": tries, "xatol": 1e-3, "fatol": 1e-2}
-    found = minimize(lambda x: -explained(x), start, method="Nelder-Mead", options=options)
-    return moved(found.x) or contact
+    best = least_step(lambda x: -explained(x), steps, tries, xatol=1e-3, fatol=1e-2)
+    return moved(best) or contact
+
+
+def least_step(loss: Callable[[Array], float], steps: Array, tries: int, **close: float) -> Array:
+    """Return the step from zero to where a loss is least, by the simplex of Nelder and Mead."""
+    simplex = np.vstack([np.zeros(len(steps)), np.diag(steps)])
+    options = {"initial_simplex": simplex, "maxiter": tries, **close}
+    return np.asarray(minimize(loss, simplex[0], method="Nelder-Mead", options=options).x)
 
 
 def with_point(window: ResidualWindow, contact: PointEpisode) -> PointEpisode:

@@ -29,7 +29,7 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
     Returned with the fit is the case with its columns.
     """
     end = found.model.validated(found.fit)
-    delays = found.case.model.delays + delays_of(found.model, found.fit).seconds
+    delays = found.case.model.delays + delays_of(found.model, found.fit)[0]
     lags = fitted_delays(delays, case.model.joints)
     reopened = _with_fitted_loads(found.case, end, lags)
     settled = end.moved(reopened.dataset, delay=0, iterations=_MOST_ITERATIONS)

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.log_model import Delay, Fit, LogModel
+from geodrake.diagnosis.log_model import Choice, Delay, Fit
 from geodrake.diagnosis.posterior import Certainty, Posterior, nrms_of
 from geodrake.diagnosis.results import Verdict
 from geodrake.diagnosis.search import Found
@@ -108,34 +108,30 @@ class StagedFinding:
 
 def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[StagedFinding]]:
     """Return the model before the first step, and findings in the order of their gains."""
-    model, end = found.model, found.fit
-    width = end.choice.width
-    if any(f.name == INERTIA and not f.terms for f in findings):
-        width = model.widths[0]
-    at = _fitted(model, (), width, model.on_time, end)
+    model, moved = found.model, any(f.name == INERTIA and not f.terms for f in findings)
+    width = model.widths[0] if moved else found.fit.choice.width
+    at = _fitted(found, (), width, model.on_time)
     start, stages, left = model.validated(at), list[StagedFinding](), [*findings]
     while left:
-        tried = [(each, _with(model, at, each, end)) for each in left]
+        tried = [(each, _with(found, at.choice, each)) for each in left]
         finding, at = min(tried, key=lambda pair: nrms_of(model, pair[1]))
         left.remove(finding)
         stages.append(StagedFinding(finding, at, model.validated(at)))
     return start, stages
 
 
-def _with(model: LogModel, fit: Fit, finding: Finding, end: Fit) -> Fit:
-    """Return an explanation and one finding more."""
-    was, width, delay = fit.choice, fit.choice.width, fit.choice.delay
-    if finding.name == DELAY:
-        delay = end.choice.delay
-    if finding.name == INERTIA and not finding.terms:
-        width = end.choice.width
-    return _fitted(model, (*was.terms, *finding.terms), width, delay, end)
+def _with(found: Found, was: Choice, finding: Finding) -> Fit:
+    """Return an explanation and one finding more, as it was found."""
+    end = found.fit.choice
+    width = end.width if finding.name == INERTIA and not finding.terms else was.width
+    delay = end.delay if finding.name == DELAY else was.delay
+    return _fitted(found, (*was.terms, *finding.terms), width, delay)
 
 
-def _fitted(model: LogModel, terms: Sequence[Term], width: float, delay: Delay, end: Fit) -> Fit:
-    choice, shares = model.choice(terms, width, delay), model.shares(end)
+def _fitted(found: Found, terms: Sequence[Term], width: float, delay: Delay) -> Fit:
+    choice, shares = found.model.choice(terms, width, delay), found.model.shares(found.fit)
     # Beside what is missing still, something may be negative.
-    return model.fit(choice, shares) or model.unbounded(choice, shares)
+    return found.model.fit(choice, shares) or found.model.unbounded(choice, shares)
 
 
 def probable(
@@ -243,12 +239,10 @@ def where_of(found: Found, finding: Finding, phi: Array) -> tuple[str, ...]:
 
 def late_joints(found: Found) -> tuple[str, ...]:
     """Joints that are late alone; none where all are alike."""
-    data, delay = found.model.dataset, found.fit.choice.delay
-    joints = np.arange(len(delay))
-    late = data.delays[list(delay), joints] - data.delays[list(found.model.on_time), joints]
+    late = found.model.lateness(found.fit.choice)
     if np.ptp(late) < 1e-9:
         return ()
-    return tuple(data.joints[j] for j in np.flatnonzero(np.abs(late) > 1e-9))
+    return tuple(found.model.dataset.joints[j] for j in np.flatnonzero(np.abs(late) > 1e-9))
 
 
 def moved_bodies(case: Case, phi: Array, finding: Finding) -> dict[str, float]:

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
-from scipy.optimize import minimize
 
+from geodrake.diagnosis.contact_window import least_step
 from geodrake.diagnosis.episodes import MOST_TIME
 from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.diagnosis.residuals import cut_out
@@ -359,10 +359,7 @@ def _timed(around: _Around, held: Episode) -> Episode:
         return -float(gain[0]) if mass[0] > 0.0 else 0.0
 
     steps = np.array([*(_STEP for _ in edges), _STEP_OF_RISE])
-    simplex = np.vstack([np.zeros(len(steps)), np.diag(steps)])
-    options = {"initial_simplex": simplex, "maxiter": _TRIES, "xatol": 1e-4, "fatol": 1e-3}
-    found = minimize(lost, simplex[0], method="Nelder-Mead", options=options)
-    return moved(found.x) or held
+    return moved(least_step(lost, steps, _TRIES, xatol=1e-4, fatol=1e-3)) or held
 
 
 @dataclass(frozen=True, eq=False)

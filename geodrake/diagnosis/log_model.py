@@ -192,29 +192,22 @@ class LogModel:
     def odds_against(self, choice: Choice) -> float:
         """Return twice the logarithm of the prior odds against an explanation."""
         beliefs = self.beliefs
-        late = {
-            j
-            for j, pair in enumerate(zip(choice.delay, self.on_time, strict=True))
-            if pair[0] != pair[1]
-        }
-        total = odds_against(choice.terms)
-        if late:
-            alike = len(late) == len(choice.delay) and len(self._seconds(choice.delay)) == 1
+        total, late = odds_against(choice.terms), np.not_equal(choice.delay, self.on_time)
+        if late.any():
+            alike = late.all() and len(np.unique(np.round(self.lateness(choice), 9))) == 1
             total += 2.0 * np.log(beliefs.delays)
             if not alike:
-                total += 2.0 * len(late) * np.log(beliefs.again * beliefs.shape)
+                total += 2.0 * int(late.sum()) * np.log(beliefs.again * beliefs.shape)
         # Of widths that explain the same, the narrower one is the simpler one.
         total += 2.0 * np.log1p(_SIMPLER * self.widths.index(choice.width))
         if choice.width > (beliefs.wrong if self.model.information is None else 1.0):
             total += 6.0 * np.log(beliefs.rarer)
         return float(total)
 
-    def _seconds(self, delay: Delay) -> frozenset[float]:
-        """Return the delays of the joints, s, beyond the model's own."""
-        delays = self.dataset.delays
-        late = delays[list(delay), np.arange(len(delay))]
-        own = delays[list(self.on_time), np.arange(len(delay))]
-        return frozenset(np.round(late - own, 9).tolist())
+    def lateness(self, choice: Choice) -> Array:
+        """(nv,) delays of an explanation beyond those of the model, s."""
+        grid, joints = self.dataset.delays, np.arange(len(self.on_time))
+        return np.asarray(grid[list(choice.delay), joints] - grid[list(self.on_time), joints])
 
     def are_compatible(self, terms: Terms) -> bool:
         """Return whether terms may stand together, beside what the model has."""
@@ -254,6 +247,11 @@ class LogModel:
             logarithm += float(np.log1p(_PINNED / prior[below, below]).sum())
             prior[below, below] += _PINNED
         return None
+
+    def ranked(self, choices: Iterable[Choice], shares: Array, variance: Array) -> list[Fit]:
+        """Fit explanations, the most probable first, without those that `fit` refuses."""
+        fits = [self.fit(choice, shares, variance) for choice in choices]
+        return sorted((fit for fit in fits if fit is not None), key=lambda fit: -fit.score)
 
     def unbounded(self, choice: Choice, shares: Array, variance: Array | None = None) -> Fit:
         """Fit as `fit` does, whatever is negative."""
@@ -337,9 +335,12 @@ class LogModel:
         """Return (nv,) how many independent samples each row of a fit's residuals is worth."""
         key = fit.choice.key
         if key not in self._shares:
-            columns, x = self.dataset_parameters(fit)
-            folds = np.tile(x, (len(self.dataset.folds), 1))
-            found = effective_per_joint(self.dataset, columns, folds, delay=fit.choice.delay)
+            p, nv, data = len(self.unknowns.columns), len(self.rows), self.dataset
+            known = [self.unknowns.columns, *map(data.effect_columns, self._reversals)]
+            columns = np.concatenate([*known, *(term.columns for term in fit.terms)])
+            x = np.delete(fit.x, np.arange(p, p + nv))  # without gains
+            folds = np.tile(x, (len(data.folds), 1))
+            found = effective_per_joint(data, columns, folds, delay=fit.choice.delay)
             worth = np.minimum(found, self.beliefs.discrepancy)
             # What is more than sensor noise goes with the motion, however often that repeats.
             noise = np.square(NOISE_MARGIN * self.dataset.noise_floor) / fit.variance
@@ -347,13 +348,6 @@ class LogModel:
             samples = 1.0 / ((1.0 - more) / found + more / worth)
             self._shares[key] = np.clip(samples / self.rows, _LEAST_SHARE, 1.0)
         return self._shares[key]
-
-    def dataset_parameters(self, fit: Fit) -> tuple[Indices, Array]:
-        """Return columns (p,) of the dataset and their parameters (p,), without gains."""
-        p, nv, data = len(self.unknowns.columns), len(self.rows), self.dataset
-        columns = [self.unknowns.columns, *(data.effect_columns(e) for e in self._reversals)]
-        columns += [term.columns for term in fit.terms]
-        return np.concatenate(columns), np.delete(fit.x, np.arange(p, p + nv))
 
     def gain_moments(self, fit: Fit) -> Array:
         """Return (nv, nv) second moments of the gains' errors, as prior and data have them."""

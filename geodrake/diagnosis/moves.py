@@ -61,10 +61,8 @@ def neighbours(
 
 def additions(model: LogModel, fit: Fit) -> list[Fit]:
     """Add terms of one name to an explanation at every place where they gain, best first."""
-    shares = model.shares(fit)
     choices = [move.choice for move in _Finder(model, fit).added()]
-    fits = [model.fit(choice, shares, fit.variance) for choice in choices]
-    return sorted((each for each in fits if each is not None), key=lambda each: -each.score)
+    return model.ranked(choices, model.shares(fit), fit.variance)
 
 
 def _other_widths(model: LogModel, choice: Choice) -> list[Choice]:

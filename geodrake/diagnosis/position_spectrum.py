@@ -51,17 +51,10 @@ def highest_peak(
     amplitude H(n |v| / 2π). Samples are therefore taken together by speed, each class binned over
     position and transformed, and the transforms added as a matched filter does.
 
-    Args:
-        motion: Positions (K,) and velocities (K,).
-        residual: (K,) filtered residuals.
-        effective: How many independent samples these are worth.
-        gain: Response H of the filter at frequencies in Hz.
-        bandwidth: Bandwidth of the filter, Hz.
-        least_waves: Waves that the range of motion must hold; of more than `LEAST_WAVES`, the flank
-            of what is slower is no peak.
-
-    Returns:
-        The peak; None where the motion is too small or too fast for any order to show.
+    Motion is positions (K,) and velocities (K,), and the residual (K,) is worth `effective`
+    independent samples, filtered with response `gain` at frequencies in Hz and a bandwidth in Hz.
+    The range of motion must hold `least_waves`: of more than `LEAST_WAVES`, the flank of what is
+    slower is no peak. None where the motion is too small or too fast for any order to show.
     """
     q, speed = motion[0], np.abs(motion[1])
     span = float(np.ptp(q))

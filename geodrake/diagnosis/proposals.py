@@ -45,10 +45,12 @@ def _ripples(
     """At every joint the order of the highest peak in the residual's spectrum over position."""
     kinds = [kind for kind in case.effect_classes if kind.proposer is Proposer.WAVES]
     low_pass = case.trajectories[0].filter
+    # What is a function of the position alone and no wave, such as a spring.
+    smooth = {e.where for e in known if e.depends_on == {"q"} and e.proposer is not Proposer.WAVES}
     for joint in joints:
         if joint.joint not in case.model.single_joints or np.ptp(joint.q) <= 0.0:
             continue
-        beside = any(e.where == (joint.joint,) and _is_smooth(e) for e in known)
+        beside = (joint.joint,) in smooth
         peak = highest_peak(
             (joint.q, joint.v),
             joint.residual,
@@ -70,8 +72,3 @@ def _ripples(
             make: Callable[..., Effect] = kind
             waves = tuple(make(joint.joint, n) for n in orders if n >= least)
             yield Proposal(waves, peak.share, alarm)
-
-
-def _is_smooth(effect: Effect) -> bool:
-    """Whether an effect is a function of the position alone that is no wave, such as a spring."""
-    return effect.depends_on == {"q"} and effect.proposer is not Proposer.WAVES

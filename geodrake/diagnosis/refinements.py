@@ -6,7 +6,7 @@ Each is a coordinate of the explanation. Columns are made anew for its neighbour
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,16 +50,12 @@ def least_between(offsets: Array, errors: Array) -> tuple[float, float]:
 # Delays.
 
 
-@dataclass(frozen=True, eq=False)
-class Delays:
-    """Delays of all joints between those of a grid."""
+def delays_of(model: LogModel, fit: Fit) -> tuple[Array, Array]:
+    """Find the delays near those of a fit at which it is most probable.
 
-    seconds: Array  # (nv,) on top of the model's, s
-    deviations: Array  # (nv,) standard deviations, s; infinite where nobody knows
-
-
-def delays_of(model: LogModel, fit: Fit) -> Delays:
-    """Find the delays near those of a fit at which it is most probable."""
+    Returned are those (nv,) on top of the model's, s, and their standard deviations (nv,), s;
+    infinite where nobody knows.
+    """
     dataset, delay = model.dataset, fit.choice.delay
     joints = np.arange(len(delay))
     seconds = dataset.delays[list(delay), joints].copy()
@@ -77,7 +73,7 @@ def delays_of(model: LogModel, fit: Fit) -> Delays:
             continue
         step, deviations[moved] = least_between(grid[near] - grid[own], -np.array(scores, float))
         seconds[moved] += step
-    return Delays(seconds, deviations)
+    return seconds, deviations
 
 
 def _score_at(model: LogModel, fit: Fit, joints: list[int], delay: int) -> float | None:
@@ -90,22 +86,11 @@ def _score_at(model: LogModel, fit: Fit, joints: list[int], delay: int) -> float
 
 def _late_together(model: LogModel, choice: Choice) -> list[list[int]]:
     """Joints whose efforts are late by the same, all of them, or each alone."""
-    grid, joints = model.dataset.delays, range(len(choice.delay))
-    late = [
-        float(grid[k, j] - grid[o, j])
-        for j, k, o in zip(joints, choice.delay, model.on_time, strict=True)
-    ]
-    moved = [j for j in joints if abs(late[j]) > 1e-9]
+    late = model.lateness(choice)
+    moved = np.flatnonzero(np.abs(late) > 1e-9).tolist()
     if len(moved) == len(late) and np.ptp(late) < 1e-9:
-        return [list(joints)]
+        return [moved]
     return [[j] for j in moved]
-
-
-def with_delays(case: Case, found: Delays) -> Case:
-    """Return a case whose model has the delays that were found."""
-    lags = fitted_delays(case.model.delays + found.seconds, case.model.joints)
-    kept = [f for f in case.model.effects if f.effect.parameters]
-    return replace(case, model=replace(case.model, effects=(*kept, *lags)))
 
 
 def fitted_delays(delays: Array, joints: Sequence[str]) -> list[FittedEffect]:

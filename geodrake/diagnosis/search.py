@@ -21,8 +21,8 @@ from geodrake.diagnosis.refinements import (
     expansions,
     fading_speeds,
     finer_shapes,
+    fitted_delays,
     fitted_loads,
-    with_delays,
 )
 from geodrake.diagnosis.search_progress import FoundStep, Progress, progress_of
 from geodrake.diagnosis.terms import Key, Term, Terms
@@ -185,10 +185,10 @@ class Search:
     def _best(self, choices: Sequence[Choice], was: Fit) -> Fit:
         """Return the most probable of some explanations, even where it is not physical."""
         shares = np.full(len(self.model.rows), _FORCED_SHARE)
-        fits = [self.model.fit(choice, shares, was.variance) for choice in choices]
-        known = [fit for fit in fits if fit is not None]
-        known = known or [self.model.unbounded(c, shares, was.variance) for c in choices]
-        return max(known, key=lambda fit: fit.score)
+        if ranked := self.model.ranked(choices, shares, was.variance):
+            return ranked[0]
+        fits = [self.model.unbounded(choice, shares, was.variance) for choice in choices]
+        return max(fits, key=lambda fit: fit.score)
 
     def _suggested(self) -> list[Effect]:
         """Return what the residual suggests: shared actuators, ripples, contacts."""
@@ -320,7 +320,8 @@ class Search:
         if moved:
             self._effects = [moved.get(effect, effect) for effect in self._effects]
         loads = fitted_loads(self.case, self.model, self.fit)
-        if loads is not None and self._needs_loads():
+        effects = [term.effect for term in self.fit.terms if not term.is_body]
+        if loads is not None and any(e and "load" in e.depends_on for e in effects):
             self.case = replace(self.case, loads=loads, kept=KeptMotion())
             changed = True
         if changed or near or moved:
@@ -341,11 +342,6 @@ class Search:
         self._anew()
         return True
 
-    def _needs_loads(self) -> bool:
-        """Return whether something in the explanation depends on the load."""
-        effects = [term.effect for term in self.fit.terms if not term.is_body]
-        return any(effect is not None and "load" in effect.depends_on for effect in effects)
-
     def _retimed(self) -> bool:
         """Advance the efforts by the delay that was found, if it is another one than before."""
         delay = self.fit.choice.delay
@@ -354,16 +350,18 @@ class Search:
             return False
         if self._timed is not None and self.fit.terms == self._timed and not late:
             return False
-        found = delays_of(self.model, self.fit)
-        far = np.abs(found.seconds) > _OTHER_DELAY * found.deviations
+        (seconds, deviations), model = delays_of(self.model, self.fit), self.case.model
+        far = np.abs(seconds) > _OTHER_DELAY * deviations
         if self._timed is not None and not late and not far.any():
             return False
-        delays = np.rint((self.case.model.delays + found.seconds) / (0.25 * self._step))
+        delays = np.rint((model.delays + seconds) / (0.25 * self._step))
         tried = frozenset(term.key for term in self.fit.terms), tuple(delays.astype(int).tolist())
         if tried in self._times:  # which led back to here
             return False
         self._times.add(tried)
-        self.case = with_delays(self.case, found)
+        lags = fitted_delays(model.delays + seconds, model.joints)
+        kept = [each for each in model.effects if each.effect.parameters]
+        self.case = replace(self.case, model=replace(model, effects=(*kept, *lags)))
         half = 0.5 * self._step if self._timed is None else 0.25 * self._step
         grid = np.unique(np.concatenate([self._step * np.arange(-3, 4), [half, -half]]))
         others = [x for x in grid.tolist() if abs(x) > 1e-12]

@@ -118,7 +118,7 @@ def _values(found: Found, finding: Finding, fit: ModelFit) -> tuple[Values, Valu
         moved = moved_bodies(found.case, fit.model.phi, finding)
         return {b: {"mass": masses[b], "distance_from_prior": d} for b, d in moved.items()}, {}
     if finding.name == DELAY:
-        spread = delays_of(found.model, found.fit).deviations
+        _, spread = delays_of(found.model, found.fit)
         joints = found.model.dataset.joints
         at = {joint: joints.index(joint) for joint in late_joints(found)} or {"all joints": 0}
         delays = fit.model.delays

@@ -257,11 +257,8 @@ def _finding(before: Found, after: Found, joint: str) -> Finding | None:
 def _rivals(found: Found, joint: str) -> list[str]:
     """Return formulas of no more terms from which the logs hardly tell the one that was found."""
     model, shares = found.model, found.model.shares(found.fit)
-    fits = [
-        model.fit(c, shares, found.fit.variance)
-        for c in neighbours(model, found.fit, joints=[joint])
-    ]
-    near = sorted((fit for fit in fits if fit is not None), key=lambda fit: -fit.score)
+    choices = neighbours(model, found.fit, joints=[joint])
+    near = model.ranked(choices, shares, found.fit.variance)
     scores = np.array([found.fit.score, *(fit.score for fit in near)])
     weights = np.exp(0.5 * (scores - scores.max()))
     likely = [f for f, w in zip(near, weights[1:] / weights.sum(), strict=True) if w >= _TOLD]
