@@ -123,18 +123,15 @@ class LogModel:
     # What there is to fit.
 
     def _assemble(self) -> None:
-        """Return the normal matrices over all columns: model, gains, reversals, terms."""
+        """Form the normal matrices over all columns: model, gains, reversals, terms."""
         data, nv = self.dataset, len(self.dataset.joints)
         self._reversals = [e for e in data.effects if isinstance(e, UnresolvedReversal)]
         sources = [self.unknowns.columns, np.full(nv, -1)]
         sources += [data.effect_columns(effect) for effect in self._reversals]
         self.first_term = sum(map(len, sources))
-        at, self.at = self.first_term, dict[Term, Indices]()
-        for term in self.terms:
-            self.at[term] = np.arange(at, at + len(term.columns))
-            sources.append(term.columns)
-            at += len(term.columns)
-        columns = np.concatenate(sources)
+        spans = self.spans(self.terms).items()
+        self.at = {term: np.arange(span.start, span.stop) for term, span in spans}
+        columns = np.concatenate([*sources, *(term.columns for term in self.terms)])
         self.grams, self.places = [], []
         for j, joint in enumerate(data.data):
             gram = joint.grams.sum(axis=0)
@@ -150,9 +147,8 @@ class LogModel:
             self.grams.append(wider)
             self.places.append(places)
         self.efforts = [len(joint.columns) for joint in data.data]
-        first = [places[: self.first_term] for places in self.places]
-        parts = zip(self.grams, first, strict=True)
-        self._base = np.array([gram[np.ix_(at, at)] for gram, at in parts])
+        first = [np.ix_(*(places[: self.first_term],) * 2) for places in self.places]
+        self._base = np.array([gram[at] for gram, at in zip(self.grams, first, strict=True)])
         self.mean = np.zeros(len(columns))
         self.mean[: len(self.unknowns.columns)] = self.unknowns.mean
         gains = np.maximum(data.gain_uncertainty, 1e-6) ** -2.0

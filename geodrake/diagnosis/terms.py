@@ -151,16 +151,13 @@ def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list
     kind, metric = effect_of(Role.INERTIA), pullback_information(model.phi, beliefs.free)
     odds = 2.0 * (np.log(len(model.bodies)) + kind.complexity * np.log(beliefs.rarer))
     odds += 0.0 if model.information is None else 2.0 * np.log(beliefs.fitted)
-    terms = []
-    for b, body in enumerate(model.bodies):
-        columns = np.arange(b * PARAMETERS_PER_BODY, (b + 1) * PARAMETERS_PER_BODY)
-        known = metric[np.ix_(columns, columns)]
-        key = (kind.name, (body,))
-        none = np.zeros(0, np.intp)
-        terms.append(
-            Term(kind.name, (body,), None, columns, known, odds, odds, none, frozenset({key}))
-        )
-    return terms
+    sources = np.arange(len(metric)).reshape(-1, PARAMETERS_PER_BODY)
+    none = np.zeros(0, np.intp)
+    return [
+        Term(kind.name, (body,), None, at, metric[np.ix_(at, at)], odds, odds, none, says)
+        for body, at in zip(model.bodies, sources, strict=True)
+        for says in [frozenset({(kind.name, (body,))})]
+    ]
 
 
 def _column_sizes(dataset: Dataset) -> Array:
