@@ -11,8 +11,7 @@ from geodrake.boundary.arguments import instance
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.findings import (
     StagedFinding,
-    believed,
-    findings_of,
+    named,
     probable,
     unknown_probability,
     verdict_of,
@@ -65,8 +64,8 @@ def diagnose(
         blocks=blocks,
         hold_resting=hold_resting,
     )
-    found, posterior = believed(searched(case, beliefs))
-    found, start, stages = probable(case, found, findings_of(found, posterior))
+    found, findings, _ = named(searched(case, beliefs))
+    found, start, stages = probable(case, found, findings)
     refitted, before = error_table(case.dataset, start.held_out), comparison(case)
     candidates = _candidates(case, found, start, stages) if stages else []
     return Diagnosis(
@@ -88,7 +87,7 @@ def _candidates(
     data = found.case.dataset
     held_out = (start.held_out, first.validated.held_out, stages[-1].validated.held_out)
     errors = [error_table(data, each) for each in held_out]
-    unknown = unknown_probability(found, finding, errors)
+    known = 1.0 - unknown_probability(found, finding, errors)
     bare = found.model.bare(found.model.shares(first.fit))
     candidates = [
         Candidate(
@@ -97,12 +96,12 @@ def _candidates(
             before,
             first.validated.nrms,
             first.fit.score - bare.score,
-            unknown + (1.0 - unknown) * certainty.chance,
+            1.0 - known * (1.0 - certainty.chance),
             tied=True,
         )
     ]
     candidates += [
-        Candidate(r.effect, r.where, before, r.nrms, 0.0, 1.0 - r.probability, tied=True)
+        Candidate(r.effect, r.where, before, r.nrms, 0.0, 1.0 - known * r.probability, tied=True)
         for r in certainty.rivals
     ]
     seen = {candidate.effect for candidate in candidates}

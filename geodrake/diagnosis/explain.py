@@ -12,22 +12,19 @@ from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.final_fit import final_fit
 from geodrake.diagnosis.findings import (
     Finding,
-    believed,
-    findings_of,
     holds,
     largest_residual,
+    less,
+    named,
     probable,
     staged,
     verdict_of,
-    with_findings,
-    without,
 )
 from geodrake.diagnosis.notes import notes_of
 from geodrake.diagnosis.results import Explanation, Step
 from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.search_progress import Progress
 from geodrake.diagnosis.steps import steps_of
-from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
@@ -104,15 +101,13 @@ def investigate(
     case: Case, *, beliefs: Beliefs | None = None, progress: Progress | None = None
 ) -> Investigation:
     """Explain a case that has columns for candidates; see `explain`."""
-    found, posterior = believed(searched(case, beliefs, progress=progress))
-    findings = [e for e in findings_of(found, posterior) if e.name != UnknownFunction.name]
-    unknown = [term for term in found.fit.terms if isinstance(term.effect, UnknownFunction)]
+    found, findings, unknown = named(searched(case, beliefs, progress=progress))
     notes = [
-        f"what is left at {term.where[0]} goes with its position and speed in a way that no effect "
+        f"what is left at {joint} goes with its position and speed in a way that no effect "
         "describes; `--draft` looks for a formula"
-        for term in unknown
+        for joint in unknown
     ]
-    return explained(case, without(found, unknown), findings, notes=notes)
+    return explained(case, found, findings, notes=notes)
 
 
 def explained(
@@ -131,6 +126,7 @@ def explained(
     said = [*([_STOPPED] if found.is_stopped else []), *case.notes, *notes]
     if steps:
         said += notes_of(found, case, fit, bodies)
+    said += _left_out(findings, steps)
     explanation = Explanation(
         verdict_of(after.errors, bool(steps), left=largest_residual(found)),
         steps,
@@ -166,5 +162,19 @@ def _holding(
         before = (stages[-2].validated if len(stages) > 1 else start).held_out
         if holds(found, stages[-1].finding, before, fit.held_out):
             return found, after, fit, start, steps
-        findings = [stage.finding for stage in stages[:-1]]
-        found = with_findings(found, findings)
+        findings = [stage.finding for stage in stages]
+        found, findings = less(found, findings, findings[-1])
+
+
+def _left_out(findings: Sequence[Finding], steps: Sequence[Step]) -> list[str]:
+    """Describe findings that became no steps."""
+    told, notes = {step.effect for step in steps}, []
+    for finding in findings:
+        if finding.name not in told:
+            places = dict.fromkeys(place for term in finding.terms for place in term.where)
+            where = f" at {', '.join(places)}" if places else ""
+            notes.append(
+                f"{finding.name}{where} was found and is no step: it takes too little of the "
+                "held-out error away"
+            )
+    return notes

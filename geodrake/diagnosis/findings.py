@@ -14,6 +14,7 @@ from geodrake.diagnosis.posterior import Certainty, Posterior, nrms_of
 from geodrake.diagnosis.results import Verdict
 from geodrake.diagnosis.search import Found
 from geodrake.diagnosis.terms import Term
+from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects import Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table
@@ -29,7 +30,6 @@ DELAY, INERTIA = effect_of(Role.DELAY).name, effect_of(Role.INERTIA).name
 
 _MOST_OF_REVERSALS = 2.0
 """Reversals that logs do not resolve add at most this, over the noise, to what is explained."""
-_SHARPNESS = 1.5
 _ROUNDING = 1e-6
 
 
@@ -46,7 +46,7 @@ def believed(found: Found) -> tuple[Found, Posterior]:
     """Return what was found, where nothing is more probable in the place of any of its terms.
 
     The most probable explanation may have a term that most others have not: what they agree on is
-    adopted, another term or none.
+    adopted, another term or none. Of explanations that lead to each other, it is the last one.
     """
     seen = {found.fit.choice.key}
     while True:
@@ -55,8 +55,9 @@ def believed(found: Found) -> tuple[Found, Posterior]:
             ((term, posterior.of_terms([term])) for term in found.fit.terms),
             key=lambda each: each[1].probability,
         )
-        better = next(filter(None, (_instead(found, *each) for each in told)), None)
-        if better is None or better.choice.key in seen:
+        others = filter(None, (_instead(found, *each) for each in told))
+        better = next((fit for fit in others if fit.choice.key not in seen), None)
+        if better is None:
             return found, posterior
         found = replace(found, fit=better)
         seen.add(better.choice.key)
@@ -79,6 +80,17 @@ def without(found: Found, gone: Sequence[Term]) -> Found:
         return found
     choice = model.choice(kept, fit.choice.width, fit.choice.delay)
     return replace(found, fit=model.unbounded(choice, model.shares(fit), fit.variance))
+
+
+def named(found: Found) -> tuple[Found, list[Finding], list[str]]:
+    """Return what is believed of what was found: findings, and joints with something unknown.
+
+    A function of a joint's motion that no effect describes is not fitted.
+    """
+    found, posterior = believed(found)
+    findings = [f for f in findings_of(found, posterior) if f.name != UnknownFunction.name]
+    unknown = [term for term in found.fit.terms if isinstance(term.effect, UnknownFunction)]
+    return without(found, unknown), findings, [term.where[0] for term in unknown]
 
 
 def findings_of(found: Found, posterior: Posterior | None = None) -> list[Finding]:
@@ -148,15 +160,25 @@ def probable(
         ]
         if min(chances, default=1.0) >= found.model.beliefs.least:
             return found, start, stages
-        least = int(np.argmin(chances))
-        findings = [stage.finding for k, stage in enumerate(stages) if k != least]
-        found = with_findings(found, findings)
+        found, findings = less(found, findings, stages[int(np.argmin(chances))].finding)
 
 
-def with_findings(found: Found, findings: Sequence[Finding]) -> Found:
-    """Return what was found with some of its findings alone."""
-    stages = staged(found, findings)[1]
-    return replace(found, fit=stages[-1].fit if stages else found.start)
+def less(found: Found, findings: Sequence[Finding], gone: Finding) -> tuple[Found, list[Finding]]:
+    """Return what was found without one of its findings, and without those that need it."""
+    model, was = found.model, found.fit
+    left, kept, terms = [f for f in findings if f is not gone], list[Finding](), tuple[Term, ...]()
+    while left:
+        able = [f for f in left if model.are_compatible((*terms, *f.terms))]
+        if not able:
+            break
+        left.remove(able[0])
+        kept.append(able[0])
+        terms = (*terms, *able[0].terms)
+    if gone.name == INERTIA and not gone.terms:  # bodies go back to the file
+        choice = model.choice(was.terms, model.widths[0], was.choice.delay)
+        found = replace(found, fit=model.unbounded(choice, model.shares(was), was.variance))
+    stages = staged(found, kept)[1]
+    return replace(found, fit=stages[-1].fit if stages else found.start), kept
 
 
 def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTable]) -> float:
@@ -167,7 +189,8 @@ def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTa
 
     `errors` are those before and after it, and in the end.
     """
-    if verdict_of(errors[2], True, left=largest_residual(found)) != "unexplained":
+    is_left = verdict_of(errors[2], True, left=largest_residual(found)) == "unexplained"
+    if not is_left or not errors[2].shows_noise:
         return 0.0
     before, after, end = (np.array([e.rms**2 for e in table.joints]) for table in errors)
     weight = felt(found, finding) / np.array([e.std**2 for e in errors[2].joints])
@@ -176,8 +199,8 @@ def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTa
     gone = max(0.0, float(weight @ (before - after)))
     if left <= 0.0:
         return 0.0
-    odds = (gone / (found.model.beliefs.part * left)) ** _SHARPNESS
-    return 1.0 / (1.0 + odds)
+    beliefs = found.model.beliefs
+    return 1.0 / (1.0 + (gone / (beliefs.part * left)) ** beliefs.sharpness)
 
 
 def felt(found: Found, finding: Finding) -> NDArray[np.bool_]:

@@ -216,11 +216,18 @@ class LogModel:
         return Choice(tuple(sorted(terms, key=lambda t: self.at[t][0])), width, delay)
 
     def alike(self, terms: Terms, moved: Mapping[Effect, Effect] | None = None) -> list[Term]:
-        """Return the terms that stand for those of another model, effects moved, as far as any."""
-        own = {term.effect or term.where: term for term in self.terms}
-        others = moved or {}
-        wanted = [others.get(t.effect, t.effect) if t.effect else t.where for t in terms]
-        return [own[each] for each in wanted if each in own]
+        """Return the terms that stand for those of another model, effects moved, as far as any.
+
+        A payload is light or heavy: of terms of one effect it is the one with the nearest prior.
+        """
+        own, found, others = dict[object, list[Term]](), list[Term](), moved or {}
+        for term in self.terms:
+            own.setdefault(term.effect or term.where, []).append(term)
+        for was in terms:
+            effect = others.get(was.effect, was.effect) if was.effect else was.where
+            near = own.get(effect, [])
+            found += sorted(near, key=lambda t: abs(t.log_information - was.log_information))[:1]
+        return found
 
     def fit(self, choice: Choice, shares: Array, variance: Array | None = None) -> Fit | None:
         """Fit the most probable parameters and noise of an explanation.

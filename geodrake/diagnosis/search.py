@@ -239,7 +239,9 @@ class Search:
         grid = self.case.dataset.delays
         late = any(abs(grid[k, j]) > 1e-9 for j, k in enumerate(fit.choice.delay))
         returned = self._timed is not None and fit.choice.delay == self._on_time
-        if (late and not returned) or expansions(self.case, self.model, fit):
+        if late and not returned and self._timing(fit) not in self._times:
+            return True
+        if expansions(self.case, self.model, fit):
             return True
         return bool(finer_shapes(fit.terms, self._grid, self._zooms))
 
@@ -342,6 +344,12 @@ class Search:
         self._anew()
         return True
 
+    def _timing(self, fit: Fit) -> tuple[frozenset[Key], tuple[int, ...]]:
+        """Return what an explanation has, and its delays in quarters of a step."""
+        seconds = self.case.model.delays + delays_of(self.model, fit)[0]
+        delays = np.rint(seconds / (0.25 * self._step)).astype(int)
+        return frozenset(term.key for term in fit.terms), tuple(delays.tolist())
+
     def _retimed(self) -> bool:
         """Advance the efforts by the delay that was found, if it is another one than before."""
         delay = self.fit.choice.delay
@@ -354,11 +362,10 @@ class Search:
         far = np.abs(seconds) > _OTHER_DELAY * deviations
         if self._timed is not None and not late and not far.any():
             return False
-        delays = np.rint((model.delays + seconds) / (0.25 * self._step))
-        tried = frozenset(term.key for term in self.fit.terms), tuple(delays.astype(int).tolist())
-        if tried in self._times:  # which led back to here
+        timing = self._timing(self.fit)
+        if timing in self._times:  # which led back to here
             return False
-        self._times.add(tried)
+        self._times.add(timing)
         lags = fitted_delays(model.delays + seconds, model.joints)
         kept = [each for each in model.effects if each.effect.parameters]
         self.case = replace(self.case, model=replace(model, effects=(*kept, *lags)))
