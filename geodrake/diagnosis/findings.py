@@ -164,7 +164,10 @@ def probable(
 
 
 def less(found: Found, findings: Sequence[Finding], gone: Finding) -> tuple[Found, list[Finding]]:
-    """Return what was found without one of its findings, and without those that need it."""
+    """Return what was found without one of its findings, and without those that need it.
+
+    Where none is left, bodies that come closer to the logs than those of the file are one.
+    """
     model, was = found.model, found.fit
     left, kept, terms = [f for f in findings if f is not gone], list[Finding](), tuple[Term, ...]()
     while left:
@@ -177,8 +180,10 @@ def less(found: Found, findings: Sequence[Finding], gone: Finding) -> tuple[Foun
     if gone.name == INERTIA and not gone.terms:  # bodies go back to the file
         choice = model.choice(was.terms, model.widths[0], was.choice.delay)
         found = replace(found, fit=model.unbounded(choice, model.shares(was), was.variance))
-    stages = staged(found, kept)[1]
-    return replace(found, fit=stages[-1].fit if stages else found.start), kept
+    if kept:
+        return replace(found, fit=staged(found, kept)[1][-1].fit), kept
+    found = replace(found, fit=found.start)
+    return found, [] if gone.name == INERTIA else findings_of(found)
 
 
 def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTable]) -> float:

@@ -65,6 +65,18 @@ def test_bodies_that_are_no_finding_stay_at_the_file(found):
     assert fewer.fit.choice.width == found.model.widths[0] < widest
 
 
+def test_bodies_are_the_finding_where_nothing_else_is_left(found):
+    """They come closer to the logs than those of the file, and that is never silent."""
+    model, was = found.model, found.fit
+    wide = model.unbounded(model.nothing(model.widths[-1]), model.shares(was), was.variance)
+    whole = replace(with_terms(found, "coulomb_friction"), start=wide)
+    findings = findings_of(whole)
+    fewer, kept = less(whole, findings, named(findings, "coulomb_friction"))
+    assert [each.name for each in kept] == [INERTIA]
+    assert fewer.fit is wide
+    assert less(fewer, kept, kept[0])[1] == []
+
+
 def table(rms, floor):
     return ErrorTable(tuple(JointError(j, rms, 1.0, floor) for j in ("shoulder", "elbow")))
 
