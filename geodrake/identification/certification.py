@@ -13,9 +13,8 @@ from functools import partial
 import numpy as np
 
 from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
-from geodrake.identification.certificate import TOLERANCE, Certificate, Scope
 from geodrake.identification.conic_fit import conic_solution
-from geodrake.identification.fit import FitResult, fit_result
+from geodrake.identification.fit import TOLERANCE, Certificate, FitResult, Scope, fit_result
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.program import build_fit
 from geodrake.identification.solvers import solved_apart

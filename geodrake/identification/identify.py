@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -11,9 +12,8 @@ from numpy.typing import ArrayLike
 from geodrake.boundary.arguments import instance, number, one_of, real_array, typed
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
-from geodrake.identification.certificate import Certificate
 from geodrake.identification.constraints import BodyConstraints, checked_bounds
-from geodrake.identification.fit import FitResult
+from geodrake.identification.fit import Certificate, FitResult
 from geodrake.identification.problem import FitProblem, checked, whitened_factor
 from geodrake.identification.regularizer import Entropic, Euclidean, Pullback, Regularizer
 from geodrake.identification.riemannian import Riemannian, RiemannianFit
@@ -208,8 +208,8 @@ def regularizer_of(regularizer: str | Regularizer) -> Regularizer:
     return REGULARIZERS[one_of(regularizer, "regularizer", REGULARIZERS)]()
 
 
-def physical_prior(prior: ArrayLike) -> Array:
-    """Return a prior (nb, 10) of bodies that can exist.
+def physical_prior(prior: ArrayLike, names: Sequence[str] = ()) -> Array:
+    """Return a prior (nb, 10) of bodies that can exist, of a model's if they have names.
 
     Raises:
         ArgumentError: There are none, or some cannot exist; its evidence then has `bodies` and, as
@@ -219,17 +219,24 @@ def physical_prior(prior: ArrayLike) -> Array:
     if not len(prior):
         raise ArgumentError("The prior has no bodies.", advice="Give one row for every body of A.")
     wrong = np.flatnonzero(~is_physical(prior)).tolist()
-    if wrong:
-        least = np.linalg.eigvalsh(pseudo_inertia(prior[wrong]))[:, 0]
-        raise ArgumentError(
-            f"The prior is not physical for bodies {wrong}: their pseudo inertia is not positive "
-            f"definite, with smallest eigenvalues {', '.join(f'{value:.3g}' for value in least)}.",
-            advice="Give them a mass, a centre of mass and an inertia that a solid body can have; "
-            "evidence['nearest'] of this error is a prior with the least such change.",
-            bodies=wrong,
-            nearest=nearest_prior(prior),
+    if not wrong:
+        return prior
+    nearest, bodies = nearest_prior(prior), [names[body] for body in wrong] if names else wrong
+    least = np.linalg.eigvalsh(pseudo_inertia(prior[wrong]))[:, 0]
+    what, advice = (
+        f"The prior is not physical for bodies {wrong}: their pseudo inertia is not positive "
+        f"definite, with smallest eigenvalues {', '.join(f'{value:.3g}' for value in least)}.",
+        "Give them a mass, a centre of mass and an inertia that a solid body can have; "
+        "evidence['nearest'] of this error is a prior with the least such change.",
+    )
+    if names:
+        what, advice = (
+            f"The model's inertial parameters of {', '.join(bodies)} are those of no body, so they "
+            "cannot be a prior.",
+            "Load the model from its URDF, SDF or MJCF file, which repairs them; "
+            "evidence['nearest'] of this error has the nearest ones.",
         )
-    return prior
+    raise ArgumentError(what, advice=advice, bodies=bodies, nearest=nearest)
 
 
 def nearest_prior(prior: Array) -> Array:
