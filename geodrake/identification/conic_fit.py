@@ -65,15 +65,11 @@ def solve_fit(
 def solve_with_fallback(problem: FitProblem) -> FitResult:
     """Return the fit in closed form or by Newton's method, or by Clarabel where that gives up.
 
-    Raises:
-        ArgumentError: No physical bodies inside all constraints reach the residual bound; its
-            evidence has the `minimum` that they reach.
-        IdentificationError: Neither solver found a solution, most often because there is none.
-        ConvergenceError: Newton's method found none, and the conic solver none in time.
+    The ArgumentError of a residual bound that no physical bodies inside all constraints reach has
+    the `minimum` that they do in its evidence.
     """
     begin = time.perf_counter()
-    quick = _in_closed_form(problem)
-    if quick is not None:
+    if (quick := _in_closed_form(problem)) is not None:
         return quick
     try:
         return solve_newton(problem)
@@ -108,12 +104,9 @@ def conic_solution(
 def solution_of(fit: FitProgram, result: MathematicalProgramResult) -> tuple[Array, float]:
     """Return parameters (p,) of a conic solution, and the γ of the regularized problem with them.
 
-    They are inside bounds and physical. γ comes from the residual cone's multiplier μ: at the
-    boundary ‖u‖ = s of the cone, d² + μ (‖u‖ − s)/s is stationary, and so is d² + ‖u‖²/γ with
-    γ = 2 s²/μ.
-
-    Raises:
-        IdentificationError: A body is not physical, as the solver was not exact enough.
+    They are inside bounds and physical, or an IdentificationError says that the solver was not
+    exact enough. γ comes from the residual cone's multiplier μ: at the boundary ‖u‖ = s of the
+    cone, d² + μ (‖u‖ − s)/s is stationary, and so is d² + ‖u‖²/γ with γ = 2 s²/μ.
     """
     problem, bound = fit.problem, fit.problem.residual_bound
     x = fit.coordinates.parameters(result.GetSolution(fit.z))

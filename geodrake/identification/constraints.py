@@ -37,11 +37,9 @@ class BodyConstraints(Short):
     com_bounds: ArrayLike | None = None
 
     def rows(self, prior: Array, size: int) -> LinearConstraints | None:
-        """Return the constraints on x = [Φ, extra] (size,) with a prior Φ⁰ (nb, 10); None of none.
+        """Return those on x = [Φ, extra] (size,) with a prior Φ⁰ (nb, 10), which they may refuse.
 
-        Raises:
-            ArgumentError: A shape or value is wrong, bounds contradict each other, or an ellipsoid
-                does not contain the prior's body.
+        They are None if nothing limits x.
         """
         given = {
             _ellipsoid_rows: self.ellipsoids,

@@ -43,19 +43,12 @@ def svec(matrices: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Scalars:
-    """Positive scalars over their priors, y = begin + slope z.
+    """Positive scalars over their priors, y = begin + slope z."""
 
-    Attributes:
-        columns: (k,) indices in z.
-        begin: (k,) y at z = 0.
-        slope: (k,) change of y with z.
-        weights: (k,) weights of their divergence.
-    """
-
-    columns: NDArray[np.intp]
-    begin: Array
-    slope: Array
-    weights: Array
+    columns: NDArray[np.intp]  # (k,) indices in z
+    begin: Array  # (k,) y at z = 0
+    slope: Array  # (k,) change of y with z
+    weights: Array  # (k,) weights of their divergence
 
     def ratios(self, z: Array) -> Array:
         """Return y (k,) at z (p,)."""
@@ -70,18 +63,12 @@ class Coordinates:
     P = L Lᵀ: there the pullback metric ([Lee2019] Eq. (B.1.7)) is half the identity, whatever
     the frame and units. A scalar is divided by its prior, where it is a positive one that has
     one, and else by the norm of its column of data and prior.
-
-    Attributes:
-        problem: The problem they belong to.
-        transform: (p, p) block-diagonal T.
-        starts: (n_blocks, 4, 4) matrices L⁻¹ P(φ₀) L⁻ᵀ.
-        references: (n_blocks, 4, 4) matrices L⁻¹ P(reference) L⁻ᵀ, the identity unless centred.
     """
 
     problem: FitProblem
-    transform: Array
-    starts: Array
-    references: Array
+    transform: Array  # (p, p) block-diagonal T
+    starts: Array  # (n_blocks, 4, 4) matrices L⁻¹ P(φ₀) L⁻ᵀ
+    references: Array  # (n_blocks, 4, 4) matrices L⁻¹ P(reference) L⁻ᵀ, the identity unless centred
 
     @classmethod
     def of(cls, problem: FitProblem, *, centre: Array | None = None) -> Coordinates:

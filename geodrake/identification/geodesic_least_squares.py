@@ -31,25 +31,15 @@ _MOST_ROUNDS = 5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GeodesicLeastSquaresResult:
-    """Bodies found by `geodesic_least_squares`.
+    """Bodies found by `geodesic_least_squares`."""
 
-    Attributes:
-        phi: (nb, 10) inertial parameters, all physical.
-        cost: Σ γ_i ½ d(Φ, H_i)² + γ ½ d(Φ, Φ⁰)² over the rows that were used.
-        residual: ‖A Φ − b‖²_{Σ⁻¹} over all rows.
-        rejected: Rows without a projection near enough, which were left out.
-        iterations: Iterations taken.
-        distance: Length of a further Newton step, about the geodesic distance from the minimum.
-        curvature: Least eigenvalue of the Hessian over γ, which is above zero at a minimum.
-    """
-
-    phi: Array
-    cost: float
-    residual: float
-    rejected: tuple[int, ...]
+    phi: Array  # (nb, 10) inertial parameters, all physical
+    cost: float  # Σ γ_i ½ d(Φ, H_i)² + γ ½ d(Φ, Φ⁰)² over the rows that were used
+    residual: float  # ‖A Φ − b‖²_{Σ⁻¹} over all rows
+    rejected: tuple[int, ...]  # rows without a projection near enough, which were left out
     iterations: int
-    distance: float
-    curvature: float
+    distance: float  # length of a further Newton step, about the geodesic distance from the minimum
+    curvature: float  # least eigenvalue of the Hessian over γ, which is above zero at a minimum
 
 
 def geodesic_least_squares(

@@ -31,25 +31,15 @@ _MARGIN = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IdentificationResult(Short):
-    """Identified parameters.
+    """Identified parameters."""
 
-    Attributes:
-        phi: (nb, 10) inertial parameters, all physical.
-        extra: (extra,) further linear parameters, such as friction coefficients.
-        residual: ‖A x − b‖²_{Σ⁻¹} at the solution, dimensionless when sigma was given.
-        divergence: d(Φ, Φ⁰)² of the regularizer, without γ, extra parameters included.
-        regularizer: Its name.
-        gamma: The weight γ given, or in the point-to-set form the γ of the same solution.
-        fit: The solution's details: information, standard deviations, active constraints.
-    """
-
-    phi: Array
-    extra: Array
-    residual: float
-    divergence: float
-    regularizer: str
-    gamma: float
-    fit: FitResult
+    phi: Array  # (nb, 10) inertial parameters, all physical
+    extra: Array  # (extra,) further linear parameters, such as friction coefficients
+    residual: float  # ‖A x − b‖²_{Σ⁻¹} at the solution, dimensionless when sigma was given
+    divergence: float  # d(Φ, Φ⁰)² of the regularizer, without γ, extra parameters included
+    regularizer: str  # its name
+    gamma: float  # the weight γ given, or in the point-to-set form the γ of the same solution
+    fit: FitResult  # the solution's details: information, standard deviations, active constraints
 
     @property
     def solver(self) -> str:

@@ -49,21 +49,13 @@ _UNIT = np.eye(4)
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """A point between start and solution, or a step from it.
+    """A point between start and solution, or a step from it."""
 
-    Attributes:
-        z: (p,) coordinates.
-        Z: (n, 4, 4) dual matrices of the blocks.
-        slack: (m,) slacks s of the inequalities.
-        multipliers: (m,) multipliers λ of the inequalities.
-        forces: (l,) multipliers ν of the equalities.
-    """
-
-    z: Array
-    Z: Array
-    slack: Array
-    multipliers: Array
-    forces: Array
+    z: Array  # (p,) coordinates
+    Z: Array  # (n, 4, 4) dual matrices of the blocks
+    slack: Array  # (m,) slacks s of the inequalities
+    multipliers: Array  # (m,) multipliers λ of the inequalities
+    forces: Array  # (l,) multipliers ν of the equalities
 
     def moved(self, step: Iterate, length: float) -> Iterate:
         """Return this point, a length of a step further."""
@@ -73,21 +65,14 @@ class Iterate:
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Minimum of a `NewtonProgram`.
-
-    Attributes:
-        program: The program.
-        point: The minimum with its multipliers.
-        early: A point well inside on the way there, from where that of similar data is near too.
-        steps: Newton steps that were taken.
-        gap: Bound on how much lower the cost was before the last step, to first order.
-    """
+    """Minimum of a `NewtonProgram`."""
 
     program: NewtonProgram
-    point: Iterate
+    point: Iterate  # the minimum with its multipliers
+    # A point well inside on the way there, from where that of similar data is near too.
     early: Iterate
-    steps: int
-    gap: float
+    steps: int  # Newton steps that were taken
+    gap: float  # bound on how much lower the cost was before the last step, to first order
 
 
 def minimize(
@@ -97,9 +82,6 @@ def minimize(
 
     A start with positive definite S and Z and positive slacks and multipliers saves some steps; a
     gap of `enough` will do.
-
-    Raises:
-        IdentificationError: The constraints contradict each other, or rounding got in the way.
     """
     if start is not None:
         try:

@@ -92,10 +92,7 @@ class PointMassRegularizer(Regularizer):
     ) -> PointMassFit:
         """Return the masses that fit best, by Drake's conic solver of that name, Clarabel if None.
 
-        Raises:
-            ArgumentError: The prior is not that of the points, or no masses reach the residual
-                bound; its evidence then has the `minimum` that they reach.
-            IdentificationError: The solver found no solution.
+        The ArgumentError of a residual bound that no masses reach has the `minimum` that they do.
         """
         begin, solver = time.perf_counter(), solver or "clarabel"
         self._check(prior)

@@ -20,12 +20,7 @@ def whitened_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = Non
     """Return a triangular factor of the whitened data [A | b]/σ, all that a fit needs of them.
 
     It is (p + 1, p + 1) upper triangular [R r; 0 ρ], with ‖A x − b‖²_{Σ⁻¹} = ‖R x − r‖² + ρ² for
-    every x.
-
-    Args:
-        A: (m, p) regressor.
-        b: (m,) measurements.
-        sigma: (m,) or scalar standard deviations of b, in the units of b; None for 1.
+    every x. The arguments are those of `identify`.
     """
     return triangular_factor([whitened(A, b, sigma=sigma)])
 

@@ -22,26 +22,17 @@ _LOGARITHM = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
 
 @dataclass(eq=False)
 class FitProgram:
-    """A fit as a conic program, ready for any of Drake's conic solvers.
+    """A fit as a conic program, ready for any of Drake's conic solvers."""
 
-    Attributes:
-        problem: What it was built from.
-        coordinates: Map between its variables and the parameters.
-        program: The program itself; other convex costs and constraints may be added to it.
-        z: (p,) decision variables, the coordinates of the parameters.
-        cost_scale: Value by which the cost was divided.
-        residual_cone: Constraint of the point-to-set form, or None.
-        residual_scale: Value by which the residual was divided in `residual_cone`.
-        others: Other variables, with the map from z to the most favourable values of each.
-    """
-
-    problem: FitProblem
-    coordinates: Coordinates
+    problem: FitProblem  # what it was built from
+    coordinates: Coordinates  # map between its variables and the parameters
+    # The program itself; other convex costs and constraints may be added to it.
     program: MathematicalProgram
-    z: Any
-    cost_scale: float = 1.0
-    residual_cone: Any = None
-    residual_scale: float = 1.0
+    z: Any  # (p,) decision variables, the coordinates of the parameters
+    cost_scale: float = 1.0  # value by which the cost was divided
+    residual_cone: Any = None  # constraint of the point-to-set form, or None
+    residual_scale: float = 1.0  # value by which the residual was divided in `residual_cone`
+    # Other variables, with the map from z to the most favourable values of each.
     others: list[tuple[Any, Callable[[Array], Array]]] = field(default_factory=list)
 
     def point(self, x: Array) -> Array:

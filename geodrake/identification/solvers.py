@@ -74,16 +74,12 @@ _OTHER_CAUSE = (
 
 def check_solver(solver: str) -> None:
     """Raise an ArgumentError if the solver is unknown or unavailable."""
-    if isinstance(solver, str) and solver in SOLVERS and _is_usable(solver):
-        return
-    advice = "MOSEK needs a licence: set MOSEKLM_LICENSE_FILE." if solver == "mosek" else ""
-    usable = ", ".join(filter(_is_usable, SOLVERS))
-    raise ArgumentError(f"No conic solver '{solver}' here; there are {usable}.", advice=advice)
-
-
-def _is_usable(solver: str) -> bool:
-    kind = SOLVERS[solver]()
-    return bool(kind.available() and kind.enabled())
+    engines = {name: kind() for name, kind in SOLVERS.items()}
+    usable = [name for name, engine in engines.items() if engine.available() and engine.enabled()]
+    if solver not in usable:
+        advice = "MOSEK needs a licence: set MOSEKLM_LICENSE_FILE." if solver == "mosek" else ""
+        there = ", ".join(usable)
+        raise ArgumentError(f"No conic solver '{solver}' here; there are {there}.", advice=advice)
 
 
 def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
@@ -92,11 +88,6 @@ def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
     Where rounding has left no digit of a step, Clarabel panics on the numbers that are none, and
     that ends the process it is in. No check before the call can tell, as it takes the last digits
     of an iterate; a little less accuracy often ends before that.
-
-    Raises:
-        GeodrakeError: What `solve` raised.
-        IdentificationError: The solver ended its process.
-        ConvergenceError: It found nothing in time.
     """
     over = time.monotonic() + _SECONDS
     for accuracies in (EXACTLY, NEARLY):
@@ -120,11 +111,8 @@ def run_solver(
     """Return the solution of a program, and the duality gap that Clarabel may have left.
 
     It runs in this process; `solved_apart` is safe where this is not. The gap is in the unit of the
-    cost.
-
-    Raises:
-        ArgumentError: There is no such solver here, or it cannot solve this kind of program.
-        IdentificationError: The solver found no solution; its `evidence` has the status.
+    cost. The IdentificationError of a solver that found no solution has the `status` in its
+    evidence.
     """
     check_solver(solver)
     engine = SOLVERS[solver]()
@@ -158,11 +146,7 @@ def _failure(solver: str, status: str, how: str, why: tuple[str, str]) -> Identi
 
 
 def cone_multiplier(result: MathematicalProgramResult, cone: Any) -> float:
-    """Return the multiplier of a Lorentz cone's bound, of which residual bounds need one.
-
-    Raises:
-        ArgumentError: The solver gives none.
-    """
+    """Return the multiplier of a Lorentz cone's bound, of which residual bounds need one."""
     try:
         return abs(float(result.GetDualSolution(cone)[0]))
     except ValueError:
