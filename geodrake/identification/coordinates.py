@@ -85,7 +85,7 @@ class Coordinates:
             if centre is not None:
                 scale[column] = max(centre[column], 0.0) + _CENTRE_FLOOR * prior
         transform = np.diag(scale)
-        references = scales = _references(problem)
+        references = scales = _pseudo_inertias(problem)
         if centre is not None:
             scales = _pseudo_inertias(problem, centre) + _CENTRE_FLOOR * references
         roots = np.linalg.cholesky(scales)
@@ -166,19 +166,15 @@ class Coordinates:
 
     def smallest_eigenvalues(self, x: ArrayLike) -> Array:
         """Return the smallest eigenvalue of P(reference)⁻¹ P(φ) of each block (n_blocks,) of x."""
-        roots = np.linalg.cholesky(_references(self.problem))
+        roots = np.linalg.cholesky(_pseudo_inertias(self.problem))
         relative = _congruent(roots, _pseudo_inertias(self.problem, np.asarray(x, float)))
         return np.asarray(np.linalg.eigvalsh(relative), float)[..., 0]
 
 
-def _pseudo_inertias(problem: FitProblem, x: Array) -> Array:
-    """Return P(φ_i) of every block of x (p,); (n_blocks, 4, 4)."""
-    blocks = [x[start : start + 10] for start in problem.inertia_blocks]
-    return pseudo_inertia(np.reshape(blocks, (-1, 10)))
-
-
-def _references(problem: FitProblem) -> Array:
-    blocks = [problem.reference[start] for start in problem.inertia_blocks]
+def _pseudo_inertias(problem: FitProblem, x: Array | None = None) -> Array:
+    """Return P(φ_i) of every block of x (p,), or of its references; (n_blocks, 4, 4)."""
+    references, starts = problem.reference, problem.inertia_blocks
+    blocks = [references[k] if x is None else x[k : k + 10] for k in starts]
     return pseudo_inertia(np.reshape(blocks, (-1, 10)))
 
 

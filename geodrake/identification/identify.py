@@ -211,7 +211,6 @@ def physical_prior(prior: ArrayLike, names: Sequence[str] = ()) -> Array:
     wrong = np.flatnonzero(~is_physical(prior)).tolist()
     if not wrong:
         return prior
-    nearest, bodies = nearest_prior(prior), [names[body] for body in wrong] if names else wrong
     least = np.linalg.eigvalsh(pseudo_inertia(prior[wrong]))[:, 0]
     what, advice = (
         f"The prior is not physical for bodies {wrong}: their pseudo inertia is not positive "
@@ -219,6 +218,7 @@ def physical_prior(prior: ArrayLike, names: Sequence[str] = ()) -> Array:
         "Give them a mass, a centre of mass and an inertia that a solid body can have; "
         "evidence['nearest'] of this error is a prior with the least such change.",
     )
+    bodies = [names[body] for body in wrong] if names else []
     if names:
         what, advice = (
             f"The model's inertial parameters of {', '.join(bodies)} are those of no body, so they "
@@ -226,7 +226,7 @@ def physical_prior(prior: ArrayLike, names: Sequence[str] = ()) -> Array:
             "Load the model from its URDF, SDF or MJCF file, which repairs them; "
             "evidence['nearest'] of this error has the nearest ones.",
         )
-    raise ArgumentError(what, advice=advice, bodies=bodies, nearest=nearest)
+    raise ArgumentError(what, advice=advice, bodies=bodies or wrong, nearest=nearest_prior(prior))
 
 
 def nearest_prior(prior: Array) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from geodrake.boundary.arguments import instances, integer
 from geodrake.errors import ArgumentError, GeodrakeError
-from geodrake.identification.certification import certified, uncertified
+from geodrake.identification.conic_fit import certified, uncertified
 from geodrake.identification.fit import FitResult, fit_result
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.regularizer import Entropic, Pullback, Regularizer

@@ -11,8 +11,7 @@ from scipy.linalg import block_diag
 
 from geodrake.effects import FittedEffect, Role
 from geodrake.effects.base import Effect
-from geodrake.identification.certification import certified
-from geodrake.identification.conic_fit import solve_with_fallback
+from geodrake.identification.conic_fit import certified, solve_with_fallback
 from geodrake.identification.fit import FitResult
 from geodrake.identification.logs.criteria import SPREAD, WORTH
 from geodrake.identification.logs.cross_validation import HeldOut, hold_out
