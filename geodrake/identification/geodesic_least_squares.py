@@ -71,16 +71,9 @@ def geodesic_least_squares(
     in every iteration, but by a share of about γ / Σ γ_i of what is left where data say nothing:
     where γ is small it says that it has not converged.
 
-    Args:
-        A: (m, 10·nb) regressor.
-        b: (m,) measurements.
-        prior: (nb, 10) physical inertial parameters Φ⁰.
-        gamma: Weight γ > 0.
-        sigma: (m,) or scalar standard deviations of b, in its units; None for 1.
-        method: "newton" or "cyclic".
-        tolerance: Geodesic distance from the minimum at which to stop, by the next Newton step; or
-            where rounding hides what is left of it.
-        max_iterations: Iterations after which to give up.
+    A (m, 10·nb), b, the prior Φ⁰, γ and sigma are those of `identify`. It stops at a `tolerance`,
+    the geodesic distance from the minimum by the next Newton step, or where rounding hides what is
+    left of it, and gives up after `max_iterations`.
 
     Raises:
         ArgumentError: No row has a projection.

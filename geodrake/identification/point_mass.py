@@ -31,15 +31,10 @@ _MOST = 1_000_000  # points of a body
 
 @dataclass(frozen=True, eq=False)
 class PointMasses(Short):
-    """Point masses of several bodies.
-
-    Attributes:
-        positions: For every body (n_i, 3) positions in its frame, m.
-        masses: For every body (n_i,) prior masses ⁰μ > 0, kg.
-    """
+    """Point masses of several bodies: (n_i, 3) positions in each one's frame, m, and ⁰μ > 0, kg."""
 
     positions: tuple[Array, ...]
-    masses: tuple[Array, ...]
+    masses: tuple[Array, ...]  # (n_i,) prior masses ⁰μ
 
     def __post_init__(self) -> None:
         places = instances(self.positions, "positions", object)
@@ -62,13 +57,10 @@ class PointMasses(Short):
 
     @classmethod
     def of_bodies(cls, phi: ArrayLike, counts: int | Sequence[int] = 85) -> PointMasses:
-        """Equal masses, spread evenly over the uniform ellipsoid of every body.
+        """Equal masses, spread evenly over the uniform ellipsoid of every body of phi (nb, 10).
 
-        They have the bodies' inertial parameters exactly, so that `parameters()` returns phi.
-
-        Args:
-            phi: (nb, 10) physical inertial parameters.
-            counts: Number of points of every body, or of each; at least 10.
+        They have the bodies' inertial parameters exactly, so that `parameters()` returns phi. The
+        counts, one or one a body, are at least 10 points.
         """
         phi, numbers = _checked_bodies(phi, counts)
         positions = []
@@ -87,11 +79,7 @@ class PointMasses(Short):
 
         Half of the points are spread evenly over the region, with equal masses, half of what the
         body can have there. The other points are those of `of_bodies` for the rest of the body.
-
-        Args:
-            phi: (nb, 10) physical inertial parameters.
-            ellipsoids: The regions, of shape (nb,).
-            counts: Number of points of every body, or of each; at least 20.
+        Regions are of shape (nb,) for phi (nb, 10); counts, one or one a body, at least 20 points.
         """
         phi, numbers = _checked_bodies(phi, counts, least=2 * PARAMETERS_PER_BODY)
         regions = instance(ellipsoids, "ellipsoids", Ellipsoid)
