@@ -12,8 +12,7 @@ from geodrake.identification.models import (
     ModelIdentification,
     identify_model,
 )
-from geodrake.identification.point_mass import PointMasses
-from geodrake.identification.point_mass_fit import PointMassEuclidean, PointMassKL
+from geodrake.identification.point_mass import PointMasses, PointMassEuclidean, PointMassKL
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.program import build_fit
 from geodrake.identification.regularizer import Regularizer

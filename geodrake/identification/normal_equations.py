@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrs
 
 from geodrake.errors import IdentificationError
-
-Array = NDArray[np.float64]
+from geodrake.inertia import Array
 
 RIDGE = 1e-9
 """What is added to the diagonal of normal matrices that are scaled to have ones there. It keeps

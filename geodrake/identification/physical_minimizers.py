@@ -14,10 +14,8 @@ from geodrake.identification.newton_path import minimize
 from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.normal_equations import scaled_cholesky
 from geodrake.identification.problem import FitProblem
-from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.kernels import calc_from_pseudo_inertia, calc_pseudo_inertia
-
-Array = NDArray[np.float64]
 
 _GAP = 1e-3
 """Weight of the barrier that keeps bodies physical, beside squared residuals in variances."""

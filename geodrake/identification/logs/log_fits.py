@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.identification.comparison import RegularizerComparison, compare_regularizers
 from geodrake.identification.identify import (
@@ -26,11 +25,9 @@ from geodrake.identification.logs.unknowns import (
     pullback_information,
 )
 from geodrake.identification.residual_path import least_residual
-from geodrake.inertia import PARAMETERS_PER_BODY, is_physical, pullback_metric
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical, pullback_metric
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_messages
-
-Array = NDArray[np.float64]
 
 _NOTHING = 1e-200
 """Logs say nothing of an effect if the information of `effect_prior` is below this."""

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from geodrake.effects import FittedEffect, Role
@@ -23,10 +22,9 @@ from geodrake.identification.logs.unknowns import (
 )
 from geodrake.identification.normal_equations import scaled_cholesky, solved
 from geodrake.identification.problem import FitProblem
+from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.reduction import triangular_factor
-
-Array = NDArray[np.float64]
 
 
 def model_unknowns(dataset: Dataset, model: RobotModel, *, spread: float = SPREAD) -> Unknowns:
