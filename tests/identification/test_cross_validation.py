@@ -316,11 +316,11 @@ def test_every_joint_has_a_delay_of_its_own(dataset, model, delay):
 def test_one_matrix_of_many_that_has_no_factor_is_seen(place, wrong):
     root = np.random.default_rng(0).normal(size=(7, 4, 4))
     many = 0.1 * (root + np.swapaxes(root, 1, 2)) + np.eye(4)
-    for matrix, factor in zip(many, normal_equations.choleskies(many), strict=True):
+    for matrix, factor in zip(many, normal_equations.cholesky(many), strict=True):
         np.testing.assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix, atol=1e-8)
     many[place, 2, 1] = many[place, 1, 2] = wrong
     with pytest.raises(IdentificationError, match="not positive definite"):
-        normal_equations.choleskies(many)
+        normal_equations.cholesky(many)
 
 
 def test_normal_equations_that_are_none_are_refused():
