@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from geodrake.boundary.arguments import number, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
-from geodrake.identification.problem import LinearConstraints, checked
+from geodrake.identification.problem import LinearConstraints
 from geodrake.inertia import Array, pseudo_inertia, pseudo_inertia_basis
 
 _ROUNDING = 1e-9
@@ -93,7 +93,7 @@ def _of_bodies(rows: Array) -> Array:
 
 def _ellipsoid_rows(ellipsoids: ArrayLike, prior: Array) -> Part:
     nb = len(prior)
-    Q = checked("ellipsoids", ellipsoids, (nb, 4, 4))
+    Q = real_array(ellipsoids, "ellipsoids", (nb, 4, 4))
     Q = 0.5 * (Q + np.swapaxes(Q, 1, 2))
     wrong = np.flatnonzero(np.linalg.eigvalsh(Q[:, :3, :3])[:, -1] >= 0).tolist()
     if wrong:

@@ -14,7 +14,7 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.constraints import BodyConstraints, checked_bounds
 from geodrake.identification.fit import Certificate, FitResult
-from geodrake.identification.problem import FitProblem, checked, whitened_factor
+from geodrake.identification.problem import FitProblem, whitened_factor
 from geodrake.identification.regularizer import Entropic, Euclidean, Pullback, Regularizer
 from geodrake.identification.riemannian import Riemannian, RiemannianFit
 from geodrake.identification.riemannian_search import LocalMinima
@@ -205,7 +205,7 @@ def physical_prior(prior: ArrayLike, names: Sequence[str] = ()) -> Array:
         ArgumentError: There are none, or some cannot exist; its evidence then has `bodies` and, as
             `nearest`, the `nearest_prior` (nb, 10).
     """
-    prior = checked("prior", prior, (None, PARAMETERS_PER_BODY))
+    prior = real_array(prior, "prior", ("m", PARAMETERS_PER_BODY))
     if not len(prior):
         raise ArgumentError("The prior has no bodies.", advice="Give one row for every body of A.")
     wrong = np.flatnonzero(~is_physical(prior)).tolist()

@@ -24,7 +24,7 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.conic_fit import solution_of, solve_fit
 from geodrake.identification.fit import FitResult, fit_result
-from geodrake.identification.problem import FitProblem, LinearConstraints, checked
+from geodrake.identification.problem import FitProblem, LinearConstraints
 from geodrake.identification.program import build_fit
 from geodrake.identification.regularizer import Regularizer
 from geodrake.identification.residual_path import check_residual_bound, out_of_reach
@@ -56,14 +56,14 @@ class PointMasses(Short):
     def __post_init__(self) -> None:
         places = instances(self.positions, "positions", object)
         given = instances(self.masses, "masses", object)
-        positions = [checked(f"positions[{i}]", p, (None, 3)) for i, p in enumerate(places)]
+        positions = [real_array(p, f"positions[{i}]", ("m", 3)) for i, p in enumerate(places)]
         if len(given) != len(positions):
             raise ArgumentError(
                 f"Masses are needed for each of the {len(positions)} bodies; got those of "
                 f"{len(given)}."
             )
         masses = [
-            checked(f"masses[{i}]", mass, (len(place),))
+            real_array(mass, f"masses[{i}]", (len(place),))
             for i, (mass, place) in enumerate(zip(given, positions, strict=True))
         ]
         wrong = [i for i, mass in enumerate(masses) if not (len(mass) and (mass > 0).all())]
@@ -129,7 +129,7 @@ class PointMasses(Short):
 
     def parameters(self, masses: ArrayLike | None = None) -> Array:
         """Inertial parameters (nb, 10) of masses μ (N,), of the prior ones if None."""
-        mu = self.prior if masses is None else checked("masses", masses, (len(self.prior),))
+        mu = self.prior if masses is None else real_array(masses, "masses", (len(self.prior),))
         return (self.matrix() @ mu).reshape(-1, PARAMETERS_PER_BODY)
 
 
@@ -137,7 +137,7 @@ def _checked_bodies(
     phi: ArrayLike, counts: int | Sequence[int], least: int = PARAMETERS_PER_BODY
 ) -> tuple[Array, list[int]]:
     """Physical bodies (nb, 10), and how many points each gets."""
-    phi = checked("phi", phi, (None, PARAMETERS_PER_BODY))
+    phi = real_array(phi, "phi", ("m", PARAMETERS_PER_BODY))
     wrong = np.flatnonzero(~is_physical(phi)).tolist()
     if wrong:
         raise ArgumentError(
