@@ -23,6 +23,7 @@ from scipy.linalg.lapack import dtpmqrt, dtpqrt, dtrtrs
 from geodrake.errors import IdentificationError
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, smat, svec
 from geodrake.identification.newton_program import NewtonProgram
+from geodrake.identification.solvers import CONTRADICTION, OTHER_CAUSE, no_parameters
 from geodrake.inertia import Array
 
 _STEPS, _PATIENCE, _HALVINGS = 100, 3, 8
@@ -341,17 +342,9 @@ def _cold_start(program: NewtonProgram) -> Iterate:
 def _failure(program: NewtonProgram, point: Iterate) -> IdentificationError:
     (G, h), (E, e) = program.inequalities, program.equalities
     missed = np.append(h - G @ point.z, np.abs(E @ point.z - e)).max(initial=0.0)
-    cause = "Most often the data and the prior differ by very many orders of magnitude."
-    advice = "Check units and noise levels, raise gamma, or use the solver clarabel."
-    if missed > 1e-7 * (1.0 + np.abs(point.z).max(initial=0.0)):
-        cause = "The bounds and constraints contradict each other for physical bodies."
-        advice = "Widen the bounds, check the ellipsoids' sign and the total mass."
-    return IdentificationError(
-        f"newton found no parameters. {cause}",
-        advice=advice,
-        solver="newton",
-        violation=float(missed),
-    )
+    contradict = missed > 1e-7 * (1.0 + np.abs(point.z).max(initial=0.0))
+    why = CONTRADICTION if contradict else OTHER_CAUSE
+    return no_parameters("newton", why, violation=float(missed))
 
 
 def _solve(R: Array, right: Array, *, transposed: bool = False) -> Array:

@@ -55,21 +55,22 @@ NEARLY = (_GOOD,)
 _SECONDS = 20.0
 """Time that a fit by a conic solver may take."""
 
+CONTRADICTION = (
+    "The bounds, constraints and residual bound contradict each other for physical bodies.",
+    "Widen the bounds, check the ellipsoids' sign ([x;1]ᵀQ[x;1] ≥ 0 inside) and the total "
+    "mass, or raise the residual bound.",
+)
+OTHER_CAUSE = (
+    "Most often the data and the prior differ by very many orders of magnitude.",
+    "Check units and noise levels, raise gamma, or try another solver.",
+)
 _CAUSES = {
-    SolutionResult.kInfeasibleConstraints: (
-        "The bounds, constraints and residual bound contradict each other for physical bodies.",
-        "Widen the bounds, check the ellipsoids' sign ([x;1]ᵀQ[x;1] ≥ 0 inside) and the total "
-        "mass, or raise the residual bound.",
-    ),
+    SolutionResult.kInfeasibleConstraints: CONTRADICTION,
     SolutionResult.kUnbounded: (
         "Some parameters have neither data nor a prior that hold them.",
         "Add prior information for them, or leave their columns out.",
     ),
 }
-_OTHER_CAUSE = (
-    "Most often the data and the prior differ by very many orders of magnitude.",
-    "Check units and noise levels, raise gamma, or try another solver.",
-)
 
 
 def check_solver(solver: str) -> None:
@@ -102,7 +103,7 @@ def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
             ) from None
         except LostProcessError as error:
             lost = str(error)
-    raise _failure(solver, lost, f": its process {lost}", _OTHER_CAUSE)
+    raise no_parameters(solver, OTHER_CAUSE, f": its process {lost}", status=lost)
 
 
 def run_solver(
@@ -136,13 +137,16 @@ def run_solver(
             return result, float(share) * max(1.0, abs(result.get_optimal_cost()))
         if status != SolutionResult.kSolverSpecificError:
             break
-    raise _failure(solver, status.name, f" ({status.name})", _CAUSES.get(status, _OTHER_CAUSE))
+    why = _CAUSES.get(status, OTHER_CAUSE)
+    raise no_parameters(solver, why, f" ({status.name})", status=status.name)
 
 
-def _failure(solver: str, status: str, how: str, why: tuple[str, str]) -> IdentificationError:
-    return IdentificationError(
-        f"{solver} found no parameters{how}. {why[0]}", advice=why[1], solver=solver, status=status
-    )
+def no_parameters(
+    solver: str, why: tuple[str, str], how: str = "", **evidence: Any
+) -> IdentificationError:
+    """Return the error of a solver that found none, with a likely cause and what to do about it."""
+    problem = f"{solver} found no parameters{how}. {why[0]}"
+    return IdentificationError(problem, advice=why[1], solver=solver, **evidence)
 
 
 def cone_multiplier(result: MathematicalProgramResult, cone: Any) -> float:
