@@ -70,8 +70,8 @@ def unchecked_words(model: RobotModel) -> list[str]:
     if count <= MOST_JOINTS:
         return []
     return [
-        f"Columns are not checked: of {count} joints that would take minutes (at most "
-        f"{MOST_JOINTS} are); hold joints with --lock to check the others."
+        f"Columns are not checked, which would take minutes for {count} joints (the limit is "
+        f"{MOST_JOINTS}); hold joints with --lock to check those of the others."
     ]
 
 

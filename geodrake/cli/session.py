@@ -133,11 +133,13 @@ def _run(command: Command[R], options: LogOptions) -> None:
         update(command.working)
         result = command.work(given)
         update("Writing")
-        told = {} if columns is None else {"columns": columns_list(columns)}
+        unchecked = [] if columns is None else unchecked_words(given.model)
+        told: dict[str, Any] = {}
+        if columns is not None:
+            told = {"columns": columns_list(columns), "columns_are_checked": not unchecked}
         numbers = to_json(
             {"version": version(), "command": command.name, **command.numbers(result), **told}
         )
-        unchecked = [] if columns is None else unchecked_words(given.model)
         about_columns = [*column_words(columns or (), corrected=corrects), *unchecked]
         noted = with_first_notes(result, about_columns)
         makers = _makers(command, options, given, noted, pages)

@@ -10,10 +10,10 @@ import numpy as np
 from geodrake.boundary.arguments import instance, instances
 from geodrake.diagnosis.coupled import other_pairs
 from geodrake.diagnosis.explain import explained
+from geodrake.diagnosis.findings import findings_of
 from geodrake.diagnosis.results import Explanation
-from geodrake.diagnosis.search import with_forced
-from geodrake.diagnosis.steps import findings_of
-from geodrake.effects import Effect, FittedEffect, Role, effect_class
+from geodrake.diagnosis.search import Search
+from geodrake.effects import Effect, Role, effect_class
 from geodrake.effects.user_code import candidates_of
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import Case, open_case
@@ -72,7 +72,7 @@ def add(
         hold_resting=hold_resting,
     )
     _refuse_what_cannot_be(kind, case.model, where)
-    found = with_forced(case, kind, _places(kind, case, where), _further(kind, case, where))
+    found = Search(case).forced(kind, _places(kind, case, where), _further(kind, case, where))
     findings = [finding for finding in findings_of(found) if finding.name == kind.name]
     result = explained(case, found, findings, forced=True).explanation
     added = {term.effect for term in found.fit.terms}
@@ -100,17 +100,17 @@ def _refuse_what_cannot_be(
 
 def _refuse_unidentifiable(fitted: RobotModel, added: set[Effect]) -> None:
     """Raise an ArgumentError for an effect of which no parameter is identifiable."""
-    missing = [f.effect for f in fitted.effects if f.effect in added and _is_unidentifiable(f)]
+    missing = [
+        f.effect
+        for f in fitted.effects
+        if f.effect in added and f.deviations is not None and not np.isfinite(f.deviations).any()
+    ]
     if missing and len(missing) == len(added):
         raise ArgumentError(
             f"{missing[0].name} at {', '.join(effect.place for effect in missing)} is not "
             "identifiable from these logs, in which its columns are zero.",
             advice="Check its columns, or record a motion in which it acts.",
         )
-
-
-def _is_unidentifiable(fitted: FittedEffect) -> bool:
-    return fitted.deviations is not None and not np.isfinite(fitted.deviations).any()
 
 
 def _further(kind: type[Effect], case: Case, where: Sequence[str] | None) -> tuple[Effect, ...]:

@@ -19,14 +19,9 @@ Finding = tuple[str, Sequence[str]]
 def distinguishing_commands(found: Diagnosis | Explanation) -> tuple[str, ...]:
     """Commands that design the motions by which ambiguous findings would be settled.
 
-    Args:
-        found: What logs showed. Its findings may have rivals from which the logs cannot
-            distinguish them.
-
-    Returns:
-        `geodrake excite MODEL --tell-apart A,B[@PLACE]`, one for each pair that a motion can tell
-        apart, a few at most; a delay, a wrong inertia and what belongs to one log are none of
-        these, nor a rival of which no place is known.
+    They are `geodrake excite MODEL --tell-apart A,B[@PLACE]`, one for each pair that a motion can
+    tell apart, a few at most; a delay, a wrong inertia and what belongs to one log are none of
+    these, nor a rival of which no place is known.
     """
     findings = _of_diagnosis(found) if isinstance(found, Diagnosis) else _of_explanation(found)
     pairs = dict.fromkeys(pair for one, other in findings for pair in _pair(one, other))
@@ -64,13 +59,7 @@ def _rivals_place(step: Step, name: str, model: RobotModel) -> Sequence[str] | N
 
 
 def _single(names: str, where: Sequence[str], joints: set[str]) -> list[Finding]:
-    """Effects found together, each with the places of its own kind.
-
-    Args:
-        names: Names, joined by " + ".
-        where: Joints and bodies of all of them.
-        joints: Names of the joints.
-    """
+    """Effects found together, each with the places of its own kind."""
     found: list[Finding] = []
     for name in names.split(" + "):
         cls, own = _class(name), where

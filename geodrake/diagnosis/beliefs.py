@@ -40,6 +40,7 @@ class Beliefs:
             long logs are: it goes with the motion in a way that no effect describes.
         part: Beside an error that nothing explains, an effect that takes so many times as much of
             the squared error away is as likely itself as it is a part of something unknown.
+        sharpness: With so many times the logarithm of that number, its odds grow.
         least: A finding is no step if it is less probable than this beside something unknown.
     """
 
@@ -61,6 +62,7 @@ class Beliefs:
     odd_joint: float = 0.2
     discrepancy: float = 100.0
     part: float = 2.0
+    sharpness: float = 1.5
     least: float = 0.1
 
     def __post_init__(self) -> None:
@@ -70,3 +72,5 @@ class Beliefs:
                     positive(width, name)
             else:
                 number(value, name, lower=0.0)
+        positive(self.part, "part")
+        number(self.least, "least", lower=0.0, upper=1.0)

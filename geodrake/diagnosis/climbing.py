@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Hashable
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.log_model import Choice, Fit, LogModel
+from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.diagnosis.moves import neighbours
 
 Array = NDArray[np.float64]
@@ -35,13 +35,9 @@ def climb(
 ) -> Fit:
     """Climb from neighbour to more probable neighbour.
 
-    Args:
-        model: The Gaussian model.
-        fit: Where to begin.
-        hopeful: Whether residuals count for more than they do now, as terms may be missing still.
-        watch: Called with each step.
-        pause: Whether to return with what a step led to, as it is to be made exact first.
-        joints: Joints whose own effects alone may change; everything may if None.
+    Hopeful, residuals count for more than they do now, as terms may be missing still. `pause` tells
+    whether to return with what a step led to, as it is to be made exact first. If `joints` are
+    given, their own effects alone may change.
     """
     seen = {fit.choice.key}  # samples are counted anew at each step, which may lead back
     for _ in range(_MOST_STEPS):
@@ -62,10 +58,6 @@ def settled(model: LogModel, fit: Fit) -> Fit:
 
     Probabilities are told by the samples that the residuals of the answer are worth. So nothing
     nearby may be more probable by them.
-
-    Args:
-        model: The Gaussian model.
-        fit: Where climbing ended.
     """
     for _ in range(_MOST_COUNTS):
         better = _settled(model, _refitted(model, fit, model.shares(fit)))
@@ -80,7 +72,7 @@ def _settled(model: LogModel, fit: Fit) -> Fit:
     shares, seen = model.shares(fit), {fit.choice.key}
     for _ in range(_MOST_STEPS):
         choices = [choice for choice in neighbours(model, fit) if choice.key not in seen]
-        tried = _fitted(model, choices, fit.variance, shares)
+        tried = model.ranked(choices, shares, fit.variance)
         if not tried or tried[0].score <= fit.score:
             break
         fit = tried[0]
@@ -101,23 +93,17 @@ def _step(
     high = np.maximum(own, _OPTIMISTIC)
     fit = _refitted(model, fit, high if hopeful else own)
     choices = [choice for choice in neighbours(model, fit, joints=joints) if choice.key not in seen]
-    tried = _fitted(model, choices, fit.variance, high)
+    tried = model.ranked(choices, high, fit.variance)
     promising = tried[:_JUDGED]
     if not hopeful:
         choices = [each.choice for each in tried]
-        promising += _fitted(model, choices, fit.variance, own)[:_JUDGED]
+        promising += model.ranked(choices, own, fit.variance)[:_JUDGED]
     best, gain = None, 1e-6
     for other in {each.choice.key: each for each in promising}.values():
         found = gain_of(model, fit, other, hopeful=hopeful)
         if found is not None and found[0] > gain:
             gain, best = found
     return best
-
-
-def _fitted(model: LogModel, choices: list[Choice], variance: Array, shares: Array) -> list[Fit]:
-    """Fits of explanations, the most probable first."""
-    fits = [model.fit(choice, shares, variance) for choice in choices]
-    return sorted((fit for fit in fits if fit is not None), key=lambda fit: -fit.score)
 
 
 def _refitted(model: LogModel, fit: Fit, shares: Array) -> Fit:
@@ -131,12 +117,6 @@ def gain_of(
     """Return how much higher another fit scores, residuals counted alike, and that fit.
 
     Residuals of either joint are worth as many samples as those of the fit that leaves less.
-
-    Args:
-        model: The Gaussian model.
-        fit: A fit.
-        other: Another one.
-        hopeful: As for `climb`.
     """
     shares = np.where(other.variance < fit.variance, model.shares(other), model.shares(fit))
     shares = np.maximum(shares, _OPTIMISTIC) if hopeful else shares

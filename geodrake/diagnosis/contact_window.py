@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,38 +37,20 @@ _STEPS_IN_TIME = 3  # of them, the first
 
 @dataclass(frozen=True, eq=False)
 class ResidualWindow:
-    """A window of a log, with the residual and the motion around it.
+    """A window of a log, with the residual and the motion around it."""
 
-    Attributes:
-        log: Index of the log.
-        start: Its first guess, s since the log began.
-        end: The same of its end.
-        time: (N,) instants at the full rate, s since the log began.
-        bodies: The bodies at these instants.
-        outputs: (K,) instants of the filtered samples.
-        residual: (K, nv) their residuals over `size`; NaN where left out.
-        size: (nv,) what is typical of each joint, and of what a contact leaves unexplained.
-        filter: The log's filter.
-    """
-
-    log: int
-    start: float
-    end: float
-    time: Array
-    bodies: RobotBodies
-    outputs: Array
-    residual: Array
-    size: Array
+    start: float  # its first guess, s since the log began
+    end: float  # the same of its end
+    time: Array  # (N,) instants at the full rate, s since the log began
+    bodies: RobotBodies  # the bodies at these instants
+    outputs: Array  # (K,) instants of the filtered samples
+    residual: Array  # (K, nv) their residuals over `size`; NaN where left out
+    size: Array  # (nv,) what is typical of each joint, and of what a contact leaves unexplained
     filter: ZeroPhaseFilter
 
 
 def columns(window: ResidualWindow, contact: PointEpisode) -> Array:
-    """(K, nv, 6) filtered columns of a contact, over what is typical of each joint.
-
-    Args:
-        window: The window.
-        contact: A contact of one of its bodies.
-    """
+    """(K, nv, 6) filtered columns of a contact, over what is typical of each joint."""
     values = contact.columns(window.bodies.motion(contact.body), window.time)
     return np.asarray(window.filter.apply(values) / window.size[:, None])
 
@@ -77,29 +60,19 @@ class WrenchColumns:
     """What the d joints that move a body feel of it, for a search among contacts of that body.
 
     Columns are linear in the weights in time and in the point, so that these come last.
-
-    Attributes:
-        near: (K, T, 15 d) what a constant wrench takes, over `size`, at the T instants that the
-            filter sees for each output: forces at Bo, their arms along x, y and z, and moments,
-            along the axes of the body where the contact turns with it.
-        time: (N,) instants at the full rate.
-        filter: The log's filter, whose kernel has T weights.
-        rows: (K, d) which residuals are known.
     """
 
+    # (K, T, 15 d) what a constant wrench takes, over `size`, at the T instants that the filter sees
+    # for each output: forces at Bo, their arms along x, y and z, and moments, along the axes of the
+    # body where the contact turns with it.
     near: Array
-    time: Array
-    filter: ZeroPhaseFilter
-    rows: NDArray[np.bool_]
+    time: Array  # (N,) instants at the full rate
+    filter: ZeroPhaseFilter  # the log's filter, whose kernel has T weights
+    rows: NDArray[np.bool_]  # (K, d) which residuals are known
 
     @classmethod
     def of(cls, window: ResidualWindow, contact: PointEpisode) -> WrenchColumns:
-        """Those of a contact's body in a window.
-
-        Args:
-            window: The window.
-            contact: A contact of the body, turning with it or not.
-        """
+        """Those of a contact's body in a window."""
         motion, low_pass = window.bodies.motion(contact.body), window.filter
         dofs, R = list(motion.dofs), motion.rotation.transpose(0, 2, 1)
         angular, linear = (
@@ -128,13 +101,7 @@ class WrenchColumns:
 
 
 def refined(window: ResidualWindow, contact: PointEpisode, *, tries: int = ENOUGH) -> PointEpisode:
-    """The contact with the times and the point at which it leaves least of the squared residual.
-
-    Args:
-        window: The window.
-        contact: Where the search starts.
-        tries: Most steps of the search.
-    """
+    """The contact with the times and the point at which it leaves least of the squared residual."""
     felt = WrenchColumns.of(window, contact)
     dofs = list(window.bodies.motion(contact.body).dofs)
     b = window.residual[:, dofs][felt.rows]
@@ -164,19 +131,21 @@ def refined(window: ResidualWindow, contact: PointEpisode, *, tries: int = ENOUG
         clear = values > max(cut**2 * values[-1], np.finfo(float).tiny)
         return float(np.sum(np.square((A.T @ b) @ vectors[:, clear]) / values[clear]))
 
-    start = np.zeros(len(steps))
-    simplex = np.vstack([start, np.diag(steps)])
-    options = {"initial_simplex": simplex, "maxiter": tries, "xatol": 1e-3, "fatol": 1e-2}
-    found = minimize(lambda x: -explained(x), start, method="Nelder-Mead", options=options)
-    return moved(found.x) or contact
+    best = least_step(lambda x: -explained(x), steps, tries, xatol=1e-3, fatol=1e-2)
+    return moved(best) or contact
+
+
+def least_step(loss: Callable[[Array], float], steps: Array, tries: int, **close: float) -> Array:
+    """Return the step from zero to where a loss is least, by the simplex of Nelder and Mead."""
+    simplex = np.vstack([np.zeros(len(steps)), np.diag(steps)])
+    options = {"initial_simplex": simplex, "maxiter": tries, **close}
+    return np.asarray(minimize(loss, simplex[0], method="Nelder-Mead", options=options).x)
 
 
 def with_point(window: ResidualWindow, contact: PointEpisode) -> PointEpisode:
     """A contact at the point, on the line of its force, that makes its moment smallest.
 
-    Args:
-        window: The window.
-        contact: The contact, with its point at Bo; it stays there if the wrench turns with it.
+    Its point is at Bo at first, and stays there if the wrench turns with it.
     """
     if contact.turning:
         return contact
@@ -217,30 +186,17 @@ def _cut(b: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """What the wrench of every other piece of a window predicts of the rest.
+    """What the wrench of every other piece of a window predicts of the rest."""
 
-    Attributes:
-        before: (nv,) mean squared residual of each joint, 0 where it is not known.
-        after: (nv,) what is left of it.
-        share: Share of the squared residuals that is predicted.
-        gain: Twice the log-likelihood ratio.
-        felt: How many directions of the wrench the joints feel.
-    """
-
-    before: Array
-    after: Array
-    share: float
-    gain: float
-    felt: int
+    before: Array  # (nv,) mean squared residual of each joint, 0 where it is not known
+    after: Array  # (nv,) what is left of it
+    share: float  # share of the squared residuals that is predicted
+    gain: float  # twice the log-likelihood ratio
+    felt: int  # how many directions of the wrench the joints feel
 
 
 def evidence(window: ResidualWindow, contact: PointEpisode) -> Predicted:
-    """What the wrench of every other piece of a window predicts of the rest.
-
-    Args:
-        window: The window.
-        contact: The contact to be judged.
-    """
+    """What the wrench of every other piece of a window predicts of the rest."""
     A = columns(window, contact)
     inside = (window.outputs >= contact.start) & (window.outputs <= contact.end)
     since = (window.outputs - contact.start) / (contact.end - contact.start)

@@ -9,8 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.proposal import Proposal
-from geodrake.diagnosis.residuals import JointResidual, filtered_columns
+from geodrake.diagnosis.residuals import JointResidual, Proposal, filtered_columns
 from geodrake.effects.shared_actuator import SharedActuatorEffect
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.evidence import chi2_tail
@@ -31,16 +30,11 @@ class _Sharing:
 
     What friction and a rotor of its own explain is taken out of residual and columns, and both are
     scaled so that the residual is of length one.
-
-    Attributes:
-        cross: (m, 2, k) products of the residual with the columns, by partner and sign.
-        gram: (m, 2, k, k) products of the columns.
-        effective: How many independent samples the residual is worth.
     """
 
-    cross: Array
-    gram: Array
-    effective: float
+    cross: Array  # (m, 2, k) products of the residual with the columns, by partner and sign
+    gram: Array  # (m, 2, k, k) products of the columns
+    effective: float  # how many independent samples the residual is worth
 
     def left(self, at: int, sizes: Array) -> Array:
         """(2,) share of the squared error left by parameters (2, k) of one partner, by sign."""
@@ -55,14 +49,12 @@ def coupled_joints(
 
     Both joints must show them, with the same parameters and beyond friction and a rotor of their
     own: the evidence is that of the joint that shows them less.
-
-    Args:
-        case: The case.
-        joints: Residuals of all joints.
-        motion: `full_motion` of the case.
     """
     pairs = other_pairs(case.model, [j.joint for j in joints if np.ptp(j.q) > 0.0])
-    partners = {joint.joint: _partners(joint.joint, pairs) for joint in joints}
+    partners = {
+        joint.joint: [a if b == joint.joint else b for a, b in pairs if joint.joint in (a, b)]
+        for joint in joints
+    }
     for effect in case.effect_classes:
         if not issubclass(effect, SharedActuatorEffect):
             continue
@@ -80,12 +72,7 @@ def coupled_joints(
 
 
 def other_pairs(model: RobotModel, moving: Sequence[str]) -> list[tuple[str, str]]:
-    """Pairs of moving joints that both turn, or both slide, and do not follow each other.
-
-    Args:
-        model: The model.
-        moving: Names of the joints that move in the logs.
-    """
+    """Pairs of moving joints that both turn, or both slide, and do not follow each other."""
     single = [joint for joint in model.single_joints if joint in moving]
     return [
         (one, other)
@@ -93,11 +80,6 @@ def other_pairs(model: RobotModel, moving: Sequence[str]) -> list[tuple[str, str
         if (one in model.sliding_joints) == (other in model.sliding_joints)
         and not {(one, other), (other, one)}.intersection(model.joint_pairs)
     ]
-
-
-def _partners(joint: str, pairs: Sequence[tuple[str, str]]) -> list[str]:
-    """The other joints of the pairs that a joint is of."""
-    return [name for pair in pairs if joint in pair for name in pair if name != joint]
 
 
 def _look(
@@ -139,12 +121,9 @@ def _look(
 def _together(places: Sequence[tuple[_Sharing, int]]) -> tuple[float, float]:
     """What one actuator explains at both of its joints, with the sign that explains more.
 
-    Args:
-        places: The look at either joint, and which of its partners the other one is.
-
-    Returns:
-        Share of the squared error that it takes away, in the mean of both joints, and about χ² of
-        as many degrees of freedom as it has parameters at the joint that shows it less.
+    `places` are the look at either joint, and which of its partners the other one is. Returned are
+    the share of the squared error that it takes away, in the mean of both joints, and about χ² of
+    as many degrees of freedom as it has parameters at the joint that shows it less.
     """
     cross = np.sum([look.effective * look.cross[at] for look, at in places], axis=0)
     gram = np.sum([look.effective * look.gram[at] for look, at in places], axis=0)

@@ -9,22 +9,18 @@ import numpy as np
 
 from geodrake.boundary.arguments import instance
 from geodrake.diagnosis.beliefs import Beliefs
-from geodrake.diagnosis.log_model import Fit, LogModel
+from geodrake.diagnosis.findings import (
+    StagedFinding,
+    named,
+    probable,
+    unknown_probability,
+    verdict_of,
+    where_of,
+)
 from geodrake.diagnosis.moves import additions
 from geodrake.diagnosis.posterior import nrms_of
 from geodrake.diagnosis.results import Candidate, Diagnosis
 from geodrake.diagnosis.search import Found, searched
-from geodrake.diagnosis.steps import (
-    INERTIA,
-    StagedFinding,
-    believed,
-    findings_of,
-    late_joints,
-    moved_bodies,
-    probable,
-    unknown_probability,
-    verdict_of,
-)
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
@@ -47,16 +43,7 @@ def diagnose(
 
     Columns are taken at their word: `check_columns` tells of those that are not what they seem.
 
-    Args:
-        model: The model as it stands.
-        logs: Logs or their files; several logs are several trajectories.
-        extra: Effect classes of the user's own to try beside the catalogue's.
-        bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
-            or chosen from the data.
-        blocks: Blocks into which every log is cut for validation.
-        hold_resting: Whether joints that hardly move in any log are held; see
-            `geodrake.model.logged_joints.holding_resting`.
-        beliefs: Prior odds and widths.
+    Arguments are those of `explain`.
 
     Returns:
         Candidates. The first is the first step of `explain`, the most probable explanation's; what
@@ -77,8 +64,8 @@ def diagnose(
         blocks=blocks,
         hold_resting=hold_resting,
     )
-    found, posterior = believed(searched(case, beliefs))
-    found, start, stages = probable(case, found, findings_of(found, posterior))
+    found, findings, _ = named(searched(case, beliefs))
+    found, start, stages = probable(case, found, findings)
     refitted, before = error_table(case.dataset, start.held_out), comparison(case)
     candidates = _candidates(case, found, start, stages) if stages else []
     return Diagnosis(
@@ -100,28 +87,21 @@ def _candidates(
     data = found.case.dataset
     held_out = (start.held_out, first.validated.held_out, stages[-1].validated.held_out)
     errors = [error_table(data, each) for each in held_out]
-    unknown = unknown_probability(found, finding, errors)
-    if finding.name == INERTIA:
-        wrong = {term.where[0] for term in finding.terms}
-        where = tuple(moved_bodies(case, found.model.bodies(first.fit), wrong))
-    elif finding.terms:
-        where = tuple(dict.fromkeys(place for term in finding.terms for place in term.where))
-    else:
-        where = late_joints(found)
-    bare = _bare(found.model, first.fit)
+    known = 1.0 - unknown_probability(found, finding, errors)
+    bare = found.model.bare(found.model.shares(first.fit))
     candidates = [
         Candidate(
             finding.name,
-            where,
+            where_of(found, finding, found.model.bodies(first.fit)),
             before,
             first.validated.nrms,
             first.fit.score - bare.score,
-            unknown + (1.0 - unknown) * certainty.chance,
+            1.0 - known * (1.0 - certainty.chance),
             tied=True,
         )
     ]
     candidates += [
-        Candidate(r.effect, r.where, before, r.nrms, 0.0, 1.0 - r.probability, tied=True)
+        Candidate(r.effect, r.where, before, r.nrms, 0.0, 1.0 - known * r.probability, tied=True)
         for r in certainty.rivals
     ]
     seen = {candidate.effect for candidate in candidates}
@@ -135,10 +115,3 @@ def _candidates(
             nrms = nrms_of(found.model, fit)
             candidates.append(Candidate(name, places, before, nrms, gain, chance, tied=False))
     return candidates
-
-
-def _bare(model: LogModel, fit: Fit) -> Fit:
-    """Fit the model with nothing new, residuals counted as those of another fit."""
-    shares = model.shares(fit)
-    fits = [model.fit(model.nothing(width), shares) for width in model.widths]
-    return max((each for each in fits if each is not None), key=lambda each: each.score)

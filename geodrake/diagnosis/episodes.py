@@ -24,10 +24,9 @@ from geodrake.diagnosis.contact_window import (
     refined,
     with_point,
 )
-from geodrake.diagnosis.residuals import full_motion, joint_residuals
-from geodrake.effects import Effect
+from geodrake.diagnosis.residuals import cut_out, full_motion, joint_residuals
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.episode import Episode, PointEpisode
+from geodrake.effects.episode import PointEpisode
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case, error_table, reduced
 from geodrake.identification.logs.criteria import ALARM
@@ -35,9 +34,10 @@ from geodrake.identification.logs.evidence import chi2_tail
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.logs.folds import set_apart
 from geodrake.logs.smoothing import Segment
-from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
+Window = tuple[int, float, float]
+"""Index of a log, and the instants since it began, s, at which a window starts and ends."""
 
 _AVERAGE = 0.3  # s, over which squared residuals are averaged
 _HIGH, _LOW = 12.0, 4.0  # of their typical size: within an episode, and at its ends
@@ -52,7 +52,6 @@ _MODEL = 0.05  # share of its effort that even a right contact leaves unexplaine
 _REST = 1.0  # s, of standing still that do not end an episode
 _MARGIN = 0.3  # s, around a window that is set apart
 _RISE = 0.03  # s, at first
-_LATE = 0.005  # s, by which the clock of a log that begins is said not to be at zero
 _FIXED = 1e-3  # of the width of their prior: inertias stay as they are
 
 
@@ -65,91 +64,57 @@ class _Scale:
     periods: list[float]
 
 
-def find_episodes(
-    case: Case, hypothesis: Hypothesis, *, alarm: float = ALARM
-) -> tuple[PointEpisode, ...]:
-    """Contacts that stand out of the held-out residuals of a hypothesis.
-
-    Args:
-        case: The case.
-        hypothesis: What is known so far.
-        alarm: Largest probability of a false alarm, as of other findings.
-    """
-    scale = _scaled(case, hypothesis)
-    windows = _unknown_windows(case, hypothesis, scale)
+def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[PointEpisode, ...]:
+    """Contacts that stand out of the held-out residuals of a hypothesis."""
+    scale, windows = _seen(case, hypothesis)
     noise = error_table(case.dataset, hypothesis.held_out).is_noise
     if not windows and not noise:
         # Bodies that are free to follow a contact spread its error all over the log.
         hypothesis = hypothesis.loosened(_FIXED / hypothesis.looseness)
-        scale = _scaled(case, hypothesis)
-        windows = _unknown_windows(case, hypothesis, scale)
-    found, promising = _contacts(case, scale, windows, alarm)
+        scale, windows = _seen(case, hypothesis)
+    found, promising = _contacts(case, scale, windows)
     if found or not promising:
         return found
     # What else the hypothesis fits may have followed the contact: it is not to see the windows.
     wide = [(log, start - _MARGIN, end + _MARGIN) for log, start, end in windows]
     apart = replace(case, folds=set_apart(case.folds, case.trajectories, wide))
     dataset = reduced(apart, hypothesis.unknowns.effects)
-    blind = hypothesis.moved(dataset, delay=hypothesis.delay)
     apart = replace(apart, dataset=dataset)
-    scale = _scaled(apart, blind)
-    return _contacts(apart, scale, _unknown_windows(apart, blind, scale), alarm)[0]
+    return _contacts(apart, *_seen(apart, hypothesis.moved(dataset, delay=hypothesis.delay)))[0]
 
 
-def episode_notes(case: Case, model: RobotModel) -> list[str]:
-    """Return in which log episodes are, and when by its clock, where that is not plain.
-
-    Args:
-        case: The case.
-        model: The fitted model.
-    """
-    found = list[str]()
-    for effect in [f.effect for f in model.effects if isinstance(f.effect, Episode)]:
-        for log in case.trajectories:
-            if effect.window[3] != log_number(log.name):
-                continue
-            where = f" of {log.name}" if len(case.trajectories) > 1 else ""
-            edges = [edge for edge in effect.window[:2] if edge is not None]
-            clock = " and ".join(f"{log.began + edge:.2f} s" for edge in edges)
-            by_clock = f"; by its clock that is {clock}" if abs(log.began) >= _LATE else ""
-            if where or by_clock:
-                what = f"{effect.name} of {effect.place}"
-                found.append(
-                    f"times of {what} count from the beginning{where or ' of the log'}{by_clock}"
-                )
-    return found
-
-
-def _unknown_windows(
-    case: Case, hypothesis: Hypothesis, scale: _Scale
-) -> list[tuple[int, float, float]]:
-    """Windows of the residuals where the hypothesis has no contact; none if there are many."""
-    logs = enumerate(zip(scale.grids, scale.periods, strict=True))
-    windows = [w for log, (grid, period) in logs for w in _windows(log, grid, period)]
+def _seen(case: Case, hypothesis: Hypothesis) -> tuple[_Scale, list[Window]]:
+    """Return residuals, and windows where the hypothesis has no contact; none if there are many."""
+    scale = _scaled(case, hypothesis)
     known = [e for e in hypothesis.unknowns.effects if isinstance(e, PointEpisode)]
-    windows = [w for w in windows if not any(_overlap(case, w, contact) for contact in known)]
-    return windows if len(windows) <= _MOST else []
+    numbers = [log_number(trajectory.name) for trajectory in case.trajectories]
+    logs = enumerate(zip(scale.grids, scale.periods, strict=True))
+    windows = [
+        (log, start, end)
+        for log, (grid, period) in logs
+        for log, start, end in _windows(log, grid, period)
+        if not any(
+            contact.is_of(numbers[log]) and start < contact.end and contact.start < end
+            for contact in known
+        )
+    ]
+    return scale, windows if len(windows) <= _MOST else []
 
 
 def _contacts(
-    case: Case, scale: _Scale, windows: Sequence[tuple[int, float, float]], alarm: float
+    case: Case, scale: _Scale, windows: Sequence[Window]
 ) -> tuple[tuple[PointEpisode, ...], bool]:
     """The contacts that explain windows, and whether one explains at least a good part of one."""
     motion = full_motion(case) if windows else []
-    cut = [_cut_out(case, scale, motion, place) for place in windows]
-    tried = [_contact(case, window, len(windows), alarm) for window in cut if window is not None]
+    cut = [(w[0], _cut_out(case, scale, motion, w)) for w in windows]
+    names = [trajectory.name for trajectory in case.trajectories]
+    tried = [_contact(case, names[k], w, len(windows)) for k, w in cut if w is not None]
     found = tuple(contact for contact, _ in tried if contact is not None)
     return found, any(share >= 0.5 * _LEAST_SHARE for _, share in tried)
 
 
-def _overlap(case: Case, window: tuple[int, float, float], contact: PointEpisode) -> bool:
-    log, start, end = window
-    same = contact.is_of(log_number(case.trajectories[log].name))
-    return same and start < contact.end and contact.start < end
-
-
-def _scaled(case: Case, hypothesis: Hypothesis, *, without: Sequence[Effect] = ()) -> _Scale:
-    joints = joint_residuals(case, hypothesis, without=without)
+def _scaled(case: Case, hypothesis: Hypothesis) -> _Scale:
+    joints = joint_residuals(case, hypothesis)
     periods = [trajectory.filter.output_period for trajectory in case.trajectories]
     sizes = np.array([np.median(np.abs(j.residual)) / 0.6745 for j in joints])
     size = np.maximum(sizes, np.finfo(float).tiny)
@@ -165,7 +130,7 @@ def _scaled(case: Case, hypothesis: Hypothesis, *, without: Sequence[Effect] = (
     return _Scale(size, grids, periods)
 
 
-def _windows(log: int, grid: Array, period: float) -> Iterator[tuple[int, float, float]]:
+def _windows(log: int, grid: Array, period: float) -> Iterator[Window]:
     """Log, start and end of stretches in which several joints err beyond the usual."""
     known, width = np.isfinite(grid), max(3, round(_AVERAGE / period))
     sums, counts = (
@@ -189,54 +154,37 @@ def _cut_out(
     case: Case,
     scale: _Scale,
     motion: Sequence[tuple[int, Segment]],
-    window: tuple[int, float, float],
+    window: Window,
 ) -> ResidualWindow | None:
     log, start, end = window
     trajectory = case.trajectories[log]
-    began, low_pass = trajectory.began, trajectory.filter
+    low_pass = trajectory.filter
     pad = (low_pass.halfwidth + 2 * low_pass.decimation) * low_pass.period + _AVERAGE
-    for index, segment in motion:
-        time = segment.time - began
-        if index == log and time[0] <= start and end <= time[-1]:
-            # Filtered samples of the cut are to be those of the whole segment.
-            step = low_pass.decimation
-            first, last = np.searchsorted(time, [start - pad, end + pad]).tolist()
-            near = slice(first // step * step, last)
-            here = segment[near]
-            outputs = time[near][low_pass.output_indices(len(here))]
-            place = np.rint(outputs / low_pass.output_period).astype(int)
-            inside = (place >= 0) & (place < len(scale.grids[log]))
-            residual = np.full((len(outputs), len(scale.size)), np.nan)
-            residual[inside] = scale.grids[log][place[inside]]
-            bodies = RobotBodies(
-                case.model.tree, case.model.positions(here.position), case.model.total_phi
-            )
-            within = residual[(outputs >= start) & (outputs <= end)]
-            known = np.maximum((~np.isnan(within)).sum(0), 1)
-            power = np.nansum(np.square(within), 0) / known
-            size = np.sqrt(1.0 + _MODEL**2 * power)
-            return ResidualWindow(
-                log,
-                start,
-                end,
-                time[near],
-                bodies,
-                outputs,
-                residual / size,
-                size * scale.size,
-                low_pass,
-            )
-    return None
+    cut = cut_out(trajectory, (s for index, s in motion if index == log), (start, end), pad)
+    if cut is None:
+        return None
+    here, time, outputs = cut
+    place = np.rint(outputs / low_pass.output_period).astype(int)
+    inside = (place >= 0) & (place < len(scale.grids[log]))
+    residual = np.full((len(outputs), len(scale.size)), np.nan)
+    residual[inside] = scale.grids[log][place[inside]]
+    model = case.model
+    bodies = RobotBodies(model.tree, model.positions(here.position), model.total_phi)
+    within = residual[(outputs >= start) & (outputs <= end)]
+    known = np.maximum((~np.isnan(within)).sum(0), 1)
+    size = np.sqrt(1.0 + _MODEL**2 * (np.nansum(np.square(within), 0) / known))
+    return ResidualWindow(
+        start, end, time, bodies, outputs, residual / size, size * scale.size, low_pass
+    )
 
 
 def _contact(
-    case: Case, window: ResidualWindow, tried: int, alarm: float
+    case: Case, log: str, window: ResidualWindow, tried: int
 ) -> tuple[PointEpisode | None, float]:
     """The contact that explains a window, if one does, and the share that the best one does."""
     bodies = sorted(case.model.bodies, key=lambda name: len(window.bodies.motion(name).dofs))
-    number = log_number(case.trajectories[window.log].name)
     kinds = [kind for kind in case.effect_classes if issubclass(kind, PointEpisode)]
-    window_of = {"rise": _RISE, "log": number}
+    window_of = {"rise": _RISE, "log": log_number(log)}
     guesses = [
         guess
         for kind in kinds
@@ -262,7 +210,7 @@ def _contact(
     # Times, rise and point were looked for too, the body, and whether it turns.
     chance = chi2_tail(found.gain, found.felt + contact.free_shapes)
     chance = min(1.0, tried * len(guesses) * chance)
-    convinces = found.share >= _LEAST_SHARE and chance <= alarm and _explains_all(found)
+    convinces = found.share >= _LEAST_SHARE and chance <= ALARM and _explains_all(found)
     return (contact if convinces else None), best
 
 

@@ -9,33 +9,28 @@ from pathlib import Path
 from geodrake.boundary.arguments import function, instance
 from geodrake.boundary.showing import Short
 from geodrake.diagnosis.beliefs import Beliefs
-from geodrake.diagnosis.episodes import episode_notes
-from geodrake.diagnosis.final_fit import companion_notes, final_fit
-from geodrake.diagnosis.refinements import fading_notes
+from geodrake.diagnosis.final_fit import final_fit
+from geodrake.diagnosis.findings import (
+    Finding,
+    holds,
+    largest_residual,
+    less,
+    named,
+    probable,
+    staged,
+    verdict_of,
+)
+from geodrake.diagnosis.notes import notes_of
 from geodrake.diagnosis.results import Explanation, Step
 from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.search_progress import Progress
-from geodrake.diagnosis.stated_mass import stated_mass_notes
-from geodrake.diagnosis.steps import (
-    Finding,
-    believed,
-    findings_of,
-    holds,
-    largest_residual,
-    probable,
-    staged,
-    steps_of,
-    verdict_of,
-    with_findings,
-    without,
-)
-from geodrake.diagnosis.unknown_efforts import UnknownFunction
+from geodrake.diagnosis.steps import steps_of
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_fit import ModelFit
-from geodrake.identification.models.bodies import changed_bodies, common_factor_notes
+from geodrake.identification.models.bodies import changed_bodies
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
@@ -44,17 +39,11 @@ _STOPPED = "interrupted before the search had ended: there may be more to find, 
 
 @dataclass(frozen=True, eq=False)
 class Investigation(Short):
-    """An explanation, and what it rests on.
-
-    Attributes:
-        explanation: The explanation.
-        case: The case, with the columns of what was found.
-        found: What was found, without what no effect describes.
-    """
+    """An explanation, and what it rests on."""
 
     explanation: Explanation
-    case: Case
-    found: Found
+    case: Case  # the case, with the columns of what was found
+    found: Found  # what was found, without what no effect describes
 
 
 def explain(
@@ -111,17 +100,14 @@ def explain(
 def investigate(
     case: Case, *, beliefs: Beliefs | None = None, progress: Progress | None = None
 ) -> Investigation:
-    """Explain a case that has columns for candidates; see `explain`.
-
-    Args:
-        case: Prepared logs and the model, with columns for candidates.
-        beliefs: Prior odds and widths.
-        progress: Called with each step.
-    """
-    found = searched(case, beliefs, progress=progress)
-    found, posterior = believed(found)
-    findings = [e for e in findings_of(found, posterior) if e.name != UnknownFunction.name]
-    return explained(case, _without_unknown(found), findings, notes=_unknown_notes(found))
+    """Explain a case that has columns for candidates; see `explain`."""
+    found, findings, unknown = named(searched(case, beliefs, progress=progress))
+    notes = [
+        f"what is left at {joint} goes with its position and speed in a way that no effect "
+        "describes; `--draft` looks for a formula"
+        for joint in unknown
+    ]
+    return explained(case, found, findings, notes=notes)
 
 
 def explained(
@@ -132,26 +118,15 @@ def explained(
     forced: bool = False,
     notes: Sequence[str] = (),
 ) -> Investigation:
-    """Fit what a search found, and judge it once by held-out data.
-
-    Args:
-        case: The case that was opened.
-        found: The search.
-        findings: What it found.
-        forced: Whether findings stay that do not lower the held-out error.
-        notes: Further notes.
-    """
+    """Fit what a search found, and judge it once by held-out data."""
     found, after_case, fit, start, steps = _holding(case, found, findings, forced=forced)
     before, model = comparison(case), case.model
     after = comparison(after_case, fit.unknowns, fit.held_out) if steps else before
     bodies = changed_bodies(model, fit) if steps else ()
     said = [*([_STOPPED] if found.is_stopped else []), *case.notes, *notes]
     if steps:
-        said += companion_notes(found.model.unknowns_of(found.fit.choice), fit)
-        said += fit.result.notes
-        said += fading_notes(model, fit.model)
-        said += episode_notes(case, fit.model)
-        said += [*stated_mass_notes(case, fit.model), *common_factor_notes(bodies)]
+        said += notes_of(found, case, fit, bodies)
+    said += _left_out(findings, steps)
     explanation = Explanation(
         verdict_of(after.errors, bool(steps), left=largest_residual(found)),
         steps,
@@ -168,22 +143,6 @@ def explained(
         fit.result.certificate if steps else None,
     )
     return Investigation(explanation, after_case, found)
-
-
-def _without_unknown(found: Found) -> Found:
-    """Return what was found without functions of the motion that no effect describes."""
-    unknown = [term for term in found.fit.terms if isinstance(term.effect, UnknownFunction)]
-    return without(found, unknown)
-
-
-def _unknown_notes(found: Found) -> list[str]:
-    """Describe where a function of the motion remains that no effect describes."""
-    joints = [t.where[0] for t in found.fit.terms if isinstance(t.effect, UnknownFunction)]
-    return [
-        f"what is left at {joint} goes with its position and speed in a way that no effect "
-        "describes; `--draft` looks for a formula"
-        for joint in joints
-    ]
 
 
 def _holding(
@@ -203,5 +162,19 @@ def _holding(
         before = (stages[-2].validated if len(stages) > 1 else start).held_out
         if holds(found, stages[-1].finding, before, fit.held_out):
             return found, after, fit, start, steps
-        findings = [stage.finding for stage in stages[:-1]]
-        found = with_findings(found, findings)
+        findings = [stage.finding for stage in stages]
+        found, findings = less(found, findings, findings[-1])
+
+
+def _left_out(findings: Sequence[Finding], steps: Sequence[Step]) -> list[str]:
+    """Describe findings that became no steps."""
+    told, notes = {step.effect for step in steps}, []
+    for finding in findings:
+        if finding.name not in told:
+            places = dict.fromkeys(place for term in finding.terms for place in term.where)
+            where = f" at {', '.join(places)}" if places else ""
+            notes.append(
+                f"{finding.name}{where} was found and is no step: it takes too little of the "
+                "held-out error away"
+            )
+    return notes

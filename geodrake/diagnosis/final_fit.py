@@ -11,7 +11,6 @@ from geodrake.diagnosis.refinements import delays_of, fitted_delays
 from geodrake.diagnosis.rest import share_of_motion
 from geodrake.diagnosis.search import Found
 from geodrake.effects import FittedEffect
-from geodrake.effects.shape import when_sliding
 from geodrake.identification.logs.case import Case, reopen
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.hypothesis import Hypothesis, settle
@@ -24,87 +23,60 @@ _MOST_ITERATIONS = 10
 """Refits until the weights stay: a prior from another fit gives way step by step."""
 
 
-def final_fit(case: Case, found: Found, *, companions: bool = True) -> tuple[Case, ModelFit]:
+def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
     """Fit what was found, physically consistent, with loads and delay brought up to date.
 
-    Args:
-        case: The case that was opened.
-        found: What was found.
-        companions: Whether to fit companions beside the effects that have them; see
-            `with_companions`.
-
-    Returns:
-        The case with the columns of the fit, and the fit.
+    Returned with the fit is the case with its columns.
     """
     end = found.model.validated(found.fit)
-    delays = found.case.model.delays + delays_of(found.model, found.fit).seconds
+    delays = found.case.model.delays + delays_of(found.model, found.fit)[0]
     lags = fitted_delays(delays, case.model.joints)
-    reopened = _with_fitted_loads(found.case, end, lags, companions=companions)
+    reopened = _with_fitted_loads(found.case, end, lags)
     settled = end.moved(reopened.dataset, delay=0, iterations=_MOST_ITERATIONS)
-    if companions:
-        settled = replace(settled, unknowns=with_companions(settled.unknowns, reopened.dataset))
-        settled = settle(settled, iterations=_MOST_ITERATIONS)
+    settled = replace(settled, unknowns=_with_companions(settled.unknowns, reopened.dataset))
+    settled = settle(settled, iterations=_MOST_ITERATIONS)
     seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
     base = replace(reopened.model, effects=case.model.effects, information=case.model.information)
     base = replace(base, phi=case.model.phi, fitted_to=seen, bandwidths=case.bandwidths)
     # Weights of maximum likelihood, so that the information is that of the parameters.
     held_out = settled.held_out
     weights = settled.effective / held_out.samples.sum(0) / held_out.mse
-    share = share_of_motion(reopened, settled)
+    # To hold the inertias, as a search may do, does not make them known.
+    known = settled.looseness < _FREE
+    freed = settled.loosened(_FREE / settled.looseness) if known else settled
     fit = fit_model(
         base,
         reopened.dataset,
-        freed(settled).unknowns,
+        freed.unknowns,
         weights,
         effective=settled.effective,
-        of_motion=share,
+        of_motion=share_of_motion(reopened, settled),
         delays=lags,
     )
     return reopened, fit
 
 
-def freed(hypothesis: Hypothesis) -> Hypothesis:
-    """Return the hypothesis with fixed inertias as free as well-known ones.
-
-    To hold the inertias, as a search may do, does not make them known.
-    """
-    if hypothesis.looseness >= _FREE:
-        return hypothesis
-    return hypothesis.loosened(_FREE / hypothesis.looseness)
-
-
-def _with_fitted_loads(
-    case: Case, end: Hypothesis, delays: Sequence[FittedEffect], *, companions: bool
-) -> Case:
+def _with_fitted_loads(case: Case, end: Hypothesis, delays: Sequence[FittedEffect]) -> Case:
     """The case with the columns of what was found, load-dependent ones by the fitted inertias."""
     model, found = searched_model(case.model, end), end.unknowns
-    more = with_companions(found, case.dataset).effects[len(found.effects) :] if companions else ()
+    more = _with_companions(found, case.dataset).effects[len(found.effects) :]
     fitted = [FittedEffect(effect, np.zeros(1)) for effect in more]
     return reopen(case, replace(model, effects=(*model.effects, *fitted, *delays)))
 
 
 def searched_model(model: RobotModel, found: Hypothesis) -> RobotModel:
-    """Return the model that all data of a hypothesis give, without delays.
-
-    Args:
-        model: The model before.
-        found: The hypothesis.
-    """
+    """Return the model that all data of a hypothesis give, without delays."""
     x, unknowns = found.cv.fit_all, found.unknowns
     fitted = [FittedEffect(effect, x[unknowns.span(effect)]) for effect in unknowns.effects]
     phi = x[: model.phi.size].reshape(model.phi.shape)
     return replace(model, phi=phi, effects=tuple(fitted))
 
 
-def with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
+def _with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
     """Return the companions of effects, so that neither stands in for the other in a fit.
 
     Where dry friction was found and viscous friction was not worth a step, the viscous one is
     fitted along all the same: left out, it would bias the dry one by all that it may be.
-
-    Args:
-        unknowns: What the final fit may move.
-        dataset: The reduced logs.
     """
     for effect in unknowns.effects:
         kind, present = effect.companion, unknowns.effects
@@ -117,23 +89,3 @@ def with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
                 companion, dataset.effect_columns(companion), information, mean
             )
     return unknowns
-
-
-def companion_notes(found: Unknowns, fit: ModelFit) -> list[str]:
-    """Describe what was fitted along without being a step.
-
-    Args:
-        found: The unknowns of the search.
-        fit: The final fit, with the companions.
-    """
-    added = [f for f in fit.model.effects if f.effect not in found.effects and len(f.parameters)]
-    sliding = set(fit.model.sliding_joints)
-    notes = []
-    for fitted in added:
-        unit = fitted.effect.parameters[0].unit
-        unit = when_sliding(unit) if sliding.issuperset(fitted.effect.where) else unit
-        notes.append(
-            f"{fitted.effect.name.replace('_', ' ')} of {fitted.effect.place} was fitted along, "
-            f"though not worth a step: {fitted.parameters[0]:.3g} {unit}"
-        )
-    return notes

@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
-from scipy.optimize import minimize
 
+from geodrake.diagnosis.contact_window import least_step
 from geodrake.diagnosis.episodes import MOST_TIME
 from geodrake.diagnosis.log_model import Fit, LogModel
+from geodrake.diagnosis.residuals import cut_out
 from geodrake.diagnosis.terms import Term
 from geodrake.effects.base import Effect, Proposer
 from geodrake.effects.episode import Episode
@@ -29,7 +30,6 @@ from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.identification.normal_equations import scaled_cholesky
 from geodrake.inertia import PARAMETERS_PER_BODY
-from geodrake.logs.smoothing import Segment
 from geodrake.robot.regressor import body_regressor
 
 Array = NDArray[np.float64]
@@ -50,27 +50,23 @@ _MOVED = 5e-4  # s, below which an instant stays
 def handled(case: Case, model: LogModel, fit: Fit) -> list[Episode]:
     """Return bodies that a log shows to be held for a while.
 
-    Args:
-        case: The case.
-        model: The Gaussian model of its logs.
-        fit: The explanation so far, beside which friction and offsets may be.
+    Friction and offsets may be beside the explanation so far.
     """
     kinds = [kind for kind in case.effect_classes if kind.proposer is Proposer.HANDLING]
-    usual = _beside(model, fit)
     found = list[Episode]()
-    if usual is None or not kinds:
+    if not kinds:
         return found
-    around = _Around.of(model, usual, without=None)
+    around = _Around.of(case, model, _beside(model, fit), without=None)
     for log, trajectory in enumerate(case.trajectories):
         number = log_number(trajectory.name)
         for body in case.model.last_bodies:
-            sums = _Sums.of(case, model, around, log, body)
+            sums = _Sums.of(around, log, body)
             for window in sums.best_windows() if sums is not None else ():
                 for kind in kinds:
                     make: Callable[..., Any] = kind
                     start, end = window
                     held = make(body, start=start, end=end, rise=_RISE, log=number)
-                    found.append(_timed(case, model, around, held))
+                    found.append(_timed(around, held))
     tried = [term.effect for term in model.terms if isinstance(term.effect, Episode)]
     known = [term.effect for term in fit.terms if isinstance(term.effect, Episode)]
     return [
@@ -82,30 +78,19 @@ def handled(case: Case, model: LogModel, fit: Fit) -> list[Episode]:
 
 
 def instants(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
-    """Return the effects of a fit that are held for a while, at the instants that suit it best.
-
-    Args:
-        case: The case.
-        model: The Gaussian model of its logs.
-        fit: The explanation.
-    """
+    """Return the effects of a fit that are held for a while, at the instants that suit it best."""
     moved = dict[Effect, Effect]()
     for term in fit.terms:
         effect = term.effect
         if isinstance(effect, Episode) and effect.proposer is Proposer.HANDLING:
-            timed = _timed(case, model, _Around.of(model, fit, without=term), effect)
+            timed = _timed(_Around.of(case, model, fit, without=term), effect)
             if _distance(effect, timed) > _MOVED:
                 moved[effect] = timed
     return moved
 
 
 def is_short(case: Case, effect: Effect | None) -> bool:
-    """Return whether an effect is held for so short a part of its log that it may be a contact.
-
-    Args:
-        case: The case.
-        effect: The effect; None for a body that is wrong.
-    """
+    """Return whether an effect is held for so short a part of its log that it may be a contact."""
     if not isinstance(effect, Episode) or effect.proposer is not Proposer.HANDLING:
         return False
     start, end, _, number = effect.window
@@ -141,7 +126,7 @@ def _distance(one: Episode, other: Episode) -> float:
     return max(abs(a - b) for a, b in pairs if a is not None and b is not None)
 
 
-def _beside(model: LogModel, fit: Fit) -> Fit | None:
+def _beside(model: LogModel, fit: Fit) -> Fit:
     """Fit what any joint may have beside an explanation, bodies as free as they may be."""
     terms = fit.terms
     for term in model.terms:
@@ -149,62 +134,21 @@ def _beside(model: LogModel, fit: Fit) -> Fit | None:
         if likely and model.are_compatible((*terms, term)):
             terms = (*terms, term)
     choice = model.choice(terms, model.widths[-1], fit.choice.delay)
-    return model.fit(choice, model.shares(fit), bounded=False)
-
-
-@dataclass(frozen=True, eq=False)
-class _Around:
-    """A fit, perhaps less one of its terms, in the form that rows of further columns need.
-
-    Attributes:
-        fit: The fit, whose noise counts.
-        kept: Which of its parameters are left.
-        root: (n, n) lower triangle L with L Lᵀ = H, of those.
-        x: (n,) their values without the term.
-    """
-
-    fit: Fit
-    kept: NDArray[np.bool_]
-    root: Array
-    x: Array
-
-    @classmethod
-    def of(cls, model: LogModel, fit: Fit, *, without: Term | None) -> _Around:
-        """Return a fit less a term, at the noise of the fit."""
-        kept = np.ones(len(fit.x), bool)
-        if without is not None:
-            kept[model.span(fit, without)] = False
-        H, x = fit.hessian[np.ix_(kept, kept)], fit.x[kept]
-        factor, scale = scaled_cholesky(H, _RIDGE)
-        root = factor / scale[:, None]
-        if without is not None:
-            pull = fit.hessian[np.ix_(kept, ~kept)] @ fit.x[~kept]
-            half = solve_triangular(root, pull, lower=True)
-            x = x + solve_triangular(root.T, half, lower=False)
-        return cls(fit, kept, root, x)
+    return model.unbounded(choice, model.shares(fit))
 
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Rows of one joint in one log, over columns of a body and those of a fit.
-
-    Attributes:
-        joint: Index of the joint.
-        time: (K,) instants since the log began, s.
-        body: (K, 10) columns of the body.
-        known: (K, n) columns of the fit, each through its root: Σ wᵀ is a part of a complement.
-        left: (K,) what the fit leaves.
-        weight: Weight of a squared residual.
-    """
+    """Rows of one joint in one log, over columns of a body and those of a fit."""
 
     joint: int
-    time: Array
-    body: Array
-    known: Array
-    left: Array
-    weight: float
+    time: Array  # (K,) instants since the log began, s
+    body: Array  # (K, 10) columns of the body
+    known: Array  # (K, n) columns of the fit, each through its root: Σ wᵀ is a part of a complement
+    left: Array  # (K,) what the fit leaves
+    weight: float  # weight of a squared residual
 
-    def part(self, rows: NDArray[np.bool_] | slice) -> _Rows:
+    def part(self, rows: NDArray[np.generic] | slice) -> _Rows:
         """Return some of the rows."""
         kept = {name: getattr(self, name)[rows] for name in ("time", "body", "known", "left")}
         return replace(self, **kept)
@@ -214,35 +158,60 @@ class _Rows:
         return np.asarray(self.weight * body.T @ np.hstack([self.known, self.left[:, None], body]))
 
 
-def _rows_of(case: Case, model: LogModel, around: _Around, log: int, body: str) -> list[_Rows]:
-    began, found = case.trajectories[log].began, list[_Rows]()
-    start = PARAMETERS_PER_BODY * case.model.bodies.index(body)
-    own = np.arange(start, start + PARAMETERS_PER_BODY)
-    for j, data in enumerate(model.dataset.data):
-        local = data.local(own)
-        if not np.any(local >= 0):
-            continue
-        parts = [
-            rows
-            for fold, kept in zip(case.folds, data.rows, strict=True)
-            for block, rows in zip(fold.blocks, kept, strict=False)
-            if block.trajectory == log and len(rows.b)
-        ]
-        if not parts:
-            continue
-        A, b = np.concatenate([p.A for p in parts]), np.concatenate([p.b for p in parts])
-        known, effort = model.row_columns(around.fit, j, A, b)
-        known = known[:, around.kept]
-        left = effort - known @ around.x
-        wide = np.hstack([A, np.zeros((len(A), 1))])
-        turned = solve_triangular(around.root, known.T, lower=True).T
-        time = np.concatenate([p.time for p in parts]) - began
-        order = np.argsort(time, kind="stable")
-        weight = float(around.fit.weights[j])
-        found.append(
-            _Rows(j, time[order], wide[order][:, local], turned[order], left[order], weight)
-        )
-    return found
+@dataclass(frozen=True, eq=False)
+class _Around:
+    """A fit, perhaps less one of its terms, in the form that rows of further columns need."""
+
+    case: Case
+    model: LogModel
+    fit: Fit  # the fit, whose noise counts
+    kept: NDArray[np.bool_]  # which of its parameters are left
+    root: Array  # (n, n) lower triangle L with L Lᵀ = H, of those
+    x: Array  # (n,) their values without the term
+    prior: Array  # (10, 10) prior information of a payload
+
+    @classmethod
+    def of(cls, case: Case, model: LogModel, fit: Fit, *, without: Term | None) -> _Around:
+        """Return a fit less a term, at the noise of the fit."""
+        kept = np.ones(len(fit.x), bool)
+        if without is not None:
+            kept[model.spans(fit.terms)[without]] = False
+        H, x = fit.hessian[np.ix_(kept, kept)], fit.x[kept]
+        factor, scale = scaled_cholesky(H, _RIDGE)
+        root = factor / scale[:, None]
+        if without is not None:
+            pull = fit.hessian[np.ix_(kept, ~kept)] @ fit.x[~kept]
+            half = solve_triangular(root, pull, lower=True)
+            x = x + solve_triangular(root.T, half, lower=False)
+        prior = pullback_information(model.dataset.payload[None], max(model.beliefs.payloads))
+        return cls(case, model, fit, kept, root, x, prior)
+
+    def rows(self, log: int, body: str) -> list[_Rows]:
+        """Return the rows of a log over columns of a body, joint by joint, in order of time."""
+        began, found = self.case.trajectories[log].began, list[_Rows]()
+        start = PARAMETERS_PER_BODY * self.case.model.bodies.index(body)
+        own = np.arange(start, start + PARAMETERS_PER_BODY)
+        for j, data in enumerate(self.model.dataset.data):
+            local = data.local(own)
+            parts = [
+                rows
+                for fold, kept in zip(self.case.folds, data.rows, strict=True)
+                for block, rows in zip(fold.blocks, kept, strict=False)
+                if block.trajectory == log and len(rows.b)
+            ]
+            if not parts or not np.any(local >= 0):
+                continue
+            A, b = np.concatenate([p.A for p in parts]), np.concatenate([p.b for p in parts])
+            known, effort = self.model.row_columns(self.fit, j, A, b)
+            known = known[:, self.kept]
+            left = effort - known @ self.x
+            turned = solve_triangular(self.root, known.T, lower=True).T
+            wide = np.hstack([A, np.zeros((len(A), 1))])[:, local]
+            time = np.concatenate([p.time for p in parts]) - began
+            weight = float(self.fit.weights[j])
+            every = _Rows(j, time, wide, turned, left, weight)
+            found.append(every.part(np.argsort(time, kind="stable")))
+        return found
 
 
 def _gains(sums: Array, known: Array) -> tuple[Array, Array]:
@@ -255,36 +224,23 @@ def _gains(sums: Array, known: Array) -> tuple[Array, Array]:
     return np.asarray((pull * x).sum(-1) + logarithm), np.asarray(x[..., 0])
 
 
-def _prior(model: LogModel) -> Array:
-    """(10, 10) prior information of a payload."""
-    return pullback_information(model.dataset.payload[None], max(model.beliefs.payloads))
-
-
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """Sums of products over the time of a log.
+    """Sums of products over the time of a log."""
 
-    Attributes:
-        edges: (B + 1,) instants between which rows are summed, s since the log began.
-        total: (B + 1, 10, n + 11) sums up to each.
-        share: (B + 1,) share of the rows up to each.
-        known: (10, 10) prior information of what is held.
-        price: Evidence that an instant must be worth.
-    """
-
-    edges: Array
-    total: Array
-    share: Array
-    known: Array
-    price: float
+    edges: Array  # (B + 1,) instants between which rows are summed, s since the log began
+    total: Array  # (B + 1, 10, n + 11) sums up to each
+    share: Array  # (B + 1,) share of the rows up to each
+    known: Array  # (10, 10) prior information of what is held
+    price: float  # evidence that an instant must be worth
 
     @classmethod
-    def of(cls, case: Case, model: LogModel, around: _Around, log: int, body: str) -> _Sums | None:
+    def of(cls, around: _Around, log: int, body: str) -> _Sums | None:
         """Return the sums of a body's columns; None if there is no row."""
-        rows = _rows_of(case, model, around, log, body)
+        rows = around.rows(log, body)
         if not rows:
             return None
-        period = case.trajectories[log].filter.output_period
+        period = around.case.trajectories[log].filter.output_period
         every = np.unique(np.rint(np.concatenate([each.time for each in rows]) / period))
         if len(every) < _FEWEST:
             return None
@@ -304,8 +260,8 @@ class _Sums:
         edges = np.append((first - 0.5) * period, (every[-1] + 0.5) * period)
         total = np.concatenate([np.zeros((1, *sums.shape[1:])), np.cumsum(sums, axis=0)])
         counts = np.concatenate([[0.0], np.cumsum(counts)])
-        price = 2.0 * float(np.log(model.beliefs.order))  # it is one of many
-        return cls(edges, total, counts / counts[-1], _prior(model), price)
+        price = 2.0 * float(np.log(around.model.beliefs.order))  # it is one of many
+        return cls(edges, total, counts / counts[-1], around.prior, price)
 
     def best_windows(self) -> list[tuple[float | None, float | None]]:
         """Return the windows whose columns add most: from an instant on, until one, between two."""
@@ -358,20 +314,20 @@ class _Sums:
 # Instants between rows.
 
 
-def _timed(case: Case, model: LogModel, around: _Around, held: Episode) -> Episode:
+def _timed(around: _Around, held: Episode) -> Episode:
     """Return an episode with edges, and a rise, with which its columns add most."""
-    numbers = [log_number(trajectory.name) for trajectory in case.trajectories]
+    numbers = [log_number(trajectory.name) for trajectory in around.case.trajectories]
     if held.window[3] not in numbers:
         return held
     log, body = numbers.index(held.window[3]), held.where[0]
     inside = dict(zip(("start", "end"), held.window[:2], strict=True))
     edges = {name: edge for name, edge in inside.items() if edge is not None}
-    near = [_Near.of(case, body, log, edge) for edge in edges.values()]
+    near = [_Near.of(around.case, body, log, edge) for edge in edges.values()]
     known = [each for each in near if each is not None]
     if len(known) < len(edges):  # the log has a gap there
         return held
     far, cut = np.zeros(()), list[tuple[int, _Rows, NDArray[np.intp]]]()
-    for rows in _rows_of(case, model, around, log, body):
+    for rows in around.rows(log, body):
         rest = np.ones(len(rows.time), bool)
         for k, each in enumerate(known):
             close = rest & (rows.time >= each.outputs[0]) & (rows.time <= each.outputs[-1])
@@ -399,61 +355,36 @@ def _timed(case: Case, model: LogModel, around: _Around, held: Episode) -> Episo
             return 0.0
         columns = [each.columns(other) for each in known]
         sums = far + sum(rows.products(columns[k][at, rows.joint]) for k, rows, at in cut)
-        gain, mass = _gains(np.asarray(sums)[None], prior)
+        gain, mass = _gains(np.asarray(sums)[None], around.prior)
         return -float(gain[0]) if mass[0] > 0.0 else 0.0
 
-    prior, steps = _prior(model), np.array([*(_STEP for _ in edges), _STEP_OF_RISE])
-    simplex = np.vstack([np.zeros(len(steps)), np.diag(steps)])
-    options = {"initial_simplex": simplex, "maxiter": _TRIES, "xatol": 1e-4, "fatol": 1e-3}
-    found = minimize(lost, simplex[0], method="Nelder-Mead", options=options)
-    return moved(found.x) or held
+    steps = np.array([*(_STEP for _ in edges), _STEP_OF_RISE])
+    return moved(least_step(lost, steps, _TRIES, xatol=1e-4, fatol=1e-3)) or held
 
 
 @dataclass(frozen=True, eq=False)
 class _Near:
-    """The columns of a body near an instant, at the full rate.
+    """The columns of a body near an instant, at the full rate."""
 
-    Attributes:
-        time: (N,) instants since the log began, s.
-        body: (N, nv, 10) columns of the body.
-        outputs: (K,) instants of the filtered samples.
-        period: Time from one of them to the next, s.
-        apply: The filter.
-    """
-
-    time: Array
-    body: Array
-    outputs: Array
-    period: float
+    time: Array  # (N,) instants since the log began, s
+    body: Array  # (N, nv, 10) columns of the body
+    outputs: Array  # (K,) instants of the filtered samples
+    period: float  # time from one of them to the next, s
     apply: Callable[[Array], Array]
 
     @classmethod
     def of(cls, case: Case, body: str, log: int, edge: float) -> _Near | None:
         """Return the columns near an edge; None where the log has a gap."""
-        trajectory = case.trajectories[log]
-        low_pass, model = trajectory.filter, case.load_model
-        step = low_pass.decimation
-        halfwidth = low_pass.halfwidth * low_pass.period
-        reach = 3.0 * halfwidth + 2.0 * _SLOWEST
-        for segment in trajectory.segments:
-            time = segment[:].time - trajectory.began
-            if not time[0] <= edge <= time[-1]:
-                continue
-            first, last = np.searchsorted(time, [edge - reach, edge + reach])
-            near: Segment = segment[int(first) // step * step : int(last)]
-            at = near.time - trajectory.began
-            if low_pass.output_count(len(near)) < 2:
-                return None
-            columns = body_regressor(
-                model.tree,
-                model.positions(near.position),
-                near.velocity,
-                near.acceleration,
-                model.bodies.index(body),
-            )
-            outputs = at[low_pass.output_indices(len(near))]
-            return cls(at, columns, outputs, low_pass.output_period, low_pass.apply)
-        return None
+        trajectory, model = case.trajectories[log], case.load_model
+        low_pass = trajectory.filter
+        reach = 3.0 * low_pass.halfwidth * low_pass.period + 2.0 * _SLOWEST
+        cut = cut_out(trajectory, trajectory.segments, (edge, edge), reach)
+        if cut is None or low_pass.output_count(len(cut[0])) < 2:
+            return None
+        near, time, outputs = cut
+        q, index = model.positions(near.position), model.bodies.index(body)
+        columns = body_regressor(model.tree, q, near.velocity, near.acceleration, index)
+        return cls(time, columns, outputs, low_pass.output_period, low_pass.apply)
 
     def columns(self, held: Episode) -> Array:
         """(K, nv, 10) filtered columns of the body while it is held."""

@@ -14,8 +14,9 @@ complements: at the noise of a fit, all of them are tried at once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,17 +59,11 @@ _DRAWS = np.random.default_rng(0).normal(size=(200, PARAMETERS_PER_BODY))
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """An explanation: terms, how far bodies may be from the file, and delays.
+    """An explanation: terms, how far bodies may be from the file, and delays."""
 
-    Attributes:
-        terms: The terms, in the order of their columns.
-        width: Width of the prior of all bodies, as a geometric distance.
-        delay: (nv,) index of the delay of each joint.
-    """
-
-    terms: Terms
-    width: float
-    delay: Delay
+    terms: Terms  # the terms, in the order of their columns
+    width: float  # width of the prior of all bodies, as a geometric distance
+    delay: Delay  # (nv,) index of the delay of each joint
 
     @property
     def key(self) -> tuple[frozenset[Term], float, Delay]:
@@ -78,25 +73,15 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The most probable parameters and noise of an explanation.
-
-    Attributes:
-        choice: The explanation.
-        columns: (n,) its columns among those of the model.
-        x: (n,) parameters.
-        variance: (nv,) mean squared residuals, (N·m)² or N².
-        weights: (nv,) w_j.
-        hessian: (n, n) Λ + Σ_j w_j A_jᵀA_j.
-        score: Twice the logarithm of the evidence and of the prior odds, but for a constant.
-    """
+    """The most probable parameters and noise of an explanation."""
 
     choice: Choice
-    columns: Indices
-    x: Array
-    variance: Array
-    weights: Array
-    hessian: Array
-    score: float
+    columns: Indices  # (n,) its columns among those of the model
+    x: Array  # (n,) parameters
+    variance: Array  # (nv,) mean squared residuals, (N·m)² or N²
+    weights: Array  # (nv,) w_j
+    hessian: Array  # (n, n) Λ + Σ_j w_j A_jᵀA_j
+    score: float  # twice the logarithm of the evidence and of the prior odds, but for a constant
 
     @property
     def terms(self) -> Terms:
@@ -104,32 +89,11 @@ class Fit:
         return self.choice.terms
 
 
-@dataclass(frozen=True, eq=False)
-class Dropped:
-    """What leaving terms out of a fit changes, at its noise.
-
-    Attributes:
-        loss: What is lost of the score, prior odds left aside.
-        rows: (i, P) rows of the dropped parameters in H⁻¹AᵀA.
-        inverse: (i, i) inverse of their covariance.
-        x: (i,) their values.
-    """
-
-    loss: float
-    rows: Array
-    inverse: Array
-    x: Array
-
-
 class LogModel:
     """The Gaussian model of reduced logs.
 
-    Args:
-        model: The robot's model, whose parameters have a prior.
-        dataset: The reduced logs, with columns for effects and nuisances.
-        effects: Effects that the model may lack.
-        beliefs: Prior odds and widths.
-        on_time: (nv,) index of the dataset's delay that the model itself has.
+    `effects` are those that the model may lack, and `on_time` (nv,) is the index of the dataset's
+    delay that the model itself has.
     """
 
     def __init__(
@@ -159,19 +123,16 @@ class LogModel:
     # What there is to fit.
 
     def _assemble(self) -> None:
-        """Return the normal matrices over all columns: model, gains, reversals, terms."""
+        """Form the normal matrices over all columns: model, gains, reversals, terms."""
         data, nv = self.dataset, len(self.dataset.joints)
         self._reversals = [e for e in data.effects if isinstance(e, UnresolvedReversal)]
         sources = [self.unknowns.columns, np.full(nv, -1)]
         sources += [data.effect_columns(effect) for effect in self._reversals]
-        self._first_term = sum(map(len, sources))
-        at, self.at = self._first_term, dict[Term, Indices]()
-        for term in self.terms:
-            self.at[term] = np.arange(at, at + len(term.columns))
-            sources.append(term.columns)
-            at += len(term.columns)
-        columns = np.concatenate(sources)
-        self._grams, self._places = [], []
+        self.first_term = sum(map(len, sources))
+        spans = self.spans(self.terms).items()
+        self.at = {term: np.arange(span.start, span.stop) for term, span in spans}
+        columns = np.concatenate([*sources, *(term.columns for term in self.terms)])
+        self.grams, self.places = [], []
         for j, joint in enumerate(data.data):
             gram = joint.grams.sum(axis=0)
             bodies = joint.local(np.arange(self._bodies))
@@ -183,12 +144,11 @@ class LogModel:
             wider[-2, -2] = load @ gram @ load
             places = np.where(columns >= 0, joint.local(np.maximum(columns, 0)), -1)
             places[len(self.unknowns.columns) + j] = len(gram)
-            self._grams.append(wider)
-            self._places.append(places)
-        self._efforts = [len(joint.columns) for joint in data.data]
-        first = [places[: self._first_term] for places in self._places]
-        parts = zip(self._grams, first, strict=True)
-        self._base = np.array([gram[np.ix_(at, at)] for gram, at in parts])
+            self.grams.append(wider)
+            self.places.append(places)
+        self.efforts = [len(joint.columns) for joint in data.data]
+        first = [np.ix_(*(places[: self.first_term],) * 2) for places in self.places]
+        self._base = np.array([gram[at] for gram, at in zip(self.grams, first, strict=True)])
         self.mean = np.zeros(len(columns))
         self.mean[: len(self.unknowns.columns)] = self.unknowns.mean
         gains = np.maximum(data.gain_uncertainty, 1e-6) ** -2.0
@@ -198,23 +158,26 @@ class LogModel:
             for _ in effect.parameters
         ]
         self._nuisances = np.concatenate([gains, unsure])
-        self._floor = np.square(LEAST_NOISE * np.maximum(data.effort_std, 1e-12))
+        self.floor = np.square(LEAST_NOISE * np.maximum(data.effort_std, 1e-12))
+
+    def spans(self, terms: Terms) -> dict[Term, slice]:
+        """Return where the parameters of terms, in this order, are among those of a fit."""
+        ends = np.cumsum([self.first_term, *(len(term.columns) for term in terms)]).tolist()
+        return {t: slice(*ends) for t, ends in zip(terms, pairwise(ends), strict=True)}
 
     def _prior(self, choice: Choice) -> tuple[Array, float]:
         """Return the prior information Λ (n, n) of an explanation and log |Λ|, up to a constant."""
-        p, first = len(self.unknowns.columns), self._first_term
-        sizes = [len(term.columns) for term in choice.terms]
-        information = np.zeros((first + sum(sizes),) * 2)
+        p, first, spans = len(self.unknowns.columns), self.first_term, self.spans(choice.terms)
+        information = np.zeros((first + sum(len(term.columns) for term in spans),) * 2)
         scale = np.ones(p)
         scale[: self._bodies] = self._spread / choice.width
         information[:p, :p] = self.unknowns.information * scale[:, None] * scale
         own = np.arange(p, first)
         information[own, own] = self._nuisances
-        logarithm, at = -2.0 * self._bodies * np.log(choice.width), first
-        for term, size in zip(choice.terms, sizes, strict=True):
-            information[at : at + size, at : at + size] = term.information
+        logarithm = -2.0 * self._bodies * np.log(choice.width)
+        for term, span in spans.items():
+            information[span, span] = term.information
             logarithm += term.log_information
-            at += size
         return information, float(logarithm)
 
     @property
@@ -225,29 +188,22 @@ class LogModel:
     def odds_against(self, choice: Choice) -> float:
         """Return twice the logarithm of the prior odds against an explanation."""
         beliefs = self.beliefs
-        late = {
-            j
-            for j, pair in enumerate(zip(choice.delay, self.on_time, strict=True))
-            if pair[0] != pair[1]
-        }
-        total = odds_against(choice.terms)
-        if late:
-            alike = len(late) == len(choice.delay) and len(self._seconds(choice.delay)) == 1
+        total, late = odds_against(choice.terms), np.not_equal(choice.delay, self.on_time)
+        if late.any():
+            alike = late.all() and len(np.unique(np.round(self.lateness(choice), 9))) == 1
             total += 2.0 * np.log(beliefs.delays)
             if not alike:
-                total += 2.0 * len(late) * np.log(beliefs.again * beliefs.shape)
+                total += 2.0 * int(late.sum()) * np.log(beliefs.again * beliefs.shape)
         # Of widths that explain the same, the narrower one is the simpler one.
         total += 2.0 * np.log1p(_SIMPLER * self.widths.index(choice.width))
         if choice.width > (beliefs.wrong if self.model.information is None else 1.0):
             total += 6.0 * np.log(beliefs.rarer)
         return float(total)
 
-    def _seconds(self, delay: Delay) -> frozenset[float]:
-        """Return the delays of the joints, s, beyond the model's own."""
-        delays = self.dataset.delays
-        late = delays[list(delay), np.arange(len(delay))]
-        own = delays[list(self.on_time), np.arange(len(delay))]
-        return frozenset(np.round(late - own, 9).tolist())
+    def lateness(self, choice: Choice) -> Array:
+        """(nv,) delays of an explanation beyond those of the model, s."""
+        grid, joints = self.dataset.delays, np.arange(len(self.on_time))
+        return np.asarray(grid[list(choice.delay), joints] - grid[list(self.on_time), joints])
 
     def are_compatible(self, terms: Terms) -> bool:
         """Return whether terms may stand together, beside what the model has."""
@@ -255,44 +211,37 @@ class LogModel:
 
     # Fits.
 
-    def nothing(self, width: float) -> Choice:
-        """Return the explanation that adds nothing, with bodies within a width of the model."""
-        return Choice((), width, self.on_time)
-
-    def choice(self, terms: Terms, width: float, delay: Delay) -> Choice:
+    def choice(self, terms: Iterable[Term], width: float, delay: Delay) -> Choice:
         """Return an explanation, its terms in the order of their columns."""
         return Choice(tuple(sorted(terms, key=lambda t: self.at[t][0])), width, delay)
 
-    def fit(
-        self,
-        choice: Choice,
-        shares: Array,
-        variance: Array | None = None,
-        *,
-        bounded: bool = True,
-    ) -> Fit | None:
+    def alike(self, terms: Terms, moved: Mapping[Effect, Effect] | None = None) -> list[Term]:
+        """Return the terms that stand for those of another model, effects moved, as far as any.
+
+        A payload is light or heavy: of terms of one effect it is the one with the nearest prior.
+        """
+        own, found, others = dict[object, list[Term]](), list[Term](), moved or {}
+        for term in self.terms:
+            own.setdefault(term.effect or term.where, []).append(term)
+        for was in terms:
+            effect = others.get(was.effect, was.effect) if was.effect else was.where
+            near = own.get(effect, [])
+            found += sorted(near, key=lambda t: abs(t.log_information - was.log_information))[:1]
+        return found
+
+    def fit(self, choice: Choice, shares: Array, variance: Array | None = None) -> Fit | None:
         """Fit the most probable parameters and noise of an explanation.
 
-        Args:
-            choice: The explanation.
-            shares: (nv,) independent samples over rows.
-            variance: (nv,) variances of the noise to begin with.
-            bounded: Whether what cannot be negative must not be.
-
-        Returns:
-            The fit; None if something is negative that must not be.
+        `shares` (nv,) are independent samples over rows, and `variance` (nv,) is that of the noise
+        to begin with. None if something is negative that must not be.
         """
-        columns = np.concatenate(
-            [np.arange(self._first_term), *(self.at[term] for term in choice.terms)]
-        )
         prior, logarithm = self._prior(choice)
-        least, free = [at for at in self._positive(choice) if len(at)], np.ones(len(columns), bool)
+        least = [s.start + t.positive for t, s in self.spans(choice.terms).items()]
+        least, free = [at for at in least if len(at)], np.ones(len(prior), bool)
         for _ in range(_MOST_PINNED):
-            found = self._solved(
-                choice, columns, shares, variance=variance, prior=prior, logarithm=logarithm
-            )
+            found = self._solved(choice, shares, variance, (prior, logarithm))
             below = np.array([k for at in least for k in at if free[k] and found.x[k] <= 0.0], int)
-            if not bounded or not len(below):
+            if not len(below):
                 return found
             free[below] = False
             if any(not free[at].any() for at in least):
@@ -302,28 +251,38 @@ class LogModel:
             prior[below, below] += _PINNED
         return None
 
+    def ranked(self, choices: Iterable[Choice], shares: Array, variance: Array) -> list[Fit]:
+        """Fit explanations, the most probable first, without those that `fit` refuses."""
+        fits = [self.fit(choice, shares, variance) for choice in choices]
+        return sorted((fit for fit in fits if fit is not None), key=lambda fit: -fit.score)
+
+    def unbounded(self, choice: Choice, shares: Array, variance: Array | None = None) -> Fit:
+        """Fit as `fit` does, whatever is negative."""
+        return self._solved(choice, shares, variance, self._prior(choice))
+
+    def bare(self, shares: Array) -> Fit:
+        """Fit nothing new, with bodies as near to those of the model as the logs say."""
+        fits = [self.unbounded(Choice((), w, self.on_time), shares) for w in self.widths]
+        return max(fits, key=lambda fit: fit.score)
+
     def _solved(
-        self,
-        choice: Choice,
-        columns: Indices,
-        shares: Array,
-        *,
-        variance: Array | None,
-        prior: Array,
-        logarithm: float,
+        self, choice: Choice, shares: Array, variance: Array | None, known: tuple[Array, float]
     ) -> Fit:
         """Return the fit with a prior Λ (n, n) and log |Λ|, without regard to bounds."""
-        grams, moments, powers = self._normal(columns, choice.delay)
+        prior, logarithm = known
+        own = [self.at[term] for term in choice.terms]
+        columns = np.concatenate([np.arange(self.first_term), *own])
+        grams, moments, powers = self.normal(columns, choice.delay)
         mean = self.mean[columns]
         pull, rows = prior @ mean, self.rows
         variance = powers / rows if variance is None else variance
         for _ in range(_MOST_FITS):
-            weights = shares / np.maximum(variance, self._floor)
+            weights = shares / np.maximum(variance, self.floor)
             hessian = prior + np.tensordot(weights, grams, 1)
             factor, scale = scaled_cholesky(hessian, _RIDGE)
             x = scale * solved(factor, scale * (pull + weights @ moments))
             left = powers - 2.0 * moments @ x + (grams @ x) @ x
-            before, variance = variance, np.maximum(left / rows, self._floor)
+            before, variance = variance, np.maximum(left / rows, self.floor)
             if np.all(np.abs(np.log(variance / before)) < _ALIKE):
                 break
         way = x - mean
@@ -340,57 +299,38 @@ class LogModel:
 
     def refitted(self, fit: Fit) -> Fit:
         """Fit another model's terms to the columns of this one, without regard to bounds."""
-        own = {term.effect: term for term in self.terms if term.effect is not None}
-        wrong = {term.where: term for term in self.terms if term.effect is None}
-        terms = [wrong[t.where] if t.effect is None else own[t.effect] for t in fit.terms]
-        choice = self.choice(tuple(terms), fit.choice.width, fit.choice.delay)
-        shares = np.full(len(self.rows), _USUAL_SHARE)
-        found = self.fit(choice, shares, fit.variance, bounded=False)
-        if found is None:
-            raise RuntimeError("a fit without bounds was refused")
-        return found
-
-    def _positive(self, choice: Choice) -> list[Indices]:
-        at, found = self._first_term, []
-        for term in choice.terms:
-            found.append(at + term.positive)
-            at += len(term.columns)
-        return found
+        choice = self.choice(self.alike(fit.terms), fit.choice.width, fit.choice.delay)
+        return self.unbounded(choice, np.full(len(self.rows), _USUAL_SHARE), fit.variance)
 
     def _physical(self, choice: Choice, x: Array, hessian: Array) -> float:
         """Return twice the logarithm of the probability that the fitted payloads are physical."""
-        at, total = self._first_term, 0.0
-        for term in choice.terms:
-            size = len(term.columns)
+        total = 0.0
+        for term, at in self.spans(choice.terms).items():
             if term.is_whole:
-                right = np.eye(len(x))[:, at : at + size]
-                covariance = np.linalg.solve(hessian, right)[at : at + size]
+                covariance = np.linalg.solve(hessian, np.eye(len(x))[:, at])[at]
                 scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-                factor = np.linalg.cholesky(
-                    covariance / scale[:, None] / scale + 1e-9 * np.eye(size)
-                )
-                drawn = x[at : at + size] + scale * (_DRAWS @ factor.T)
-                matrices = np.tensordot(drawn, _PSEUDO, 1)
+                ridge = 1e-9 * np.eye(len(scale))
+                factor = np.linalg.cholesky(covariance / scale[:, None] / scale + ridge)
+                matrices = np.tensordot(x[at] + scale * (_DRAWS @ factor.T), _PSEUDO, 1)
                 share = np.mean(np.linalg.eigvalsh(matrices)[:, 0] > 0.0)
                 total += 2.0 * np.log(max(float(share), 0.5 / len(_DRAWS)))
-            at += size
         return total
 
-    def _normal(self, columns: Indices, delay: Delay) -> tuple[Array, Array, Array]:
+    def normal(self, columns: Indices, delay: Delay) -> tuple[Array, Array, Array]:
         """Return AᵀA (nv, n, n), Aᵀb (nv, n) and bᵀb (nv,) of each joint."""
-        n, first = len(columns), self._first_term  # which all explanations have in common
+        n, first = len(columns), self.first_term  # which all explanations have in common
         grams = np.empty((len(self.rows), n, n))
         grams[:, :first, :first] = self._base
-        for j, (gram, places) in enumerate(zip(self._grams, self._places, strict=True)):
+        for j, (gram, places) in enumerate(zip(self.grams, self.places, strict=True)):
             at = places[columns]
             grams[j, first:] = gram[at[first:, None], at]
             grams[j, :first, first:] = grams[j, first:, :first].T
-        return grams, *self._moments(columns, delay)
+        return grams, *self.moments(columns, delay)
 
-    def _moments(self, columns: Indices, delay: Delay) -> tuple[Array, Array]:
+    def moments(self, columns: Indices, delay: Delay) -> tuple[Array, Array]:
         """Return Aᵀb (nv, n) and bᵀb (nv,) of each joint."""
-        efforts = [e + late for e, late in zip(self._efforts, delay, strict=True)]
-        parts = [*zip(self._grams, efforts, self._places, strict=True)]
+        efforts = [e + late for e, late in zip(self.efforts, delay, strict=True)]
+        parts = [*zip(self.grams, efforts, self.places, strict=True)]
         moments = np.array([gram[effort, places[columns]] for gram, effort, places in parts])
         return moments, np.array([gram[effort, effort] for gram, effort, _ in parts])
 
@@ -398,9 +338,12 @@ class LogModel:
         """Return (nv,) how many independent samples each row of a fit's residuals is worth."""
         key = fit.choice.key
         if key not in self._shares:
-            columns, x = self.dataset_parameters(fit)
-            folds = np.tile(x, (len(self.dataset.folds), 1))
-            found = effective_per_joint(self.dataset, columns, folds, delay=fit.choice.delay)
+            p, nv, data = len(self.unknowns.columns), len(self.rows), self.dataset
+            known = [self.unknowns.columns, *map(data.effect_columns, self._reversals)]
+            columns = np.concatenate([*known, *(term.columns for term in fit.terms)])
+            x = np.delete(fit.x, np.arange(p, p + nv))  # without gains
+            folds = np.tile(x, (len(data.folds), 1))
+            found = effective_per_joint(data, columns, folds, delay=fit.choice.delay)
             worth = np.minimum(found, self.beliefs.discrepancy)
             # What is more than sensor noise goes with the motion, however often that repeats.
             noise = np.square(NOISE_MARGIN * self.dataset.noise_floor) / fit.variance
@@ -408,13 +351,6 @@ class LogModel:
             samples = 1.0 / ((1.0 - more) / found + more / worth)
             self._shares[key] = np.clip(samples / self.rows, _LEAST_SHARE, 1.0)
         return self._shares[key]
-
-    def dataset_parameters(self, fit: Fit) -> tuple[Indices, Array]:
-        """Return columns (p,) of the dataset and their parameters (p,), without gains."""
-        p, nv, data = len(self.unknowns.columns), len(self.rows), self.dataset
-        columns = [self.unknowns.columns, *(data.effect_columns(e) for e in self._reversals)]
-        columns += [term.columns for term in fit.terms]
-        return np.concatenate(columns), np.delete(fit.x, np.arange(p, p + nv))
 
     def gain_moments(self, fit: Fit) -> Array:
         """Return (nv, nv) second moments of the gains' errors, as prior and data have them."""
@@ -424,32 +360,20 @@ class LogModel:
         covariance = solved(factor, np.eye(len(scale))[:, at])[at]
         return covariance * scale[at, None] * scale[at] + np.outer(fit.x[at], fit.x[at])
 
-    def span(self, fit: Fit, term: Term) -> slice:
-        """Return where the parameters of a term of a fit are among its own."""
-        at = self._first_term
-        for each in fit.terms:
-            if each is term:
-                return slice(at, at + len(term.columns))
-            at += len(each.columns)
-        raise KeyError(term)
-
     def parameters(self, fit: Fit, term: Term) -> Array:
         """Return the parameters (k,) of a term of a fit."""
-        return fit.x[self.span(fit, term)]
+        return fit.x[self.spans(fit.terms)[term]]
 
     def row_columns(self, fit: Fit, joint: int, A: Array, b: Array) -> tuple[Array, Array]:
         """Return the columns (K, n) of a fit, and the efforts (K,), in rows of a joint.
 
-        Args:
-            fit: The fit.
-            joint: Index of the joint.
-            A: (K, p) columns of the rows, in the order of the joint's.
-            b: (K, d) their efforts, for each delay.
+        A (K, p) are columns of the rows in the order of the joint's, and b (K, d) their efforts for
+        each delay.
         """
         bodies = self.dataset.data[joint].local(np.arange(self._bodies))
         load = A[:, bodies[bodies >= 0]] @ self.unknowns.mean[: self._bodies][bodies >= 0]
         wide = np.hstack([A, b, load[:, None], np.zeros((len(A), 1))])
-        return wide[:, self._places[joint][fit.columns]], b[:, fit.choice.delay[joint]]
+        return wide[:, self.places[joint][fit.columns]], b[:, fit.choice.delay[joint]]
 
     def bodies(self, fit: Fit) -> Array:
         """Return the bodies (nb, 10) of a fit, wrong ones as they were found, without payloads."""
@@ -458,12 +382,6 @@ class LogModel:
             if term.effect is None:
                 phi[self.dataset.bodies.index(term.where[0])] += self.parameters(fit, term)
         return phi
-
-    # What a fit changes to where terms come and go, at its noise.
-
-    def around(self, fit: Fit) -> Neighbourhood:
-        """Return the Schur complements of all columns beside a fit."""
-        return Neighbourhood(self, fit)
 
     # For what needs fits fold by fold.
 
@@ -490,18 +408,14 @@ class LogModel:
         for effect in self._reversals:
             known = np.zeros((len(effect.parameters),) * 2)
             unknowns = unknowns.with_effect(effect, data.effect_columns(effect), known)
-        x = np.zeros(len(unknowns.columns))
-        p = len(self.unknowns.columns)
+        x, p = np.zeros(len(unknowns.columns)), len(self.unknowns.columns)
         x[:p] = fit.x[:p]
         x[: self._bodies] = self.bodies(fit).ravel()
-        for term in fit.terms:
+        for term, span in self.spans(fit.terms).items():
             if term.effect is not None:
-                x[unknowns.span(term.effect)] += self.parameters(fit, term)
-        at = p + len(self.rows)
-        for effect in self._reversals:
-            span = unknowns.span(effect)
-            x[span] = fit.x[at : at + span.stop - span.start]
-            at += span.stop - span.start
+                x[unknowns.span(term.effect)] += fit.x[span]
+        unsure = fit.x[p + len(self.rows) : self.first_term]
+        x[len(x) - len(unsure) :] = unsure
         held_out = hold_out(
             data, unknowns.columns, np.tile(x, (len(data.folds), 1)), delay=choice.delay
         )
@@ -522,105 +436,3 @@ class LogModel:
         return Hypothesis(
             self.dataset, unknowns, fit.weights, choice.delay, looseness, cv, effective
         )
-
-
-class Neighbourhood:
-    """Schur complements of all columns beside a fit, at its noise.
-
-    Args:
-        model: The Gaussian model.
-        fit: The fit.
-    """
-
-    def __init__(self, model: LogModel, fit: Fit) -> None:
-        self._model, self.fit = model, fit
-        size = len(model.mean)
-        gram, right = np.zeros((size, size)), np.zeros(size)
-        joints = zip(model._grams, model._places, fit.weights, strict=True)
-        for j, (own, places, weight) in enumerate(joints):
-            at = np.flatnonzero(places >= 0)
-            local = places[at]
-            gram[np.ix_(at, at)] += weight * own[np.ix_(local, local)]
-            right[at] += weight * own[model._efforts[j] + fit.choice.delay[j], local]
-        columns = fit.columns
-        self._inverse = np.linalg.inv(fit.hessian)
-        self._turned = self._inverse @ gram[columns]
-        self._schur = gram - gram[:, columns] @ self._turned
-        self._pull = right - gram[:, columns] @ fit.x
-        first, self._at = model._first_term, dict[Term, Indices]()
-        for term in fit.terms:
-            self._at[term] = np.arange(first, first + len(term.columns))
-            first += len(term.columns)
-
-    def delays(self) -> list[tuple[Delay, float]]:
-        """Return the best other delay of all joints, and of each joint alone, with their gains."""
-        model, was = self._model, self.fit.choice.delay
-        columns, fit, joints = self.fit.columns, self.fit, range(len(was))
-        count = len(model.dataset.delays)
-        if count < 2:
-            return []
-        every = [model._moments(columns, (k,) * len(was)) for k in range(count)]
-        grams, own, _ = model._normal(columns, was)
-        samples = fit.weights * np.maximum(fit.variance, model._floor) * model.rows
-        now, found = fit.variance * model.rows, list[tuple[Delay, float]]()
-        for moved in (joints, *([j] for j in joints)):
-            tried = []
-            for k, (moments, powers) in enumerate(every):
-                change = fit.weights[moved] @ (moments[moved] - own[moved])
-                x = fit.x + self._inverse @ change
-                left = [powers[j] - 2.0 * moments[j] @ x + x @ grams[j] @ x for j in moved]
-                ratio = np.maximum(left, 1e-12 * now[moved]) / now[moved]
-                delay = tuple(k if j in moved else was[j] for j in joints)
-                tried.append((delay, float(-samples[moved] @ np.log(ratio))))
-            found.append(max((each for each in tried if each[0] != was), key=lambda each: each[1]))
-        return found
-
-    def dropped(self, terms: Sequence[Term]) -> Dropped:
-        """Return what leaving some of the fit's terms out changes."""
-        at = np.concatenate([self._at[term] for term in terms])
-        covariance, x = self._inverse[np.ix_(at, at)], self.fit.x[at]
-        inverse = np.linalg.inv(covariance)
-        known = sum(term.log_information for term in terms)
-        loss = -x @ inverse @ x - np.linalg.slogdet(covariance)[1] - known
-        return Dropped(float(loss), self._turned[at], inverse, x)
-
-    def gains(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
-        """Return (m,) what each package of terms adds to the score, without prior odds.
-
-        Args:
-            packages: Terms that come together, none of which is in the fit, or only in `dropped`.
-            dropped: What is left out first.
-
-        Returns:
-            Gains, without `dropped.loss`; −∞ where something is negative that cannot be.
-        """
-        found, widths = np.full(len(packages), -np.inf), dict[int, list[int]]()
-        for k, package in enumerate(packages):
-            widths.setdefault(sum(len(term.columns) for term in package), []).append(k)
-        for chosen in widths.values():
-            alike = [packages[k] for k in chosen]
-            at = np.array([np.concatenate([self._model.at[t] for t in p]) for p in alike])
-            schur, pull = self._schur[at[:, :, None], at[:, None]], self._pull[at]
-            if dropped is not None:
-                rows = np.moveaxis(dropped.rows[:, at], 1, 0)
-                turned = np.swapaxes(rows, 1, 2)
-                schur = schur + turned @ (dropped.inverse @ rows)
-                pull = pull + turned @ (dropped.inverse @ dropped.x)
-            known, owner = np.zeros_like(schur), np.full(pull.shape, -1)
-            logarithm = np.array([sum(t.log_information for t in p) for p in alike])
-            for k, package in enumerate(alike):
-                start = 0
-                for place, term in enumerate(package):
-                    end = start + len(term.columns)
-                    known[k, start:end, start:end] = term.information
-                    owner[k, start + term.positive] = place
-                    start = end
-            schur = schur + known
-            x = np.linalg.solve(schur, pull[..., None])[..., 0]
-            gain = (pull * x).sum(axis=1) - np.linalg.slogdet(schur)[1] + logarithm
-            below = np.zeros(len(x), bool)
-            for place in range(int(owner.max()) + 1):
-                own = owner == place
-                below |= own.any(axis=1) & ~(own & (x > 0.0)).any(axis=1)
-            found[chosen] = np.where(below, -np.inf, gain)
-        return found

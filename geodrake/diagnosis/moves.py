@@ -8,7 +8,8 @@ from itertools import combinations
 
 import numpy as np
 
-from geodrake.diagnosis.log_model import Choice, Dropped, Fit, LogModel, Neighbourhood
+from geodrake.diagnosis.log_model import Choice, Fit, LogModel
+from geodrake.diagnosis.neighbourhood import Dropped, Neighbourhood
 from geodrake.diagnosis.terms import Term, Terms
 
 _MOST = 14
@@ -22,15 +23,10 @@ _LOSS = -25.0
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """A neighbour of an explanation.
-
-    Attributes:
-        choice: The neighbour.
-        gain: What it adds to the score, at the noise of the fit.
-    """
+    """A neighbour of an explanation."""
 
     choice: Choice
-    gain: float
+    gain: float  # what it adds to the score, at the noise of the fit
 
 
 def neighbours(
@@ -38,11 +34,8 @@ def neighbours(
 ) -> list[Choice]:
     """Find the most promising neighbours of an explanation.
 
-    Args:
-        model: The Gaussian model.
-        fit: The explanation, fitted.
-        most: How many, beside other widths of the bodies and the best delays.
-        joints: Joints whose own effects alone may change; everything may if None.
+    `most` counts them beside other widths of the bodies and the best delays. If `joints` are given,
+    their own effects alone may change.
     """
     finder = _Finder(model, fit)
     moves = finder.moves() if joints is None else finder.rebuilt(joints)
@@ -67,16 +60,9 @@ def neighbours(
 
 
 def additions(model: LogModel, fit: Fit) -> list[Fit]:
-    """Add terms of one name to an explanation at every place where they gain, best first.
-
-    Args:
-        model: The Gaussian model.
-        fit: The explanation, fitted.
-    """
-    shares = model.shares(fit)
+    """Add terms of one name to an explanation at every place where they gain, best first."""
     choices = [move.choice for move in _Finder(model, fit).added()]
-    fits = [model.fit(choice, shares, fit.variance) for choice in choices]
-    return sorted((each for each in fits if each is not None), key=lambda each: -each.score)
+    return model.ranked(choices, model.shares(fit), fit.variance)
 
 
 def _other_widths(model: LogModel, choice: Choice) -> list[Choice]:
@@ -89,7 +75,7 @@ class _Finder:
 
     def __init__(self, model: LogModel, fit: Fit) -> None:
         self.model, self.fit = model, fit
-        self.around: Neighbourhood = model.around(fit)
+        self.around = Neighbourhood(model, fit)
         self.base = model.odds_against(fit.choice)
         self.by_joint: dict[str, list[Term]] = {}
         for term in model.terms:
@@ -102,36 +88,48 @@ class _Finder:
         yield from self.rebuilt(self.by_joint)
         for term in self.fit.terms:
             yield from self._replaced(term)
-        yield from self._without_kinds()
         yield from self._kinds_replaced()
+
+    def _choice(self, terms: Iterable[Term]) -> Choice:
+        was = self.fit.choice
+        return self.model.choice(terms, was.width, was.delay)
 
     def _move(self, terms: Iterable[Term], gain: float) -> Move:
         """Return a move by its gain without prior odds."""
         choice = self._choice(terms)
         return Move(choice, gain + self.base - self.model.odds_against(choice))
 
-    def _choice(self, terms: Iterable[Term]) -> Choice:
-        was = self.fit.choice
-        return self.model.choice(tuple(terms), was.width, was.delay)
+    def _offers(
+        self, rest: Terms, packages: Iterable[Terms], dropped: Dropped | None = None
+    ) -> list[tuple[float, Terms]]:
+        """Return packages that may come to the rest, by their gains without prior odds."""
+        possible = [p for p in packages if self.model.are_compatible((*rest, *p))]
+        gains = self.around.gains(possible, dropped)
+        order = [k for k in np.argsort(-gains, kind="stable") if np.isfinite(gains[k])]
+        return [(float(gains[k]), possible[k]) for k in order]
+
+    def _moves(
+        self,
+        rest: Terms,
+        packages: Iterable[Terms],
+        dropped: Dropped | None = None,
+        *,
+        most: int | None = _MOST,
+    ) -> list[tuple[Move, Terms]]:
+        """Return moves to packages beside the rest, those that promise most first."""
+        loss = 0.0 if dropped is None else dropped.loss
+        offers = self._offers(rest, packages, dropped)[:most]
+        moves = [(self._move((*rest, *come), gain + loss), come) for gain, come in offers]
+        return sorted(moves, key=lambda each: -each[0].gain)
 
     def added(self) -> Iterator[Move]:
         """Add one term, the best at every joint together, or one kind at all joints together."""
         present = self.fit.terms
-        offered = [
-            term
-            for term in self.model.terms
-            if term not in present and self.model.are_compatible((*present, term))
-        ]
-        gains = self.around.gains([(term,) for term in offered])
-        moves = [
-            (self._move((*present, t), float(g)), t)
-            for t, g in zip(offered, gains, strict=True)
-            if np.isfinite(g)
-        ]
-        moves = sorted((m for m in moves if m[0].gain > _HOPE), key=lambda each: -each[0].gain)
+        offered = [(term,) for term in self.model.terms if term not in present]
+        moves = [m for m in self._moves(present, offered, most=None) if m[0].gain > _HOPE]
         yield from (move for move, _ in moves[:_MOST])
         best, kinds = dict[str, tuple[Term, float]](), dict[str, dict[str, tuple[Term, float]]]()
-        for move, term in moves:
+        for move, (term,) in moves:
             if term.joint is not None:
                 kinds.setdefault(term.name, {}).setdefault(term.joint, (term, move.gain))
                 if move.gain > 0.0:
@@ -145,34 +143,21 @@ class _Finder:
         """Choose the own effects of some joints anew: alone, as pairs, and beside simple ones."""
         present, every = self.fit.terms, list[tuple[Move, list[Term], Terms]]()
         for joint in joints:
-            offered = self.by_joint.get(joint, [])
             here = [term for term in present if term.joint == joint]
             rest = tuple(term for term in present if term not in here)
             if not self.model.are_compatible(rest):
                 continue
             dropped = self.around.dropped(here) if here else None
-            packages = [
-                package
-                for package in self._packages(offered, here, dropped)
-                if self.model.are_compatible((*rest, *package))
-            ]
-            loss = 0.0 if dropped is None else dropped.loss
-            gains = self.around.gains(packages, dropped) + loss
-            order = np.argsort(-gains)[:_MOST]
-            moves = [
-                (self._move((*rest, *packages[k]), float(gains[k])), here, packages[k])
-                for k in order
-                if np.isfinite(gains[k])
-            ]
-            moves.sort(key=lambda each: -each[0].gain)
-            yield from (move for move, _, _ in moves if move.gain > _HOPE)
-            every += moves[:1] if moves and moves[0][0].gain > 0.0 else []
+            offered = self._packages(self.by_joint.get(joint, []), here, dropped)
+            moves = self._moves(rest, offered, dropped)
+            yield from (move for move, _ in moves if move.gain > _HOPE)
+            every += [(move, here, come) for move, come in moves[:1] if move.gain > 0.0]
         if len(every) > 1:
             gone = {term for _, here, _ in every for term in here}
             kept = [term for term in present if term not in gone]
-            come = [term for _, _, package in every for term in package]
-            if self.model.are_compatible((*kept, *come)):
-                yield Move(self._choice((*kept, *come)), sum(move.gain for move, _, _ in every))
+            terms = (*kept, *(term for _, _, come in every for term in come))
+            if self.model.are_compatible(terms):
+                yield Move(self._choice(terms), sum(move.gain for move, _, _ in every))
 
     def _packages(
         self, offered: list[Term], here: list[Term], dropped: Dropped | None
@@ -202,35 +187,47 @@ class _Finder:
 
     def _replaced(self, term: Term) -> Iterator[Move]:
         """Drop one term, or replace it by one that does not belong to a single joint."""
-        rest = tuple(other for other in self.fit.terms if other is not term)
-        dropped = self.around.dropped([term])
-        if self.model.are_compatible(rest):
-            without = self._move(rest, dropped.loss)
-            if without.gain > _LOSS:
-                yield without
+        present, dropped = self.fit.terms, self.around.dropped([term])
+        rest = tuple(other for other in present if other is not term)
+        yield from self._without(rest, dropped)
         others = [
             (other,)
             for other in self.model.terms
-            if other not in self.fit.terms
-            and (term.joint is None or other.joint is None)
-            and self.model.are_compatible((*rest, other))
+            if other not in present and (term.joint is None or other.joint is None)
         ]
-        gains = self.around.gains(others, dropped) + dropped.loss
-        for k in np.argsort(-gains)[:_MOST]:
-            if np.isfinite(gains[k]):
-                move = self._move((*rest, *others[k]), float(gains[k]))
-                if move.gain > _HOPE:
-                    yield move
+        moves = self._moves(rest, others, dropped)
+        yield from (move for move, _ in moves if move.gain > _HOPE)
 
-    def _without_kinds(self) -> Iterator[Move]:
-        """Drop all effects of one name."""
-        for name in {term.name for term in self.fit.terms}:
-            gone = [term for term in self.fit.terms if term.name == name]
-            rest = tuple(term for term in self.fit.terms if term.name != name)
-            if len(gone) > 1 and self.model.are_compatible(rest):
-                move = self._move(rest, self.around.dropped(gone).loss)
-                if move.gain > _LOSS:
-                    yield move
+    def _without(self, rest: Terms, dropped: Dropped) -> Iterator[Move]:
+        """Drop what is not in the rest, if that may be without it."""
+        if self.model.are_compatible(rest):
+            move = self._move(rest, dropped.loss)
+            if move.gain > _LOSS:
+                yield move
+
+    def _kinds_replaced(self) -> Iterator[Move]:
+        """Drop all effects of one name, or replace them by another kind, or by one for all."""
+        present = self.fit.terms
+        for name in {term.name for term in present}:
+            gone = [term for term in present if term.name == name]
+            rest = tuple(term for term in present if term.name != name)
+            if len(gone) < 2 or not self.model.are_compatible(rest):
+                continue
+            dropped, joints = self.around.dropped(gone), {term.joint for term in gone}
+            yield from self._without(rest, dropped)
+            if joints == {None}:
+                continue
+            others = [term for term in self.model.terms if term.name != name]
+            shared = [(t,) for t in self.model.terms if t.joint is None and t not in present]
+            yield from (move for move, _ in self._moves(rest, shared, dropped))
+            best = dict[str, dict[str, tuple[float, Term]]]()
+            own = [(term,) for term in others if term.joint in joints]
+            for gain, (term,) in self._offers(rest, own, dropped):
+                best.setdefault(term.name, {}).setdefault(term.where[0], (gain, term))
+            for at in best.values():
+                terms = (*rest, *(term for _, term in at.values()))
+                if len(at) == len(joints) and self.model.are_compatible(terms):
+                    yield self._move(terms, dropped.loss + sum(gain for gain, _ in at.values()))
 
     def sparing(self) -> Iterator[Choice]:
         """Add a payload, or another effect of the whole robot, which may let bodies stay put.
@@ -243,45 +240,6 @@ class _Finder:
             held = term.is_body and term.is_whole and term.where[0] in last
             if (whole or held) and self.model.are_compatible((*present, term)):
                 yield self._choice((*present, term))
-
-    def _kinds_replaced(self) -> Iterator[Move]:
-        """Replace one kind of effect, or one that joints share, by another one everywhere."""
-        present = self.fit.terms
-        for name in {term.name for term in present if term.joint is not None}:
-            gone = [term for term in present if term.name == name]
-            rest = tuple(term for term in present if term.name != name)
-            if len(gone) < 2 or not self.model.are_compatible(rest):
-                continue
-            dropped, best = self.around.dropped(gone), dict[str, dict[str, tuple[float, Term]]]()
-            joints = {term.joint for term in gone}
-            offered = [
-                term
-                for term in self.model.terms
-                if term.joint in joints
-                and term.name != name
-                and self.model.are_compatible((*rest, term))
-            ]
-            gains = self.around.gains([(term,) for term in offered], dropped)
-            for term, gain in zip(offered, gains.tolist(), strict=True):
-                at = best.setdefault(term.name, {})
-                if np.isfinite(gain) and gain > at.get(term.where[0], (-np.inf, term))[0]:
-                    at[term.where[0]] = gain, term
-            shared = [
-                (term,)
-                for term in self.model.terms
-                if term.joint is None
-                and term not in present
-                and self.model.are_compatible((*rest, term))
-            ]
-            others = self.around.gains(shared, dropped)
-            for k in np.argsort(-others)[:_MOST]:
-                if np.isfinite(others[k]):
-                    yield self._move((*rest, *shared[k]), dropped.loss + float(others[k]))
-            for at in best.values():
-                if len(at) == len(joints):
-                    terms = (*rest, *(term for _, term in at.values()))
-                    if self.model.are_compatible(terms):
-                        yield self._move(terms, dropped.loss + sum(g for g, _ in at.values()))
 
 
 def _complexity(term: Term) -> int:

@@ -24,21 +24,13 @@ _BACKGROUND = 40.0  # width of the running median, in independent orders
 
 @dataclass(frozen=True)
 class Peak:
-    """A peak of the spectrum.
+    """A peak of the spectrum."""
 
-    Attributes:
-        order: Waves in 2π of position.
-        share: Share of the residual's power that waves of this order explain.
-        height: Evidence for the waves; about χ² of two degrees of freedom where there are none.
-        tried: Independent orders that were looked at.
-        resolution: Distance of orders that can be distinguished.
-    """
-
-    order: float
-    share: float
-    height: float
-    tried: int
-    resolution: float
+    order: float  # waves in 2π of position
+    share: float  # share of the residual's power that waves of this order explain
+    height: float  # evidence for the waves; about χ² of two degrees of freedom where there are none
+    tried: int  # independent orders that were looked at
+    resolution: float  # distance of orders that can be distinguished
 
 
 def highest_peak(
@@ -59,17 +51,10 @@ def highest_peak(
     amplitude H(n |v| / 2π). Samples are therefore taken together by speed, each class binned over
     position and transformed, and the transforms added as a matched filter does.
 
-    Args:
-        motion: Positions (K,) and velocities (K,).
-        residual: (K,) filtered residuals.
-        effective: How many independent samples these are worth.
-        gain: Response H of the filter at frequencies in Hz.
-        bandwidth: Bandwidth of the filter, Hz.
-        least_waves: Waves that the range of motion must hold; of more than `LEAST_WAVES`, the flank
-            of what is slower is no peak.
-
-    Returns:
-        The peak; None where the motion is too small or too fast for any order to show.
+    Motion is positions (K,) and velocities (K,), and the residual (K,) is worth `effective`
+    independent samples, filtered with response `gain` at frequencies in Hz and a bandwidth in Hz.
+    The range of motion must hold `least_waves`: of more than `LEAST_WAVES`, the flank of what is
+    slower is no peak. None where the motion is too small or too fast for any order to show.
     """
     q, speed = motion[0], np.abs(motion[1])
     span = float(np.ptp(q))

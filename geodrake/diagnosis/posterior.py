@@ -25,51 +25,32 @@ _LEAST = 0.01
 
 @dataclass(frozen=True)
 class Instead:
-    """What stands in the place of a finding in other explanations.
+    """What stands in the place of a finding in other explanations."""
 
-    Attributes:
-        effect: Name; several joined by " + ".
-        where: Joints or bodies.
-        probability: Sum over the explanations that have it in the place of the finding.
-        nrms: Error of the most probable of them, as `Fit.variance`, over efforts' deviations.
-        fit: The most probable of them.
-    """
-
-    effect: str
+    effect: str  # name; several joined by " + "
     where: tuple[str, ...]
-    probability: float
-    nrms: float
-    fit: Fit
+    probability: float  # sum over the explanations that have it in the place of the finding
+    nrms: float  # error of the most probable of them, as `Fit.variance`, over efforts' deviations
+    fit: Fit  # the most probable of them
 
 
 @dataclass(frozen=True)
 class Certainty:
-    """How probable a finding is.
+    """How probable a finding is."""
 
-    Attributes:
-        probability: Sum over explanations that have all of it.
-        chance: Sum over those that have nothing in its place.
-        rivals: What else stands in its place, the most probable first.
-    """
-
-    probability: float
-    chance: float
-    rivals: tuple[Instead, ...]
+    probability: float  # sum over explanations that have all of it
+    chance: float  # sum over those that have nothing in its place
+    rivals: tuple[Instead, ...]  # what else stands in its place, the most probable first
 
 
 class Posterior:
-    """The most probable explanation and its neighbours, with their probabilities.
-
-    Args:
-        model: The Gaussian model.
-        fit: The most probable explanation.
-    """
+    """The most probable explanation and its neighbours, with their probabilities."""
 
     def __init__(self, model: LogModel, fit: Fit) -> None:
         shares = model.shares(fit)
         others = neighbours(model, fit, most=_MOST)
         fits = [
-            model.fit(fit.choice, shares, fit.variance, bounded=False),
+            model.unbounded(fit.choice, shares, fit.variance),
             *(model.fit(choice, shares, fit.variance) for choice in others),
         ]
         self._model, self._fit = model, fit

@@ -10,8 +10,7 @@ from geodrake.diagnosis.coupled import coupled_joints
 from geodrake.diagnosis.handling import handled
 from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.diagnosis.position_spectrum import LEAST_WAVES, highest_peak
-from geodrake.diagnosis.proposal import Proposal
-from geodrake.diagnosis.residuals import JointResidual, full_motion, joint_residuals
+from geodrake.diagnosis.residuals import JointResidual, Proposal, full_motion, joint_residuals
 from geodrake.effects.base import Effect, Proposer
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.evidence import chi2_tail
@@ -31,13 +30,7 @@ share of a joint's squared error: the search judges it."""
 
 
 def proposed(case: Case, model: LogModel, fit: Fit) -> list[Effect]:
-    """Return effects that the residual of a fit suggests, with the shapes to try.
-
-    Args:
-        case: The case.
-        model: The Gaussian model of its logs.
-        fit: The explanation.
-    """
+    """Return effects that the residual of a fit suggests, with the shapes to try."""
     joints, motion = joint_residuals(case, model.hypothesis(fit)), full_motion(case)
     known = [term.effect for term in fit.terms if term.effect is not None]
     proposals = [*coupled_joints(case, joints, motion), *_ripples(case, joints, known)]
@@ -52,10 +45,12 @@ def _ripples(
     """At every joint the order of the highest peak in the residual's spectrum over position."""
     kinds = [kind for kind in case.effect_classes if kind.proposer is Proposer.WAVES]
     low_pass = case.trajectories[0].filter
+    # What is a function of the position alone and no wave, such as a spring.
+    smooth = {e.where for e in known if e.depends_on == {"q"} and e.proposer is not Proposer.WAVES}
     for joint in joints:
         if joint.joint not in case.model.single_joints or np.ptp(joint.q) <= 0.0:
             continue
-        beside = any(e.where == (joint.joint,) and _is_smooth(e) for e in known)
+        beside = (joint.joint,) in smooth
         peak = highest_peak(
             (joint.q, joint.v),
             joint.residual,
@@ -77,8 +72,3 @@ def _ripples(
             make: Callable[..., Effect] = kind
             waves = tuple(make(joint.joint, n) for n in orders if n >= least)
             yield Proposal(waves, peak.share, alarm)
-
-
-def _is_smooth(effect: Effect) -> bool:
-    """Whether an effect is a function of the position alone that is no wave, such as a spring."""
-    return effect.depends_on == {"q"} and effect.proposer is not Proposer.WAVES

@@ -6,7 +6,7 @@ Each is a coordinate of the explanation. Columns are made anew for its neighbour
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ from geodrake.identification.logs.case import Case, reduced
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.reduce import peak_speeds, sign_widths
 from geodrake.inertia import is_physical
-from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -32,61 +31,30 @@ _OTHER_LOADS = 0.02
 """Columns are made anew if a load changes by more than this share of the effort's deviation."""
 
 
-@dataclass(frozen=True)
-class Least:
-    """The least error near a value of a parameter.
+def least_between(offsets: Array, errors: Array) -> tuple[float, float]:
+    """Return where the parabola through three errors is least, and the deviation of that place.
 
-    Attributes:
-        step: From that value to where the error is least, within what was tried.
-        gain: How much smaller the error is there.
-        deviation: Standard deviation of the step where errors are twice log-likelihoods; infinite
-            where there is no minimum.
-    """
-
-    step: float
-    gain: float
-    deviation: float
-
-
-def least_between(offsets: Array, errors: Array) -> Least:
-    """Return the minimum of the parabola through three errors; no step if it has none.
-
-    Args:
-        offsets: (3,) values of a parameter, in order, from the middle one on, which is zero.
-        errors: (3,) errors there.
+    `offsets` (3,) are in order, from the middle one on, which is zero, and `errors` (3,) are those
+    there, twice log-likelihoods. Without a minimum it stays, and its deviation is infinite.
     """
     (first, _, last), (low, middle, high) = offsets.tolist(), errors.tolist()
     slopes = (low - middle) / first, (high - middle) / last
     curvature = (slopes[1] - slopes[0]) / (last - first)
     slope = slopes[0] - curvature * first
     if curvature <= 0.0:
-        return Least(0.0, 0.0, float("inf"))
+        return 0.0, float("inf")
     step = float(np.clip(-slope / (2.0 * curvature), offsets[0], offsets[-1]))
-    return Least(step, -(slope + curvature * step) * step, curvature**-0.5)
+    return step, curvature**-0.5
 
 
 # Delays.
 
 
-@dataclass(frozen=True, eq=False)
-class Delays:
-    """Delays of all joints between those of a grid.
-
-    Attributes:
-        seconds: (nv,) on top of the model's, s.
-        deviations: (nv,) standard deviations, s; infinite where nobody knows.
-    """
-
-    seconds: Array
-    deviations: Array
-
-
-def delays_of(model: LogModel, fit: Fit) -> Delays:
+def delays_of(model: LogModel, fit: Fit) -> tuple[Array, Array]:
     """Find the delays near those of a fit at which it is most probable.
 
-    Args:
-        model: The Gaussian model.
-        fit: A fit.
+    Returned are those (nv,) on top of the model's, s, and their standard deviations (nv,), s;
+    infinite where nobody knows.
     """
     dataset, delay = model.dataset, fit.choice.delay
     joints = np.arange(len(delay))
@@ -103,10 +71,9 @@ def delays_of(model: LogModel, fit: Fit) -> Delays:
         scores = [_score_at(model, fit, moved, int(k)) for k in near]
         if any(score is None for score in scores):
             continue
-        least = least_between(grid[near] - grid[own], -np.array(scores, float))
-        seconds[moved] += least.step
-        deviations[moved] = least.deviation
-    return Delays(seconds, deviations)
+        step, deviations[moved] = least_between(grid[near] - grid[own], -np.array(scores, float))
+        seconds[moved] += step
+    return seconds, deviations
 
 
 def _score_at(model: LogModel, fit: Fit, joints: list[int], delay: int) -> float | None:
@@ -119,36 +86,15 @@ def _score_at(model: LogModel, fit: Fit, joints: list[int], delay: int) -> float
 
 def _late_together(model: LogModel, choice: Choice) -> list[list[int]]:
     """Joints whose efforts are late by the same, all of them, or each alone."""
-    grid, joints = model.dataset.delays, range(len(choice.delay))
-    late = [
-        float(grid[k, j] - grid[o, j])
-        for j, k, o in zip(joints, choice.delay, model.on_time, strict=True)
-    ]
-    moved = [j for j in joints if abs(late[j]) > 1e-9]
+    late = model.lateness(choice)
+    moved = np.flatnonzero(np.abs(late) > 1e-9).tolist()
     if len(moved) == len(late) and np.ptp(late) < 1e-9:
-        return [list(joints)]
+        return [moved]
     return [[j] for j in moved]
 
 
-def with_delays(case: Case, found: Delays) -> Case:
-    """Return a case whose model has the delays that were found.
-
-    Args:
-        case: The case.
-        found: Delays on top of the model's.
-    """
-    lags = fitted_delays(case.model.delays + found.seconds, case.model.joints)
-    kept = [f for f in case.model.effects if f.effect.parameters]
-    return replace(case, model=replace(case.model, effects=(*kept, *lags)))
-
-
 def fitted_delays(delays: Array, joints: Sequence[str]) -> list[FittedEffect]:
-    """Return the effects of a fitted model that make delays (nv,), s, at its joints.
-
-    Args:
-        delays: (nv,) delays, s.
-        joints: Names of the nv joints.
-    """
+    """Return the effects of a fitted model that make delays (nv,), s, at its joints."""
     none = np.empty(0)
     return [FittedEffect(effect, none, none) for effect in effort_delays(delays, joints)]
 
@@ -161,10 +107,7 @@ def finer_shapes(
 ) -> list[Effect]:
     """Shapes between those of a grid, around those that were found.
 
-    Args:
-        terms: Terms of an explanation.
-        grid: Effects that are tried, with the coarse grids of their shapes.
-        zooms: Name and place -> how often the shape there was made finer.
+    `zooms` tells how often the shape of a name and place was made finer.
     """
     found = list[Effect]()
     for term in terms:
@@ -178,35 +121,19 @@ _ZOOMS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)
 """Steps of finer and finer grids of a shape, in steps of the coarse one."""
 
 
-def free_shape(effect: Effect, grid: Sequence[Effect]) -> tuple[str, Array] | None:
-    """Return the shape parameter that a grid tries at several positive values, and these in order.
+def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]:
+    """Neighbours of an effect's shape, two to either side where they make sense.
 
-    Args:
-        effect: An effect.
-        grid: Effects that are tried, among them those of its name and place.
-
-    Returns:
-        None where no parameter varies, more than one does, or not continuously.
+    None where no parameter varies on the grid, more than one does, or not continuously.
     """
     tried = [e for e in grid if (e.name, e.where) == (effect.name, effect.where)]
     values = {f.name: {getattr(e, f.name) for e in tried} for f in fields(effect)}  # type: ignore[arg-type]
-    varied = [name for name, found in values.items() if len(found) > 1]
-    if len(varied) != 1:
-        return None
-    (name,) = varied
-    if not all(isinstance(value, float) and value > 0.0 for value in values[name]):
-        return None
-    return name, np.sort(np.array([*values[name]]))
-
-
-def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]:
-    """Neighbours of an effect's shape, two to either side where they make sense."""
-    found = free_shape(effect, grid)
-    if found is None:
+    varied = [(name, found) for name, found in values.items() if len(found) > 1]
+    if len(varied) != 1 or not all(isinstance(x, float) and x > 0.0 for x in varied[0][1]):
         return []
-    name, values = found
-    value, gaps = getattr(effect, name), np.diff(np.log(values))
-    at = int(np.clip(np.searchsorted(values, value) - 1, 0, len(gaps) - 1))
+    name, known = varied[0][0], np.sort(np.array([*varied[0][1]]))
+    value, gaps = getattr(effect, name), np.diff(np.log(known))
+    at = int(np.clip(np.searchsorted(known, value) - 1, 0, len(gaps) - 1))
     steps = share * gaps[at] * np.array([-2.0, -1.0, 1.0, 2.0])
     near = [replace(effect, **{name: float(value * factor)}) for factor in np.exp(steps)]  # type: ignore[type-var]
     return [e for e in near if e.distinct and bool(e.refines) == bool(effect.refines)]
@@ -216,24 +143,14 @@ def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]
 
 
 def expansions(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
-    """Return the effects whose columns are slopes, moved to the fitted point, by effect.
-
-    Args:
-        case: The case.
-        model: The Gaussian model.
-        fit: A fit.
-    """
-    terms = [term for term in fit.terms if term.effect is not None and term.effect.expandable]
-    if not terms:
+    """Return the effects whose columns are slopes, moved to the fitted point, by effect."""
+    slopes = {t.effect: t for t in fit.terms if t.effect is not None and t.effect.expandable}
+    if not slopes:
         return {}
-    robot, found = case.model, dict[Effect, Effect]()
-    bodies = RobotBodies(robot.tree, np.zeros((0, robot.tree.num_positions)), robot.total_phi)
-    for term in terms:
-        if term.effect is not None:
-            moved = term.effect.expanded_about(model.parameters(fit, term), bodies)
-            if moved != term.effect:
-                found[term.effect] = moved
-    return found
+    tree = case.model.tree
+    bodies = RobotBodies(tree, np.zeros((0, tree.num_positions)), case.model.total_phi)
+    moved = {e: e.expanded_about(model.parameters(fit, t), bodies) for e, t in slopes.items()}
+    return {effect: other for effect, other in moved.items() if other != effect}
 
 
 # Loads.
@@ -244,11 +161,6 @@ def fitted_loads(case: Case, model: LogModel, fit: Fit) -> Array | None:
 
     Friction that grows with the load, gears that give way or have play: what they do is known at
     the right instants only if the load is.
-
-    Args:
-        case: The case.
-        model: The Gaussian model.
-        fit: A fit.
     """
     robot, was = case.model, case.load_model.phi
     phi = model.bodies(fit)
@@ -286,15 +198,9 @@ def fading_speeds(case: Case, model: LogModel, fit: Fit) -> Array | None:
     Surfaces that touch give way a little before they slide, so that measured dry friction does not
     jump where a joint turns round.
 
-    Args:
-        case: The case.
-        model: The Gaussian model.
-        fit: A fit.
-
-    Returns:
-        None where no joint has less than half of its squared error with another speed than now.
-        Friction that fades with the way from a reversal on, as real friction does, has more: a
-        speed found for it does not hold where joints creep.
+    None where no joint has less than half of its squared error with another speed than now.
+    Friction that fades with the way from a reversal on, as real friction does, has more: a speed
+    found for it does not hold where joints creep.
     """
     robot, logs = case.model, case.trajectories
     effects = [*model.unknowns.effects, *(t.effect for t in fit.terms if t.effect is not None)]
@@ -332,20 +238,3 @@ def fading_speeds(case: Case, model: LogModel, fit: Fit) -> Array | None:
 _FASTEST = 0.1
 """Dry friction fades below this share of a joint's peak speed at most."""
 _DOUBLINGS = 7
-
-
-def fading_notes(before: RobotModel, after: RobotModel) -> list[str]:
-    """Describe the speeds at which dry friction was found to fade.
-
-    Args:
-        before: The model as it came.
-        after: The fitted model.
-    """
-    speeds, known = after.sign_widths(0.0), before.sign_widths(0.0)
-    rubbing = {p for f in after.effects if f.effect.jumps for p in f.effect.where}
-    return [
-        f"dry friction of {joint} fades below {speeds[j]:.2g} "
-        f"{'m/s' if joint in after.sliding_joints else 'rad/s'}"
-        for j, joint in enumerate(after.joints)
-        if joint in rubbing and speeds[j] not in (0.0, known[j])
-    ]

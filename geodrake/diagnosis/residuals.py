@@ -12,7 +12,8 @@ from geodrake.effects.base import Effect
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.evidence import effective_samples
 from geodrake.identification.logs.hypothesis import Hypothesis, residual_blocks
-from geodrake.logs.smoothing import Segment
+from geodrake.logs.motion import Trajectory
+from geodrake.logs.smoothing import Segment, Stretch
 
 Array = NDArray[np.float64]
 
@@ -21,32 +22,26 @@ SLOW = 0.01
 """Below this share of a joint's peak speed its direction of motion is doubtful."""
 
 
+@dataclass(frozen=True)
+class Proposal:
+    """An effect that a residual suggests."""
+
+    effects: tuple[Effect, ...]  # the effect with the shapes to try
+    share: float  # of the squared error at its joint that it explains
+    alarm: float  # probability that noise alone suggests as much
+
+
 @dataclass(frozen=True, eq=False)
 class JointResidual:
-    """Held-out residuals of a joint, the kept rows of all folds one after another.
-
-    Attributes:
-        joint: Name of the joint.
-        time: (K,) instants since the row's log began, s.
-        log: (K,) index of the row's log.
-        q: (K,) position, rad or m.
-        v: (K,) velocity, rad/s or m/s.
-        residual: (K,) measured less predicted effort, filtered.
-        effective: How many independent samples these are worth.
-    """
+    """Held-out residuals of a joint, the kept rows of all folds one after another."""
 
     joint: str
-    time: Array
-    log: NDArray[np.int_]
-    q: Array
-    v: Array
-    residual: Array
-    effective: float
-
-    @property
-    def sign_v(self) -> Array:
-        """(K,) direction of motion, smoothed at the slowest."""
-        return self.direction(self.v)
+    time: Array  # (K,) instants since the row's log began, s
+    log: NDArray[np.int_]  # (K,) index of the row's log
+    q: Array  # (K,) position, rad or m
+    v: Array  # (K,) velocity, rad/s or m/s
+    residual: Array  # (K,) measured less predicted effort, filtered
+    effective: float  # how many independent samples these are worth
 
     def direction(self, v: Array) -> Array:
         """Direction of motion at velocities v of the joint, smoothed at the slowest."""
@@ -58,36 +53,10 @@ class JointResidual:
         share = float(np.mean(rows))
         return replace(self, **kept, effective=max(1.0, share * self.effective))
 
-    def improvement(self, base: Sequence[Array], columns: Sequence[Array]) -> tuple[float, float]:
-        """What columns explain of the residual beyond others, in sample.
 
-        Args:
-            base: Columns (K,) that may be there anyway.
-            columns: Further columns (K,).
-
-        Returns:
-            Share of the squared residual that they take away, and about χ² of as many degrees of
-            freedom as they are where they are irrelevant.
-        """
-        first = _left(self.residual, np.stack(base, 1))
-        second = _left(self.residual, np.stack([*base, *columns], 1))
-        share = 1.0 - second / first if first > 0.0 else 0.0
-        return share, float(-self.effective * np.log1p(-min(share, 1.0 - 1e-9)))
-
-
-def joint_residuals(
-    case: Case, hypothesis: Hypothesis, *, without: Sequence[Effect] = ()
-) -> list[JointResidual]:
-    """Residuals of all joints.
-
-    Args:
-        case: The case.
-        hypothesis: A hypothesis.
-        without: Effects of it whose effort is left in the residual.
-    """
-    dataset, x = hypothesis.dataset, hypothesis.held_out.x.copy()
-    for effect in without:
-        x[:, hypothesis.unknowns.span(effect)] = 0.0
+def joint_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
+    """Residuals of all joints."""
+    dataset, x = hypothesis.dataset, hypothesis.held_out.x
     blocks = residual_blocks(dataset, hypothesis.unknowns.columns, x, delay=hypothesis.delay)
     began = [trajectory.began for trajectory in case.trajectories]
     found = []
@@ -134,14 +103,8 @@ def filtered_columns(
 ) -> Array:
     """Columns of the motion at its full rate, filtered as the residual is.
 
-    Args:
-        case: The case.
-        motion: `full_motion` of the case.
-        joint: A residual.
-        columns: Columns (N, k) of each segment.
-
-    Returns:
-        (K, k) columns at the residual's rows, NaN where the motion was not looked at.
+    `motion` is `full_motion` of the case, with columns (N, k) of each segment. Returned are (K, k)
+    columns at the residual's rows, NaN where the motion was not looked at.
     """
     began = [trajectory.began for trajectory in case.trajectories]
     parts: list[tuple[NDArray[np.bool_], Array]] = []
@@ -161,8 +124,23 @@ def filtered_columns(
     return found
 
 
-def _left(residual: Array, columns: Array) -> float:
-    """Sum of squares that least squares leaves."""
-    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
-    found = np.linalg.lstsq(scaled, residual, rcond=1e-9)[0]
-    return float(np.square(residual - scaled @ found).sum())
+def cut_out(
+    trajectory: Trajectory,
+    segments: Iterable[Segment | Stretch],
+    window: tuple[float, float],
+    pad: float,
+) -> tuple[Segment, Array, Array] | None:
+    """Return the samples around a window, with their instants and those of filtered samples.
+
+    Instants are s since the log began, and filtered samples those of the whole segment. None where
+    the log has a gap there.
+    """
+    low_pass, step = trajectory.filter, trajectory.filter.decimation
+    for segment in segments:
+        time = segment[:].time - trajectory.began
+        if time[0] <= window[0] and window[1] <= time[-1]:
+            first, last = np.searchsorted(time, [window[0] - pad, window[1] + pad]).tolist()
+            near = slice(first // step * step, last)
+            at = time[near]
+            return segment[near], at, at[low_pass.output_indices(len(at))]
+    return None

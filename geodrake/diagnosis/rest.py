@@ -34,7 +34,7 @@ _PROMISING = 3  # functions, by what they leave with the first ridge, are fitted
 _MOST = 4_000  # samples that are looked at
 
 
-def share_of_motion(case: Case, hypothesis: Hypothesis, *, alarm: float = ALARM) -> Array:
+def share_of_motion(case: Case, hypothesis: Hypothesis) -> Array:
     """(nv,) share of each joint's squared error that a smooth function of the motion could remove.
 
     Functions of all positions, and of position, velocity and direction of the joint itself and one
@@ -43,13 +43,7 @@ def share_of_motion(case: Case, hypothesis: Hypothesis, *, alarm: float = ALARM)
     chosen by every other fold for the rest, if that is no chance. No function of the motion
     predicts noise, whatever its colour.
 
-    Args:
-        case: The case.
-        hypothesis: What was found.
-        alarm: Largest probability of a false alarm.
-
-    Returns:
-        Shares from 0 to 1; 0 where only sensor noise is left.
+    Shares are from 0 to 1, and 0 where only sensor noise is left.
     """
     motion, speeds = full_motion(case), peak_speeds(case.trajectories)
     joints = zip(
@@ -64,7 +58,7 @@ def share_of_motion(case: Case, hypothesis: Hypothesis, *, alarm: float = ALARM)
             folds = np.repeat(
                 np.arange(len(data.rows)), [sum(len(r.time) for r in fold) for fold in data.rows]
             )
-            shares[j] = _predictable(case, motion, residual, folds, speeds=speeds, alarm=alarm)
+            shares[j] = _predictable(case, motion, residual, folds, speeds)
     return shares
 
 
@@ -73,19 +67,12 @@ def _predictable(
     motion: Sequence[tuple[int, Segment]],
     joint: JointResidual,
     folds: Indices,
-    *,
     speeds: Array,
-    alarm: float,
 ) -> float:
     """Share of the squared residual of a joint that the best function of the motion predicts.
 
-    Args:
-        case: The case.
-        motion: `full_motion` of the case.
-        joint: The residual, of K rows.
-        folds: (K,) fold of each row.
-        speeds: (nv,) peak speeds, rad/s or m/s; 0 for a joint that does not move.
-        alarm: Largest probability of a false alarm.
+    `motion` is `full_motion` of the case, `folds` (K,) has the fold of each row, and `speeds` (nv,)
+    are peak speeds, rad/s or m/s; 0 for a joint that does not move.
     """
     own = case.model.joints.index(joint.joint)
     columns = filtered_columns(case, motion, joint, (_signals(s, speeds) for _, s in motion))
@@ -113,7 +100,7 @@ def _predictable(
     share = float(1.0 - left.sum() / np.square(b).sum())
     gain = -joint.effective * np.log1p(-max(share, 0.0))
     tried = len(offered) * len(_RIDGES)
-    return share if false_alarm_probability(gain, 1, tried) <= alarm else 0.0
+    return share if false_alarm_probability(gain, 1, tried) <= ALARM else 0.0
 
 
 def _signals(segment: Segment, speeds: Array) -> Array:
@@ -133,19 +120,12 @@ def _waves(signals: Array) -> Iterator[Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Folds:
-    """A residual and features of it, fold by fold, with their normal equations.
+    """A residual and features of it, fold by fold, with their normal equations."""
 
-    Attributes:
-        features: (N_f, k) features of each fold.
-        residuals: (N_f,) residual of each fold.
-        grams: (F, k, k) products of the features of each fold.
-        moments: (F, k) products of features and residual.
-    """
-
-    features: list[Array]
-    residuals: list[Array]
-    grams: Array
-    moments: Array
+    features: list[Array]  # (N_f, k) features of each fold
+    residuals: list[Array]  # (N_f,) residual of each fold
+    grams: Array  # (F, k, k) products of the features of each fold
+    moments: Array  # (F, k) products of features and residual
 
     @classmethod
     def of(cls, features: Array, b: Array, folds: Indices) -> _Folds:

@@ -64,26 +64,16 @@ class Diagnosis(Shown):
 
 @dataclass(frozen=True)
 class FittedRival:
-    """What stands in the place of a finding in other explanations of the logs.
+    """What stands in the place of a finding in other explanations of the logs."""
 
-    Attributes:
-        effect: Name; two names joined by " + " for effects found together.
-        where: Joints or bodies.
-        instead_of: Names of the effects that were added.
-        error: nrms with the rival, everything that may move refitted, beside all else that was
-            found.
-        error_of_choice: The same with what was added.
-        tie_probability: How probable the rival is, if it is either that or what was added.
-        odds: Odds of the rival against what was added.
-    """
-
-    effect: str
-    where: tuple[str, ...]
-    instead_of: tuple[str, ...]
+    effect: str  # name; two names joined by " + " for effects found together
+    where: tuple[str, ...]  # joints or bodies
+    instead_of: tuple[str, ...]  # names of the effects that were added
+    # The nrms with the rival, everything that may move refitted, beside all else that was found.
     error: float
-    error_of_choice: float
-    tie_probability: float
-    odds: float = 1.0
+    error_of_choice: float  # the same with what was added
+    tie_probability: float  # how probable the rival is, if it is either that or what was added
+    odds: float = 1.0  # odds of the rival against what was added
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -21,8 +21,8 @@ from geodrake.diagnosis.refinements import (
     expansions,
     fading_speeds,
     finer_shapes,
+    fitted_delays,
     fitted_loads,
-    with_delays,
 )
 from geodrake.diagnosis.search_progress import FoundStep, Progress, progress_of
 from geodrake.diagnosis.terms import Key, Term, Terms
@@ -36,6 +36,7 @@ from geodrake.identification.logs.model_fit import effects_of
 from geodrake.logs.folds import dealt_out
 
 Array = NDArray[np.float64]
+Places = tuple[tuple[str, ...], ...]
 
 _MOST_ROUNDS = 12
 _FIRST_SHARE = 0.05
@@ -46,21 +47,13 @@ _OTHER_DELAY = 3.0  # deviations
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """The most probable explanation that a search found.
+    """The most probable explanation that a search found."""
 
-    Attributes:
-        case: The case, with the columns of what was tried last.
-        model: The Gaussian model of its logs.
-        fit: The explanation.
-        start: The model without anything new, with bodies that may move.
-        is_stopped: Whether the search was stopped before its end.
-    """
-
-    case: Case
-    model: LogModel
+    case: Case  # the case, with the columns of what was tried last
+    model: LogModel  # the Gaussian model of its logs
     fit: Fit
-    start: Fit
-    is_stopped: bool = False
+    start: Fit  # the model without anything new, with bodies that may move
+    is_stopped: bool = False  # whether the search was stopped before its end
 
 
 def searched(
@@ -68,48 +61,19 @@ def searched(
 ) -> Found:
     """Find the most probable explanation of the logs of a case.
 
-    Args:
-        case: The case, with columns for candidates.
-        beliefs: Prior odds and widths.
-        progress: Called with each step.
-
     Raises:
         StopSearch: It was stopped before it had found anything.
     """
-    return _Search(case, Beliefs() if beliefs is None else beliefs, progress).found()
+    return Search(case, beliefs, progress).found()
 
 
-def with_forced(
-    case: Case,
-    kind: type[Effect],
-    places: tuple[tuple[str, ...], ...] | None,
-    further: Sequence[Effect] = (),
-) -> Found:
-    """Return the explanation with one effect, whatever the evidence for it.
+class Search:
+    """A search for what a model lacks, and where it is."""
 
-    Args:
-        case: The case, with columns for candidates.
-        kind: The effect.
-        places: Where; None for all joints, or the place that helps most.
-        further: Instances to try beside those that the case has columns for.
-
-    Raises:
-        ArgumentError: It is one of an episode, and the residual shows none.
-    """
-    return _Search(case, Beliefs(), None).forced(kind, places, further)
-
-
-class _Search:
-    """Where a search is.
-
-    Attributes:
-        case: The case as it was reduced last.
-        model: Its Gaussian model.
-        fit: The most probable explanation so far.
-    """
-
-    def __init__(self, case: Case, beliefs: Beliefs, progress: Progress | None) -> None:
-        self.case, self._beliefs, self._progress = case, beliefs, progress
+    def __init__(
+        self, case: Case, beliefs: Beliefs | None = None, progress: Progress | None = None
+    ) -> None:
+        self.case, self._beliefs, self._progress = case, beliefs or Beliefs(), progress
         self._effects = list(dict.fromkeys(case.dataset.effects))
         self._grid = tuple(self._effects)
         self._origin = case.model.delays
@@ -131,9 +95,7 @@ class _Search:
         try:
             more = proposed(self.case, self.model, self.fit)
             if more:  # before anything else makes up for them
-                self._effects += more
-                self._grid = (*self._grid, *more)
-                self._anew()
+                self._offer(more)
             self._climb(hopeful=True)
             self._climb(hopeful=False)
             for _ in range(_MOST_ROUNDS):
@@ -149,12 +111,16 @@ class _Search:
         return Found(self.case, self.model, self.fit, self._start(), self._is_stopped)
 
     def forced(
-        self,
-        kind: type[Effect],
-        places: tuple[tuple[str, ...], ...] | None,
-        further: Sequence[Effect],
+        self, kind: type[Effect], places: Places | None, further: Sequence[Effect] = ()
     ) -> Found:
-        """Return the explanation with one effect; see `with_forced`."""
+        """Return the explanation with one effect, whatever the evidence for it.
+
+        Places are all joints if None, or the place that helps most. `further` instances are tried
+        beside those that the case has columns for.
+
+        Raises:
+            ArgumentError: It is one of an episode, and the residual shows none.
+        """
         if kind.role is Role.EPISODE or kind.proposer is Proposer.WAVES:
             further = [e for e in self._suggested() if isinstance(e, kind)] or further
             if kind.role is Role.EPISODE and not further:
@@ -174,15 +140,16 @@ class _Search:
             self.fit = self._with_best(kind, places)
         return Found(self.case, self.model, self.fit, self._start())
 
-    def _with_best(self, kind: type[Effect], places: tuple[tuple[str, ...], ...] | None) -> Fit:
+    def _with_best(self, kind: type[Effect], places: Places | None) -> Fit:
         """The most probable explanation with one effect at some places, in its best shape."""
         model, was = self.model, self._start()
         if kind.role is Role.DELAY:
             return self._latest(was, places)
         if kind.role is Role.INERTIA:
             wrong = model.beliefs.wrong
-            choices = [model.nothing(w) for w in model.widths if w > wrong]
-            return self._best(choices or [model.nothing(model.widths[-1])], was)
+            widths = [w for w in model.widths if w > wrong] or [model.widths[-1]]
+            choices = [Choice((), width, self._on_time) for width in widths]
+            return self._best(choices, was)
         known = [w for w in model.widths if w <= model.beliefs.wrong] or [model.widths[0]]
         options = dict[tuple[str, ...], list[Term]]()
         for term in model.terms:
@@ -201,34 +168,27 @@ class _Search:
         together = tuple(fit.terms[0] for fit in best.values())
         return self._best([model.choice(together, w, was.choice.delay) for w in known], was)
 
-    def _latest(self, was: Fit, places: tuple[tuple[str, ...], ...] | None) -> Fit:
+    def _latest(self, was: Fit, places: Places | None) -> Fit:
         """Return the best delay of all efforts, or of those of each of some joints."""
-        joints, fit = range(len(was.choice.delay)), was
-        every = [tuple(joints)]
+        fit, every = was, [[*range(len(self._on_time))]]
         if places is not None:
-            every = [(self.case.model.joints.index(name),) for (name,) in places]
+            every = [[self.case.model.joints.index(name)] for (name,) in places]
         for moved in every:
-            choices = [
-                Choice(
-                    (),
-                    was.choice.width,
-                    tuple(k if j in moved else fit.choice.delay[j] for j in joints),
-                )
+            delays = [
+                tuple(k if j in moved else own for j, own in enumerate(fit.choice.delay))
                 for k in range(len(self.case.dataset.delays))
             ]
-            late = [c for c in choices if any(c.delay[j] != self._on_time[j] for j in moved)]
-            fit = self._best(late, was)
+            late = [d for d in delays if any(d[j] != self._on_time[j] for j in moved)]
+            fit = self._best([Choice((), was.choice.width, delay) for delay in late], was)
         return fit
 
     def _best(self, choices: Sequence[Choice], was: Fit) -> Fit:
         """Return the most probable of some explanations, even where it is not physical."""
         shares = np.full(len(self.model.rows), _FORCED_SHARE)
-        for bounded in (True, False):
-            fits = [self.model.fit(c, shares, was.variance, bounded=bounded) for c in choices]
-            known = [fit for fit in fits if fit is not None]
-            if known:
-                return max(known, key=lambda fit: fit.score)
-        raise RuntimeError("a fit without bounds was refused")
+        if ranked := self.model.ranked(choices, shares, was.variance):
+            return ranked[0]
+        fits = [self.model.unbounded(choice, shares, was.variance) for choice in choices]
+        return max(fits, key=lambda fit: fit.score)
 
     def _suggested(self) -> list[Effect]:
         """Return what the residual suggests: shared actuators, ripples, contacts."""
@@ -244,18 +204,15 @@ class _Search:
     def _without_short_loads(self) -> Fit:
         """Return the explanation without what is held for a short while: it may be a contact."""
         was, model = self.fit, self.model
-        held = [term for term in was.terms if is_short(self.case, term.effect)]
-        if not held:
+        kept = [term for term in was.terms if not is_short(self.case, term.effect)]
+        if len(kept) == len(was.terms):
             return was
-        kept = tuple(term for term in was.terms if term not in held)
         choice = model.choice(kept, was.choice.width, was.choice.delay)
-        return model.fit(choice, model.shares(was), was.variance, bounded=False) or was
+        return model.unbounded(choice, model.shares(was), was.variance)
 
     def _start(self) -> Fit:
         """Return the model with nothing new, its bodies as near to the file as the logs say."""
-        shares = np.full(len(self.model.rows), _FIRST_SHARE)
-        fits = [self.model.fit(self.model.nothing(w), shares) for w in self.model.widths]
-        return max((fit for fit in fits if fit is not None), key=lambda fit: fit.score)
+        return self.model.bare(np.full(len(self.model.rows), _FIRST_SHARE))
 
     def _climb(self, *, hopeful: bool) -> None:
         def watch(before: Fit, after: Fit) -> None:
@@ -282,7 +239,9 @@ class _Search:
         grid = self.case.dataset.delays
         late = any(abs(grid[k, j]) > 1e-9 for j, k in enumerate(fit.choice.delay))
         returned = self._timed is not None and fit.choice.delay == self._on_time
-        if (late and not returned) or expansions(self.case, self.model, fit):
+        if late and not returned and self._timing(fit) not in self._times:
+            return True
+        if expansions(self.case, self.model, fit):
             return True
         return bool(finer_shapes(fit.terms, self._grid, self._zooms))
 
@@ -300,42 +259,36 @@ class _Search:
     def _anew(self, moved: dict[Effect, Effect] | None = None, *, retimed: bool = False) -> None:
         """Make columns for what is tried now, and carry the explanation over.
 
-        Args:
-            moved: Effects that others take the place of.
-            retimed: Whether the model has the delays of the explanation now.
+        `moved` are effects that others take the place of, and `retimed` tells whether the model has
+        the delays of the explanation now.
         """
-        moved, was = moved or {}, self.fit
-        self.model = self._made()
-        by_effect = {term.effect: term for term in self.model.terms if term.effect is not None}
-        bodies = {term.where: term for term in self.model.terms if term.effect is None}
-        effects = [moved.get(term.effect, term.effect) for term in was.terms if term.effect]
-        terms = [bodies[term.where] for term in was.terms if term.effect is None]
-        terms += [by_effect[effect] for effect in effects if effect in by_effect]
+        self.model, was = self._made(), self.fit
+        terms = self.model.alike(was.terms, moved)
         delay = (0,) * len(self._on_time) if retimed else was.choice.delay
-        choice = self.model.choice(tuple(terms), was.choice.width, delay)
-        shares = np.full(len(self.model.rows), 0.3)
-        fit = self.model.fit(choice, shares, was.variance)
-        if fit is None:  # something became negative
-            kept = [t for t in terms if not len(t.positive)]
-            choice = self.model.choice(tuple(kept), was.choice.width, delay)
-            fit = self.model.fit(choice, shares, was.variance) or self._start()
-        self.fit = fit
+        shares = np.full(len(self.model.rows), _FORCED_SHARE)
+        for kept in (terms, [term for term in terms if not len(term.positive)]):
+            choice = self.model.choice(kept, was.choice.width, delay)
+            fit = self.model.fit(choice, shares, was.variance)
+            if fit is not None:
+                break
+        self.fit = fit or self._start()  # something became negative
+
+    def _offer(self, more: Sequence[Effect]) -> None:
+        """Try more effects from now on."""
+        self._effects += more
+        self._grid = (*self._grid, *more)
+        self._anew()
 
     def _goes_on(self) -> bool:
         """Make exact what was found, or find more to try; whether there is anything to search."""
-        if self._refined():
-            self._climb(hopeful=False)
-            return True
-        if self._fades():
+        if self._refined() or self._fades():
             self._climb(hopeful=False)
             return True
         if not self._looked:
             self._looked = True
             more = self._suggested()
             if more:
-                self._effects += more
-                self._grid = (*self._grid, *more)
-                self._anew()
+                self._offer(more)
                 if any(effect.role is Role.EPISODE for effect in more):
                     self.fit = self._start()  # what was found may have followed the contact
                 self._climb(hopeful=True)
@@ -369,7 +322,8 @@ class _Search:
         if moved:
             self._effects = [moved.get(effect, effect) for effect in self._effects]
         loads = fitted_loads(self.case, self.model, self.fit)
-        if loads is not None and self._needs_loads():
+        effects = [term.effect for term in self.fit.terms if not term.is_body]
+        if loads is not None and any(e and "load" in e.depends_on for e in effects):
             self.case = replace(self.case, loads=loads, kept=KeptMotion())
             changed = True
         if changed or near or moved:
@@ -390,10 +344,11 @@ class _Search:
         self._anew()
         return True
 
-    def _needs_loads(self) -> bool:
-        """Return whether something in the explanation depends on the load."""
-        effects = [term.effect for term in self.fit.terms if not term.is_body]
-        return any(effect is not None and "load" in effect.depends_on for effect in effects)
+    def _timing(self, fit: Fit) -> tuple[frozenset[Key], tuple[int, ...]]:
+        """Return what an explanation has, and its delays in quarters of a step."""
+        seconds = self.case.model.delays + delays_of(self.model, fit)[0]
+        delays = np.rint(seconds / (0.25 * self._step)).astype(int)
+        return frozenset(term.key for term in fit.terms), tuple(delays.tolist())
 
     def _retimed(self) -> bool:
         """Advance the efforts by the delay that was found, if it is another one than before."""
@@ -403,16 +358,17 @@ class _Search:
             return False
         if self._timed is not None and self.fit.terms == self._timed and not late:
             return False
-        found = delays_of(self.model, self.fit)
-        far = np.abs(found.seconds) > _OTHER_DELAY * found.deviations
+        (seconds, deviations), model = delays_of(self.model, self.fit), self.case.model
+        far = np.abs(seconds) > _OTHER_DELAY * deviations
         if self._timed is not None and not late and not far.any():
             return False
-        delays = np.rint((self.case.model.delays + found.seconds) / (0.25 * self._step))
-        tried = frozenset(term.key for term in self.fit.terms), tuple(delays.astype(int).tolist())
-        if tried in self._times:  # which led back to here
+        timing = self._timing(self.fit)
+        if timing in self._times:  # which led back to here
             return False
-        self._times.add(tried)
-        self.case = with_delays(self.case, found)
+        self._times.add(timing)
+        lags = fitted_delays(model.delays + seconds, model.joints)
+        kept = [each for each in model.effects if each.effect.parameters]
+        self.case = replace(self.case, model=replace(model, effects=(*kept, *lags)))
         half = 0.5 * self._step if self._timed is None else 0.25 * self._step
         grid = np.unique(np.concatenate([self._step * np.arange(-3, 4), [half, -half]]))
         others = [x for x in grid.tolist() if abs(x) > 1e-12]

@@ -14,26 +14,16 @@ from geodrake.effects.lookup import effect_of
 
 @dataclass(frozen=True)
 class FoundStep:
-    """A step of a search, as it is taken; what comes later may still change it.
+    """A step of a search, as it is taken; what comes later may still change it."""
 
-    Attributes:
-        effect: Name of what was found; several joined by " + "; empty if something only went.
-        where: Joints or bodies; of what went, if nothing was found.
-        before: Held-out nrms before.
-        after: Held-out nrms after.
-        start: Held-out nrms before the first step.
-        floor: nrms of the sensor noise; zero if the logs show none.
-        instead_of: Names of what went.
-        is_last: Whether the search was stopped here; what was found is being fitted once more.
-    """
-
-    effect: str
-    where: tuple[str, ...]
-    before: float
-    after: float
-    start: float
-    floor: float
-    instead_of: tuple[str, ...] = ()
+    effect: str  # name of what was found; several joined by " + "; empty if something only went
+    where: tuple[str, ...]  # joints or bodies; of what went, if nothing was found
+    before: float  # held-out nrms before
+    after: float  # held-out nrms after
+    start: float  # held-out nrms before the first step
+    floor: float  # nrms of the sensor noise; zero if the logs show none
+    instead_of: tuple[str, ...] = ()  # names of what went
+    # Whether the search was stopped here; what was found is being fitted once more.
     is_last: bool = False
 
     @property
@@ -52,13 +42,7 @@ Progress = Callable[[FoundStep], None]
 
 
 def progress_of(model: LogModel, before: Fit, after: Fit) -> FoundStep:
-    """Return the step from one explanation to another.
-
-    Args:
-        model: The Gaussian model.
-        before: The explanation before.
-        after: The explanation after.
-    """
+    """Return the step from one explanation to another."""
     data = model.dataset
     deviation = np.where(data.effort_std > 0.0, data.effort_std, np.inf)
     new = [term for term in after.terms if term not in before.terms]

@@ -1,218 +1,43 @@
-"""The steps of an explanation: its findings, grouped by name, in order of what they gain."""
+"""The steps of an explanation: its findings in order, with errors and values."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.final_fit import searched_model
-from geodrake.diagnosis.log_model import Delay, Fit, LogModel
-from geodrake.diagnosis.posterior import Certainty, Posterior, nrms_of
-from geodrake.diagnosis.refinements import delays_of
-from geodrake.diagnosis.results import FittedRival, Step, Verdict
-from geodrake.diagnosis.search import Found
-from geodrake.diagnosis.step_values import (
-    factor_of,
-    reported_parameters,
-    systematic_parameters,
+from geodrake.diagnosis.findings import (
+    DELAY,
+    INERTIA,
+    Finding,
+    StagedFinding,
+    felt,
+    late_joints,
+    moved_bodies,
+    unknown_probability,
+    where_of,
 )
-from geodrake.diagnosis.terms import Term
-from geodrake.effects import Role
-from geodrake.effects.lookup import effect_of
+from geodrake.diagnosis.posterior import Certainty, nrms_of
+from geodrake.diagnosis.refinements import delays_of
+from geodrake.diagnosis.results import FittedRival, Step
+from geodrake.diagnosis.search import Found
+from geodrake.effects import FittedEffect, Role
 from geodrake.identification.logs.case import Case, error_table, series
-from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN
-from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.evidence import fold_agreement
 from geodrake.identification.logs.hypothesis import Hypothesis
-from geodrake.identification.logs.model_errors import ErrorTable, Series
+from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.identification.logs.model_fit import ModelFit
-from geodrake.inertia import pullback_metric
 from geodrake.model.effort_signal import signal_of
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 Values = dict[str, dict[str, float]]
 
-DELAY, INERTIA = effect_of(Role.DELAY).name, effect_of(Role.INERTIA).name
-
-
-@dataclass(frozen=True, eq=False)
-class Finding:
-    """What one step adds: effects of one name, a delay, or bodies that are wrong.
-
-    Attributes:
-        name: Name of the effect.
-        terms: Its terms; none for a delay, and for bodies that all move a little.
-        certainty: How probable it is.
-    """
-
-    name: str
-    terms: tuple[Term, ...]
-    certainty: Certainty
-
-
-def believed(found: Found) -> tuple[Found, Posterior]:
-    """Return what was found, where nothing is more probable in the place of any of its terms.
-
-    The most probable explanation may have a term that most others have not: what they agree on is
-    adopted, another term or none.
-    """
-    seen = {found.fit.choice.key}
-    while True:
-        posterior = Posterior(found.model, found.fit)
-        told = sorted(
-            ((term, posterior.of_terms([term])) for term in found.fit.terms),
-            key=lambda each: each[1].probability,
-        )
-        better = next(filter(None, (_instead(found, *each) for each in told)), None)
-        if better is None or better.choice.key in seen:
-            return found, posterior
-        found = replace(found, fit=better)
-        seen.add(better.choice.key)
-
-
-def _instead(found: Found, term: Term, told: Certainty) -> Fit | None:
-    """Return the explanation without a term that is less probable than what is in its place."""
-    likely = max(told.rivals, key=lambda rival: rival.probability, default=None)
-    if likely is not None and likely.probability > max(told.probability, told.chance):
-        return likely.fit
-    fewer = without(found, [term]).fit if told.chance > told.probability else found.fit
-    return None if fewer is found.fit else fewer
-
-
-def without(found: Found, gone: Sequence[Term]) -> Found:
-    """Return what was found without some of its terms, if the others may be without them."""
-    fit, model = found.fit, found.model
-    kept = tuple(term for term in fit.terms if term not in gone)
-    if not gone or not model.are_compatible(kept):
-        return found
-    choice = model.choice(kept, fit.choice.width, fit.choice.delay)
-    known = model.fit(choice, model.shares(fit), fit.variance, bounded=False)
-    return found if known is None else replace(found, fit=known)
-
-
-def findings_of(found: Found, posterior: Posterior | None = None) -> list[Finding]:
-    """Return each finding of a search once.
-
-    Args:
-        found: The search.
-        posterior: Its probabilities, if they are known already.
-    """
-    names = dict[str, list[Term]]()
-    posterior = Posterior(found.model, found.fit) if posterior is None else posterior
-    for term in found.fit.terms:
-        names.setdefault(term.name, []).append(term)
-    findings = [Finding(n, tuple(t), posterior.of_terms(t)) for n, t in names.items()]
-    if _late(found):
-        findings.append(Finding(DELAY, (), posterior.of_delay()))
-    wide = found.fit.choice.width > max(found.model.beliefs.wrong, found.model.widths[0])
-    far = found.model.model.information is not None or wide
-    if (
-        INERTIA not in names
-        and found.fit.choice.width > found.model.widths[0]
-        and (far or not findings)
-    ):
-        findings.append(Finding(INERTIA, (), posterior.of_bodies()))
-    return findings
-
-
-def _late(found: Found) -> bool:
-    """Return whether the efforts of a joint are late by another time than the model said."""
-    return found.case.dataset is not None and bool(
-        np.any(found.fit.choice.delay != np.array(found.model.on_time))
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class StagedFinding:
-    """A finding in the order of steps.
-
-    Attributes:
-        finding: The finding.
-        fit: The explanation with it and all before it.
-        validated: That, validated fold by fold.
-    """
-
-    finding: Finding
-    fit: Fit
-    validated: Hypothesis
-
-
-def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[StagedFinding]]:
-    """Return the model before the first step, and findings in the order of their gains.
-
-    Args:
-        found: The search.
-        findings: What it found.
-    """
-    model, end = found.model, found.fit
-    width = end.choice.width
-    if any(f.name == INERTIA and not f.terms for f in findings):
-        width = model.widths[0]
-    at = _fitted(model, (), width, model.on_time, end)
-    start, stages, left = model.validated(at), list[StagedFinding](), [*findings]
-    while left:
-        tried = [(each, _with(model, at, each, end)) for each in left]
-        finding, at = min(tried, key=lambda pair: nrms_of(model, pair[1]))
-        left.remove(finding)
-        stages.append(StagedFinding(finding, at, model.validated(at)))
-    return start, stages
-
-
-def _with(model: LogModel, fit: Fit, finding: Finding, end: Fit) -> Fit:
-    """Return an explanation and one finding more."""
-    was, width, delay = fit.choice, fit.choice.width, fit.choice.delay
-    if finding.name == DELAY:
-        delay = end.choice.delay
-    if finding.name == INERTIA and not finding.terms:
-        width = end.choice.width
-    return _fitted(model, (*was.terms, *finding.terms), width, delay, end)
-
-
-def _fitted(model: LogModel, terms: Sequence[Term], width: float, delay: Delay, end: Fit) -> Fit:
-    choice = model.choice(tuple(terms), width, delay)
-    shares = model.shares(end)
-    found = model.fit(choice, shares)
-    if found is None:  # beside what is missing still, something is negative
-        found = model.fit(choice, shares, bounded=False)
-    if found is None:
-        raise RuntimeError("a fit without bounds was refused")
-    return found
-
-
-def probable(
-    case: Case, found: Found, findings: Sequence[Finding]
-) -> tuple[Found, Hypothesis, list[StagedFinding]]:
-    """Return what was found and its stages, less findings that likely are parts of an unknown.
-
-    Args:
-        case: The case that was opened.
-        found: The search.
-        findings: What it found.
-    """
-    while True:
-        start, stages = staged(found, findings)
-        hypotheses = [start, *(stage.validated for stage in stages)]
-        tables = [error_table(case.dataset, each.held_out) for each in hypotheses]
-        chances = [
-            1.0 - unknown_probability(found, stage.finding, [*pair, tables[-1]])
-            for pair, stage in zip(pairwise(tables), stages, strict=True)
-        ]
-        if min(chances, default=1.0) >= found.model.beliefs.least:
-            return found, start, stages
-        least = int(np.argmin(chances))
-        findings = [stage.finding for k, stage in enumerate(stages) if k != least]
-        found = with_findings(found, findings)
-
-
-def with_findings(found: Found, findings: Sequence[Finding]) -> Found:
-    """Return what was found with some of its findings alone."""
-    stages = staged(found, findings)[1]
-    return replace(found, fit=stages[-1].fit if stages else found.start)
+_SMALL = 1e-4
+"""Share of a change at which what is reported is differentiated."""
 
 
 def steps_of(
@@ -226,13 +51,8 @@ def steps_of(
 ) -> tuple[Step, ...]:
     """Return the steps from the model refitted within its prior to the final fit.
 
-    Args:
-        case: The case that was opened.
-        found: The search.
-        start: What comes before the first step.
-        stages: Findings in order.
-        fit: The final fit.
-        end: Its physically consistent held-out errors, at which the last step ends.
+    `start` is what comes before the first step, and `end` the physically consistent held-out errors
+    of the final fit, at which the last step ends.
     """
     hypotheses = [start, *(stage.validated for stage in stages)]
     errors = [*(h.held_out for h in hypotheses[:-1]), fit.held_out]
@@ -240,87 +60,32 @@ def steps_of(
     steps = []
     for i, stage in enumerate(stages):
         finding, before, after = stage.finding, tables[i], tables[i + 1]
-        certainty, last = finding.certainty, i == len(stages) - 1
-        where = _where(case, found, finding, fit)
-        values, deviations = _values(case, found, finding, fit)
+        certainty, h, last = finding.certainty, stage.validated, i == len(stages) - 1
+        weight = felt(found, finding) / np.maximum(errors[i].mse, np.finfo(float).tiny)
+        values, deviations = _values(found, finding, fit)
         rivals = _rivals(certainty, finding, found)
         unknown = unknown_probability(found, finding, [before, after, tables[-1]])
         steps.append(
             Step(
                 finding.name,
-                where,
+                where_of(found, finding, fit.model.phi),
                 before.nrms,
                 after.nrms,
                 values,
                 deviations,
                 tuple(dict.fromkeys(name for r in rivals for name in r.names)),
                 float(np.clip(certainty.chance, 0.0, 1.0)) * (1.0 - unknown),
-                _agreement(errors[i], errors[i + 1], felt(found, finding)),
+                fold_agreement(errors[i].sse @ weight, errors[i + 1].sse @ weight),
                 before.by_joint(),
                 after.by_joint(),
                 rivals,
                 unknown,
                 _systematic(found, finding, fit),
-                () if last else _series(stage.validated),
-                None if last else _model(case, found, stage.validated, fit),
+                () if last else series(h.dataset, h.unknowns, h.held_out, delay=h.delay),
+                None if last else _model(case, h, fit),
             )
         )
     return tuple(steps)
-
-
-MOST_OF_REVERSALS = 2.0
-"""Reversals that logs do not resolve add at most this, over the noise, to what is explained."""
-
-
-def largest_residual(found: Found) -> float:
-    """Return the largest ratio of residual to noise, unresolved reversals left aside."""
-    noise = found.model.dataset.noise_floor
-    left = np.sqrt(found.fit.variance)
-    return float(np.max(left / np.where(noise > 0.0, noise, 1e-300)))
-
-
-def verdict_of(errors: ErrorTable, found: bool, *, left: float = np.inf) -> Verdict:
-    """Return the verdict on an end result.
-
-    Args:
-        errors: Held-out errors at the end.
-        found: Whether a step was taken.
-        left: Largest ratio of a joint's residual to its noise, in a fit that allows for reversals
-            that the logs do not resolve, as those are no missing effect.
-    """
-    near = errors.shows_noise and errors.nrms <= MOST_OF_REVERSALS * errors.floor_nrms
-    if not (errors.is_noise or (near and left <= JOINT_NOISE_MARGIN)):
-        return "unexplained"
-    if not errors.knows_noise:
-        return "undecided"
-    return "explained" if found else "adequate"
-
-
-def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTable]) -> float:
-    """Return how probable it is that a finding is a part of something that no effect describes.
-
-    Whatever is unknown, some effect takes a part of its squared error away. One that takes away
-    many times of what is left in the end is likely to be there itself.
-
-    Args:
-        found: The search.
-        finding: The finding.
-        errors: Errors before and after it, and in the end.
-    """
-    if verdict_of(errors[2], True, left=largest_residual(found)) != "unexplained":
-        return 0.0
-    before, after, end = (np.array([e.rms**2 for e in table.joints]) for table in errors)
-    weight = felt(found, finding) / np.array([e.std**2 for e in errors[2].joints])
-    noise = JOINT_NOISE_MARGIN**2 * np.array([e.floor**2 for e in errors[2].joints])
-    left = float(weight @ np.maximum(end - noise, 0.0))
-    gone = max(0.0, float(weight @ (before - after)))
-    if left <= 0.0:
-        return 0.0
-    odds = (gone / (found.model.beliefs.part * left)) ** _SHARPNESS
-    return 1.0 / (1.0 + odds)
-
-
-_SHARPNESS = 1.5
 
 
 def _rivals(certainty: Certainty, finding: Finding, found: Found) -> tuple[FittedRival, ...]:
@@ -339,142 +104,82 @@ def _rivals(certainty: Certainty, finding: Finding, found: Found) -> tuple[Fitte
     )
 
 
-def felt(found: Found, finding: Finding) -> NDArray[np.bool_]:
-    """(nv,) joints that feel a finding; all if it is no effect."""
-    data = found.model.dataset
-    known = [data.felt(term.effect) for term in finding.terms if term.effect is not None]
-    return np.logical_or.reduce(known) if known else np.ones(len(data.joints), bool)
-
-
-def _agreement(before: HeldOut, after: HeldOut, joints: NDArray[np.bool_]) -> float:
-    """Share of the folds in which the error falls where a finding acts."""
-    weight = joints / np.maximum(before.mse, np.finfo(float).tiny)
-    return fold_agreement(before.sse @ weight, after.sse @ weight)
-
-
-def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bool:
-    """Return whether data that took no part in a fit agree with a finding.
-
-    The squared error of the joints that feel it must fall, in the mean over the folds, by more than
-    the standard error of that mean: what shows in one fold alone just does. That of all joints, as
-    nrms counts them, must not rise by as much.
-
-    Args:
-        found: The search.
-        finding: The finding.
-        before: Held-out errors without it.
-        after: Held-out errors with it.
-    """
-    scale = np.maximum(found.model.dataset.effort_std, np.finfo(float).tiny)
-    own = felt(found, finding) / np.maximum(before.mse, np.finfo(float).tiny)
-    falls = (before.sse - after.sse) @ np.stack([own, scale**-2.0], 1)
-    errors = np.zeros(2)
-    if len(falls) > 1:
-        errors = (1.0 - _ROUNDING) * falls.std(axis=0, ddof=1) / np.sqrt(len(falls))
-    mean = falls.mean(axis=0)
-    return bool(mean[0] > errors[0] and mean[1] > -errors[1])
-
-
-_ROUNDING = 1e-6
-
-
-def _series(hypothesis: Hypothesis) -> tuple[Series, ...]:
-    return series(
-        hypothesis.dataset, hypothesis.unknowns, hypothesis.held_out, delay=hypothesis.delay
-    )
-
-
-def _model(case: Case, found: Found, after: Hypothesis, fit: ModelFit) -> RobotModel:
+def _model(case: Case, after: Hypothesis, fit: ModelFit) -> RobotModel:
     """Return the model after a step, efforts as late as they are in the end."""
     late = tuple(each for each in fit.model.effects if each.effect.role is Role.DELAY)
     model = searched_model(case.model, after)
     return replace(model, effects=(*model.effects, *late))
 
 
-def _where(case: Case, found: Found, finding: Finding, fit: ModelFit) -> tuple[str, ...]:
+def _values(found: Found, finding: Finding, fit: ModelFit) -> tuple[Values, Values]:
+    """Return place -> parameter -> value, and the same of standard deviations, SI units."""
     if finding.name == INERTIA:
-        wrong = {term.where[0] for term in finding.terms}
-        return tuple(moved_bodies(case, fit.model.phi, wrong))
-    if finding.name == DELAY:
-        return late_joints(found)
-    places = dict.fromkeys(place for term in finding.terms for place in term.where)
-    order = {name: i for i, name in enumerate((*case.model.joints, *case.model.bodies))}
-    return tuple(sorted(places, key=lambda place: order.get(place, 0)))
-
-
-def late_joints(found: Found) -> tuple[str, ...]:
-    """Joints that are late alone; none where all are alike."""
-    data, delay = found.model.dataset, found.fit.choice.delay
-    joints = np.arange(len(delay))
-    late = data.delays[list(delay), joints] - data.delays[list(found.model.on_time), joints]
-    if np.ptp(late) < 1e-9:
-        return ()
-    return tuple(data.joints[j] for j in np.flatnonzero(np.abs(late) > 1e-9))
-
-
-def moved_bodies(
-    case: Case, phi: Array, wrong: set[str] | frozenset[str] = frozenset()
-) -> Mapping[str, float]:
-    """Return the bodies that a fit (nb, 10) moved, and how far: the wrong ones, or the farthest.
-
-    Args:
-        case: The case, with the prior.
-        phi: (nb, 10) fitted inertial parameters.
-        wrong: Bodies that are wrong while others are right.
-    """
-    step = phi - case.model.phi
-    metric = pullback_metric(case.model.phi)
-    distance = np.sqrt(np.einsum("bi,bij,bj->b", step, metric, step))
-    far = distance >= max(0.5 * distance.max(), 1e-9)
-    return {
-        body: float(way)
-        for body, way, moved in zip(case.model.bodies, distance, far, strict=True)
-        if (body in wrong if wrong else moved)
-    }
-
-
-def _values(case: Case, found: Found, finding: Finding, fit: ModelFit) -> tuple[Values, Values]:
-    if finding.name == INERTIA:
-        wrong = {term.where[0] for term in finding.terms}
         masses = dict(zip(fit.model.bodies, fit.model.phi[:, 0].tolist(), strict=True))
-        moved = moved_bodies(case, fit.model.phi, wrong)
+        moved = moved_bodies(found.case, fit.model.phi, finding)
         return {b: {"mass": masses[b], "distance_from_prior": d} for b, d in moved.items()}, {}
     if finding.name == DELAY:
-        spread = delays_of(found.model, found.fit).deviations
-        late, joints = late_joints(found), found.model.dataset.joints
-        at = {joint: joints.index(joint) for joint in late} or {"all joints": 0}
+        _, spread = delays_of(found.model, found.fit)
+        joints = found.model.dataset.joints
+        at = {joint: joints.index(joint) for joint in late_joints(found)} or {"all joints": 0}
         delays = fit.model.delays
         values = {place: {"delay": float(delays[j])} for place, j in at.items()}
         return values, {place: {"delay": float(spread[j])} for place, j in at.items()}
     values, deviations = Values(), Values()
-    effects = {term.effect for term in finding.terms}
-    for fitted in fit.model.effects:
-        if fitted.effect in effects:
-            own, unsure = reported_parameters(fitted)
-            values.setdefault(fitted.effect.place, {}).update(own)
-            deviations.setdefault(fitted.effect.place, {}).update(unsure)
+    for fitted in _fitted_of(finding, fit):
+        own, unsure = _reported(fitted)
+        values.setdefault(fitted.effect.place, {}).update(own)
+        deviations.setdefault(fitted.effect.place, {}).update(unsure)
     return values, deviations
 
 
 def _systematic(found: Found, finding: Finding, fit: ModelFit) -> Values:
     """Return what gains of efforts and what is unexplained add to deviations of parameters."""
-    values, effects = Values(), {term.effect for term in finding.terms}
-    for fitted in fit.model.effects:
-        if fitted.effect in effects:
-            span = fit.unknowns.span(fitted.effect)
-            shifts = [factor_of(fit.unexplained_covariance[span, span])]
-            if fitted.effect.role is not Role.SCALE:
-                gains = factor_of(found.model.gain_moments(found.fit))
-                shifts.append(gains @ fit.gain_shifts[:, span])
-            if fitted.effect.damps:
-                shifts.append(_servo_damping(found.case, fitted.effect.where[0]))
-            if any(each.any() for each in shifts):
-                own = systematic_parameters(fitted, np.concatenate(shifts))
-                values.setdefault(fitted.effect.place, {}).update(own)
+    values = Values()
+    for fitted in _fitted_of(finding, fit):
+        effect, span = fitted.effect, fit.unknowns.span(fitted.effect)
+        shifts = [_factor(fit.unexplained_covariance[span, span])]
+        if effect.role is not Role.SCALE:
+            gains = _factor(found.model.gain_moments(found.fit))
+            shifts.append(gains @ fit.gain_shifts[:, span])
+        if effect.damps:  # friction takes what is not known of the damping of a joint's servo
+            signal = signal_of(found.case.model.effort_signals, effect.where[0])
+            shifts.append(np.array([[0.0 if signal is None else signal.damping_deviation]]))
+        if any(each.any() for each in shifts):
+            own = _deviations_by(fitted, np.concatenate(shifts))
+            values.setdefault(effect.place, {}).update(own)
     return values
 
 
-def _servo_damping(case: Case, joint: str) -> Array:
-    """(1, 1) how well the damping of a joint's servo is known, which friction takes the rest of."""
-    signal = signal_of(case.model.effort_signals, joint)
-    return np.array([[0.0 if signal is None else signal.damping_deviation]])
+def _fitted_of(finding: Finding, fit: ModelFit) -> list[FittedEffect]:
+    effects = {term.effect for term in finding.terms}
+    return [fitted for fitted in fit.model.effects if fitted.effect in effects]
+
+
+def _reported(fitted: FittedEffect) -> tuple[dict[str, float], dict[str, float]]:
+    """Values and standard deviations of what an effect reports, by name, SI units."""
+    unknown = np.full(len(fitted.parameters), np.nan)
+    deviations = unknown if fitted.deviations is None else fitted.deviations
+    return fitted.effect.reported(fitted.parameters, deviations)
+
+
+def _deviations_by(fitted: FittedEffect, shifts: Array) -> dict[str, float]:
+    """Standard deviations of what an effect reports that do not come from noise.
+
+    To first order, as the shifts are; shapes and what else has no deviation are left out.
+
+    `shifts` (s, k) are what its parameters change by with each of s independent causes, such as the
+    gain of a joint's efforts that is off by one standard deviation.
+    """
+    values, deviations = _reported(fitted)
+    squares = {name: 0.0 for name in values if name in deviations}
+    for shift in _SMALL * shifts:
+        moved, _ = _reported(replace(fitted, parameters=fitted.parameters + shift))
+        for name in squares:
+            squares[name] += ((moved[name] - values[name]) / _SMALL) ** 2
+    return {name: float(np.sqrt(square)) for name, square in squares.items()}
+
+
+def _factor(covariance: Array) -> Array:
+    """(k, k) independent shifts, row by row, that have a covariance (k, k)."""
+    values, axes = np.linalg.eigh(covariance)
+    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * axes.T)

@@ -33,30 +33,18 @@ _PHYSICAL = 0.0025
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """Something that a model may lack, at one place: an effect, or a body that is wrong.
-
-    Attributes:
-        name: Name of the effect.
-        where: Joints or bodies.
-        effect: The effect; None for a body that is wrong.
-        columns: (k,) its columns in the dataset.
-        information: (k, k) prior information of its parameters, whose prior mean is zero.
-        first: Twice the logarithm of the prior odds against it, in a robot that has it nowhere.
-        again: The same in a robot that has it elsewhere.
-        positive: Which of its parameters cannot be negative.
-        says: Names and places of what it contains, itself included.
-        needs: Sets of such keys, one of which must be there already; none for most.
-    """
+    """Something that a model may lack, at one place: an effect, or a body that is wrong."""
 
     name: str
     where: tuple[str, ...]
-    effect: Effect | None
-    columns: Indices
-    information: Array
-    first: float
-    again: float
-    positive: Indices
-    says: frozenset[Key]
+    effect: Effect | None  # the effect; None for a body that is wrong
+    columns: Indices  # (k,) its columns in the dataset
+    information: Array  # (k, k) prior information of its parameters, whose prior mean is zero
+    first: float  # twice the logarithm of the prior odds against it, in a robot that has it nowhere
+    again: float  # the same in a robot that has it elsewhere
+    positive: Indices  # which of its parameters cannot be negative
+    says: frozenset[Key]  # names and places of what it contains, itself included
+    # Sets of such keys, one of which must be there already; none for most.
     needs: tuple[frozenset[Key], ...] = ()
     log_information: float = field(init=False)
 
@@ -97,12 +85,7 @@ class Term:
 
 
 def key_of(effect: Effect, kind: type[Effect] | None = None) -> Key:
-    """Return the key of an effect, or of one of another kind at its place.
-
-    Args:
-        effect: The effect.
-        kind: The other kind.
-    """
+    """Return the key of an effect, or of one of another kind at its place."""
     log = [str(effect.window[3])] if isinstance(effect, Episode) else []
     return (kind or effect).name, (*effect.where, *log)
 
@@ -110,14 +93,7 @@ def key_of(effect: Effect, kind: type[Effect] | None = None) -> Key:
 def terms_of(
     model: RobotModel, dataset: Dataset, effects: Sequence[Effect], beliefs: Beliefs
 ) -> tuple[Term, ...]:
-    """Return what a model may lack: some effects, and every body being wrong.
-
-    Args:
-        model: The model.
-        dataset: The reduced logs, with columns for the effects.
-        effects: Effects that the model lacks.
-        beliefs: Prior odds and widths.
-    """
+    """Return what a model may lack: some effects, and every body being wrong."""
     places: dict[type[Effect], set[tuple[str, ...]]] = {}
     for effect in effects:
         places.setdefault(type(effect), set()).add(effect.where)
@@ -175,16 +151,13 @@ def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list
     kind, metric = effect_of(Role.INERTIA), pullback_information(model.phi, beliefs.free)
     odds = 2.0 * (np.log(len(model.bodies)) + kind.complexity * np.log(beliefs.rarer))
     odds += 0.0 if model.information is None else 2.0 * np.log(beliefs.fitted)
-    terms = []
-    for b, body in enumerate(model.bodies):
-        columns = np.arange(b * PARAMETERS_PER_BODY, (b + 1) * PARAMETERS_PER_BODY)
-        known = metric[np.ix_(columns, columns)]
-        key = (kind.name, (body,))
-        none = np.zeros(0, np.intp)
-        terms.append(
-            Term(kind.name, (body,), None, columns, known, odds, odds, none, frozenset({key}))
-        )
-    return terms
+    sources = np.arange(len(metric)).reshape(-1, PARAMETERS_PER_BODY)
+    none = np.zeros(0, np.intp)
+    return [
+        Term(kind.name, (body,), None, at, metric[np.ix_(at, at)], odds, odds, none, says)
+        for body, at in zip(model.bodies, sources, strict=True)
+        for says in [frozenset({(kind.name, (body,))})]
+    ]
 
 
 def _column_sizes(dataset: Dataset) -> Array:
@@ -203,12 +176,7 @@ Terms = tuple[Term, ...]
 
 
 def are_compatible(terms: Terms, known: frozenset[Key]) -> bool:
-    """Return whether terms may be together: each place once, and with what it needs.
-
-    Args:
-        terms: The terms.
-        known: Names and places of what the model has already.
-    """
+    """Return whether terms may be together: each place once, and with what it needs."""
     keys = {term.key for term in terms}
     if len(keys) < len(terms) or not keys.isdisjoint(known):
         return False

@@ -31,14 +31,10 @@ class UnresolvedReversal(JointEffect):
     friction that jumps more sharply than the direction d of other effects, or less, or that
     is another one there. Speeds below w pass within a sample, or are noise; how surfaces give way
     before they slide, below the speeds s_k, no log of ordinary motions tells.
-
-    Attributes:
-        speed: w, rad/s or m/s.
-        slip: The largest s_k, rad/s or m/s.
     """
 
-    speed: float
-    slip: float
+    speed: float  # w, rad/s or m/s
+    slip: float  # the largest s_k, rad/s or m/s
 
     name: ClassVar[str] = "unresolved_reversal"
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -61,17 +57,11 @@ class UnresolvedReversal(JointEffect):
 
 @dataclass(frozen=True)
 class UnknownFunction(JointEffect):
-    """A smooth function of a joint's own motion: something that no effect describes.
+    """A smooth function of a joint's own motion: something that no effect describes."""
 
-    Attributes:
-        center: Middle of the joint's range of motion, rad or m.
-        reach: Half that range.
-        speed: Its peak speed, rad/s or m/s.
-    """
-
-    center: float
-    reach: float
-    speed: float
+    center: float  # middle of the joint's range of motion, rad or m
+    reach: float  # half that range
+    speed: float  # its peak speed, rad/s or m/s
 
     name: ClassVar[str] = "unknown_function"
     parameters: ClassVar[tuple[Parameter, ...]] = tuple(
@@ -110,12 +100,7 @@ class UnknownFunction(JointEffect):
 def reversals(
     model: RobotModel, trajectories: Sequence[Trajectory]
 ) -> tuple[UnresolvedReversal, ...]:
-    """Return an unresolved reversal for every joint that moves.
-
-    Args:
-        model: The robot.
-        trajectories: Prepared logs.
-    """
+    """Return an unresolved reversal for every joint that moves."""
     peaks, widths = peak_speeds(trajectories), sign_widths(model, trajectories)
     steps = np.zeros(len(model.joints))
     for trajectory in trajectories:
@@ -132,12 +117,7 @@ def reversals(
 
 
 def is_resolved(effect: Effect, unsure: Sequence[UnresolvedReversal]) -> bool:
-    """Return whether a shape of an effect that is a speed is one at which logs tell the direction.
-
-    Args:
-        effect: The effect.
-        unsure: What is not known of reversals.
-    """
+    """Return whether shapes of an effect that are speeds are some at which logs tell directions."""
     least = {each.joint: _RESOLVED * each.speed for each in unsure}
     names = [shape.name for shape in effect.shapes if shape.scale == "speed"]
     values = [getattr(effect, name) for name in names]
@@ -147,12 +127,7 @@ def is_resolved(effect: Effect, unsure: Sequence[UnresolvedReversal]) -> bool:
 def unknown_functions(
     model: RobotModel, trajectories: Sequence[Trajectory]
 ) -> tuple[UnknownFunction, ...]:
-    """Return an unknown function of the motion for every joint that moves.
-
-    Args:
-        model: The robot.
-        trajectories: Prepared logs.
-    """
+    """Return an unknown function of the motion for every joint that moves."""
     peaks = peak_speeds(trajectories)
     low, high = range_of_motion(trajectories)
     return tuple(

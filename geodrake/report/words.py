@@ -466,8 +466,9 @@ def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
 
 
 def convincing(step: Step) -> bool:
-    """Whether a step lowers the held-out error, and is likelier than that nothing is there."""
-    return lowers_error(step) and step.probability > step.false_alarm_probability
+    """Whether a step lowers the held-out error, and is likelier than nothing or an unknown."""
+    other = step.false_alarm_probability + step.unknown_probability
+    return lowers_error(step) and step.probability > other
 
 
 def removed_share(step: Step) -> str:

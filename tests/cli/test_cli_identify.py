@@ -298,7 +298,11 @@ def test_effects_by_name():
         (("--gamma", "nan"), "gamma must be a finite number above 0"),
         (("--gamma", "1", "--residual-bound", "1.1"), "Give one of them"),
         (("--residual-bound", "0.9"), "must be above 1"),
-        (("--total-mass", "-1"), "total_mass must be a finite number above 0; it is -1"),
+        (("--residual-bound", "nan"), "The residual bound must be a finite number"),
+        (
+            ("--total-mass", "-1"),
+            "The total mass, in kg, must be a finite number above 0",
+        ),
         (("--effects", "friction"), "Did you mean"),
         (("--effects", "payload"), "payload cannot be everywhere. Say on which body it is"),
         (("--effects", "payload@hand"), "no body 'hand'"),

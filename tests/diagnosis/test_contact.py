@@ -183,7 +183,7 @@ def test_columns_of_a_search():
     residual[rng.random(residual.shape) < 0.1] = np.nan
     bodies = RobotBodies(ARM.tree, np.cumsum(0.02 * rng.normal(size=(len(time), 6)), 0), ARM.phi)
     size = rng.uniform(0.5, 2.0, 6)
-    window = ResidualWindow(0, 1.5, 2.4, time, bodies, outputs, residual, size, low_pass)
+    window = ResidualWindow(1.5, 2.4, time, bodies, outputs, residual, size, low_pass)
     for body, turning in product(ARM.bodies, (0, 1)):
         contact = Contact(body, 1.3, 2.6, 0.03, 0, 0.1, -0.2, 0.3, turning)
         dofs = list(bodies.motion(body).dofs)

@@ -18,6 +18,7 @@ from geodrake import load_model
 from geodrake.diagnosis import Beliefs, explain
 from geodrake.diagnosis.climbing import gain_of
 from geodrake.diagnosis.log_model import Choice, LogModel
+from geodrake.diagnosis.neighbourhood import Neighbourhood
 from geodrake.diagnosis.search import searched
 from geodrake.effects import CoulombFriction, EffortOffset, GravityCompensator, Payload
 from geodrake.errors import ArgumentError
@@ -88,7 +89,7 @@ def settled(model, *effects):
     fit = None
     for _ in range(10):
         choice = model.choice(terms, WIDTH, (0, 0))
-        fit = model.fit(choice, SHARES, None if fit is None else fit.variance, bounded=False)
+        fit = model.unbounded(choice, SHARES, None if fit is None else fit.variance)
     return fit
 
 
@@ -137,7 +138,7 @@ def test_gains_and_losses_are_differences_of_evidence(problem):
     """At the noise of the fit that terms come to, go from, or change places in."""
     model = problem[0]
     fit = settled(model, *OFFSETS, RUBBING)
-    around, by_effect = model.around(fit), {term.effect: term for term in model.terms}
+    around, by_effect = Neighbourhood(model, fit), {term.effect: term for term in model.terms}
     now = dense_evidence(problem, fit, fit.terms)
     come = [(by_effect[COMPENSATORS[0]],), tuple(by_effect[e] for e in COMPENSATORS)]
     for package, gain in zip(come, around.gains(come), strict=True):
@@ -175,7 +176,7 @@ def test_what_cannot_be_negative_is_refused_below_zero(dry, is_possible):
     fit = settled(model)
     choice = model.choice((term,), WIDTH, (0, 0))
     assert (model.fit(choice, SHARES) is not None) == is_possible
-    assert np.isfinite(model.around(fit).gains([(term,)])).all() == is_possible
+    assert np.isfinite(Neighbourhood(model, fit).gains([(term,)])).all() == is_possible
 
 
 def test_a_column_of_zeros_changes_the_prior_odds_alone():

@@ -2,8 +2,8 @@
 
 import pytest
 
+from geodrake.diagnosis.findings import verdict_of
 from geodrake.diagnosis.results import Diagnosis
-from geodrake.diagnosis.steps import verdict_of
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, JointError
 from geodrake.report.numbers import Units
 from geodrake.report.words import diagnosis_verdict

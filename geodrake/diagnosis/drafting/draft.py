@@ -20,13 +20,14 @@ from geodrake.diagnosis.drafting.formula import Formula, FormulaTerm
 from geodrake.diagnosis.drafting.results import Array, Correlate, Draft, DraftedEffect
 from geodrake.diagnosis.drafting.vocabulary import TURNS, vocabulary
 from geodrake.diagnosis.explain import Investigation, investigate
+from geodrake.diagnosis.findings import Finding, holds
 from geodrake.diagnosis.log_model import Choice, Fit, LogModel
 from geodrake.diagnosis.moves import neighbours
+from geodrake.diagnosis.neighbourhood import Neighbourhood
 from geodrake.diagnosis.posterior import Certainty
 from geodrake.diagnosis.results import Explanation
 from geodrake.diagnosis.search import Found
 from geodrake.diagnosis.search_progress import FoundStep, Progress
-from geodrake.diagnosis.steps import Finding, holds
 from geodrake.diagnosis.terms import Term
 from geodrake.diagnosis.unknown_efforts import range_of_motion, reversals
 from geodrake.effects.base import Effect
@@ -41,10 +42,8 @@ _MOST_JOINTS = 3  # of which it is reported what their error goes with
 _MOST_CORRELATES, _TRIED = 3, 12  # of a joint, and sets of signals of which each is fitted
 _NOTABLE = 0.1  # share of the squared error that is reported
 _NO_FURTHER = 0.05  # share more than a simpler correlate has, to be reported beside it
-_ROUNDS, _STEPS = (
-    3,
-    np.linspace(-1.0, 1.0, 9).tolist(),
-)  # closer and closer constants at which terms turn
+_ROUNDS = 3  # of closer and closer constants at which terms turn
+_STEPS = np.linspace(-1.0, 1.0, 9).tolist()
 _TOLD = 0.05  # probability of a rival
 
 
@@ -126,7 +125,7 @@ def draft_rest(investigation: Investigation, *, progress: Progress | None = None
     ends = zip(model.joints, low.tolist(), high.tolist(), strict=True)
     reach = {joint: (a, b) for joint, a, b in ends if joint in model.single_joints}
     drafted, correlates = list[DraftedEffect](), list[Correlate]()
-    before = set(_effects(found.fit))
+    before = _effects(found.fit)
     for joint in () if investigation.explanation.is_interrupted else _erring(start):
         if joint not in _erring(hypothesis):
             continue
@@ -163,9 +162,8 @@ def _where_fewest_joints_err(found: Found) -> tuple[Found, Hypothesis]:
     model, was, kinds = found.model, found.fit.choice, []
     for width in dict.fromkeys((was.width, model.widths[0])):
         choice = Choice(was.terms, width, was.delay)
-        fit = model.fit(choice, model.shares(found.fit), found.fit.variance, bounded=False)
-        if fit is not None:
-            kinds.append((replace(found, fit=fit), model.validated(fit)))
+        fit = model.unbounded(choice, model.shares(found.fit), found.fit.variance)
+        kinds.append((replace(found, fit=fit), model.validated(fit)))
     return min(kinds, key=lambda kind: len(_erring(kind[1])))
 
 
@@ -247,10 +245,8 @@ def _finding(before: Found, after: Found, joint: str) -> Finding | None:
     if not terms:
         return None
     shares = model.shares(fit)
-    fit = model.fit(fit.choice, shares, fit.variance, bounded=False) or fit
-    less = model.refitted(before.fit)
-    without = model.fit(less.choice, shares, less.variance, bounded=False)
-    gain = np.inf if without is None else fit.score - without.score
+    fit, less = model.unbounded(fit.choice, shares, fit.variance), model.refitted(before.fit)
+    gain = fit.score - model.unbounded(less.choice, shares, less.variance).score
     chance = float(1.0 / (1.0 + np.exp(0.5 * np.clip(gain, -1e3, 1e3))))
     name = " + ".join(term.name for term in terms)
     return Finding(name, terms, Certainty(1.0 - chance, chance, ()))
@@ -259,11 +255,8 @@ def _finding(before: Found, after: Found, joint: str) -> Finding | None:
 def _rivals(found: Found, joint: str) -> list[str]:
     """Return formulas of no more terms from which the logs hardly tell the one that was found."""
     model, shares = found.model, found.model.shares(found.fit)
-    fits = [
-        model.fit(c, shares, found.fit.variance)
-        for c in neighbours(model, found.fit, joints=[joint])
-    ]
-    near = sorted((fit for fit in fits if fit is not None), key=lambda fit: -fit.score)
+    choices = neighbours(model, found.fit, joints=[joint])
+    near = model.ranked(choices, shares, found.fit.variance)
     scores = np.array([found.fit.score, *(fit.score for fit in near)])
     weights = np.exp(0.5 * (scores - scores.max()))
     likely = [f for f, w in zip(near, weights[1:] / weights.sum(), strict=True) if w >= _TOLD]
@@ -279,7 +272,7 @@ def _correlates(found: Found, joint: str) -> list[Correlate]:
     offered = [t for t in model.terms if isinstance(t.effect, Formula) and t.joint == joint]
     offered = [t for t in offered if t not in fit.terms]
     best = dict[frozenset[tuple[str, str]], tuple[Term, FormulaTerm]]()
-    gains = model.around(fit).gains([(term,) for term in offered])
+    gains = Neighbourhood(model, fit).gains([(term,) for term in offered])
     for k in np.argsort(-gains):
         if len(best) < _TRIED and isinstance(offered[k].effect, Formula):
             (term,) = offered[k].effect.terms
@@ -289,10 +282,8 @@ def _correlates(found: Found, joint: str) -> list[Correlate]:
     told = list[tuple[float, FormulaTerm]]()
     for each, term in best.values():
         choice = model.choice((*fit.terms, each), was.width, was.delay)
-        other = model.fit(choice, shares, fit.variance, bounded=False)
-        if other is not None:
-            left = model.validated(other).held_out.sse[:, j].sum()
-            told.append((1.0 - float(left) / before, term))
+        other = model.validated(model.unbounded(choice, shares, fit.variance))
+        told.append((1.0 - float(other.held_out.sse[:, j].sum()) / before, term))
     told.sort(key=lambda each: -each[0])
     chosen = list[tuple[float, FormulaTerm]]()
     for share, term in told:

@@ -42,7 +42,8 @@ class DraftedEffect(Short):
         rms_before: Held-out RMS of the joint without it, N·m or N.
         rms_after: Held-out RMS of the joint with it, N·m or N.
         floor: RMS of the joint's sensor noise, N·m or N.
-        false_alarm_probability: Chance that an irrelevant formula gains as much.
+        false_alarm_probability: How probable it is that there is no formula, if it is this one or
+            none.
         rivals: Formulas of no more terms, in words, from which the logs cannot distinguish it.
         time: (K,) instants of filtered samples, s, block after block.
         residual: (K,) effort that everything else leaves there, N·m or N.

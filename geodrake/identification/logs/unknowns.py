@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,26 +63,6 @@ class Unknowns:
             (*self.inertia_blocks, start) if is_body(effect) else self.inertia_blocks,
             (*self.effects, effect),
             (*self.starts, start),
-        )
-
-    def without_effect(self, effect: Effect) -> Unknowns:
-        """Return these unknowns less one effect."""
-        gone = self.span(effect)
-        width = gone.stop - gone.start
-        kept = np.r_[0 : gone.start, gone.stop : len(self.columns)]
-
-        def shifted(starts: Sequence[int]) -> tuple[int, ...]:
-            return tuple(s - width * (s > gone.start) for s in starts if s != gone.start)
-
-        return Unknowns(
-            self.columns[kept],
-            self.mean[kept],
-            self.information[np.ix_(kept, kept)],
-            self.lower[kept],
-            self.upper[kept],
-            shifted(self.inertia_blocks),
-            tuple(other for other in self.effects if other != effect),
-            shifted(self.starts),
         )
 
     def released(self, effect: Effect, information: Array) -> Unknowns:

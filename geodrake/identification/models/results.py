@@ -103,9 +103,9 @@ class IdentificationSettings(Short):
     def __post_init__(self) -> None:
         """Refuse what cannot be done before the long work."""
         one_of(self.regularizer, "regularizer", REGULARIZERS)
-        for name in ("gamma", "total_mass"):
+        for name, words in (("gamma", "gamma"), ("total_mass", "The total mass, in kg,")):
             if (given := getattr(self, name)) is not None:
-                number(given, name, lower=0.0, strict=True)
+                number(given, words, lower=0.0, strict=True)
         if self.bandwidth is not None:
             number(self.bandwidth, "bandwidth")
         if self.blocks is not None:
@@ -113,7 +113,7 @@ class IdentificationSettings(Short):
         if self.gamma is not None and self.residual_ratio is not None:
             raise ArgumentError("A γ and a residual bound are given.", advice="Give one of them.")
         ratio = self.residual_ratio
-        if ratio is not None and not 1.0 < number(ratio, "residual_ratio") <= _LARGEST_RATIO:
+        if ratio is not None and not 1.0 < number(ratio, "The residual bound") <= _LARGEST_RATIO:
             raise ArgumentError(
                 f"The residual bound {ratio:g} is relative to the least RMS residual that any "
                 f"parameters reach, so it must be above 1, and at most {_LARGEST_RATIO:g}.",

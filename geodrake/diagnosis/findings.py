@@ -1,0 +1,277 @@
+"""Findings: what the terms of an explanation say by name, how sure that is, and what stays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.log_model import Choice, Delay, Fit
+from geodrake.diagnosis.posterior import Certainty, Posterior, nrms_of
+from geodrake.diagnosis.results import Verdict
+from geodrake.diagnosis.search import Found
+from geodrake.diagnosis.terms import Term
+from geodrake.diagnosis.unknown_efforts import UnknownFunction
+from geodrake.effects import Role
+from geodrake.effects.lookup import effect_of
+from geodrake.identification.logs.case import Case, error_table
+from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN
+from geodrake.identification.logs.cross_validation import HeldOut
+from geodrake.identification.logs.hypothesis import Hypothesis
+from geodrake.identification.logs.model_errors import ErrorTable
+from geodrake.inertia import pullback_metric
+
+Array = NDArray[np.float64]
+
+DELAY, INERTIA = effect_of(Role.DELAY).name, effect_of(Role.INERTIA).name
+
+_MOST_OF_REVERSALS = 2.0
+"""Reversals that logs do not resolve add at most this, over the noise, to what is explained."""
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """What one step adds: effects of one name, a delay, or bodies that are wrong."""
+
+    name: str
+    terms: tuple[Term, ...]  # its terms; none for a delay, and for bodies that all move a little
+    certainty: Certainty
+
+
+def believed(found: Found) -> tuple[Found, Posterior]:
+    """Return what was found, where nothing is more probable in the place of any of its terms.
+
+    The most probable explanation may have a term that most others have not: what they agree on is
+    adopted, another term or none. Of explanations that lead to each other, it is the last one.
+    """
+    seen = {found.fit.choice.key}
+    while True:
+        posterior = Posterior(found.model, found.fit)
+        told = sorted(
+            ((term, posterior.of_terms([term])) for term in found.fit.terms),
+            key=lambda each: each[1].probability,
+        )
+        others = filter(None, (_instead(found, *each) for each in told))
+        better = next((fit for fit in others if fit.choice.key not in seen), None)
+        if better is None:
+            return found, posterior
+        found = replace(found, fit=better)
+        seen.add(better.choice.key)
+
+
+def _instead(found: Found, term: Term, told: Certainty) -> Fit | None:
+    """Return the explanation without a term that is less probable than what is in its place."""
+    likely = max(told.rivals, key=lambda rival: rival.probability, default=None)
+    if likely is not None and likely.probability > max(told.probability, told.chance):
+        return likely.fit
+    fewer = without(found, [term]).fit if told.chance > told.probability else found.fit
+    return None if fewer is found.fit else fewer
+
+
+def without(found: Found, gone: Sequence[Term]) -> Found:
+    """Return what was found without some of its terms, if the others may be without them."""
+    fit, model = found.fit, found.model
+    kept = tuple(term for term in fit.terms if term not in gone)
+    if not gone or not model.are_compatible(kept):
+        return found
+    choice = model.choice(kept, fit.choice.width, fit.choice.delay)
+    return replace(found, fit=model.unbounded(choice, model.shares(fit), fit.variance))
+
+
+def named(found: Found) -> tuple[Found, list[Finding], list[str]]:
+    """Return what is believed of what was found: findings, and joints with something unknown.
+
+    A function of a joint's motion that no effect describes is not fitted.
+    """
+    found, posterior = believed(found)
+    findings = [f for f in findings_of(found, posterior) if f.name != UnknownFunction.name]
+    unknown = [term for term in found.fit.terms if isinstance(term.effect, UnknownFunction)]
+    return without(found, unknown), findings, [term.where[0] for term in unknown]
+
+
+def findings_of(found: Found, posterior: Posterior | None = None) -> list[Finding]:
+    """Return each finding of a search once."""
+    names = dict[str, list[Term]]()
+    posterior = Posterior(found.model, found.fit) if posterior is None else posterior
+    for term in found.fit.terms:
+        names.setdefault(term.name, []).append(term)
+    findings = [Finding(n, tuple(t), posterior.of_terms(t)) for n, t in names.items()]
+    if found.fit.choice.delay != found.model.on_time:
+        findings.append(Finding(DELAY, (), posterior.of_delay()))
+    width, least, wrong = found.fit.choice.width, found.model.widths[0], found.model.beliefs.wrong
+    far = found.model.model.information is not None or width > wrong or not findings
+    if INERTIA not in names and width > least and far:
+        findings.append(Finding(INERTIA, (), posterior.of_bodies()))
+    return findings
+
+
+@dataclass(frozen=True, eq=False)
+class StagedFinding:
+    """A finding in the order of steps."""
+
+    finding: Finding
+    fit: Fit  # the explanation with it and all before it
+    validated: Hypothesis  # that, validated fold by fold
+
+
+def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[StagedFinding]]:
+    """Return the model before the first step, and findings in the order of their gains."""
+    model, moved = found.model, any(f.name == INERTIA and not f.terms for f in findings)
+    width = model.widths[0] if moved else found.fit.choice.width
+    at = _fitted(found, (), width, model.on_time)
+    start, stages, left = model.validated(at), list[StagedFinding](), [*findings]
+    while left:
+        tried = [(each, _with(found, at.choice, each)) for each in left]
+        finding, at = min(tried, key=lambda pair: nrms_of(model, pair[1]))
+        left.remove(finding)
+        stages.append(StagedFinding(finding, at, model.validated(at)))
+    return start, stages
+
+
+def _with(found: Found, was: Choice, finding: Finding) -> Fit:
+    """Return an explanation and one finding more, as it was found."""
+    end = found.fit.choice
+    width = end.width if finding.name == INERTIA and not finding.terms else was.width
+    delay = end.delay if finding.name == DELAY else was.delay
+    return _fitted(found, (*was.terms, *finding.terms), width, delay)
+
+
+def _fitted(found: Found, terms: Sequence[Term], width: float, delay: Delay) -> Fit:
+    choice, shares = found.model.choice(terms, width, delay), found.model.shares(found.fit)
+    # Beside what is missing still, something may be negative.
+    return found.model.fit(choice, shares) or found.model.unbounded(choice, shares)
+
+
+def probable(
+    case: Case, found: Found, findings: Sequence[Finding]
+) -> tuple[Found, Hypothesis, list[StagedFinding]]:
+    """Return what was found and its stages, less findings that likely are parts of an unknown."""
+    while True:
+        start, stages = staged(found, findings)
+        hypotheses = [start, *(stage.validated for stage in stages)]
+        tables = [error_table(case.dataset, each.held_out) for each in hypotheses]
+        chances = [
+            1.0 - unknown_probability(found, stage.finding, [*pair, tables[-1]])
+            for pair, stage in zip(pairwise(tables), stages, strict=True)
+        ]
+        if min(chances, default=1.0) >= found.model.beliefs.least:
+            return found, start, stages
+        found, findings = less(found, findings, stages[int(np.argmin(chances))].finding)
+
+
+def less(found: Found, findings: Sequence[Finding], gone: Finding) -> tuple[Found, list[Finding]]:
+    """Return what was found without one of its findings, and without those that need it."""
+    model, was = found.model, found.fit
+    left, kept, terms = [f for f in findings if f is not gone], list[Finding](), tuple[Term, ...]()
+    while left:
+        able = [f for f in left if model.are_compatible((*terms, *f.terms))]
+        if not able:
+            break
+        left.remove(able[0])
+        kept.append(able[0])
+        terms = (*terms, *able[0].terms)
+    if gone.name == INERTIA and not gone.terms:  # bodies go back to the file
+        choice = model.choice(was.terms, model.widths[0], was.choice.delay)
+        found = replace(found, fit=model.unbounded(choice, model.shares(was), was.variance))
+    stages = staged(found, kept)[1]
+    return replace(found, fit=stages[-1].fit if stages else found.start), kept
+
+
+def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTable]) -> float:
+    """Return how probable it is that a finding is a part of something that no effect describes.
+
+    Whatever is unknown, some effect takes a part of its squared error away. One that takes away
+    many times of what is left in the end is likely to be there itself.
+
+    `errors` are those before and after it, and in the end.
+    """
+    is_left = verdict_of(errors[2], True, left=largest_residual(found)) == "unexplained"
+    if not is_left or not errors[2].shows_noise:
+        return 0.0
+    before, after, end = (np.array([e.rms**2 for e in table.joints]) for table in errors)
+    weight = felt(found, finding) / np.array([e.std**2 for e in errors[2].joints])
+    noise = JOINT_NOISE_MARGIN**2 * np.array([e.floor**2 for e in errors[2].joints])
+    left = float(weight @ np.maximum(end - noise, 0.0))
+    gone = max(0.0, float(weight @ (before - after)))
+    if left <= 0.0:
+        return 0.0
+    beliefs = found.model.beliefs
+    return 1.0 / (1.0 + (gone / (beliefs.part * left)) ** beliefs.sharpness)
+
+
+def felt(found: Found, finding: Finding) -> NDArray[np.bool_]:
+    """(nv,) joints that feel a finding; all if it is no effect."""
+    data = found.model.dataset
+    known = [data.felt(term.effect) for term in finding.terms if term.effect is not None]
+    return np.logical_or.reduce(known) if known else np.ones(len(data.joints), bool)
+
+
+def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bool:
+    """Return whether data that took no part in a fit agree with a finding.
+
+    The squared error of the joints that feel it must fall, in the mean over the folds, by more than
+    the standard error of that mean: what shows in one fold alone just does. That of all joints, as
+    nrms counts them, must not rise by as much.
+    """
+    scale = np.maximum(found.model.dataset.effort_std, np.finfo(float).tiny)
+    own = felt(found, finding) / np.maximum(before.mse, np.finfo(float).tiny)
+    falls = (before.sse - after.sse) @ np.stack([own, scale**-2.0], 1)
+    errors = np.zeros(2)
+    if len(falls) > 1:
+        errors = (1.0 - _ROUNDING) * falls.std(axis=0, ddof=1) / np.sqrt(len(falls))
+    mean = falls.mean(axis=0)
+    return bool(mean[0] > errors[0] and mean[1] > -errors[1])
+
+
+def largest_residual(found: Found) -> float:
+    """Return the largest ratio of residual to noise, unresolved reversals left aside."""
+    noise = found.model.dataset.noise_floor
+    left = np.sqrt(found.fit.variance)
+    return float(np.max(left / np.where(noise > 0.0, noise, 1e-300)))
+
+
+def verdict_of(errors: ErrorTable, found: bool, *, left: float = np.inf) -> Verdict:
+    """Return the verdict on an end result.
+
+    `left` is the largest ratio of a joint's residual to its noise, in a fit that allows for
+    reversals that the logs do not resolve, as those are no missing effect.
+    """
+    near = errors.shows_noise and errors.nrms <= _MOST_OF_REVERSALS * errors.floor_nrms
+    if not (errors.is_noise or (near and left <= JOINT_NOISE_MARGIN)):
+        return "unexplained"
+    if not errors.knows_noise:
+        return "undecided"
+    return "explained" if found else "adequate"
+
+
+def where_of(found: Found, finding: Finding, phi: Array) -> tuple[str, ...]:
+    """Return the joints or bodies of a finding; bodies as a fit (nb, 10) moved them."""
+    if finding.name == INERTIA:
+        return tuple(moved_bodies(found.case, phi, finding))
+    if finding.name == DELAY:
+        return late_joints(found)
+    places = dict.fromkeys(place for term in finding.terms for place in term.where)
+    model = found.case.model
+    order = {name: i for i, name in enumerate((*model.joints, *model.bodies))}
+    return tuple(sorted(places, key=lambda place: order.get(place, 0)))
+
+
+def late_joints(found: Found) -> tuple[str, ...]:
+    """Joints that are late alone; none where all are alike."""
+    late = found.model.lateness(found.fit.choice)
+    if np.ptp(late) < 1e-9:
+        return ()
+    return tuple(found.model.dataset.joints[j] for j in np.flatnonzero(np.abs(late) > 1e-9))
+
+
+def moved_bodies(case: Case, phi: Array, finding: Finding) -> dict[str, float]:
+    """Return the bodies that a fit (nb, 10) moved, and how far: the wrong ones, or the farthest."""
+    wrong, step = {term.where[0] for term in finding.terms}, phi - case.model.phi
+    distance = np.sqrt(np.einsum("bi,bij,bj->b", step, pullback_metric(case.model.phi), step))
+    far = distance >= max(0.5 * distance.max(), 1e-9)
+    ways = zip(case.model.bodies, distance.tolist(), far.tolist(), strict=True)
+    return {body: way for body, way, moved in ways if (body in wrong if wrong else moved)}

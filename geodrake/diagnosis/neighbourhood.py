@@ -1,0 +1,115 @@
+"""What a fit changes to where terms come and go, at its noise: Schur complements of all columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.log_model import Delay, Fit, LogModel
+from geodrake.diagnosis.terms import Term, Terms
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Dropped:
+    """What leaving terms out of a fit changes, at its noise."""
+
+    loss: float  # what is lost of the score, prior odds left aside
+    rows: Array  # (i, P) rows of the dropped parameters in H⁻¹AᵀA
+    inverse: Array  # (i, i) inverse of their covariance
+    x: Array  # (i,) their values
+
+
+class Neighbourhood:
+    """Schur complements of all columns beside a fit, at its noise."""
+
+    def __init__(self, model: LogModel, fit: Fit) -> None:
+        self._model, self.fit = model, fit
+        size = len(model.mean)
+        gram, right = np.zeros((size, size)), np.zeros(size)
+        joints = zip(model.grams, model.places, fit.weights, strict=True)
+        for j, (own, places, weight) in enumerate(joints):
+            at = np.flatnonzero(places >= 0)
+            local = places[at]
+            gram[np.ix_(at, at)] += weight * own[np.ix_(local, local)]
+            right[at] += weight * own[model.efforts[j] + fit.choice.delay[j], local]
+        columns = fit.columns
+        self._inverse = np.linalg.inv(fit.hessian)
+        self._turned = self._inverse @ gram[columns]
+        self._schur = gram - gram[:, columns] @ self._turned
+        self._pull = right - gram[:, columns] @ fit.x
+        spans = model.spans(fit.terms).items()
+        self._at = {term: np.arange(span.start, span.stop) for term, span in spans}
+
+    def delays(self) -> list[tuple[Delay, float]]:
+        """Return the best other delay of all joints, and of each joint alone, with their gains."""
+        model, was = self._model, self.fit.choice.delay
+        columns, fit, joints = self.fit.columns, self.fit, range(len(was))
+        count = len(model.dataset.delays)
+        if count < 2:
+            return []
+        every = [model.moments(columns, (k,) * len(was)) for k in range(count)]
+        grams, own, _ = model.normal(columns, was)
+        samples = fit.weights * np.maximum(fit.variance, model.floor) * model.rows
+        now, found = fit.variance * model.rows, list[tuple[Delay, float]]()
+        for moved in (joints, *([j] for j in joints)):
+            tried = []
+            for k, (moments, powers) in enumerate(every):
+                change = fit.weights[moved] @ (moments[moved] - own[moved])
+                x = fit.x + self._inverse @ change
+                left = [powers[j] - 2.0 * moments[j] @ x + x @ grams[j] @ x for j in moved]
+                ratio = np.maximum(left, 1e-12 * now[moved]) / now[moved]
+                delay = tuple(k if j in moved else was[j] for j in joints)
+                tried.append((delay, float(-samples[moved] @ np.log(ratio))))
+            found.append(max((each for each in tried if each[0] != was), key=lambda each: each[1]))
+        return found
+
+    def dropped(self, terms: Sequence[Term]) -> Dropped:
+        """Return what leaving some of the fit's terms out changes."""
+        at = np.concatenate([self._at[term] for term in terms])
+        covariance, x = self._inverse[np.ix_(at, at)], self.fit.x[at]
+        inverse = np.linalg.inv(covariance)
+        known = sum(term.log_information for term in terms)
+        loss = -x @ inverse @ x - np.linalg.slogdet(covariance)[1] - known
+        return Dropped(float(loss), self._turned[at], inverse, x)
+
+    def gains(self, packages: Sequence[Terms], dropped: Dropped | None = None) -> Array:
+        """Return (m,) what each package of terms adds to the score, without prior odds.
+
+        No term of a package is in the fit, or only in `dropped`, which is left out first. Gains are
+        without `dropped.loss`, and −∞ where something is negative that cannot be.
+        """
+        found, widths = np.full(len(packages), -np.inf), dict[int, list[int]]()
+        for k, package in enumerate(packages):
+            widths.setdefault(sum(len(term.columns) for term in package), []).append(k)
+        for chosen in widths.values():
+            alike = [packages[k] for k in chosen]
+            at = np.array([np.concatenate([self._model.at[t] for t in p]) for p in alike])
+            schur, pull = self._schur[at[:, :, None], at[:, None]], self._pull[at]
+            if dropped is not None:
+                rows = np.moveaxis(dropped.rows[:, at], 1, 0)
+                turned = np.swapaxes(rows, 1, 2)
+                schur = schur + turned @ (dropped.inverse @ rows)
+                pull = pull + turned @ (dropped.inverse @ dropped.x)
+            known, owner = np.zeros_like(schur), np.full(pull.shape, -1)
+            logarithm = np.array([sum(t.log_information for t in p) for p in alike])
+            for k, package in enumerate(alike):
+                start = 0
+                for place, term in enumerate(package):
+                    end = start + len(term.columns)
+                    known[k, start:end, start:end] = term.information
+                    owner[k, start + term.positive] = place
+                    start = end
+            schur = schur + known
+            x = np.linalg.solve(schur, pull[..., None])[..., 0]
+            gain = (pull * x).sum(axis=1) - np.linalg.slogdet(schur)[1] + logarithm
+            below = np.zeros(len(x), bool)
+            for place in range(int(owner.max()) + 1):
+                own = owner == place
+                below |= own.any(axis=1) & ~(own & (x > 0.0)).any(axis=1)
+            found[chosen] = np.where(below, -np.inf, gain)
+        return found

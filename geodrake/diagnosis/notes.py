@@ -1,0 +1,105 @@
+"""What a final fit says beside its steps, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from geodrake.diagnosis.search import Found
+from geodrake.effects import Role
+from geodrake.effects.episode import Episode
+from geodrake.effects.robot_motion import log_number
+from geodrake.effects.shape import when_sliding
+from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.model_fit import ModelFit
+from geodrake.identification.logs.unknowns import Unknowns
+from geodrake.identification.models.bodies import common_factor_notes
+from geodrake.identification.models.results import BodyChange
+from geodrake.model.carried_payloads import joints_with_known_gain
+from geodrake.model.robot_model import RobotModel
+
+_LATE = 0.005  # s, by which the clock of a log that begins is said not to be at zero
+_ALIKE = 0.01
+"""Gains are alike if they differ by less than this."""
+
+
+def notes_of(found: Found, case: Case, fit: ModelFit, bodies: Sequence[BodyChange]) -> list[str]:
+    """Return what is to be said of a final fit to a case, and of what it made of the bodies."""
+    return [
+        *_companions(found.model.unknowns_of(found.fit.choice), fit),
+        *fit.result.notes,
+        *_fading(case.model, fit.model),
+        *_episodes(case, fit.model),
+        *_stated_mass(case, fit.model),
+        *common_factor_notes(bodies),
+    ]
+
+
+def _companions(found: Unknowns, fit: ModelFit) -> list[str]:
+    """Describe what was fitted along without being a step."""
+    added = [f for f in fit.model.effects if f.effect not in found.effects and len(f.parameters)]
+    sliding = set(fit.model.sliding_joints)
+    notes = []
+    for fitted in added:
+        unit = fitted.effect.parameters[0].unit
+        unit = when_sliding(unit) if sliding.issuperset(fitted.effect.where) else unit
+        notes.append(
+            f"{fitted.effect.name.replace('_', ' ')} of {fitted.effect.place} was fitted along, "
+            f"though not worth a step: {fitted.parameters[0]:.3g} {unit}"
+        )
+    return notes
+
+
+def _fading(before: RobotModel, after: RobotModel) -> list[str]:
+    """Describe the speeds at which dry friction was found to fade."""
+    speeds, known = after.sign_widths(0.0), before.sign_widths(0.0)
+    rubbing = {p for f in after.effects if f.effect.jumps for p in f.effect.where}
+    return [
+        f"dry friction of {joint} fades below {speeds[j]:.2g} "
+        f"{'m/s' if joint in after.sliding_joints else 'rad/s'}"
+        for j, joint in enumerate(after.joints)
+        if joint in rubbing and speeds[j] not in (0.0, known[j])
+    ]
+
+
+def _episodes(case: Case, model: RobotModel) -> list[str]:
+    """Return in which log episodes are, and when by its clock, where that is not plain."""
+    found = list[str]()
+    for effect in [f.effect for f in model.effects if isinstance(f.effect, Episode)]:
+        for log in case.trajectories:
+            if effect.window[3] != log_number(log.name):
+                continue
+            where = f" of {log.name}" if len(case.trajectories) > 1 else ""
+            edges = [edge for edge in effect.window[:2] if edge is not None]
+            clock = " and ".join(f"{log.began + edge:.2f} s" for edge in edges)
+            by_clock = f"; by its clock that is {clock}" if abs(log.began) >= _LATE else ""
+            if where or by_clock:
+                what = f"{effect.name} of {effect.place}"
+                found.append(
+                    f"times of {what} count from the beginning{where or ' of the log'}{by_clock}"
+                )
+    return found
+
+
+def _stated_mass(case: Case, fitted: RobotModel) -> list[str]:
+    """That a mass stated wrong explains the gains which were found, in words; empty if it does not.
+
+    It does where all joints that bear it have one gain, or all but one, as the bodies take in the
+    rest. Where bodies are known from other logs, they cannot.
+    """
+    known = joints_with_known_gain(
+        case.model, [trajectory.payloads for trajectory in case.trajectories]
+    )
+    scales = [f for f in fitted.effects if f.effect.role is Role.SCALE]
+    gains = np.array([1.0 + f.parameters[0] for f in scales if f.effect.where[0] in known])
+    if case.model.information is not None or not len(gains):
+        return []
+    common = float(np.median(gains))
+    alike = int(np.sum(np.abs(gains - common) <= _ALIKE))
+    if alike < max(2, len(known) - 1):
+        return []
+    return [
+        f"{alike} of {len(known)} joints that bear the known payload have the gain {common:.3g}: "
+        f"all are right if its mass is {common:.3g} times the stated one; weigh it again"
+    ]
