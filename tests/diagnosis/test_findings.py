@@ -1,0 +1,96 @@
+"""What stays of an explanation: findings that go take along what cannot be without them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from effort_logs import MODELS, effort_log
+
+from geodrake import load_model
+from geodrake.diagnosis import Beliefs
+from geodrake.diagnosis.findings import INERTIA, findings_of, less, unknown_probability
+from geodrake.diagnosis.search import searched
+from geodrake.effects import StribeckFriction
+from geodrake.errors import ArgumentError
+from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.model_errors import ErrorTable, JointError
+
+PENDULUM = MODELS / "double_pendulum.urdf"
+
+
+def rubbing(seen):
+    return {1: 0.6 * np.sign(seen.v[:, 1]) + 0.4 * seen.v[:, 1]}
+
+
+@pytest.fixture(scope="module")
+def found():
+    log = effort_log("double_pendulum", 4, rubbing, duration=16.0, share=0.01).log
+    return searched(open_case(load_model(PENDULUM), [log], candidates=True))
+
+
+def with_terms(found, *names, width=None):
+    """The same search as if it had found one term of each name at the elbow."""
+    model, was = found.model, found.fit
+    known = {term.name: term for term in model.terms if term.where == ("elbow",)}
+    width = was.choice.width if width is None else width
+    choice = model.choice([known[name] for name in names], width, was.choice.delay)
+    return replace(found, fit=model.unbounded(choice, model.shares(was), was.variance))
+
+
+def named(findings, name):
+    return next(each for each in findings if each.name == name)
+
+
+def test_what_needs_a_finding_goes_with_it(found):
+    """Friction that falls with speed is none without dry friction."""
+    stribeck = StribeckFriction.name
+    whole = with_terms(found, "coulomb_friction", "viscous_friction", stribeck)
+    findings = findings_of(whole)
+    fewer, kept = less(whole, findings, named(findings, "coulomb_friction"))
+    assert [each.name for each in kept] == ["viscous_friction"]
+    assert {term.name for term in fewer.fit.terms} == {"viscous_friction"}
+    fewer, kept = less(whole, findings, named(findings, stribeck))
+    assert {each.name for each in kept} == {"coulomb_friction", "viscous_friction"}
+
+
+def test_bodies_that_are_no_finding_stay_at_the_file(found):
+    widest = found.model.widths[-1]
+    whole = with_terms(found, "coulomb_friction", width=widest)
+    findings = findings_of(whole)
+    fewer, kept = less(whole, findings, named(findings, INERTIA))
+    assert [each.name for each in kept] == ["coulomb_friction"]
+    assert fewer.fit.choice.width == found.model.widths[0] < widest
+
+
+def table(rms, floor):
+    return ErrorTable(tuple(JointError(j, rms, 1.0, floor) for j in ("shoulder", "elbow")))
+
+
+def test_a_finding_is_the_more_likely_the_more_it_takes_beside_what_is_left(found):
+    whole = with_terms(found, "coulomb_friction")
+    whole = replace(whole, fit=replace(whole.fit, variance=np.full(2, 1.0)))
+    (finding,) = (each for each in findings_of(whole) if each.name == "coulomb_friction")
+
+    def chance(before, after, end, floor=0.01):
+        errors = [table(rms, floor) for rms in (before, after, end)]
+        return unknown_probability(whole, finding, errors)
+
+    chances = [chance(before, 0.1, 0.1) for before in (0.9, 0.3, 0.2, 0.12, 0.1)]
+    assert chances == sorted(chances)
+    assert chances[0] < 0.1
+    assert chances[-1] == 1.0
+    # It takes away as much again as the beliefs ask for beside what is more than noise.
+    left = 0.1**2 - (1.6 * 0.01) ** 2
+    before = np.sqrt(0.1**2 + whole.model.beliefs.part * left)
+    assert chance(before, 0.1, 0.1) == pytest.approx(0.5)
+    assert chance(0.9, 0.01, 0.01) == 0.0  # only noise is left
+    assert chance(0.3, 0.2, 0.2, floor=0.0) == 0.0  # nobody knows what is noise
+
+
+@pytest.mark.parametrize("wrong", [{"part": 0.0}, {"least": 2.0}, {"sharpness": -1.0}])
+def test_beliefs_that_are_none(wrong):
+    with pytest.raises(ArgumentError, match=next(iter(wrong))):
+        Beliefs(**wrong)
