@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from geodrake.boundary.showing import Short, Shown
-from geodrake.identification.certificate import Certificate
+from geodrake.identification.fit import Certificate
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Series
 from geodrake.identification.models.results import BodyChange
 from geodrake.model.robot_model import RobotModel

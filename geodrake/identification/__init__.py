@@ -1,10 +1,9 @@
 """Identification: fits of physical parameters to data, near a prior."""
 
-from geodrake.identification.certificate import Certificate
 from geodrake.identification.comparison import RegularizerComparison, compare_regularizers
 from geodrake.identification.conic_fit import solve_fit
 from geodrake.identification.constraints import BodyConstraints
-from geodrake.identification.fit import FitResult
+from geodrake.identification.fit import Certificate, FitResult
 from geodrake.identification.geodesic_least_squares import geodesic_least_squares
 from geodrake.identification.identify import REGULARIZERS, IdentificationResult, identify
 from geodrake.identification.least_squares import least_squares, physical_least_squares
@@ -13,8 +12,7 @@ from geodrake.identification.models import (
     ModelIdentification,
     identify_model,
 )
-from geodrake.identification.point_mass import PointMasses
-from geodrake.identification.point_mass_fit import PointMassEuclidean, PointMassKL
+from geodrake.identification.point_mass import PointMasses, PointMassEuclidean, PointMassKL
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.program import build_fit
 from geodrake.identification.regularizer import Regularizer

@@ -68,17 +68,10 @@ def compare_regularizers(
     the training data equally well, and differ in what they take from the prior (Proposition A.5).
     The Riemannian one is not convex: its γ is one for which a local minimum has that residual.
 
-    Args:
-        A: (m, 10·nb + extra) regressor.
-        b: (m,) measurements.
-        prior: (nb, 10) physical inertial parameters.
-        gamma: γ > 0 of the reference.
-        reference: The regularizer that γ belongs to; a name means the one of `regularizers` that
-            has it, if there is one.
-        regularizers: Names or regularizers to compare, such as `PointMassKL(points)`.
-        extra_priors: Name of a regularizer -> its `extra_prior`, where one weight is not the same
-            for all: that of a Euclidean distance has a unit.
-        **options: Further arguments of `identify`, the same for all.
+    A, b, prior and further options are those of `identify`, the same for all; `regularizers` are
+    names, or regularizers such as `PointMassKL(points)`. γ > 0 is that of the `reference`, whose
+    name means the one of `regularizers` that has it, if there is one. `extra_priors` maps names to
+    an `extra_prior` of their own, as weights of a Euclidean distance have a unit.
 
     Raises:
         IdentificationError: A solver failed, or a residual differs by more than 1e-5.

@@ -1,4 +1,9 @@
-"""Solve a fit: in closed form where that is exact, by Newton's method, or as a conic program."""
+"""Solve a fit: in closed form where that is exact, by Newton's method, or as a conic program.
+
+A fit of any kind is certified by its MathematicalProgram. The closed forms and Newton's method have
+no say in this: costs and constraints are those that Drake evaluates of the program, and the minimum
+is that of a conic solver.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +19,9 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from geodrake.boundary.arguments import typed
-from geodrake.errors import GeodrakeError, IdentificationError
+from geodrake.errors import ArgumentError, ConvergenceError, GeodrakeError, IdentificationError
 from geodrake.identification.coordinates import Coordinates
-from geodrake.identification.fit import FitResult, fit_result
+from geodrake.identification.fit import TOLERANCE, Certificate, FitResult, Scope, fit_result
 from geodrake.identification.newton import solve_newton
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.program import FitProgram, build_fit
@@ -32,11 +37,12 @@ from geodrake.identification.solvers import (
 from geodrake.inertia import Array
 from geodrake.robot.reduction import triangular_factor
 
+SOLVER = "clarabel"
+"""It certifies a fit, and solves one where Newton's method gives up."""
+
 
 @typed
-def solve_fit(
-    problem: FitProblem, *, solver: str = "clarabel", shortcuts: bool = True
-) -> FitResult:
+def solve_fit(problem: FitProblem, *, solver: str = SOLVER, shortcuts: bool = True) -> FitResult:
     """Fit the parameters: the unique minimum, with the information of data and prior together.
 
     A quadratic problem is first solved in closed form and then as bounded least squares; when all
@@ -65,15 +71,11 @@ def solve_fit(
 def solve_with_fallback(problem: FitProblem) -> FitResult:
     """Return the fit in closed form or by Newton's method, or by Clarabel where that gives up.
 
-    Raises:
-        ArgumentError: No physical bodies inside all constraints reach the residual bound; its
-            evidence has the `minimum` that they reach.
-        IdentificationError: Neither solver found a solution, most often because there is none.
-        ConvergenceError: Newton's method found none, and the conic solver none in time.
+    The ArgumentError of a residual bound that no physical bodies inside all constraints reach has
+    the `minimum` that they do in its evidence.
     """
     begin = time.perf_counter()
-    quick = _in_closed_form(problem)
-    if quick is not None:
+    if (quick := _in_closed_form(problem)) is not None:
         return quick
     try:
         return solve_newton(problem)
@@ -83,6 +85,54 @@ def solve_with_fallback(problem: FitProblem) -> FitResult:
         fit, note = solve_fit(problem, shortcuts=False), failure.problem
     note = f"By {fit.solver}, as Newton's method gave up: {note}"
     return replace(fit, note=note, solve_time=time.perf_counter() - begin)
+
+
+def certified(
+    problem: FitProblem, fit: FitResult, *, size: float | None = None, scope: Scope = "global"
+) -> FitResult:
+    """Return the fit with its certificate; where the program has a better solution, that one.
+
+    Better is a solution inside all constraints whose cost is lower by more than `TOLERANCE` of the
+    cost, or any such one where the fit is outside of them.
+
+    Of a cost that is not convex, the problem is its second order at the fit, and the scope "local".
+    The size of the cost is by default that of the program, and the residual.
+    """
+    begin = time.perf_counter()
+    try:
+        program = build_fit(problem, centre=fit.x)
+        cost, violation = program.evaluated(fit.x)
+    except (np.linalg.LinAlgError, ArgumentError) as error:
+        if scope == "local" and isinstance(error, ArgumentError):
+            raise  # its second order is no convex program
+        return uncertified(fit, "rounding leaves its program no digits", scope)
+    if size is None:
+        size = program.cost_scale + (fit.residual if problem.residual_bound is None else 0.0)
+    told = Certificate(solver=SOLVER, gap=np.inf, cost=size, violation=violation, scope=scope)
+    try:
+        x, weight, accuracy = solved_apart(partial(conic_solution, problem, SOLVER, fit.x), SOLVER)
+        least, beyond = program.evaluated(x)
+    except (IdentificationError, ConvergenceError) as error:
+        return replace(fit, certificate=replace(told, failure=error.problem))
+    gap = cost - least
+    worse = gap > TOLERANCE * size or violation > TOLERANCE
+    if worse and beyond <= TOLERANCE and scope == "global":
+        outside = f"outside constraints by {violation:.1e}"
+        above = f"above the least cost by {gap / size:.1e} of it"
+        why = outside if violation > TOLERANCE else above
+        note = f"By {SOLVER}, as the fit of {fit.solver} was {why}"
+        fit = replace(fit_result(problem, x, weight, SOLVER, begin - fit.solve_time), note=note)
+        told, gap = replace(told, violation=beyond, replaced=True), 0.0
+    left = max(accuracy * program.cost_scale, np.finfo(float).eps * size)
+    return replace(fit, certificate=replace(told, gap=max(gap, 0.0) + left))
+
+
+def uncertified(fit: FitResult, failure: str, scope: Scope = "global") -> FitResult:
+    """Return the fit with a certificate that says in words why there is none."""
+    none = Certificate(
+        solver=SOLVER, gap=np.inf, cost=np.nan, violation=np.nan, scope=scope, failure=failure
+    )
+    return replace(fit, certificate=none)
 
 
 def conic_solution(
@@ -108,12 +158,9 @@ def conic_solution(
 def solution_of(fit: FitProgram, result: MathematicalProgramResult) -> tuple[Array, float]:
     """Return parameters (p,) of a conic solution, and the γ of the regularized problem with them.
 
-    They are inside bounds and physical. γ comes from the residual cone's multiplier μ: at the
-    boundary ‖u‖ = s of the cone, d² + μ (‖u‖ − s)/s is stationary, and so is d² + ‖u‖²/γ with
-    γ = 2 s²/μ.
-
-    Raises:
-        IdentificationError: A body is not physical, as the solver was not exact enough.
+    They are inside bounds and physical, or an IdentificationError says that the solver was not
+    exact enough. γ comes from the residual cone's multiplier μ: at the boundary ‖u‖ = s of the
+    cone, d² + μ (‖u‖ − s)/s is stationary, and so is d² + ‖u‖²/γ with γ = 2 s²/μ.
     """
     problem, bound = fit.problem, fit.problem.residual_bound
     x = fit.coordinates.parameters(result.GetSolution(fit.z))

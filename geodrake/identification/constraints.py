@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,8 +13,8 @@ from scipy.linalg import block_diag
 from geodrake.boundary.arguments import number, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
-from geodrake.identification.problem import LinearConstraints, checked
-from geodrake.inertia import PARAMETERS_PER_BODY, Array, pseudo_inertia, pseudo_inertia_basis
+from geodrake.identification.problem import LinearConstraints
+from geodrake.inertia import Array, pseudo_inertia, pseudo_inertia_basis
 
 _ROUNDING = 1e-9
 
@@ -37,21 +38,11 @@ class BodyConstraints(Short):
     com_bounds: ArrayLike | None = None
 
     def rows(self, prior: Array, size: int) -> LinearConstraints | None:
-        """Return the constraints on x = [Φ, extra] (size,) with a prior Φ⁰ (nb, 10); None of none.
+        """Return those on x = [Φ, extra] (size,) with a prior Φ⁰ (nb, 10), which they may refuse.
 
-        Raises:
-            ArgumentError: A shape or value is wrong, bounds contradict each other, or an ellipsoid
-                does not contain the prior's body.
+        They are None if nothing limits x.
         """
-        given = {
-            _ellipsoid_rows: self.ellipsoids,
-            _total_mass_row: self.total_mass,
-            _mass_rows: self.mass_bounds,
-            _com_rows: self.com_bounds,
-        }
-        parts = [
-            r for rows, value in given.items() if value is not None for r in rows(value, prior)
-        ]
+        parts = list(self._parts(prior))
         if not parts:
             return None
         matrix, lower, upper = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -61,6 +52,34 @@ class BodyConstraints(Short):
         wide = np.zeros((used.sum(), size))
         wide[:, : prior.size] = matrix[used]
         return LinearConstraints(matrix=wide, lower=lower[used], upper=upper[used])
+
+    def _parts(self, prior: Array) -> Iterator[Part]:
+        mass, none = np.zeros_like(prior), np.full(len(prior), np.inf)
+        mass[:, 0] = 1.0
+        if self.ellipsoids is not None:
+            yield _ellipsoid_rows(self.ellipsoids, prior)
+        if self.total_mass is not None:
+            number(self.total_mass, "total_mass", lower=0.0, strict=True, finite=False)
+            total = np.array([float(self.total_mass)])
+            yield mass.reshape(1, -1), total, total
+        if self.mass_bounds is not None:
+            bounds = checked_bounds("mass_bounds", self.mass_bounds, (len(prior), 2))
+            if wrong := np.flatnonzero(bounds[:, 1] <= 0).tolist():
+                raise ArgumentError(
+                    f"mass_bounds leave no positive mass to bodies {wrong}; masses are in kg.",
+                    bodies=wrong,
+                )
+            yield _of_bodies(mass), bounds[:, 0], bounds[:, 1]
+        if self.com_bounds is not None:
+            bounds = checked_bounds("com_bounds", self.com_bounds, (len(prior), 3, 2))
+            # h_k − l m ≥ 0 and h_k − u m ≤ 0 are linear, where h/m would not be.
+            for axis, side in product(range(3), range(2)):
+                limit = bounds[:, axis, side]
+                finite = np.isfinite(limit)
+                rows = -np.where(finite, limit, 0.0)[:, None] * mass
+                rows[:, 1 + axis] = 1.0
+                ends = np.where(finite, 0.0, none)
+                yield _of_bodies(rows), *((-none, ends) if side else (-ends, none))
 
 
 Part = tuple[Array, Array, Array]
@@ -72,9 +91,9 @@ def _of_bodies(rows: Array) -> Array:
     return np.asarray(block_diag(*rows))
 
 
-def _ellipsoid_rows(ellipsoids: ArrayLike, prior: Array) -> list[Part]:
+def _ellipsoid_rows(ellipsoids: ArrayLike, prior: Array) -> Part:
     nb = len(prior)
-    Q = checked("ellipsoids", ellipsoids, (nb, 4, 4))
+    Q = real_array(ellipsoids, "ellipsoids", (nb, 4, 4))
     Q = 0.5 * (Q + np.swapaxes(Q, 1, 2))
     wrong = np.flatnonzero(np.linalg.eigvalsh(Q[:, :3, :3])[:, -1] >= 0).tolist()
     if wrong:
@@ -97,43 +116,7 @@ def _ellipsoid_rows(ellipsoids: ArrayLike, prior: Array) -> list[Part]:
             trace=inside[wrong].tolist(),
         )
     rows = _of_bodies(np.einsum("bij,kji->bk", Q, pseudo_inertia_basis()))
-    return [(rows, np.zeros(nb), np.full(nb, np.inf))]
-
-
-def _total_mass_row(total_mass: Any, prior: Array) -> list[Part]:
-    number(total_mass, "total_mass", lower=0.0, strict=True, finite=False)
-    row = np.zeros((1, prior.size))
-    row[0, ::PARAMETERS_PER_BODY] = 1.0
-    total = np.array([float(total_mass)])
-    return [(row, total, total)]
-
-
-def _mass_rows(mass_bounds: ArrayLike, prior: Array) -> list[Part]:
-    bounds = checked_bounds("mass_bounds", mass_bounds, (len(prior), 2))
-    wrong = np.flatnonzero(bounds[:, 1] <= 0).tolist()
-    if wrong:
-        raise ArgumentError(
-            f"mass_bounds leave no positive mass to bodies {wrong}; masses are in kg.",
-            bodies=wrong,
-        )
-    rows = np.eye(1, PARAMETERS_PER_BODY).repeat(len(prior), axis=0)
-    return [(_of_bodies(rows), bounds[:, 0], bounds[:, 1])]
-
-
-def _com_rows(com_bounds: ArrayLike, prior: Array) -> list[Part]:
-    """Return h_k − l m ≥ 0 and h_k − u m ≤ 0, linear where h/m would not be."""
-    bounds, parts = checked_bounds("com_bounds", com_bounds, (len(prior), 3, 2)), []
-    none = np.full(len(prior), np.inf)
-    for axis in range(3):
-        for side, limit in enumerate(bounds[:, axis].T):
-            finite = np.isfinite(limit)
-            rows = np.zeros_like(prior)
-            rows[:, 1 + axis] = 1.0
-            rows[:, 0] = -np.where(finite, limit, 0.0)
-            ends = np.where(finite, 0.0, none)
-            lower, upper = (-ends, none) if side == 0 else (-none, ends)
-            parts.append((_of_bodies(rows), lower, upper))
-    return parts
+    return rows, np.zeros(nb), np.full(nb, np.inf)
 
 
 def checked_bounds(name: str, bounds: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -43,19 +43,12 @@ def svec(matrices: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Scalars:
-    """Positive scalars over their priors, y = begin + slope z.
+    """Positive scalars over their priors, y = begin + slope z."""
 
-    Attributes:
-        columns: (k,) indices in z.
-        begin: (k,) y at z = 0.
-        slope: (k,) change of y with z.
-        weights: (k,) weights of their divergence.
-    """
-
-    columns: NDArray[np.intp]
-    begin: Array
-    slope: Array
-    weights: Array
+    columns: NDArray[np.intp]  # (k,) indices in z
+    begin: Array  # (k,) y at z = 0
+    slope: Array  # (k,) change of y with z
+    weights: Array  # (k,) weights of their divergence
 
     def ratios(self, z: Array) -> Array:
         """Return y (k,) at z (p,)."""
@@ -70,18 +63,12 @@ class Coordinates:
     P = L Lᵀ: there the pullback metric ([Lee2019] Eq. (B.1.7)) is half the identity, whatever
     the frame and units. A scalar is divided by its prior, where it is a positive one that has
     one, and else by the norm of its column of data and prior.
-
-    Attributes:
-        problem: The problem they belong to.
-        transform: (p, p) block-diagonal T.
-        starts: (n_blocks, 4, 4) matrices L⁻¹ P(φ₀) L⁻ᵀ.
-        references: (n_blocks, 4, 4) matrices L⁻¹ P(reference) L⁻ᵀ, the identity unless centred.
     """
 
     problem: FitProblem
-    transform: Array
-    starts: Array
-    references: Array
+    transform: Array  # (p, p) block-diagonal T
+    starts: Array  # (n_blocks, 4, 4) matrices L⁻¹ P(φ₀) L⁻ᵀ
+    references: Array  # (n_blocks, 4, 4) matrices L⁻¹ P(reference) L⁻ᵀ, the identity unless centred
 
     @classmethod
     def of(cls, problem: FitProblem, *, centre: Array | None = None) -> Coordinates:
@@ -98,7 +85,7 @@ class Coordinates:
             if centre is not None:
                 scale[column] = max(centre[column], 0.0) + _CENTRE_FLOOR * prior
         transform = np.diag(scale)
-        references = scales = _references(problem)
+        references = scales = _pseudo_inertias(problem)
         if centre is not None:
             scales = _pseudo_inertias(problem, centre) + _CENTRE_FLOOR * references
         roots = np.linalg.cholesky(scales)
@@ -179,19 +166,15 @@ class Coordinates:
 
     def smallest_eigenvalues(self, x: ArrayLike) -> Array:
         """Return the smallest eigenvalue of P(reference)⁻¹ P(φ) of each block (n_blocks,) of x."""
-        roots = np.linalg.cholesky(_references(self.problem))
+        roots = np.linalg.cholesky(_pseudo_inertias(self.problem))
         relative = _congruent(roots, _pseudo_inertias(self.problem, np.asarray(x, float)))
         return np.asarray(np.linalg.eigvalsh(relative), float)[..., 0]
 
 
-def _pseudo_inertias(problem: FitProblem, x: Array) -> Array:
-    """Return P(φ_i) of every block of x (p,); (n_blocks, 4, 4)."""
-    blocks = [x[start : start + 10] for start in problem.inertia_blocks]
-    return pseudo_inertia(np.reshape(blocks, (-1, 10)))
-
-
-def _references(problem: FitProblem) -> Array:
-    blocks = [problem.reference[start] for start in problem.inertia_blocks]
+def _pseudo_inertias(problem: FitProblem, x: Array | None = None) -> Array:
+    """Return P(φ_i) of every block of x (p,), or of its references; (n_blocks, 4, 4)."""
+    references, starts = problem.reference, problem.inertia_blocks
+    blocks = [references[k] if x is None else x[k : k + 10] for k in starts]
     return pseudo_inertia(np.reshape(blocks, (-1, 10)))
 
 

@@ -1,17 +1,25 @@
-"""The solution of a fit, with what it leaves known."""
+"""The solution of a fit, with what it leaves known and what its program says of it."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from geodrake.boundary.showing import Short
-from geodrake.identification.certificate import Certificate
 from geodrake.identification.coordinates import Coordinates
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array, pullback_metric
+
+Scope = Literal["global", "local"]
+
+TOLERANCE = 1e-6
+"""How far a fit may be above the solver's cost, and that above the least, as shares of the cost.
+
+It is also the greatest violation of a constraint.
+"""
 
 _NOTHING = 1e-24
 """A parameter is not identifiable up to this share of the largest information: rounding's."""
@@ -19,36 +27,69 @@ _BOUNDARY = 1e-5
 """Distance, in scaled units, within which a bound counts as reached."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FitResult(Short):
-    """Solution of a `FitProblem`.
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """What the MathematicalProgram of a fit says of the reported parameters.
 
-    Attributes:
-        x: (p,) parameters; every inertia block is physical and every bound is kept exactly.
-        information: (p, p) posterior information: half the cost's Hessian at x, so that its
-            inverse is the covariance of x while no bound is active.
-        residual: Squared residual ‖R x − r‖².
-        active_bounds: Indices of parameters at one of their bounds.
-        active_blocks: First columns of inertia blocks at the boundary of physical bodies.
-        prior_weight: Weight of the prior against the data: 1, and in the point-to-set form the
-            γ for which the regularized form has this solution (inf when the data are idle).
-        solver: What solved it: "closed form", "bounded least squares", "newton", or the conic
-            solver.
-        solve_time: Time of the whole solution, s.
-        note: Why another solver than usual gave the answer; empty if it was the usual one.
-        certificate: What the MathematicalProgram of the fit says of it; None if it was not asked.
+    A cost has the unit of squared deviations, with whitened data. The scope is "global" of a convex
+    program; "local" where a distance that is not convex was replaced by its second order at the
+    reported parameters, so that they are certified as a local minimum.
     """
 
-    x: Array
+    solver: str  # the conic solver that solved the program
+    # How far the cost is above its minimum at most: its difference from the solver's, and the
+    # duality gap of that; inf if the solver found no solution.
+    gap: float
+    cost: float
+    # How far parameters are outside the program's constraints (P ⪰ 0, bounds, ellipsoids, masses,
+    # residual) at most, in its dimensionless variables.
+    violation: float
+    scope: Scope = "global"
+    replaced: bool = False  # whether the parameters are the solver's, as the fit itself was worse
+    failure: str = ""  # why the solver found no solution; empty if it did
+
+    @property
+    def relative_gap(self) -> float:
+        """The gap as a share of the cost."""
+        return self.gap / self.cost
+
+    @property
+    def holds(self) -> bool:
+        """Whether both parts of the gap and the violation are within `TOLERANCE`."""
+        return self.relative_gap <= 2.0 * TOLERANCE and self.violation <= TOLERANCE
+
+    @property
+    def words(self) -> str:
+        """The certificate in a line."""
+        if self.failure:
+            return f"{self.solver} could not certify the fit: {self.failure}"
+        least = "a local minimum" if self.scope == "local" else "the least"
+        near = f"its cost is within {self.relative_gap:.0e} of {least}"
+        if not self.holds:
+            kept = f"constraints are kept to {self.violation:.0e}"
+            return f"the fit is not certified by {self.solver}: {near}, and {kept}"
+        how = "that of" if self.replaced else "certified by"
+        return f"the fit is {how} {self.solver}: {near}, bodies are physical, and bounds are kept"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FitResult(Short):
+    """Solution of a `FitProblem`: every inertia block is physical, and every bound kept exactly."""
+
+    x: Array  # (p,) parameters
+    # (p, p) posterior information: half the cost's Hessian at x, so that its inverse is the
+    # covariance of x while no bound is active.
     information: Array
-    residual: float
-    active_bounds: tuple[int, ...]
-    active_blocks: tuple[int, ...]
+    residual: float  # squared residual ‖R x − r‖²
+    active_bounds: tuple[int, ...]  # indices of parameters at one of their bounds
+    active_blocks: tuple[int, ...]  # first columns of inertia blocks at the boundary of bodies
+    # Of the prior against the data: 1, and in the point-to-set form the γ for which the regularized
+    # form has this solution (inf when the data are idle).
     prior_weight: float
-    solver: str
-    solve_time: float
-    note: str = ""
-    certificate: Certificate | None = None
+    solver: str  # "closed form", "bounded least squares", "newton", or the conic solver
+    solve_time: float  # of the whole solution, s
+    note: str = ""  # why another solver than usual gave the answer; empty if it was the usual one
+    certificate: Certificate | None = None  # None if it was not asked for
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -31,25 +31,15 @@ _MOST_ROUNDS = 5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GeodesicLeastSquaresResult:
-    """Bodies found by `geodesic_least_squares`.
+    """Bodies found by `geodesic_least_squares`."""
 
-    Attributes:
-        phi: (nb, 10) inertial parameters, all physical.
-        cost: Σ γ_i ½ d(Φ, H_i)² + γ ½ d(Φ, Φ⁰)² over the rows that were used.
-        residual: ‖A Φ − b‖²_{Σ⁻¹} over all rows.
-        rejected: Rows without a projection near enough, which were left out.
-        iterations: Iterations taken.
-        distance: Length of a further Newton step, about the geodesic distance from the minimum.
-        curvature: Least eigenvalue of the Hessian over γ, which is above zero at a minimum.
-    """
-
-    phi: Array
-    cost: float
-    residual: float
-    rejected: tuple[int, ...]
+    phi: Array  # (nb, 10) inertial parameters, all physical
+    cost: float  # Σ γ_i ½ d(Φ, H_i)² + γ ½ d(Φ, Φ⁰)² over the rows that were used
+    residual: float  # ‖A Φ − b‖²_{Σ⁻¹} over all rows
+    rejected: tuple[int, ...]  # rows without a projection near enough, which were left out
     iterations: int
-    distance: float
-    curvature: float
+    distance: float  # length of a further Newton step, about the geodesic distance from the minimum
+    curvature: float  # least eigenvalue of the Hessian over γ, which is above zero at a minimum
 
 
 def geodesic_least_squares(
@@ -81,16 +71,9 @@ def geodesic_least_squares(
     in every iteration, but by a share of about γ / Σ γ_i of what is left where data say nothing:
     where γ is small it says that it has not converged.
 
-    Args:
-        A: (m, 10·nb) regressor.
-        b: (m,) measurements.
-        prior: (nb, 10) physical inertial parameters Φ⁰.
-        gamma: Weight γ > 0.
-        sigma: (m,) or scalar standard deviations of b, in its units; None for 1.
-        method: "newton" or "cyclic".
-        tolerance: Geodesic distance from the minimum at which to stop, by the next Newton step; or
-            where rounding hides what is left of it.
-        max_iterations: Iterations after which to give up.
+    A (m, 10·nb), b, the prior Φ⁰, γ and sigma are those of `identify`. It stops at a `tolerance`,
+    the geodesic distance from the minimum by the next Newton step, or where rounding hides what is
+    left of it, and gives up after `max_iterations`.
 
     Raises:
         ArgumentError: No row has a projection.

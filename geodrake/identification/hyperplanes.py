@@ -25,18 +25,13 @@ class Projections:
 
     With P = L Lᵀ, the gradient of tr(P X) is N = Lᵀ X L = U diag(σ) Uᵀ, and P̂ = L exp(Q) Lᵀ with
     Q = −W(λ N) for the inverse W of w eʷ.
-
-    Attributes:
-        exists: (m,) whether there is one within a factor e: λ_max(P⁻¹ P̂) ≤ e for every body.
-        sigma: (m, nb, 4) eigenvalues σ.
-        axes: (m, nb, 4, 4) U.
-        rates: (m, nb, 4) eigenvalues −W(λ σ) of Q; zero where there is no projection.
     """
 
+    # (m,) whether there is one within a factor e: λ_max(P⁻¹ P̂) ≤ e for every body.
     exists: NDArray[np.bool_]
-    sigma: Array
-    axes: Array
-    rates: Array
+    sigma: Array  # (m, nb, 4) eigenvalues σ
+    axes: Array  # (m, nb, 4, 4) U
+    rates: Array  # (m, nb, 4) eigenvalues −W(λ σ) of Q; zero where there is no projection
 
     @property
     def velocities(self) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -11,10 +12,9 @@ from numpy.typing import ArrayLike
 from geodrake.boundary.arguments import instance, number, one_of, real_array, typed
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
-from geodrake.identification.certificate import Certificate
 from geodrake.identification.constraints import BodyConstraints, checked_bounds
-from geodrake.identification.fit import FitResult
-from geodrake.identification.problem import FitProblem, checked, whitened_factor
+from geodrake.identification.fit import Certificate, FitResult
+from geodrake.identification.problem import FitProblem, whitened_factor
 from geodrake.identification.regularizer import Entropic, Euclidean, Pullback, Regularizer
 from geodrake.identification.riemannian import Riemannian, RiemannianFit
 from geodrake.identification.riemannian_search import LocalMinima
@@ -31,25 +31,15 @@ _MARGIN = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IdentificationResult(Short):
-    """Identified parameters.
+    """Identified parameters."""
 
-    Attributes:
-        phi: (nb, 10) inertial parameters, all physical.
-        extra: (extra,) further linear parameters, such as friction coefficients.
-        residual: ‖A x − b‖²_{Σ⁻¹} at the solution, dimensionless when sigma was given.
-        divergence: d(Φ, Φ⁰)² of the regularizer, without γ, extra parameters included.
-        regularizer: Its name.
-        gamma: The weight γ given, or in the point-to-set form the γ of the same solution.
-        fit: The solution's details: information, standard deviations, active constraints.
-    """
-
-    phi: Array
-    extra: Array
-    residual: float
-    divergence: float
-    regularizer: str
-    gamma: float
-    fit: FitResult
+    phi: Array  # (nb, 10) inertial parameters, all physical
+    extra: Array  # (extra,) further linear parameters, such as friction coefficients
+    residual: float  # ‖A x − b‖²_{Σ⁻¹} at the solution, dimensionless when sigma was given
+    divergence: float  # d(Φ, Φ⁰)² of the regularizer, without γ, extra parameters included
+    regularizer: str  # its name
+    gamma: float  # the weight γ given, or in the point-to-set form the γ of the same solution
+    fit: FitResult  # the solution's details: information, standard deviations, active constraints
 
     @property
     def solver(self) -> str:
@@ -208,28 +198,35 @@ def regularizer_of(regularizer: str | Regularizer) -> Regularizer:
     return REGULARIZERS[one_of(regularizer, "regularizer", REGULARIZERS)]()
 
 
-def physical_prior(prior: ArrayLike) -> Array:
-    """Return a prior (nb, 10) of bodies that can exist.
+def physical_prior(prior: ArrayLike, names: Sequence[str] = ()) -> Array:
+    """Return a prior (nb, 10) of bodies that can exist, of a model's if they have names.
 
     Raises:
         ArgumentError: There are none, or some cannot exist; its evidence then has `bodies` and, as
             `nearest`, the `nearest_prior` (nb, 10).
     """
-    prior = checked("prior", prior, (None, PARAMETERS_PER_BODY))
+    prior = real_array(prior, "prior", ("m", PARAMETERS_PER_BODY))
     if not len(prior):
         raise ArgumentError("The prior has no bodies.", advice="Give one row for every body of A.")
     wrong = np.flatnonzero(~is_physical(prior)).tolist()
-    if wrong:
-        least = np.linalg.eigvalsh(pseudo_inertia(prior[wrong]))[:, 0]
-        raise ArgumentError(
-            f"The prior is not physical for bodies {wrong}: their pseudo inertia is not positive "
-            f"definite, with smallest eigenvalues {', '.join(f'{value:.3g}' for value in least)}.",
-            advice="Give them a mass, a centre of mass and an inertia that a solid body can have; "
-            "evidence['nearest'] of this error is a prior with the least such change.",
-            bodies=wrong,
-            nearest=nearest_prior(prior),
+    if not wrong:
+        return prior
+    least = np.linalg.eigvalsh(pseudo_inertia(prior[wrong]))[:, 0]
+    what, advice = (
+        f"The prior is not physical for bodies {wrong}: their pseudo inertia is not positive "
+        f"definite, with smallest eigenvalues {', '.join(f'{value:.3g}' for value in least)}.",
+        "Give them a mass, a centre of mass and an inertia that a solid body can have; "
+        "evidence['nearest'] of this error is a prior with the least such change.",
+    )
+    bodies = [names[body] for body in wrong] if names else []
+    if names:
+        what, advice = (
+            f"The model's inertial parameters of {', '.join(bodies)} are those of no body, so they "
+            "cannot be a prior.",
+            "Load the model from its URDF, SDF or MJCF file, which repairs them; "
+            "evidence['nearest'] of this error has the nearest ones.",
         )
-    return prior
+    raise ArgumentError(what, advice=advice, bodies=bodies or wrong, nearest=nearest_prior(prior))
 
 
 def nearest_prior(prior: Array) -> Array:

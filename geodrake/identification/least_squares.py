@@ -23,19 +23,12 @@ _NAMED, _MOST_PARTS = 4, 3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LeastSquaresResult:
-    """A solution of ‖A x − b‖²_{Σ⁻¹} → min.
+    """A solution of ‖A x − b‖²_{Σ⁻¹} → min."""
 
-    Attributes:
-        x: (p,) parameters; not all of them may be physical.
-        residual: Their squared residual, the least there is.
-        rank: Number of parameters or combinations that the data identify.
-        directions: (p − rank, p) directions that leave A x as it is.
-    """
-
-    x: Array
-    residual: float
-    rank: int
-    directions: Array
+    x: Array  # (p,) parameters; not all of them may be physical
+    residual: float  # their squared residual, the least there is
+    rank: int  # number of parameters or combinations that the data identify
+    directions: Array  # (p − rank, p) directions that leave A x as it is
 
 
 def least_squares(
@@ -46,15 +39,11 @@ def least_squares(
     bodies: int = 0,
     minimum_norm: bool = False,
 ) -> LeastSquaresResult:
-    """Unconstrained least squares ([Lee2019] Eq. (3.2.15)).
+    """Unconstrained least squares A x ≈ b ([Lee2019] Eq. (3.2.15)).
 
-    Args:
-        A: (m, p) regressor.
-        b: (m,) measurements.
-        sigma: (m,) or scalar standard deviations of b, in its units; None for 1.
-        bodies: Number of bodies whose 10 parameters come first, to name directions by.
-        minimum_norm: Whether to take the x of least norm where the data do not identify x; the norm
-            depends on units and frames.
+    A is (m, p), b (m,), and sigma the standard deviations of b, (m,) or scalar, in its units. Of
+    as many `bodies`, the 10 parameters each come first, to name directions by. With `minimum_norm`,
+    x is that of least norm where the data do not identify it; the norm depends on units and frames.
 
     Raises:
         IdentificationError: The data do not identify x; `directions` of its evidence holds what

@@ -34,10 +34,8 @@ def solve_newton(problem: FitProblem) -> FitResult:
     The cost is exact to 1e-7 of itself or to 1e-12 γ, if that is more: bodies to about 1e-6 in
     geometric distance.
 
-    Raises:
-        ArgumentError: A block has no prior, or the residual bound is below what physical
-            bodies inside all constraints reach; its evidence has that `minimum`.
-        IdentificationError: The constraints contradict each other, or rounding got in the way.
+    The ArgumentError of a residual bound below what physical bodies inside all constraints reach
+    has that `minimum` in its evidence.
     """
     begin = time.perf_counter()
     check_residual_bound(instance(problem, "problem", FitProblem))
@@ -50,11 +48,7 @@ def solve_newton(problem: FitProblem) -> FitResult:
 
 
 def parameters_at(minimum: Minimum) -> Array:
-    """Return the parameters (p,) of a minimum, physical and within bounds.
-
-    Raises:
-        IdentificationError: Rounding leaves no such parameters.
-    """
+    """Return the parameters (p,) of a minimum, physical and within bounds despite rounding."""
     program = minimum.program
     coordinates, problem = program.coordinates, program.coordinates.problem
     for share in _INSIDE:  # rounding alone can leave a tiny γ's bodies at the boundary

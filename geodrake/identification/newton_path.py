@@ -23,6 +23,7 @@ from scipy.linalg.lapack import dtpmqrt, dtpqrt, dtrtrs
 from geodrake.errors import IdentificationError
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, smat, svec
 from geodrake.identification.newton_program import NewtonProgram
+from geodrake.identification.solvers import CONTRADICTION, OTHER_CAUSE, no_parameters
 from geodrake.inertia import Array
 
 _STEPS, _PATIENCE, _HALVINGS = 100, 3, 8
@@ -49,21 +50,13 @@ _UNIT = np.eye(4)
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """A point between start and solution, or a step from it.
+    """A point between start and solution, or a step from it."""
 
-    Attributes:
-        z: (p,) coordinates.
-        Z: (n, 4, 4) dual matrices of the blocks.
-        slack: (m,) slacks s of the inequalities.
-        multipliers: (m,) multipliers λ of the inequalities.
-        forces: (l,) multipliers ν of the equalities.
-    """
-
-    z: Array
-    Z: Array
-    slack: Array
-    multipliers: Array
-    forces: Array
+    z: Array  # (p,) coordinates
+    Z: Array  # (n, 4, 4) dual matrices of the blocks
+    slack: Array  # (m,) slacks s of the inequalities
+    multipliers: Array  # (m,) multipliers λ of the inequalities
+    forces: Array  # (l,) multipliers ν of the equalities
 
     def moved(self, step: Iterate, length: float) -> Iterate:
         """Return this point, a length of a step further."""
@@ -73,21 +66,14 @@ class Iterate:
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Minimum of a `NewtonProgram`.
-
-    Attributes:
-        program: The program.
-        point: The minimum with its multipliers.
-        early: A point well inside on the way there, from where that of similar data is near too.
-        steps: Newton steps that were taken.
-        gap: Bound on how much lower the cost was before the last step, to first order.
-    """
+    """Minimum of a `NewtonProgram`."""
 
     program: NewtonProgram
-    point: Iterate
+    point: Iterate  # the minimum with its multipliers
+    # A point well inside on the way there, from where that of similar data is near too.
     early: Iterate
-    steps: int
-    gap: float
+    steps: int  # Newton steps that were taken
+    gap: float  # bound on how much lower the cost was before the last step, to first order
 
 
 def minimize(
@@ -97,9 +83,6 @@ def minimize(
 
     A start with positive definite S and Z and positive slacks and multipliers saves some steps; a
     gap of `enough` will do.
-
-    Raises:
-        IdentificationError: The constraints contradict each other, or rounding got in the way.
     """
     if start is not None:
         try:
@@ -359,17 +342,9 @@ def _cold_start(program: NewtonProgram) -> Iterate:
 def _failure(program: NewtonProgram, point: Iterate) -> IdentificationError:
     (G, h), (E, e) = program.inequalities, program.equalities
     missed = np.append(h - G @ point.z, np.abs(E @ point.z - e)).max(initial=0.0)
-    cause = "Most often the data and the prior differ by very many orders of magnitude."
-    advice = "Check units and noise levels, raise gamma, or use the solver clarabel."
-    if missed > 1e-7 * (1.0 + np.abs(point.z).max(initial=0.0)):
-        cause = "The bounds and constraints contradict each other for physical bodies."
-        advice = "Widen the bounds, check the ellipsoids' sign and the total mass."
-    return IdentificationError(
-        f"newton found no parameters. {cause}",
-        advice=advice,
-        solver="newton",
-        violation=float(missed),
-    )
+    contradict = missed > 1e-7 * (1.0 + np.abs(point.z).max(initial=0.0))
+    why = CONTRADICTION if contradict else OTHER_CAUSE
+    return no_parameters("newton", why, violation=float(missed))
 
 
 def _solve(R: Array, right: Array, *, transposed: bool = False) -> Array:

@@ -28,47 +28,28 @@ class NewtonProgram:
     S_i = B_i + smat(z_i) ≻ 0, s = G z − h ≥ 0 and E z = e ([Lee2019] Eqs. (3.5.45), (3.5.46)). The
     γ_k of an inequality is 0, but for positive scalars over their priors. A block whose prior is
     quadratic has a γ_i next to nothing, as the barrier that keeps it physical.
-
-    Attributes:
-        coordinates: Map to the parameters of the problem.
-        data: (p, p + 1) triangle [M | d]; what d has beyond it is `floor`.
-        prior: (k, p) root C of the quadratic prior.
-        fixing: (j, p) weak rows that fix directions which neither data nor prior determine.
-        blocks: (n, 10) indices of the inertia blocks in z.
-        begin: (n, 4, 4) matrices B.
-        gammas: (n,) weights γ_i.
-        barrier: (n,) which of them are of barriers.
-        strength: Size of the prior, to which weights w are relative.
-        scalars: Positive scalars over their priors, with their weights γ_k.
-        inequalities: G (m, p) and h (m,), with rows of unit length but those of the positive
-            scalars, which come first.
-        equalities: E (l, p) and e (l,), with independent rows of unit length.
-        floor: Least squared residual of any parameters, also unphysical ones.
-        weight: Weight w of the prior.
     """
 
-    coordinates: Coordinates
-    data: Array
-    prior: Array
-    fixing: Array
-    blocks: NDArray[np.intp]
-    begin: Array
-    gammas: Array
-    barrier: NDArray[np.bool_]
-    strength: float
-    scalars: Scalars
+    coordinates: Coordinates  # map to the parameters of the problem
+    data: Array  # (p, p + 1) triangle [M | d]; what d has beyond it is `floor`
+    prior: Array  # (k, p) root C of the quadratic prior
+    fixing: Array  # (j, p) weak rows that fix directions which neither data nor prior determine
+    blocks: NDArray[np.intp]  # (n, 10) indices of the inertia blocks in z
+    begin: Array  # (n, 4, 4) matrices B
+    gammas: Array  # (n,) weights γ_i
+    barrier: NDArray[np.bool_]  # (n,) which of them are of barriers
+    strength: float  # size of the prior, to which weights w are relative
+    scalars: Scalars  # positive scalars over their priors, with their weights γ_k
+    # G (m, p) and h (m,), with rows of unit length but those of the positive scalars, which come
+    # first.
     inequalities: Rows
-    equalities: Rows
-    floor: float
-    weight: float = 1.0
+    equalities: Rows  # E (l, p) and e (l,), with independent rows of unit length
+    floor: float  # least squared residual of any parameters, also unphysical ones
+    weight: float = 1.0  # weight w of the prior
 
     @classmethod
     def of(cls, problem: FitProblem) -> Self:
-        """Return the program of a problem.
-
-        Raises:
-            ArgumentError: A block has neither an entropic nor a quadratic prior.
-        """
+        """Return the program of a problem with a prior, entropic or quadratic, for every block."""
         coordinates, p = Coordinates.of(problem), problem.size
         triangle = triangular_factor([np.column_stack(coordinates.data())])
         prior, starts = coordinates.prior_root(), np.array(problem.inertia_blocks, np.intp)

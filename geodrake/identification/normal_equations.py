@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrs
 
 from geodrake.errors import IdentificationError
-
-Array = NDArray[np.float64]
+from geodrake.inertia import Array
 
 RIDGE = 1e-9
 """What is added to the diagonal of normal matrices that are scaled to have ones there. It keeps
@@ -16,11 +14,7 @@ columns that say the same (a friction and its asymmetric form) from making them 
 
 
 def cholesky(matrices: Array, ridge: float = RIDGE) -> Array:
-    """Return lower Cholesky factors of symmetric matrices (..., n, n) of unit diagonal, and ridge.
-
-    Raises:
-        IdentificationError: A matrix is not positive definite, or not finite.
-    """
+    """Return lower Cholesky factors of symmetric matrices (..., n, n) of unit diagonal, ridged."""
     try:
         factors = np.linalg.cholesky(matrices + ridge * np.eye(matrices.shape[-1]))
     except np.linalg.LinAlgError:
@@ -38,9 +32,6 @@ def scaled_cholesky(matrices: Array, ridge: float = RIDGE) -> tuple[Array, Array
     """Return lower Cholesky factors L (..., n, n) and scales s (..., n) of symmetric matrices.
 
     L Lᵀ is the matrix times s from both sides, which has ones on its diagonal, and the ridge.
-
-    Raises:
-        IdentificationError: A matrix is not positive definite, or not finite.
     """
     scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
     return cholesky(matrices * scale[..., :, None] * scale[..., None, :], ridge), scale

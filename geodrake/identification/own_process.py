@@ -37,15 +37,9 @@ class LateProcessError(LostProcessError):
 def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
     """Return or raise what a function does, called in a copy of this process that prints nothing.
 
-    Args:
-        work: Called without arguments; what it returns is pickled. A copy that waits takes it if
-            it can be pickled too.
-        seconds: Time it may take. Where a copy that waited ends, a new one has what is left.
-
-    Raises:
-        GeodrakeError: What the function raised.
-        LateProcessError: Its time was over.
-        LostProcessError: It raised something else, or its process ended.
+    What it returns is pickled; a copy that waits takes it if it can be pickled too. Where that one
+    ends, a new one has what is left of its time. What it raises is a LostProcessError, unless it
+    is a GeodrakeError, as are its end and, as a LateProcessError, the end of its time.
     """
     over = time.monotonic() + seconds
     question: bytes | None = None

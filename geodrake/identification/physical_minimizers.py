@@ -14,10 +14,8 @@ from geodrake.identification.newton_path import minimize
 from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.normal_equations import scaled_cholesky
 from geodrake.identification.problem import FitProblem
-from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.kernels import calc_from_pseudo_inertia, calc_pseudo_inertia
-
-Array = NDArray[np.float64]
 
 _GAP = 1e-3
 """Weight of the barrier that keeps bodies physical, beside squared residuals in variances."""
@@ -54,17 +52,10 @@ def physical_minimizers(
 ) -> Array:
     """Return minimizers (F, p) of ½ xᵀ G x − rᵀ x with physical bodies within bounds.
 
-    Each but the first is found from a point on the way to that one.
-
-    Args:
-        gram: (F, p, p) positive definite matrices G.
-        rhs: (F, p) right sides r.
-        blocks: First parameter of every inertia block.
-        start: (F, p) parameters whose bodies are physical, of about the size that is expected.
-        bounds: Lower and upper bounds (p,), infinite for inertial parameters.
-
-    Raises:
-        IdentificationError: Rounding gets in the way.
+    Each but the first is found from a point on the way to that one. G are positive definite
+    (F, p, p) and r (F, p); inertia blocks begin at `blocks`. The bodies of `start` (F, p) are
+    physical and of about the size that is expected. The lower and upper bounds (p,) are infinite
+    for inertial parameters.
     """
     p, bodies = rhs.shape[1], start.mean(0)
     common = FitProblem(

@@ -1,22 +1,34 @@
 """Bodies as point masses at given places: their masses are identified, and φ follows from them.
 
 [Lee2019] Eqs. (3.5.54)–(3.5.56), (3.7.87): with masses that are not negative, every body can exist
-and lies inside the hull of its points.
+and lies inside the hull of its points. They stay near prior masses in one distance or another.
 """
 
 from __future__ import annotations
 
+import time
+from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydrake.solvers import MathematicalProgram, SolutionResult
 from scipy.linalg import block_diag, eigvalsh
+from scipy.special import rel_entr
 
 from geodrake.boundary.arguments import instance, instances, integer, real_array
 from geodrake.boundary.showing import Short
-from geodrake.errors import ArgumentError
-from geodrake.identification.problem import checked
+from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.identification.conic_fit import solution_of, solve_fit
+from geodrake.identification.fit import FitResult, fit_result
+from geodrake.identification.problem import FitProblem, LinearConstraints
+from geodrake.identification.program import build_fit
+from geodrake.identification.regularizer import Regularizer
+from geodrake.identification.residual_path import check_residual_bound, out_of_reach
+from geodrake.identification.solvers import ROUGHLY, Tolerances, run_solver, solved_apart
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
     Array,
@@ -25,33 +37,33 @@ from geodrake.inertia import (
     is_physical,
     pseudo_inertia,
 )
+from geodrake.robot.reduction import triangular_factor
 
 _MOST = 1_000_000  # points of a body
+_SAME_PRIOR = 1e-6
+_SCALES = (1.0, 0.3, 3.0, 0.1, 10.0, 0.03)
+_LEAST, _SPENT = 1e-6, 1e-5
+"""Least share of its prior that a point mass keeps, and one below which it cannot get any less."""
 
 
 @dataclass(frozen=True, eq=False)
 class PointMasses(Short):
-    """Point masses of several bodies.
-
-    Attributes:
-        positions: For every body (n_i, 3) positions in its frame, m.
-        masses: For every body (n_i,) prior masses ⁰μ > 0, kg.
-    """
+    """Point masses of several bodies: (n_i, 3) positions in each one's frame, m, and ⁰μ > 0, kg."""
 
     positions: tuple[Array, ...]
-    masses: tuple[Array, ...]
+    masses: tuple[Array, ...]  # (n_i,) prior masses ⁰μ
 
     def __post_init__(self) -> None:
         places = instances(self.positions, "positions", object)
         given = instances(self.masses, "masses", object)
-        positions = [checked(f"positions[{i}]", p, (None, 3)) for i, p in enumerate(places)]
+        positions = [real_array(p, f"positions[{i}]", ("m", 3)) for i, p in enumerate(places)]
         if len(given) != len(positions):
             raise ArgumentError(
                 f"Masses are needed for each of the {len(positions)} bodies; got those of "
                 f"{len(given)}."
             )
         masses = [
-            checked(f"masses[{i}]", mass, (len(place),))
+            real_array(mass, f"masses[{i}]", (len(place),))
             for i, (mass, place) in enumerate(zip(given, positions, strict=True))
         ]
         wrong = [i for i, mass in enumerate(masses) if not (len(mass) and (mass > 0).all())]
@@ -62,13 +74,10 @@ class PointMasses(Short):
 
     @classmethod
     def of_bodies(cls, phi: ArrayLike, counts: int | Sequence[int] = 85) -> PointMasses:
-        """Equal masses, spread evenly over the uniform ellipsoid of every body.
+        """Equal masses, spread evenly over the uniform ellipsoid of every body of phi (nb, 10).
 
-        They have the bodies' inertial parameters exactly, so that `parameters()` returns phi.
-
-        Args:
-            phi: (nb, 10) physical inertial parameters.
-            counts: Number of points of every body, or of each; at least 10.
+        They have the bodies' inertial parameters exactly, so that `parameters()` returns phi. The
+        counts, one or one a body, are at least 10 points.
         """
         phi, numbers = _checked_bodies(phi, counts)
         positions = []
@@ -87,11 +96,7 @@ class PointMasses(Short):
 
         Half of the points are spread evenly over the region, with equal masses, half of what the
         body can have there. The other points are those of `of_bodies` for the rest of the body.
-
-        Args:
-            phi: (nb, 10) physical inertial parameters.
-            ellipsoids: The regions, of shape (nb,).
-            counts: Number of points of every body, or of each; at least 20.
+        Regions are of shape (nb,) for phi (nb, 10); counts, one or one a body, at least 20 points.
         """
         phi, numbers = _checked_bodies(phi, counts, least=2 * PARAMETERS_PER_BODY)
         regions = instance(ellipsoids, "ellipsoids", Ellipsoid)
@@ -124,7 +129,7 @@ class PointMasses(Short):
 
     def parameters(self, masses: ArrayLike | None = None) -> Array:
         """Inertial parameters (nb, 10) of masses μ (N,), of the prior ones if None."""
-        mu = self.prior if masses is None else checked("masses", masses, (len(self.prior),))
+        mu = self.prior if masses is None else real_array(masses, "masses", (len(self.prior),))
         return (self.matrix() @ mu).reshape(-1, PARAMETERS_PER_BODY)
 
 
@@ -132,7 +137,7 @@ def _checked_bodies(
     phi: ArrayLike, counts: int | Sequence[int], least: int = PARAMETERS_PER_BODY
 ) -> tuple[Array, list[int]]:
     """Physical bodies (nb, 10), and how many points each gets."""
-    phi = checked("phi", phi, (None, PARAMETERS_PER_BODY))
+    phi = real_array(phi, "phi", ("m", PARAMETERS_PER_BODY))
     wrong = np.flatnonzero(~is_physical(phi)).tolist()
     if wrong:
         raise ArgumentError(
@@ -165,3 +170,207 @@ def _unit_ball(number: int) -> Array:
     ball -= ball.mean(0)
     root = np.linalg.cholesky(ball.T @ ball / number)
     return np.asarray(np.linalg.solve(root, ball.T).T)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PointMassFit(FitResult):
+    """A `FitResult` with the masses (N,), kg, of all bodies in a row behind its parameters."""
+
+    masses: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PointMassRegularizer(Regularizer):
+    """A distance of masses μ ≥ 0 from their prior ones, with Φ = R μ.
+
+    The prior of `identify` must be `points.parameters()`. Masses are kept above a millionth of
+    their prior, so that every body is strictly physical.
+    """
+
+    points: PointMasses
+
+    def __post_init__(self) -> None:
+        instance(self.points, "points", PointMasses)
+
+    @abstractmethod
+    def distance(self, masses: Array) -> float:
+        """Return d(μ, ⁰μ)² of masses (N,)."""
+
+    @abstractmethod
+    def add_cost(self, program: MathematicalProgram, shares: Any, weight: float) -> None:
+        """Add weight · d² of μ = shares ∘ ⁰μ as a convex cost of (N,) variables of the program."""
+
+    @abstractmethod
+    def mobility(self, masses: Array) -> Array:
+        """Return (N,) inverses of half the second derivatives of d² at masses (N,)."""
+
+    def divergence(self, phi: Array, prior: Array) -> float:
+        """Return the least d² of masses with the inertial parameters Φ (nb, 10)."""
+        p = phi.size
+        problem = FitProblem(
+            factor=np.zeros((1, p + 1)),
+            inertia_blocks=tuple(range(0, p, PARAMETERS_PER_BODY)),
+            prior_mean=prior.ravel(),
+            prior_information=np.zeros((p, p)),
+            constraints=LinearConstraints(matrix=np.eye(p), lower=phi.ravel(), upper=phi.ravel()),
+        )
+        return self.distance(self.solve(problem, prior, 1.0, "clarabel").masses)
+
+    def divergence_of(self, fit: FitResult, prior: Array) -> float:
+        """Return d² at a solution of `solve`."""
+        if isinstance(fit, PointMassFit):
+            return self.distance(fit.masses)
+        return super().divergence_of(fit, prior)
+
+    def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
+        """Return the problem with γ d² to second order around the prior; `solve` is exact."""
+        return self._informed(problem, gamma, self.points.prior)
+
+    def solve(
+        self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
+    ) -> PointMassFit:
+        """Return the masses that fit best, by Drake's conic solver of that name, Clarabel if None.
+
+        The ArgumentError of a residual bound that no masses reach has the `minimum` that they do.
+        """
+        begin, solver = time.perf_counter(), solver or "clarabel"
+        self._check(prior)
+        check_residual_bound(problem)
+        transform, inner, floor = self._of_masses(problem)
+        try:
+            v, weight = solved_apart(partial(self._solved, inner, solver, gamma), solver)
+        except IdentificationError as failure:
+            if (bound := problem.residual_bound) is not None:
+                free = solve_fit(replace(inner, residual_bound=None), solver=solver)
+                if bound < (least := floor + free.residual):
+                    raise out_of_reach(bound, least) from failure
+            raise
+        x = np.clip(transform @ v, problem.lower, problem.upper)
+        masses = v[: len(self.points.prior)] * self.points.prior
+        fit = fit_result(self._informed(problem, gamma, masses), x, weight, solver, begin)
+        return PointMassFit(**vars(fit), masses=masses)
+
+    def certified(
+        self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult
+    ) -> FitResult:
+        """Return the solution as it is: a MathematicalProgram has solved it."""
+        return fit
+
+    def _of_masses(self, problem: FitProblem) -> tuple[Array, FitProblem, float]:
+        """Return T, the fit of v = [μ/⁰μ, extra] with x = T v, and the least residual of any x.
+
+        The residual of that fit, which has no distance, is what there is beyond the least.
+        """
+        N, R = len(self.points.prior), self.points.matrix()
+        extra = problem.size - len(R)
+        transform = np.asarray(block_diag(R * self.points.prior, np.eye(extra)))
+        constraints = problem.constraints
+        if constraints is not None:
+            constraints = replace(constraints, matrix=constraints.matrix @ transform)
+        p, bound = problem.size, problem.residual_bound
+        triangle = triangular_factor([problem.factor])
+        floor = float(np.square(triangle[p:, p]).sum())
+        beyond = FitProblem(
+            factor=np.column_stack([triangle[:p, :p] @ transform, triangle[:p, p]]),
+            inertia_blocks=(),
+            prior_mean=np.zeros(N + extra),
+            prior_information=np.zeros((N + extra, N + extra)),
+            lower=np.append(np.full(N, _LEAST), problem.lower[len(R) :]),
+            upper=np.append(np.full(N, np.inf), problem.upper[len(R) :]),
+            scalar_priors=dict.fromkeys(range(N), (1.0, 1.0)),
+            constraints=constraints,
+            residual_bound=None if bound is None else max(bound - floor, np.finfo(float).tiny),
+        )
+        return transform, beyond, floor
+
+    def _solved(
+        self, inner: FitProblem, solver: str, gamma: float, accuracies: Sequence[Tolerances]
+    ) -> tuple[Array, float]:
+        """Return v, and the weight of the prior."""
+        N, prior = len(self.points.prior), self.points.prior
+        # The first solution only says how to scale the cost for the second.
+        size = 1e-2 * gamma * self.distance(0.0 * prior)
+        for tried in (ROUGHLY, accuracies):
+            for factor in _SCALES:
+                fit = build_fit(inner, size=factor * size)
+                self.add_cost(fit.program, fit.z[:N], gamma / fit.cost_scale)
+                try:
+                    result, _ = run_solver(fit.program, solver, tried)
+                    break
+                except IdentificationError as failure:  # rounding may end it at one scale alone
+                    rounding = SolutionResult.kSolverSpecificError.name
+                    if factor == _SCALES[-1] or failure.evidence.get("status") != rounding:
+                        raise
+            v, weight = solution_of(fit, result)
+            cost = gamma * self.distance(v[:N] * prior)
+            cost += inner.residual(v) if inner.residual_bound is None else 0.0
+            size = max(cost, 1e-4 * size)
+        return v, weight
+
+    def _informed(self, problem: FitProblem, gamma: float, masses: Array) -> FitProblem:
+        """Return it with (R M Rᵀ)⁻¹ as information, for mobilities M of masses not spent."""
+        R = self.points.matrix()
+        free = self.mobility(masses) * (masses > _SPENT * self.points.prior)
+        information = problem.prior_information.copy()
+        information[: len(R), : len(R)] += gamma * np.linalg.pinv((R * free) @ R.T, hermitian=True)
+        return replace(problem, prior_information=information)
+
+    def _check(self, prior: Array) -> None:
+        own = self.points.parameters()
+        differ = f"its shape is {prior.shape} instead of {own.shape}"
+        if own.shape == prior.shape:
+            away = np.abs(own - prior).max(1)
+            bodies = np.flatnonzero(away > _SAME_PRIOR * np.abs(prior).max()).tolist()
+            if not bodies:
+                return
+            differ = f"bodies {bodies} differ by up to {away.max():.2g}"
+        raise ArgumentError(
+            f"The prior is not that of the point masses: {differ}.",
+            advice="Pass points.parameters() as the prior, or make points that have this one "
+            "with PointMasses.of_bodies(prior).",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PointMassEuclidean(PointMassRegularizer):
+    """d² = ‖μ − ⁰μ‖² ([Lee2019] Eq. (3.5.54)), in kg²."""
+
+    name: ClassVar[str] = "point_mass_euclidean"
+
+    def distance(self, masses: Array) -> float:
+        """Return d(μ, ⁰μ)² of masses (N,)."""
+        return float(np.square(masses - self.points.prior).sum())
+
+    def add_cost(self, program: MathematicalProgram, shares: Any, weight: float) -> None:
+        """Add weight · d² of μ = shares ∘ ⁰μ."""
+        squares = 2.0 * weight * self.points.prior**2
+        program.AddQuadraticCost(np.diag(squares), -squares, 0.5 * squares.sum(), shares, True)
+
+    def mobility(self, masses: Array) -> Array:
+        """Return ones (N,)."""
+        return np.ones_like(masses)
+
+
+@dataclass(frozen=True, eq=False)
+class PointMassKL(PointMassRegularizer):
+    """d² = Σ μ log(μ/⁰μ) + ⁰μ − μ, the generalized KL divergence, in kg ([Lee2019] (3.7.87))."""
+
+    name: ClassVar[str] = "point_mass_kl"
+
+    def distance(self, masses: Array) -> float:
+        """Return d(μ ‖ ⁰μ)² of masses (N,)."""
+        prior = self.points.prior
+        return float((rel_entr(masses, prior) + prior - masses).sum())
+
+    def add_cost(self, program: MathematicalProgram, shares: Any, weight: float) -> None:
+        """Add weight · d² of μ = s ∘ ⁰μ: t ≥ s log s just when 1 ≥ s exp(−t/s)."""
+        t = program.NewContinuousVariables(len(shares), "t")
+        cone, offset = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, -1.0]]), np.array([1.0, 0.0, 0.0])
+        for pair in zip(shares, t, strict=True):
+            program.AddExponentialConeConstraint(cone, offset, np.array(pair))
+        weights = weight * self.points.prior
+        program.AddLinearCost(np.append(weights, -weights), weights.sum(), np.append(t, shares))
+
+    def mobility(self, masses: Array) -> Array:
+        """Return 2 μ, (N,)."""
+        return 2.0 * masses

@@ -20,23 +20,18 @@ def whitened_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = Non
     """Return a triangular factor of the whitened data [A | b]/σ, all that a fit needs of them.
 
     It is (p + 1, p + 1) upper triangular [R r; 0 ρ], with ‖A x − b‖²_{Σ⁻¹} = ‖R x − r‖² + ρ² for
-    every x.
-
-    Args:
-        A: (m, p) regressor.
-        b: (m,) measurements.
-        sigma: (m,) or scalar standard deviations of b, in the units of b; None for 1.
+    every x. The arguments are those of `identify`.
     """
     return triangular_factor([whitened(A, b, sigma=sigma)])
 
 
 def whitened(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> Array:
     """Return the rows [A | b]/σ, (m, p + 1), of what `whitened_factor` takes."""
-    A = checked("A", A, (None, None))
-    b = checked("b", b, (len(A),))
+    A = real_array(A, "A", ("m", "n"))
+    b = real_array(b, "b", (len(A),))
     deviations = np.ones(()) if sigma is None else real_array(sigma, "sigma")
     if deviations.ndim:
-        deviations = checked("sigma", deviations, (len(A),))
+        deviations = real_array(deviations, "sigma", (len(A),))
     if not np.all(deviations > 0):
         raise ArgumentError(
             f"sigma has values that are not positive (smallest: {np.min(deviations):g}).",
@@ -103,9 +98,9 @@ class FitProblem(Short):
     def __post_init__(self) -> None:
         """Check every field, and complete bounds and references."""
         put = object.__setattr__
-        put(self, "factor", checked("factor", self.factor, (None, None)))
+        put(self, "factor", real_array(self.factor, "factor", ("m", "n")))
         p = self.factor.shape[1] - 1
-        put(self, "prior_mean", checked("prior_mean", self.prior_mean, (p,)))
+        put(self, "prior_mean", real_array(self.prior_mean, "prior_mean", (p,)))
         put(self, "prior_information", _information(self.prior_information, p))
         put(self, "inertia_blocks", _blocks(self.inertia_blocks, p))
         inertial = {k for start in self.inertia_blocks for k in range(start, start + 10)}
@@ -158,7 +153,7 @@ class FitProblem(Short):
                 raise ArgumentError(
                     f"{name}[{column}] must be a pair of a value and a weight; got {pair!r}."
                 )
-            value: Any = checked(f"{name}[{column}]", pair[0], shape)
+            value: Any = real_array(pair[0], f"{name}[{column}]", shape)
             if not shape:
                 value = number(float(value), f"x⁰ at column {column}", lower=0.0, strict=True)
             weight = number(pair[1], f"the weight at column {column}", lower=0.0, strict=True)
@@ -171,7 +166,7 @@ class FitProblem(Short):
         for start in self.inertia_blocks:
             given = self.reference.get(start, self.prior_mean[start : start + 10])
             given, _ = self.entropic.get(start, (given, None))
-            references[start] = checked(f"reference[{start}]", given, (10,))
+            references[start] = real_array(given, f"reference[{start}]", (10,))
         physical = is_physical(np.reshape(list(references.values()), (-1, 10)))
         if wrong := [start for start, ok in zip(references, physical, strict=True) if not ok]:
             raise ArgumentError(
@@ -183,15 +178,8 @@ class FitProblem(Short):
         return references
 
 
-def checked(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return the values as finite floats of a shape, where None stands for any length."""
-    symbols = iter("mnk")
-    wanted = tuple(next(symbols) if size is None else size for size in shape)
-    return real_array(values, name, wanted)
-
-
 def _information(values: ArrayLike, p: int) -> Array:
-    matrix = checked("prior_information", values, (p, p))
+    matrix = real_array(values, "prior_information", (p, p))
     scale = np.abs(matrix).max(initial=0.0)
     if not np.allclose(matrix, matrix.T, rtol=1e-8, atol=1e-10 * scale):
         raise ArgumentError("prior_information is not symmetric.")
@@ -213,7 +201,7 @@ def _blocks(starts: tuple[int, ...], p: int) -> tuple[int, ...]:
 
 def _check_constraints(constraints: LinearConstraints, p: int) -> None:
     instance(constraints, "constraints", LinearConstraints)
-    k = len(checked("constraints.matrix", constraints.matrix, (None, p)))
+    k = len(real_array(constraints.matrix, "constraints.matrix", ("m", p)))
     lower = real_array(constraints.lower, "constraints.lower", (k,), finite=False)
     upper = real_array(constraints.upper, "constraints.upper", (k,), finite=False)
     if empty := np.flatnonzero(~(lower <= upper)).tolist():

@@ -22,26 +22,17 @@ _LOGARITHM = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
 
 @dataclass(eq=False)
 class FitProgram:
-    """A fit as a conic program, ready for any of Drake's conic solvers.
+    """A fit as a conic program, ready for any of Drake's conic solvers."""
 
-    Attributes:
-        problem: What it was built from.
-        coordinates: Map between its variables and the parameters.
-        program: The program itself; other convex costs and constraints may be added to it.
-        z: (p,) decision variables, the coordinates of the parameters.
-        cost_scale: Value by which the cost was divided.
-        residual_cone: Constraint of the point-to-set form, or None.
-        residual_scale: Value by which the residual was divided in `residual_cone`.
-        others: Other variables, with the map from z to the most favourable values of each.
-    """
-
-    problem: FitProblem
-    coordinates: Coordinates
+    problem: FitProblem  # what it was built from
+    coordinates: Coordinates  # map between its variables and the parameters
+    # The program itself; other convex costs and constraints may be added to it.
     program: MathematicalProgram
-    z: Any
-    cost_scale: float = 1.0
-    residual_cone: Any = None
-    residual_scale: float = 1.0
+    z: Any  # (p,) decision variables, the coordinates of the parameters
+    cost_scale: float = 1.0  # value by which the cost was divided
+    residual_cone: Any = None  # constraint of the point-to-set form, or None
+    residual_scale: float = 1.0  # value by which the residual was divided in `residual_cone`
+    # Other variables, with the map from z to the most favourable values of each.
     others: list[tuple[Any, Callable[[Array], Array]]] = field(default_factory=list)
 
     def point(self, x: Array) -> Array:
@@ -77,21 +68,6 @@ class FitProgram:
         self.program.AddLinearEqualityConstraint(matrix, rows[:, -1], variables)
         self.others.append((errors, lambda z: rows @ np.append(z, -1.0)))
         return errors
-
-    def _bound_residual(self, rows: Array, bound: float) -> None:
-        """Bound the residual of rows [M d], divided by the part of it that z can spend."""
-        triangle, p = _reduced(rows), len(self.z)
-        floor = float(np.square(triangle[p:, p]).sum())
-        self.residual_scale = float(np.sqrt(max(bound - floor, np.finfo(float).tiny)))
-        errors = self._add_errors(triangle[:p] / self.residual_scale)
-        cone = np.eye(len(errors) + 1)
-        self.residual_cone = self.program.AddLorentzConeConstraint(cone[:, 1:], cone[0], errors)
-
-    def _add_squares(self, rows: Array) -> None:
-        """Add the cost ‖F z − f‖² of rows [F f]."""
-        if k := len(rows):
-            errors = self._add_errors(rows)
-            self.program.AddQuadraticCost(2.0 * np.eye(k), np.zeros(k), errors, is_convex=True)
 
     def _add_bodies(self) -> None:
         """Keep bodies physical, and near their entropic prior."""
@@ -162,13 +138,6 @@ class FitProgram:
 
         self.others.append((t, best))
 
-    def _add_bounds(self) -> None:
-        (G, h), (E, e) = self.coordinates.rows()
-        if len(h):
-            self.program.AddLinearConstraint(G, h, np.full(len(h), np.inf), self.z)
-        if len(e):
-            self.program.AddLinearEqualityConstraint(E, e, self.z)
-
 
 def build_fit(
     problem: FitProblem, *, centre: Array | None = None, size: float | None = None
@@ -187,13 +156,18 @@ def build_fit(
     fit = FitProgram(
         problem, coordinates, program, program.NewContinuousVariables(problem.size, "z")
     )
-    data, C = np.column_stack(coordinates.data()), coordinates.prior_root()
+    data, C, p = np.column_stack(coordinates.data()), coordinates.prior_root(), problem.size
     rows = np.column_stack([C, np.zeros(len(C))])
     if problem.residual_bound is None:
         rows = np.vstack([data, rows])
-    else:
-        fit._bound_residual(data, problem.residual_bound)
-    rows = _reduced(rows)[: problem.size]
+    else:  # divided by the part of it that z can spend
+        triangle = _reduced(data)
+        least = problem.residual_bound - float(np.square(triangle[p:, p]).sum())
+        fit.residual_scale = float(np.sqrt(max(least, np.finfo(float).tiny)))
+        errors = fit._add_errors(triangle[:p] / fit.residual_scale)
+        cone = np.eye(len(errors) + 1)
+        fit.residual_cone = program.AddLorentzConeConstraint(cone[:, 1:], cone[0], errors)
+    rows = _reduced(rows)[:p]
     if size is None:  # its value at the centre, and not far below its curvature
         z = np.zeros(problem.size) if centre is None else coordinates.at(centre)
         priors = (*problem.entropic.values(), *problem.entropic_scalars.values())
@@ -201,10 +175,16 @@ def build_fit(
         curvature = np.square(rows[:, :-1]).sum(0).max(initial=0.0)
         size = max([value, 1e-8 * curvature, *(gamma for _, gamma in priors)]) or 1.0
     fit.cost_scale = size
-    fit._add_squares(rows / np.sqrt(size))
+    if k := len(rows):
+        errors = fit._add_errors(rows / np.sqrt(size))
+        program.AddQuadraticCost(2.0 * np.eye(k), np.zeros(k), errors, is_convex=True)
     fit._add_bodies()
     fit._add_scalars()
-    fit._add_bounds()
+    (G, h), (E, e) = coordinates.rows()
+    if len(h):
+        program.AddLinearConstraint(G, h, np.full(len(h), np.inf), fit.z)
+    if len(e):
+        program.AddLinearEqualityConstraint(E, e, fit.z)
     return fit
 
 

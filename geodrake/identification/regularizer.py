@@ -9,8 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from geodrake.errors import ArgumentError, IdentificationError
-from geodrake.identification.certification import certified
-from geodrake.identification.conic_fit import solve_fit, solve_with_fallback
+from geodrake.identification.conic_fit import certified, solve_fit, solve_with_fallback
 from geodrake.identification.fit import FitResult
 from geodrake.identification.newton import solve_newton
 from geodrake.identification.problem import FitProblem

@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 
 from geodrake.errors import ArgumentError
 from geodrake.identification.problem import FitProblem
+from geodrake.inertia import Array
 
 T = TypeVar("T")
 
@@ -27,17 +28,11 @@ def meet_residual(
 ) -> tuple[T, float, float]:
     """Return the solution whose residual is nearest to the wanted one, its weight and its residual.
 
-    The weight is 0 if no weight has so low a residual, and inf if none has so high a one.
+    The weight is 0 if no weight has so low a residual, and inf if none has so high a one. `solve`
+    maps a weight and the last solution, None at first, to a solution and its residual.
 
     Brent's method on the logarithms: the residual grows with the weight of the prior ([Lee2019]
     Propositions A.4 and A.5).
-
-    Args:
-        solve: Maps a weight and the last solution, None at first, to a solution and its residual.
-        wanted: The residual, above zero.
-        guess: A weight to begin with.
-        limits: Least and greatest weight.
-        enough: Distance from the wanted residual that will do.
     """
     trials: list[tuple[float, T, float, float]] = []
 
@@ -75,12 +70,16 @@ def check_residual_bound(problem: FitProblem) -> None:
     bound = problem.residual_bound
     if bound is None:
         return
-    R, r = problem.factor[:, :-1], problem.factor[:, -1]
-    norms = np.linalg.norm(R, axis=0)
-    scaled = R / np.where(norms > 0, norms, 1.0)
-    minimum = float(np.square(scaled @ np.linalg.lstsq(scaled, r)[0] - r).sum())
+    minimum = least_residual(problem.factor[:, :-1], problem.factor[:, -1])
     if not bound > minimum:
         raise out_of_reach(bound, minimum, "any parameters")
+
+
+def least_residual(A: Array, b: Array) -> float:
+    """Return the least ‖A x − b‖² that any parameters x reach, physical or not."""
+    norms = np.linalg.norm(A, axis=0)
+    scaled = A / np.where(norms > 0, norms, 1.0)
+    return float(np.square(scaled @ np.linalg.lstsq(scaled, b)[0] - b).sum())
 
 
 def out_of_reach(

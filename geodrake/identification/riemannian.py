@@ -10,7 +10,7 @@ import numpy as np
 
 from geodrake.boundary.arguments import instances, integer
 from geodrake.errors import ArgumentError, GeodrakeError
-from geodrake.identification.certification import certified, uncertified
+from geodrake.identification.conic_fit import certified, uncertified
 from geodrake.identification.fit import FitResult, fit_result
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.regularizer import Entropic, Pullback, Regularizer
@@ -89,12 +89,7 @@ class Riemannian(Regularizer):
     def solve(
         self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
     ) -> FitResult:
-        """Return the best local minimum of all starts; the solver finds the first start.
-
-        Raises:
-            ArgumentError: The residual bound is below what any parameters reach.
-            IdentificationError: There is no solution, or none whose residual meets the bound.
-        """
+        """Return the best local minimum of all starts; the solver finds the first start."""
         begin, random = time.perf_counter(), np.random.default_rng(self.seed)
         program = RiemannianProgram.of(self.regularize(problem, prior, gamma))
         convex = Entropic().solve(problem, prior, gamma, solver)

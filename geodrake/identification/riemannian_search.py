@@ -40,20 +40,13 @@ _FARTHEST = 1.5
 
 @dataclass(frozen=True, eq=False)
 class LocalMinima:
-    """Where the starts led to.
+    """Where the starts led to."""
 
-    Attributes:
-        starts: Names of the starts.
-        costs: (n,) cost reached from each start, at the γ of the solution; inf where the search
-            failed.
-        distances: (n,) geodesic distance of what each start led to from the best.
-        strict: Whether the best is a strict local minimum: its Hessian is positive definite.
-    """
-
-    starts: tuple[str, ...]
+    starts: tuple[str, ...]  # names of the starts
+    # (n,) cost reached from each start, at the γ of the solution; inf where the search failed.
     costs: Array
-    distances: Array
-    strict: bool
+    distances: Array  # (n,) geodesic distance of what each start led to from the best
+    strict: bool  # whether the best is a strict local minimum: its Hessian is positive definite
 
     @property
     def agree(self) -> bool:
@@ -150,11 +143,7 @@ class RiemannianProgram(NewtonProgram):
         return gradient, hessian
 
     def minimum(self, z: Array) -> LocalMinimum:
-        """Return the minimum that z (p,), inside all constraints, leads to.
-
-        Raises:
-            IdentificationError: No step lowers the cost, or none is defined.
-        """
+        """Return the minimum that z (p,), inside all constraints, leads to."""
         size = max(min(self.cost(z), self.cost(0.0 * z)), self.weight * self.gammas.max())
         before = np.inf
         for _ in range(_MOST_STEPS):
@@ -221,8 +210,7 @@ class RiemannianProgram(NewtonProgram):
     def second_order(self, x: Array) -> tuple[FitProblem, float]:
         """Return the problem whose cost is the second order of this one's at x (p,), and its size.
 
-        Raises:
-            ArgumentError: It is not convex.
+        An ArgumentError says that it is not convex.
         """
         z = self.coordinates.at(x)
         gradient, hessian = self.derivatives(z)
@@ -250,9 +238,6 @@ class RiemannianProgram(NewtonProgram):
 
         It is the w for which the residual meets the bound, near that which is given; inf where the
         data are idle.
-
-        Raises:
-            IdentificationError: No minimum meets the bound: the residual jumps across it.
         """
         bound = self.coordinates.problem.residual_bound
         if bound is None:

@@ -55,35 +55,32 @@ NEARLY = (_GOOD,)
 _SECONDS = 20.0
 """Time that a fit by a conic solver may take."""
 
+CONTRADICTION = (
+    "The bounds, constraints and residual bound contradict each other for physical bodies.",
+    "Widen the bounds, check the ellipsoids' sign ([x;1]ᵀQ[x;1] ≥ 0 inside) and the total "
+    "mass, or raise the residual bound.",
+)
+OTHER_CAUSE = (
+    "Most often the data and the prior differ by very many orders of magnitude.",
+    "Check units and noise levels, raise gamma, or try another solver.",
+)
 _CAUSES = {
-    SolutionResult.kInfeasibleConstraints: (
-        "The bounds, constraints and residual bound contradict each other for physical bodies.",
-        "Widen the bounds, check the ellipsoids' sign ([x;1]ᵀQ[x;1] ≥ 0 inside) and the total "
-        "mass, or raise the residual bound.",
-    ),
+    SolutionResult.kInfeasibleConstraints: CONTRADICTION,
     SolutionResult.kUnbounded: (
         "Some parameters have neither data nor a prior that hold them.",
         "Add prior information for them, or leave their columns out.",
     ),
 }
-_OTHER_CAUSE = (
-    "Most often the data and the prior differ by very many orders of magnitude.",
-    "Check units and noise levels, raise gamma, or try another solver.",
-)
 
 
 def check_solver(solver: str) -> None:
     """Raise an ArgumentError if the solver is unknown or unavailable."""
-    if isinstance(solver, str) and solver in SOLVERS and _is_usable(solver):
-        return
-    advice = "MOSEK needs a licence: set MOSEKLM_LICENSE_FILE." if solver == "mosek" else ""
-    usable = ", ".join(filter(_is_usable, SOLVERS))
-    raise ArgumentError(f"No conic solver '{solver}' here; there are {usable}.", advice=advice)
-
-
-def _is_usable(solver: str) -> bool:
-    kind = SOLVERS[solver]()
-    return bool(kind.available() and kind.enabled())
+    engines = {name: kind() for name, kind in SOLVERS.items()}
+    usable = [name for name, engine in engines.items() if engine.available() and engine.enabled()]
+    if solver not in usable:
+        advice = "MOSEK needs a licence: set MOSEKLM_LICENSE_FILE." if solver == "mosek" else ""
+        there = ", ".join(usable)
+        raise ArgumentError(f"No conic solver '{solver}' here; there are {there}.", advice=advice)
 
 
 def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
@@ -92,11 +89,6 @@ def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
     Where rounding has left no digit of a step, Clarabel panics on the numbers that are none, and
     that ends the process it is in. No check before the call can tell, as it takes the last digits
     of an iterate; a little less accuracy often ends before that.
-
-    Raises:
-        GeodrakeError: What `solve` raised.
-        IdentificationError: The solver ended its process.
-        ConvergenceError: It found nothing in time.
     """
     over = time.monotonic() + _SECONDS
     for accuracies in (EXACTLY, NEARLY):
@@ -111,7 +103,7 @@ def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
             ) from None
         except LostProcessError as error:
             lost = str(error)
-    raise _failure(solver, lost, f": its process {lost}", _OTHER_CAUSE)
+    raise no_parameters(solver, OTHER_CAUSE, f": its process {lost}", status=lost)
 
 
 def run_solver(
@@ -120,11 +112,8 @@ def run_solver(
     """Return the solution of a program, and the duality gap that Clarabel may have left.
 
     It runs in this process; `solved_apart` is safe where this is not. The gap is in the unit of the
-    cost.
-
-    Raises:
-        ArgumentError: There is no such solver here, or it cannot solve this kind of program.
-        IdentificationError: The solver found no solution; its `evidence` has the status.
+    cost. The IdentificationError of a solver that found no solution has the `status` in its
+    evidence.
     """
     check_solver(solver)
     engine = SOLVERS[solver]()
@@ -148,21 +137,20 @@ def run_solver(
             return result, float(share) * max(1.0, abs(result.get_optimal_cost()))
         if status != SolutionResult.kSolverSpecificError:
             break
-    raise _failure(solver, status.name, f" ({status.name})", _CAUSES.get(status, _OTHER_CAUSE))
+    why = _CAUSES.get(status, OTHER_CAUSE)
+    raise no_parameters(solver, why, f" ({status.name})", status=status.name)
 
 
-def _failure(solver: str, status: str, how: str, why: tuple[str, str]) -> IdentificationError:
-    return IdentificationError(
-        f"{solver} found no parameters{how}. {why[0]}", advice=why[1], solver=solver, status=status
-    )
+def no_parameters(
+    solver: str, why: tuple[str, str], how: str = "", **evidence: Any
+) -> IdentificationError:
+    """Return the error of a solver that found none, with a likely cause and what to do about it."""
+    problem = f"{solver} found no parameters{how}. {why[0]}"
+    return IdentificationError(problem, advice=why[1], solver=solver, **evidence)
 
 
 def cone_multiplier(result: MathematicalProgramResult, cone: Any) -> float:
-    """Return the multiplier of a Lorentz cone's bound, of which residual bounds need one.
-
-    Raises:
-        ArgumentError: The solver gives none.
-    """
+    """Return the multiplier of a Lorentz cone's bound, of which residual bounds need one."""
     try:
         return abs(float(result.GetDualSolution(cone)[0]))
     except ValueError:

@@ -15,7 +15,7 @@ from geodrake.boundary.escaping import json_text
 from geodrake.control.rollout import Rollout, RolloutFit
 from geodrake.diagnosis.drafting import Correlate, Draft
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
-from geodrake.identification.certificate import Certificate
+from geodrake.identification.fit import Certificate
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing
 from geodrake.identification.models.results import BodyChange
 from geodrake.model.effort_signal import EffortSignal

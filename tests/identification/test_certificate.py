@@ -10,8 +10,8 @@ from identified_bodies import THREE as PRIOR
 from test_newton import constrained, cost, example
 
 from geodrake.errors import IdentificationError
-from geodrake.identification import BodyConstraints, certification, identify, solve_fit
-from geodrake.identification.certification import certified
+from geodrake.identification import BodyConstraints, conic_fit, identify, solve_fit
+from geodrake.identification.conic_fit import certified
 from geodrake.identification.identify import REGULARIZERS
 from geodrake.identification.newton import solve_newton
 from geodrake.identification.program import build_fit
@@ -82,7 +82,7 @@ def test_no_fit_is_certified_without_a_solution_of_the_program(monkeypatch):
     def fails(*_):
         raise IdentificationError("No digits are left.")
 
-    monkeypatch.setattr(certification, "solved_apart", fails)
+    monkeypatch.setattr(conic_fit, "solved_apart", fails)
     told = certified(problem, fit)
     assert told.x is fit.x and np.isinf(told.certificate.gap) and not told.certificate.holds
     assert told.certificate.violation < 1e-9 and "could not certify" in told.notes[-1]

@@ -249,19 +249,6 @@ def test_problem_has_the_residuals_of_the_rows(dataset, model):
         assert residual @ residual == pytest.approx(expected, rel=1e-9)
 
 
-def test_unknowns_without_an_effect_are_those_before_it(dataset, model):
-    base = model_unknowns(dataset, model)
-    every = with_effects(dataset, base, *EFFECTS)
-    for effect in EFFECTS:
-        fewer = every.without_effect(effect)
-        rest = with_effects(dataset, base, *(e for e in EFFECTS if e != effect))
-        assert fewer.effects == rest.effects
-        assert fewer.starts == rest.starts
-        assert fewer.inertia_blocks == rest.inertia_blocks
-        for name in ("columns", "mean", "information", "lower", "upper"):
-            np.testing.assert_array_equal(getattr(fewer, name), getattr(rest, name))
-
-
 def test_looser_prior_only_concerns_the_bodies(dataset, model):
     unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:2])
     loose = unknowns.loosened(10.0, 20)

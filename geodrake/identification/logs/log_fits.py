@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.identification.comparison import RegularizerComparison, compare_regularizers
 from geodrake.identification.identify import (
@@ -25,11 +24,10 @@ from geodrake.identification.logs.unknowns import (
     inertial_unknowns,
     pullback_information,
 )
-from geodrake.inertia import PARAMETERS_PER_BODY, is_physical, pullback_metric
+from geodrake.identification.residual_path import least_residual
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical, pullback_metric
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_messages
-
-Array = NDArray[np.float64]
 
 _NOTHING = 1e-200
 """Logs say nothing of an effect if the information of `effect_prior` is below this."""
@@ -178,10 +176,7 @@ class LogFits:
 
     def least_residual(self, without: int | None = None) -> float:
         """Return the least weighted squared residual that any parameters reach, physical or not."""
-        A, b = self.data(without)
-        scale = np.linalg.norm(A, axis=0)
-        scaled = A / np.where(scale > 0, scale, 1.0)
-        return float(np.square(scaled @ np.linalg.lstsq(scaled, b)[0] - b).sum())
+        return least_residual(*self.data(without))
 
     def held_out(self, results: Sequence[IdentificationResult]) -> HeldOut:
         """Return the errors in every fold of the fits (F,) without it."""

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from geodrake.effects import FittedEffect, Role
 from geodrake.effects.base import Effect
-from geodrake.identification.certification import certified
-from geodrake.identification.conic_fit import solve_with_fallback
+from geodrake.identification.conic_fit import certified, solve_with_fallback
 from geodrake.identification.fit import FitResult
 from geodrake.identification.logs.criteria import SPREAD, WORTH
 from geodrake.identification.logs.cross_validation import HeldOut, hold_out
@@ -24,11 +22,9 @@ from geodrake.identification.logs.unknowns import (
 )
 from geodrake.identification.normal_equations import scaled_cholesky, solved
 from geodrake.identification.problem import FitProblem
-from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.reduction import triangular_factor
-
-Array = NDArray[np.float64]
 
 
 def model_unknowns(dataset: Dataset, model: RobotModel, *, spread: float = SPREAD) -> Unknowns:
@@ -61,14 +57,10 @@ def fit_problem(
     without: int | None = None,
     delay: Delay = 0,
 ) -> FitProblem:
-    """Return the convex program of a fit to all folds, or to all but one.
+    """Return the convex program of a fit of the unknowns to all folds, or to all but one.
 
-    Args:
-        dataset: The logs.
-        unknowns: What the fit may move.
-        weights: (nv,) weight of a squared residual of each joint.
-        without: The fold to leave out.
-        delay: Index of the effort column to fit.
+    The `weights` (nv,) are those of a squared residual of each joint, and `delay` is the index of
+    the effort column to fit.
     """
     p = len(unknowns.columns)
     kept = [fold for fold in range(len(dataset.folds)) if fold != without]
@@ -128,29 +120,14 @@ def fit_model(
 ) -> ModelFit:
     """Fit, hold out, and put the result into the model.
 
-    Args:
-        model: The model whose parameters the fit replaces.
-        dataset: The logs, their efforts already advanced by the model's delay.
-        unknowns: What the fit may move.
-        weights: (nv,) weight of a squared residual of each joint.
-        effective: (nv,) samples that the residuals are worth.
-        of_motion: (nv,) share of the squared residual that goes with the motion; none if None.
-        delays: Effort delays that the fitted model has.
+    Efforts of the dataset are advanced by the model's `delays` already. The residuals are worth
+    `effective` samples (nv,); a share `of_motion` (nv,) of their square goes with the motion.
     """
     problem = fit_problem(dataset, unknowns, weights)
     result = certified(problem, solve_with_fallback(problem))
     held_out = held_out_physical(dataset, unknowns, weights)
-    deviations = result.standard_deviations()
-    effects = [
-        FittedEffect(e, result.x[unknowns.span(e)], deviations[unknowns.span(e)])
-        for e in unknowns.effects
-    ]
-    inertial = len(dataset.bodies) * PARAMETERS_PER_BODY
-    fitted = model.with_fit(
-        result.x[:inertial].reshape(-1, PARAMETERS_PER_BODY),
-        [*effects, *delays],
-        information=result.information,
-        effort_noise=held_out.rms,
+    fitted = model_with(
+        model, unknowns, result, result.standard_deviations(), noise=held_out.rms, delays=delays
     )
     known = model.information is not None
     shifts = _gain_shifts(dataset, unknowns, weights, result, known=known)
@@ -158,6 +135,29 @@ def fit_model(
     samples = dataset.samples.sum(axis=0) if effective is None else effective
     off = _unexplained_covariance(dataset, unknowns, weights, result, samples * share)
     return ModelFit(fitted, held_out, result, unknowns, shifts, off, share)
+
+
+def model_with(
+    model: RobotModel,
+    unknowns: Unknowns,
+    fit: FitResult,
+    deviations: Array,
+    *,
+    noise: Array,
+    delays: Sequence[FittedEffect],
+) -> RobotModel:
+    """Return the model with a fit of the unknowns in place of its parameters, and effort delays.
+
+    The `deviations` (p,) are those of the parameters, in their units; the `noise` (nv,) is the
+    held-out RMS.
+    """
+    spans = [(effect, unknowns.span(effect)) for effect in unknowns.effects]
+    return model.with_fit(
+        fit.x[: model.phi.size].reshape(model.phi.shape),
+        [*(FittedEffect(e, fit.x[span], deviations[span]) for e, span in spans), *delays],
+        information=fit.information,
+        effort_noise=noise,
+    )
 
 
 def _gain_shifts(

@@ -8,7 +8,6 @@ import numpy as np
 
 from geodrake.effects import Role, catalogue
 from geodrake.identification.fit import FitResult
-from geodrake.identification.identify import IdentificationResult
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.log_fits import LogFits
 from geodrake.identification.logs.model_fit import ModelFit
@@ -38,22 +37,17 @@ USUAL = tuple(effect.name for effect in catalogue() if effect.usual)
 """Effects that a real robot is hardly without; inertias that lack them stand in for them."""
 
 
-def body_changes(fits: LogFits, result: IdentificationResult) -> tuple[BodyChange, ...]:
-    """Return what became of every body, payloads after them, in the fit to all logs."""
-    return _changes(block_names(fits), fits.prior, result.phi, result.fit)
-
-
 def changed_bodies(model: RobotModel, fit: ModelFit) -> tuple[BodyChange, ...]:
     """Return what a fit made of the bodies of a model, the farthest change first."""
-    changes = _changes(model.bodies, model.phi, fit.model.phi, fit.result)
+    changes = body_changes(model.bodies, model.phi, fit.model.phi, fit.result)
     return tuple(sorted(changes, key=lambda body: -body.distance))
 
 
-def _changes(
+def body_changes(
     names: Sequence[str], before: Array, after: Array, fit: FitResult
 ) -> tuple[BodyChange, ...]:
     """Return the changes of bodies (nb, 10) by a fit, whose first parameters they are."""
-    covariance, boundary = covariance_of(fit.information), boundary_blocks(fit)
+    covariance = covariance_of(fit.information)
     masses, com, _ = to_mass_com_inertia(np.stack([before, after], axis=1))
     distances = pullback_distance(before, after, before)
     changes = []
@@ -63,7 +57,9 @@ def _changes(
         jacobian = np.hstack([-com[k, 1][:, None], np.eye(3)]) / m1  # of h/m by [m, h]
         spread = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, block, jacobian))
         deviation, far = float(np.sqrt(block[0, 0])), float(distances[k])
-        changes.append(BodyChange(name, (m0, m1), com[k], deviation, spread, k in boundary, far))
+        changes.append(
+            BodyChange(name, (m0, m1), com[k], deviation, spread, start in fit.active_blocks, far)
+        )
     return tuple(changes)
 
 
@@ -84,11 +80,6 @@ def block_names(fits: LogFits) -> tuple[str, ...]:
     """Return the names of the bodies and payloads."""
     payloads = [e for e in fits.unknowns.effects if e.role is Role.BODY]
     return (*fits.dataset.bodies, *(f"payload on {e.where[0]}" for e in payloads))
-
-
-def boundary_blocks(fit: FitResult) -> set[int]:
-    """Return the numbers of the bodies and payloads at the boundary of physical consistency."""
-    return {start // PARAMETERS_PER_BODY for start in fit.active_blocks}
 
 
 def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
@@ -126,16 +117,6 @@ def common_factor_notes(bodies: Sequence[BodyChange]) -> list[str]:
         f"these bodies weigh {after:.3g} kg, and {before:.3g} kg before: are the efforts of all "
         f"joints N·m or N? {before / after:.3g} times as large, they would leave the bodies where "
         "the file has them"
-    ]
-
-
-def bound_notes(gamma: float) -> list[str]:
-    """Return a note that a residual bound leaves the model as it is, if it does."""
-    if np.isfinite(gamma):
-        return []
-    return [
-        "the residual bound holds for the model as it is: nothing limits gamma, and regularizers "
-        "are all alike"
     ]
 
 

@@ -12,18 +12,17 @@ from geodrake.boundary.arguments import function, instance, instances
 from geodrake.effects import Effect, FittedEffect, Role
 from geodrake.effects.dependencies import declares_signals
 from geodrake.errors import ArgumentError, IdentificationError
-from geodrake.identification.identify import IdentificationResult, nearest_prior
-from geodrake.identification.logs.case import Case, error_table, open_case, reopen
+from geodrake.identification.identify import IdentificationResult, physical_prior
+from geodrake.identification.logs.case import error_table, open_case, reopen
 from geodrake.identification.logs.compare import comparison
-from geodrake.identification.logs.cross_validation import HeldOut, hold_out
+from geodrake.identification.logs.cross_validation import hold_out
 from geodrake.identification.logs.hypothesis import first_hypothesis, settle
 from geodrake.identification.logs.log_fits import LogFits, log_unknowns
+from geodrake.identification.logs.model_fit import model_with
 from geodrake.identification.logs.weighing import Weighing, weigh
 from geodrake.identification.models.bodies import (
     block_names,
     body_changes,
-    bound_notes,
-    boundary_blocks,
     covariance_of,
     model_notes,
     sweep_notes,
@@ -33,7 +32,7 @@ from geodrake.identification.models.results import (
     IdentificationSettings,
     ModelIdentification,
 )
-from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
+from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.logs.motion import JointLog
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
@@ -50,7 +49,7 @@ def identify_model(
     effects: Sequence[Effect] = (),
     progress: Callable[[str], None] = lambda words: None,
 ) -> ModelIdentification:
-    """Identify the inertial parameters and effects of a model.
+    """Identify the inertial parameters and effects of a model, which is the prior as it stands.
 
     The inertial parameters are regularized towards those of the model. Of its effects, positive
     parameters such as friction and rotor inertias are known to within their own size, by the
@@ -58,12 +57,7 @@ def identify_model(
     effects are not regularized. A joint's residuals are weighted by its held-out error and reduced
     to effective samples, so that γ weighs d² against the log-likelihood: 1/γ is the variance of d.
 
-    Args:
-        model: The model as it stands, which is the prior.
-        logs: Logs or their files.
-        settings: Regularizer, its weight, and how logs are prepared.
-        effects: Effects to fit beside those of the model.
-        progress: Called with what is going on, in words.
+    `effects` are fitted beside those of the model; `progress` is called with what is going on.
 
     Raises:
         ArgumentError: The model has one of the effects already, or a body of it cannot exist.
@@ -74,7 +68,7 @@ def identify_model(
     settings = instance(given, "settings", IdentificationSettings)
     function(progress, "progress")
     instance(model, "model", RobotModel)
-    _check_prior(model)
+    physical_prior(model.phi, model.bodies)
     prior = with_effects(model, effects)
     case = open_case(
         prior,
@@ -95,24 +89,49 @@ def identify_model(
         progress(f"Choosing the weight of the {settings.regularizer} regularizer")
         gamma, sweep = weigh(fits, settings.regularizer)
     result, folds = _solved(fits, settings, gamma)
-    if any(_is_friction_by_load(effect) for effect in unknowns.effects):
+    if any(
+        effect.role is Role.FORCE
+        and effect.jumps
+        and declares_signals(type(effect))
+        and "load" in effect.depends_on
+        for effect in unknowns.effects
+    ):
         # Friction by load was fitted by the prior's loads; now it is by those of the first fit.
         phi = result.phi[: len(prior.phi)]
         case = replace(reopen(case, replace(prior, phi=phi)), model=prior)
         unknowns = log_unknowns(case.dataset, prior)
         fits = replace(fits, dataset=case.dataset, unknowns=unknowns)
         result, folds = _solved(fits, settings, gamma)
-    alternatives: tuple[Alternative, ...] = ()
+    alternatives = list[Alternative]()
     if settings.compare and np.isfinite(result.gamma):
         progress("Comparing regularizers")
-        alternatives = _alternatives(fits, settings.regularizer, result, folds)
+        names = block_names(fits)
+        for name, own in fits.compare(settings.regularizer, result.gamma).results.items():
+            parts = folds
+            if name != settings.regularizer:
+                parts = [fits.solve(name, gamma=own.gamma, without=f) for f in fits.folds]
+            errors = error_table(fits.dataset, fits.held_out(parts))
+            at = tuple(names[start // PARAMETERS_PER_BODY] for start in own.fit.active_blocks)
+            phi = own.phi[: len(prior.phi)]
+            alternatives.append(Alternative(name, own.gamma, own.residual, errors, phi, at))
     held_out = fits.held_out(folds)
     stands = fits.unknowns.mean.copy()  # the prior's parameters; a new payload is not there yet
     for known in prior.effects:
         if known.effect in unknowns.effects:
             stands[unknowns.span(known.effect)] = known.parameters
     before = hold_out(case.dataset, unknowns.columns, np.tile(stands, (len(fits.folds), 1)))
-    fitted = _fitted(fits, result, held_out, prior, case)
+    deviations = np.sqrt(np.diagonal(covariance_of(result.fit.information)))
+    delays = [known for known in prior.effects if known.effect.role is Role.DELAY]
+    fitted = model_with(prior, unknowns, result.fit, deviations, noise=held_out.rms, delays=delays)
+    seen = tuple(dict.fromkeys((*prior.fitted_to, *case.fingerprints)))
+    fitted = replace(fitted, fitted_to=seen, bandwidths=case.bandwidths)
+    bodies = body_changes(block_names(fits), fits.prior, result.phi, result.fit)
+    notes = [*case.notes, *model_notes(fitted, bodies), *sweep_notes(gamma, sweep)]
+    if not np.isfinite(result.gamma):
+        notes.append(
+            "the residual bound holds for the model as it is: nothing limits gamma, and "
+            "regularizers are all alike"
+        )
     return ModelIdentification(
         fitted,
         model,
@@ -121,17 +140,11 @@ def identify_model(
         sweep,
         error_table(case.dataset, before),
         error_table(case.dataset, held_out),
-        body_changes(fits, result),
+        bodies,
         result,
         comparison(case, unknowns, held_out),
-        alternatives,
-        (
-            *case.notes,
-            *model_notes(fitted, body_changes(fits, result)),
-            *sweep_notes(gamma, sweep),
-            *bound_notes(result.gamma),
-            *result.fit.notes,
-        ),
+        tuple(alternatives),
+        (*notes, *result.fit.notes),
     )
 
 
@@ -154,12 +167,6 @@ def with_effects(model: RobotModel, effects: Sequence[Effect]) -> RobotModel:
     if not added:
         return model
     return replace(model, effects=(*model.effects, *added), information=None)
-
-
-def _is_friction_by_load(effect: Effect) -> bool:
-    """Whether an effect is declared to be dry friction that depends on the load."""
-    declared = declares_signals(type(effect)) and "load" in effect.depends_on
-    return effect.role is Role.FORCE and effect.jumps and declared
 
 
 def _solved(
@@ -195,63 +202,3 @@ def _solved(
             f"trusted{where}.",
             advice="Give a larger gamma; check the total mass if one is given.",
         ) from error
-
-
-def _check_prior(model: RobotModel) -> None:
-    wrong = [name for name, ok in zip(model.bodies, is_physical(model.phi), strict=True) if not ok]
-    if wrong:
-        raise ArgumentError(
-            f"The model's inertial parameters of {', '.join(wrong)} are those of no body, so they "
-            "cannot be a prior.",
-            advice="Load the model from its URDF, SDF or MJCF file, which repairs them; "
-            "evidence['nearest'] of this error has the nearest ones.",
-            bodies=wrong,
-            nearest=nearest_prior(model.phi),
-        )
-
-
-def _alternatives(
-    fits: LogFits,
-    chosen: str,
-    result: IdentificationResult,
-    folds: Sequence[IdentificationResult],
-) -> tuple[Alternative, ...]:
-    """Every regularizer at the training residual of the one chosen, and validated with that γ."""
-    found = fits.compare(chosen, result.gamma).results
-
-    def at_same_residual(name: str) -> Alternative:
-        own, parts = found[name], list(folds)
-        if name != chosen:
-            parts = [fits.solve(name, gamma=own.gamma, without=f) for f in fits.folds]
-        errors = error_table(fits.dataset, fits.held_out(parts))
-        names = block_names(fits)
-        boundary = tuple(names[k] for k in boundary_blocks(own.fit))
-        nb = len(fits.dataset.bodies)
-        return Alternative(name, own.gamma, own.residual, errors, own.phi[:nb], boundary)
-
-    return tuple(at_same_residual(name) for name in found)
-
-
-def _fitted(
-    fits: LogFits,
-    result: IdentificationResult,
-    held_out: HeldOut,
-    prior: RobotModel,
-    case: Case,
-) -> RobotModel:
-    """The model with the result in it."""
-    x, information = result.fit.x, result.fit.information
-    deviations = np.sqrt(np.diagonal(covariance_of(information)))
-    effects = [
-        FittedEffect(e, x[fits.unknowns.span(e)], deviations[fits.unknowns.span(e)])
-        for e in fits.unknowns.effects
-    ]
-    delays = [f for f in prior.effects if f.effect.role is Role.DELAY]
-    fitted = prior.with_fit(
-        x[: prior.phi.size].reshape(prior.phi.shape),
-        [*effects, *delays],
-        information=information,
-        effort_noise=held_out.rms,
-    )
-    seen = tuple(dict.fromkeys((*prior.fitted_to, *case.fingerprints)))
-    return replace(fitted, fitted_to=seen, bandwidths=case.bandwidths)

@@ -16,80 +16,51 @@ from geodrake.model.robot_model import RobotModel
 
 @dataclass(frozen=True, eq=False)
 class BodyChange(Short):
-    """A body before and after a fit.
-
-    Attributes:
-        name: Name of the body.
-        mass: Masses before and after, kg.
-        com: (2, 3) centres of mass before and after in the body's frame, m.
-        mass_deviation: Standard deviation of the mass, kg.
-        com_deviation: (3,) standard deviations of the centre of mass, m.
-        at_boundary: Whether it is at the boundary of what a body can be, so that only the demand
-            for physical consistency keeps it from what no body can have.
-        distance: Geometric distance from before to after, in the metric before: 0.1 is about 10 %
-            of mass or lengths.
-    """
+    """A body before and after a fit."""
 
     name: str
-    mass: tuple[float, float]
-    com: Array
-    mass_deviation: float
-    com_deviation: Array
+    mass: tuple[float, float]  # masses before and after, kg
+    com: Array  # (2, 3) centres of mass before and after in the body's frame, m
+    mass_deviation: float  # standard deviation of the mass, kg
+    com_deviation: Array  # (3,) standard deviations of the centre of mass, m
+    # Whether it is at the boundary of what a body can be, so that only the demand for physical
+    # consistency keeps it from what no body can have.
     at_boundary: bool
+    # Geometric distance from before to after, in the metric before: 0.1 is about 10 % of mass or
+    # lengths.
     distance: float
 
 
 @dataclass(frozen=True, eq=False)
 class Alternative(Short):
-    """What another regularizer makes of the same training residual.
-
-    Attributes:
-        gamma: Weight with which it reaches the residual.
-        residual: Weighted squared residual of the training data.
-        errors: Held-out errors.
-        phi: (nb, 10) inertial parameters.
-        at_boundary: Names of the bodies at the boundary of physical consistency.
-    """
+    """What another regularizer makes of the same training residual."""
 
     regularizer: str
-    gamma: float
-    residual: float
-    errors: ErrorTable
-    phi: Array
-    at_boundary: tuple[str, ...]
+    gamma: float  # weight with which it reaches the residual
+    residual: float  # weighted squared residual of the training data
+    errors: ErrorTable  # held out
+    phi: Array  # (nb, 10) inertial parameters
+    at_boundary: tuple[str, ...]  # names of the bodies at the boundary of physical consistency
 
 
 @dataclass(frozen=True, eq=False)
 class ModelIdentification(Shown):
-    """An identified model.
+    """An identified model."""
 
-    Attributes:
-        model: The fitted model, with its information matrix.
-        prior: The model as it came.
-        regularizer: Name of the regularizer.
-        gamma: Weight of the regularizer against effective samples.
-        sweep: What each γ tried gives; empty where γ or a residual bound was given.
-        before: Errors of the model as it came.
-        after: Held-out errors of the fit.
-        bodies: What became of every body; payloads follow.
-        result: The solution: residual, divergence, solver.
-        comparison: Held-out predictions, for reports.
-        alternatives: All regularizers at the same training residual, if asked for.
-        notes: What was done to the logs and noticed.
-    """
-
-    model: RobotModel
-    prior: RobotModel
-    regularizer: str
-    gamma: float
+    model: RobotModel  # the fitted model, with its information matrix
+    prior: RobotModel  # the model as it came
+    regularizer: str  # name of the regularizer
+    gamma: float  # weight of the regularizer against effective samples
+    # What each γ tried gives; empty where γ or a residual bound was given.
     sweep: tuple[Weighing, ...]
-    before: ErrorTable
-    after: ErrorTable
-    bodies: tuple[BodyChange, ...]
-    result: IdentificationResult
-    comparison: Comparison
+    before: ErrorTable  # errors of the model as it came
+    after: ErrorTable  # held-out errors of the fit
+    bodies: tuple[BodyChange, ...]  # what became of every body; payloads follow
+    result: IdentificationResult  # the solution: residual, divergence, solver
+    comparison: Comparison  # held-out predictions, for reports
+    # All regularizers at the same training residual, if asked for.
     alternatives: tuple[Alternative, ...]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what was done to the logs and noticed
 
     @property
     def at_boundary(self) -> tuple[str, ...]:
