@@ -35,23 +35,11 @@ def add(
 ) -> Explanation:
     """Add an effect to a model and refit, whatever the evidence for it.
 
-    Args:
-        effect: Name of the effect; one that says the bodies are wrong lets the inertial
-            parameters go, and one of an episode acts in the windows that the residual shows.
-        model: The model as it stands.
-        logs: Logs or their files.
-        where: Joints or bodies, or the two joints of a pair; by default all joints (a delay is
-            then that of all efforts), or the body that helps most, or of the pairs of joints that
-            follow each other the one that does.
-        extra: Effect classes of the user's own that may be named.
-        bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
-            or chosen from the data.
-        blocks: Blocks into which every log is cut for validation.
-        hold_resting: Whether joints that hardly move in any log are held; see
-            `geodrake.model.logged_joints.holding_resting`.
-
-    Returns:
-        An explanation of one step, with held-out errors before and after.
+    Bodies that are wrong let the inertial parameters go, and an effect of an episode acts in the
+    windows that the residual shows. Places `where` are joints or bodies, or the two joints of a
+    pair; by default all joints (a delay is then that of all efforts), or the body that helps most,
+    or of the pairs of joints that follow each other the one that does. Other arguments are those
+    of `explain`. The explanation has one step, with held-out errors before and after.
 
     Raises:
         ArgumentError: There is no such effect or place, the effect takes no place, the model has it

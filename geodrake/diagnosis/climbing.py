@@ -60,23 +60,18 @@ def settled(model: LogModel, fit: Fit) -> Fit:
     nearby may be more probable by them.
     """
     for _ in range(_MOST_COUNTS):
-        better = _settled(model, _refitted(model, fit, model.shares(fit)))
-        if better.choice.key == fit.choice.key:
+        shares, was = model.shares(fit), fit.choice.key
+        better, seen = _refitted(model, fit, shares), {was}
+        for _ in range(_MOST_STEPS):
+            choices = [choice for choice in neighbours(model, better) if choice.key not in seen]
+            tried = model.ranked(choices, shares, better.variance)
+            if not tried or tried[0].score <= better.score:
+                break
+            better = tried[0]
+            seen.add(better.choice.key)
+        if better.choice.key == was:
             break
         fit = better
-    return fit
-
-
-def _settled(model: LogModel, fit: Fit) -> Fit:
-    """Climb with residuals counted as those of one fit throughout."""
-    shares, seen = model.shares(fit), {fit.choice.key}
-    for _ in range(_MOST_STEPS):
-        choices = [choice for choice in neighbours(model, fit) if choice.key not in seen]
-        tried = model.ranked(choices, shares, fit.variance)
-        if not tried or tried[0].score <= fit.score:
-            break
-        fit = tried[0]
-        seen.add(fit.choice.key)
     return fit
 
 

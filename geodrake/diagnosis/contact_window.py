@@ -39,8 +39,8 @@ _STEPS_IN_TIME = 3  # of them, the first
 class ResidualWindow:
     """A window of a log, with the residual and the motion around it."""
 
-    start: float  # its first guess, s since the log began
-    end: float  # the same of its end
+    start: float  # first guess of when it starts, s since the log began
+    end: float  # the same of when it ends
     time: Array  # (N,) instants at the full rate, s since the log began
     bodies: RobotBodies  # the bodies at these instants
     outputs: Array  # (K,) instants of the filtered samples

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,7 +30,11 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
     end = found.model.validated(found.fit)
     delays = found.case.model.delays + delays_of(found.model, found.fit)[0]
     lags = fitted_delays(delays, case.model.joints)
-    reopened = _with_fitted_loads(found.case, end, lags)
+    # With load-dependent columns by the fitted inertias.
+    model, known = searched_model(found.case.model, end), end.unknowns
+    more = _with_companions(known, found.case.dataset).effects[len(known.effects) :]
+    beside = [FittedEffect(effect, np.zeros(1)) for effect in more]
+    reopened = reopen(found.case, replace(model, effects=(*model.effects, *beside, *lags)))
     settled = end.moved(reopened.dataset, delay=0, iterations=_MOST_ITERATIONS)
     settled = replace(settled, unknowns=_with_companions(settled.unknowns, reopened.dataset))
     settled = settle(settled, iterations=_MOST_ITERATIONS)
@@ -42,8 +45,8 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
     held_out = settled.held_out
     weights = settled.effective / held_out.samples.sum(0) / held_out.mse
     # To hold the inertias, as a search may do, does not make them known.
-    known = settled.looseness < _FREE
-    freed = settled.loosened(_FREE / settled.looseness) if known else settled
+    held = settled.looseness < _FREE
+    freed = settled.loosened(_FREE / settled.looseness) if held else settled
     fit = fit_model(
         base,
         reopened.dataset,
@@ -54,14 +57,6 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
         delays=lags,
     )
     return reopened, fit
-
-
-def _with_fitted_loads(case: Case, end: Hypothesis, delays: Sequence[FittedEffect]) -> Case:
-    """The case with the columns of what was found, load-dependent ones by the fitted inertias."""
-    model, found = searched_model(case.model, end), end.unknowns
-    more = _with_companions(found, case.dataset).effects[len(found.effects) :]
-    fitted = [FittedEffect(effect, np.zeros(1)) for effect in more]
-    return reopen(case, replace(model, effects=(*model.effects, *fitted, *delays)))
 
 
 def searched_model(model: RobotModel, found: Hypothesis) -> RobotModel:

@@ -8,8 +8,7 @@ of the evidence of a set of terms, at its own most probable noise, is
     −Σ_j n_j log σ_j² − (x − m)ᵀ Λ (x − m) − log |Λ + Σ_j w_j A_jᵀA_j| + log |Λ|,
 
 w_j = n_j / (N_j σ_j²), for N_j rows that are worth n_j independent ones. Normal matrices of all
-columns are formed once. Terms that come, go or take the place of others are then small Schur
-complements: at the noise of a fit, all of them are tried at once.
+columns are formed once.
 """
 
 from __future__ import annotations

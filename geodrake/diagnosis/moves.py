@@ -27,6 +27,7 @@ class Move:
 
     choice: Choice
     gain: float  # what it adds to the score, at the noise of the fit
+    come: Terms = ()  # the terms that come, where that is not plain
 
 
 def neighbours(
@@ -94,10 +95,10 @@ class _Finder:
         was = self.fit.choice
         return self.model.choice(terms, was.width, was.delay)
 
-    def _move(self, terms: Iterable[Term], gain: float) -> Move:
+    def _move(self, terms: Iterable[Term], gain: float, come: Terms = ()) -> Move:
         """Return a move by its gain without prior odds."""
         choice = self._choice(terms)
-        return Move(choice, gain + self.base - self.model.odds_against(choice))
+        return Move(choice, gain + self.base - self.model.odds_against(choice), come)
 
     def _offers(
         self, rest: Terms, packages: Iterable[Terms], dropped: Dropped | None = None
@@ -115,21 +116,22 @@ class _Finder:
         dropped: Dropped | None = None,
         *,
         most: int | None = _MOST,
-    ) -> list[tuple[Move, Terms]]:
+    ) -> list[Move]:
         """Return moves to packages beside the rest, those that promise most first."""
         loss = 0.0 if dropped is None else dropped.loss
         offers = self._offers(rest, packages, dropped)[:most]
-        moves = [(self._move((*rest, *come), gain + loss), come) for gain, come in offers]
-        return sorted(moves, key=lambda each: -each[0].gain)
+        moves = [self._move((*rest, *come), gain + loss, come) for gain, come in offers]
+        return sorted(moves, key=lambda move: -move.gain)
 
     def added(self) -> Iterator[Move]:
         """Add one term, the best at every joint together, or one kind at all joints together."""
         present = self.fit.terms
         offered = [(term,) for term in self.model.terms if term not in present]
-        moves = [m for m in self._moves(present, offered, most=None) if m[0].gain > _HOPE]
-        yield from (move for move, _ in moves[:_MOST])
+        moves = [m for m in self._moves(present, offered, most=None) if m.gain > _HOPE]
+        yield from moves[:_MOST]
         best, kinds = dict[str, tuple[Term, float]](), dict[str, dict[str, tuple[Term, float]]]()
-        for move, (term,) in moves:
+        for move in moves:
+            (term,) = move.come
             if term.joint is not None:
                 kinds.setdefault(term.name, {}).setdefault(term.joint, (term, move.gain))
                 if move.gain > 0.0:
@@ -141,7 +143,7 @@ class _Finder:
 
     def rebuilt(self, joints: Collection[str]) -> Iterator[Move]:
         """Choose the own effects of some joints anew: alone, as pairs, and beside simple ones."""
-        present, every = self.fit.terms, list[tuple[Move, list[Term], Terms]]()
+        present, every, gone = self.fit.terms, list[Move](), set[Term]()
         for joint in joints:
             here = [term for term in present if term.joint == joint]
             rest = tuple(term for term in present if term not in here)
@@ -150,14 +152,15 @@ class _Finder:
             dropped = self.around.dropped(here) if here else None
             offered = self._packages(self.by_joint.get(joint, []), here, dropped)
             moves = self._moves(rest, offered, dropped)
-            yield from (move for move, _ in moves if move.gain > _HOPE)
-            every += [(move, here, come) for move, come in moves[:1] if move.gain > 0.0]
+            yield from (move for move in moves if move.gain > _HOPE)
+            if moves and moves[0].gain > 0.0:
+                every.append(moves[0])
+                gone.update(here)
         if len(every) > 1:
-            gone = {term for _, here, _ in every for term in here}
             kept = [term for term in present if term not in gone]
-            terms = (*kept, *(term for _, _, come in every for term in come))
+            terms = (*kept, *(term for move in every for term in move.come))
             if self.model.are_compatible(terms):
-                yield Move(self._choice(terms), sum(move.gain for move, _, _ in every))
+                yield Move(self._choice(terms), sum(move.gain for move in every))
 
     def _packages(
         self, offered: list[Term], here: list[Term], dropped: Dropped | None
@@ -195,8 +198,7 @@ class _Finder:
             for other in self.model.terms
             if other not in present and (term.joint is None or other.joint is None)
         ]
-        moves = self._moves(rest, others, dropped)
-        yield from (move for move, _ in moves if move.gain > _HOPE)
+        yield from (move for move in self._moves(rest, others, dropped) if move.gain > _HOPE)
 
     def _without(self, rest: Terms, dropped: Dropped) -> Iterator[Move]:
         """Drop what is not in the rest, if that may be without it."""
@@ -219,7 +221,7 @@ class _Finder:
                 continue
             others = [term for term in self.model.terms if term.name != name]
             shared = [(t,) for t in self.model.terms if t.joint is None and t not in present]
-            yield from (move for move, _ in self._moves(rest, shared, dropped))
+            yield from self._moves(rest, shared, dropped)
             best = dict[str, dict[str, tuple[float, Term]]]()
             own = [(term,) for term in others if term.joint in joints]
             for gain, (term,) in self._offers(rest, own, dropped):

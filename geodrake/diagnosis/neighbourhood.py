@@ -1,4 +1,8 @@
-"""What a fit changes to where terms come and go, at its noise: Schur complements of all columns."""
+"""What a fit changes to where terms come and go, at its noise.
+
+Terms that come, go or take the place of others are small Schur complements of the normal matrices
+of all columns, and all of them are tried at once.
+"""
 
 from __future__ import annotations
 

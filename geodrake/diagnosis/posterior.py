@@ -79,28 +79,25 @@ class Posterior:
         return self._certainty([fit.choice.width > least for fit in self._fits], set())
 
     def _certainty(self, has: list[bool], keys: set[Key]) -> Certainty:
-        own = _keys(self._fit)
-        sums, best = dict[tuple[str, tuple[str, ...]], float](), dict[object, Fit]()
-        chance = 0.0
-        for fit, weight, there in zip(self._fits, self._weights, has, strict=True):
-            if there:
-                continue
+        own, chance = _keys(self._fit), 0.0
+        groups = dict[tuple[str, tuple[str, ...]], list[tuple[float, Fit]]]()
+        for fit, weight, there in zip(self._fits, self._weights.tolist(), has, strict=True):
             instead = [term for term in fit.terms if term.key not in own]
-            if not instead:
-                chance += float(weight)
-                continue
-            name = " + ".join(dict.fromkeys(term.name for term in instead))
-            where = tuple(dict.fromkeys(place for term in instead for place in term.where))
-            sums[name, where] = sums.get((name, where), 0.0) + float(weight)
-            if (name, where) not in best or fit.score > best[name, where].score:
-                best[name, where] = fit
-        likely = [(key, p) for key, p in sums.items() if p >= _LEAST]
-        rivals = [Instead(*key, p, nrms_of(self._model, best[key]), best[key]) for key, p in likely]
-        chance += sum(p for key, p in sums.items() if p < _LEAST)
-        probability = float(self._weights[np.array(has)].sum())
-        return Certainty(
-            probability, chance, tuple(sorted(rivals, key=lambda rival: -rival.probability))
-        )
+            if instead and not there:
+                name = " + ".join(dict.fromkeys(term.name for term in instead))
+                where = tuple(dict.fromkeys(place for term in instead for place in term.where))
+                groups.setdefault((name, where), []).append((weight, fit))
+            elif not there:
+                chance += weight
+        sums = {key: sum(weight for weight, _ in group) for key, group in groups.items()}
+        chance += sum(p for p in sums.values() if p < _LEAST)
+        rivals = list[Instead]()
+        for key, p in sums.items():
+            if p >= _LEAST:
+                best = max((fit for _, fit in groups[key]), key=lambda fit: fit.score)
+                rivals.append(Instead(*key, p, nrms_of(self._model, best), best))
+        rivals.sort(key=lambda rival: -rival.probability)
+        return Certainty(float(self._weights[np.array(has)].sum()), chance, tuple(rivals))
 
 
 def _keys(fit: Fit) -> set[Key]:

@@ -60,7 +60,10 @@ def delays_of(model: LogModel, fit: Fit) -> tuple[Array, Array]:
     joints = np.arange(len(delay))
     seconds = dataset.delays[list(delay), joints].copy()
     deviations = np.full(len(delay), np.inf)
-    for moved in _late_together(model, fit.choice):
+    late = model.lateness(fit.choice)
+    alone = [[j] for j in np.flatnonzero(np.abs(late) > 1e-9).tolist()]
+    alike = len(alone) == len(late) and np.ptp(late) < 1e-9
+    for moved in [joints.tolist()] if alike else alone:
         grid, own = dataset.delays[:, moved[0]], delay[moved[0]]
         order = np.argsort(grid)
         order = order[(grid[order] != grid[own]) | (order == own)]
@@ -82,15 +85,6 @@ def _score_at(model: LogModel, fit: Fit, joints: list[int], delay: int) -> float
     choice = Choice(fit.terms, fit.choice.width, late)
     found = model.fit(choice, model.shares(fit), fit.variance)
     return None if found is None else found.score + model.odds_against(choice)
-
-
-def _late_together(model: LogModel, choice: Choice) -> list[list[int]]:
-    """Joints whose efforts are late by the same, all of them, or each alone."""
-    late = model.lateness(choice)
-    moved = np.flatnonzero(np.abs(late) > 1e-9).tolist()
-    if len(moved) == len(late) and np.ptp(late) < 1e-9:
-        return [moved]
-    return [[j] for j in moved]
 
 
 def fitted_delays(delays: Array, joints: Sequence[str]) -> list[FittedEffect]:
@@ -124,7 +118,7 @@ _ZOOMS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)
 def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]:
     """Neighbours of an effect's shape, two to either side where they make sense.
 
-    None where no parameter varies on the grid, more than one does, or not continuously.
+    There are none where no parameter varies on the grid, more than one does, or not continuously.
     """
     tried = [e for e in grid if (e.name, e.where) == (effect.name, effect.where)]
     values = {f.name: {getattr(e, f.name) for e in tried} for f in fields(effect)}  # type: ignore[arg-type]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -46,16 +46,15 @@ class Term:
     says: frozenset[Key]  # names and places of what it contains, itself included
     # Sets of such keys, one of which must be there already; none for most.
     needs: tuple[frozenset[Key], ...] = ()
-    log_information: float = field(init=False)
-
-    def __post_init__(self) -> None:
-        # What is left of the prior where things are as they must be.
-        share = _PHYSICAL if self.is_whole else 0.5 ** len(self.positive)
-        found = float(np.linalg.slogdet(self.information)[1]) - 2.0 * np.log(share)
-        object.__setattr__(self, "log_information", found)
 
     def __repr__(self) -> str:
         return f"{self.name}@{'+'.join(self.where)}"
+
+    @cached_property
+    def log_information(self) -> float:
+        """Log |Λ| of the prior, by what is left of it where things are as they must be."""
+        share = _PHYSICAL if self.is_whole else 0.5 ** len(self.positive)
+        return float(np.linalg.slogdet(self.information)[1]) - 2.0 * float(np.log(share))
 
     @cached_property
     def key(self) -> Key:
