@@ -68,7 +68,8 @@ def test_bodies_that_are_no_finding_stay_at_the_file(found):
 def test_bodies_are_the_finding_where_nothing_else_is_left(found):
     """They come closer to the logs than those of the file, and that is never silent."""
     model, was = found.model, found.fit
-    wide = model.unbounded(model.nothing(model.widths[-1]), model.shares(was), was.variance)
+    widest = model.choice((), model.widths[-1], was.choice.delay)
+    wide = model.unbounded(widest, model.shares(was), was.variance)
     whole = replace(with_terms(found, "coulomb_friction"), start=wide)
     findings = findings_of(whole)
     fewer, kept = less(whole, findings, named(findings, "coulomb_friction"))
