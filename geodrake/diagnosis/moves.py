@@ -210,7 +210,7 @@ class _Finder:
     def _kinds_replaced(self) -> Iterator[Move]:
         """Drop all effects of one name, or replace them by another kind, or by one for all."""
         present = self.fit.terms
-        for name in {term.name for term in present}:
+        for name in dict.fromkeys(term.name for term in present):
             gone = [term for term in present if term.name == name]
             rest = tuple(term for term in present if term.name != name)
             if len(gone) < 2 or not self.model.are_compatible(rest):
