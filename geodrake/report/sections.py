@@ -76,17 +76,14 @@ def steps_section(explanation: Explanation, units: Units) -> Section:
     if not explanation.steps:
         return Section("What is missing", (NOTHING_FOUND,))
     text = (
-        "Effects in the order of what they take away. After each, everything that may move was "
-        "refitted. Blocks better is the share of the held-out stretches of data in which the "
-        "error falls where the effect acts: a finding to rely on lowers it in most. Probability is "
-        "that of all explanations of the logs that have the finding. In others something else "
-        "stands in its place, or nothing does: the three add up to one."
+        "Effects in the order of what they take away; after each, everything that may move was "
+        "refitted. Blocks better is the share of the held-out blocks in which the error falls "
+        "where the effect acts. Probability is that of all explanations of the logs that have the "
+        "finding. In the others something else is in its place, something unknown, or nothing; "
+        "all of them add up to one."
     )
     if any(map(rivals, explanation.steps)):
-        text += (
-            " Behind what stands there instead are its own probability, and in brackets the nrms "
-            "that is left with it, beside all else that was found."
-        )
+        text += " The nrms that is left with something else stands in brackets."
     table = steps_table(explanation, units)
     return Section("What is missing", (text, *distinguishing_motions(explanation)), (table,))
 
