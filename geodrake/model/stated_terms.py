@@ -18,6 +18,7 @@ from geodrake.model.file_terms import Spring
 from geodrake.robot.plant import LoadedPlant
 from geodrake.robot.transmission.actuation import Actuation
 
+_LEAST = 1e-100  # SI units: less is none, as its square has no inverse
 _WEIGHTS: dict[str, Callable[[Array], Array]] = {"dry friction": np.abs}
 
 
@@ -37,6 +38,7 @@ def stated_effects(
         stated = loaded.stated.get(kind.stated_as, np.zeros(len(joints)))
         values, lost = _at_actuators(stated, actuation, _WEIGHTS.get(kind.stated_as, np.square))
         notes += _lost_notes(kind.stated_as, [joints[at] for at in lost])
+        values = _without_negligible(values, kind.stated_as, names, notes)
         found = [(name, value) for name, value in zip(names, values, strict=True) if value]
         for name, value in found:
             effects += [FittedEffect(each, np.array([value])) for each in kind.shaped(name)]
@@ -49,12 +51,22 @@ def stated_effects(
         moments, _ = actuation.joined(stiffness * (rest - actuation.offsets), lambda J: J)
         rest = moments / np.where(values > 0.0, values, 1.0)
     notes += _lost_notes("spring", [joints[at] for at in lost])
+    values = _without_negligible(values, "spring", names, notes)
     for name, value, center in zip(names, values.tolist(), rest.tolist(), strict=True):
         if value:
             spring = Spring(name, center=center)
             effects.append(FittedEffect(spring, np.array([value, 0.0])))
             notes.append(f"The spring in the file ({name} {value:g}) is kept as {spring.name}.")
     return effects, notes
+
+
+def _without_negligible(values: Array, what: str, names: Sequence[str], notes: list[str]) -> Array:
+    """Return values with zeros for negligible ones, which a note tells."""
+    small = (values != 0.0) & (np.abs(values) < _LEAST)
+    if small.any():
+        listed = ", ".join(f"{names[k]} {values[k]:g}" for k in np.flatnonzero(small))
+        notes.append(f"The {what} in the file ({listed}) is negligible, and counts as 0.")
+    return np.where(small, 0.0, values)
 
 
 def _at_actuators(
