@@ -64,7 +64,8 @@ def _without_negligible(values: Array, what: str, names: Sequence[str], notes: l
     """Return values with zeros for negligible ones, which a note tells."""
     small = (values != 0.0) & (np.abs(values) < _LEAST)
     if small.any():
-        listed = ", ".join(f"{names[k]} {values[k]:g}" for k in np.flatnonzero(small))
+        pairs = zip(names, values, small, strict=True)
+        listed = ", ".join(f"{name} {value:g}" for name, value, is_small in pairs if is_small)
         notes.append(f"The {what} in the file ({listed}) is negligible, and counts as 0.")
     return np.where(small, 0.0, values)
 
