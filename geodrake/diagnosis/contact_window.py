@@ -50,7 +50,7 @@ class ResidualWindow:
 
 
 def columns(window: ResidualWindow, contact: PointEpisode) -> Array:
-    """(K, nv, 6) filtered columns of a contact, over what is typical of each joint."""
+    """Return (K, nv, 6) filtered columns of a contact, over what is typical of each joint."""
     values = contact.columns(window.bodies.motion(contact.body), window.time)
     return np.asarray(window.filter.apply(values) / window.size[:, None])
 
@@ -72,7 +72,7 @@ class WrenchColumns:
 
     @classmethod
     def of(cls, window: ResidualWindow, contact: PointEpisode) -> WrenchColumns:
-        """Those of a contact's body in a window."""
+        """Return those of a contact's body in a window."""
         motion, low_pass = window.bodies.motion(contact.body), window.filter
         dofs, R = list(motion.dofs), motion.rotation.transpose(0, 2, 1)
         angular, linear = (
@@ -101,7 +101,7 @@ class WrenchColumns:
 
 
 def refined(window: ResidualWindow, contact: PointEpisode, *, tries: int = ENOUGH) -> PointEpisode:
-    """The contact with the times and the point at which it leaves least of the squared residual."""
+    """Return the contact with the times and point that leave least of the squared residual."""
     felt = WrenchColumns.of(window, contact)
     dofs = list(window.bodies.motion(contact.body).dofs)
     b = window.residual[:, dofs][felt.rows]
@@ -196,7 +196,7 @@ class Predicted:
 
 
 def evidence(window: ResidualWindow, contact: PointEpisode) -> Predicted:
-    """What the wrench of every other piece of a window predicts of the rest."""
+    """Return what the wrench of every other piece of a window predicts of the rest."""
     A = columns(window, contact)
     inside = (window.outputs >= contact.start) & (window.outputs <= contact.end)
     since = (window.outputs - contact.start) / (contact.end - contact.start)

@@ -14,13 +14,13 @@ from geodrake.diagnosis.findings import (
     Finding,
     holds,
     largest_residual,
-    less,
     named,
     probable,
     staged,
     verdict_of,
+    without_finding,
 )
-from geodrake.diagnosis.notes import notes_of
+from geodrake.diagnosis.notes import left_out_notes, notes_of
 from geodrake.diagnosis.results import Explanation, Step
 from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.search_progress import Progress
@@ -104,7 +104,7 @@ def investigate(
     found, findings, unknown = named(searched(case, beliefs, progress=progress))
     notes = [
         f"what is left at {joint} goes with its position and speed in a way that no effect "
-        "describes; `--draft` looks for a formula"
+        "describes; `--draft-effect FILE` looks for a formula"
         for joint in unknown
     ]
     return explained(case, found, findings, notes=notes)
@@ -126,7 +126,7 @@ def explained(
     said = [*([_STOPPED] if found.is_stopped else []), *case.notes, *notes]
     if steps:
         said += notes_of(found, case, fit, bodies)
-    said += _left_out(findings, steps)
+    said += left_out_notes(findings, steps)
     explanation = Explanation(
         verdict_of(after.errors, bool(steps), left=largest_residual(found)),
         steps,
@@ -163,18 +163,4 @@ def _holding(
         if holds(found, stages[-1].finding, before, fit.held_out):
             return found, after, fit, start, steps
         findings = [stage.finding for stage in stages]
-        found, findings = less(found, findings, findings[-1])
-
-
-def _left_out(findings: Sequence[Finding], steps: Sequence[Step]) -> list[str]:
-    """Describe findings that became no steps."""
-    told, notes = {step.effect for step in steps}, []
-    for finding in findings:
-        if finding.name not in told:
-            places = dict.fromkeys(place for term in finding.terms for place in term.where)
-            where = f" at {', '.join(places)}" if places else ""
-            notes.append(
-                f"{finding.name}{where} was found and is no step: it takes too little of the "
-                "held-out error away"
-            )
-    return notes
+        found, findings = without_finding(found, findings, findings[-1])

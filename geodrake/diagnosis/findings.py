@@ -160,10 +160,12 @@ def probable(
         ]
         if min(chances, default=1.0) >= found.model.beliefs.least:
             return found, start, stages
-        found, findings = less(found, findings, stages[int(np.argmin(chances))].finding)
+        found, findings = without_finding(found, findings, stages[int(np.argmin(chances))].finding)
 
 
-def less(found: Found, findings: Sequence[Finding], gone: Finding) -> tuple[Found, list[Finding]]:
+def without_finding(
+    found: Found, findings: Sequence[Finding], gone: Finding
+) -> tuple[Found, list[Finding]]:
     """Return what was found without one of its findings, and without those that need it.
 
     Where none is left, bodies that come closer to the logs than those of the file are one.
@@ -209,7 +211,7 @@ def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTa
 
 
 def felt(found: Found, finding: Finding) -> NDArray[np.bool_]:
-    """(nv,) joints that feel a finding; all if it is no effect."""
+    """Return (nv,) which joints feel a finding; all if it is no effect."""
     data = found.model.dataset
     known = [data.felt(term.effect) for term in finding.terms if term.effect is not None]
     return np.logical_or.reduce(known) if known else np.ones(len(data.joints), bool)

@@ -200,7 +200,7 @@ class LogModel:
         return float(total)
 
     def lateness(self, choice: Choice) -> Array:
-        """(nv,) delays of an explanation beyond those of the model, s."""
+        """Return (nv,) delays of an explanation beyond those of the model, s."""
         grid, joints = self.dataset.delays, np.arange(len(self.on_time))
         return np.asarray(grid[list(choice.delay), joints] - grid[list(self.on_time), joints])
 

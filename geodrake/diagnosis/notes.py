@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from geodrake.diagnosis.findings import Finding
+from geodrake.diagnosis.results import Step
 from geodrake.diagnosis.search import Found
 from geodrake.effects import Role
 from geodrake.effects.episode import Episode
@@ -34,6 +36,20 @@ def notes_of(found: Found, case: Case, fit: ModelFit, bodies: Sequence[BodyChang
         *_stated_mass(case, fit.model),
         *common_factor_notes(bodies),
     ]
+
+
+def left_out_notes(findings: Sequence[Finding], steps: Sequence[Step]) -> list[str]:
+    """Describe findings that became no steps."""
+    told, notes = {step.effect for step in steps}, []
+    for finding in findings:
+        if finding.name not in told:
+            places = dict.fromkeys(place for term in finding.terms for place in term.where)
+            where = f" at {', '.join(places)}" if places else ""
+            notes.append(
+                f"{finding.name}{where} was found and is no step: it takes too little of the "
+                "held-out error away"
+            )
+    return notes
 
 
 def _companions(found: Unknowns, fit: ModelFit) -> list[str]:
@@ -83,7 +99,7 @@ def _episodes(case: Case, model: RobotModel) -> list[str]:
 
 
 def _stated_mass(case: Case, fitted: RobotModel) -> list[str]:
-    """That a mass stated wrong explains the gains which were found, in words; empty if it does not.
+    """Say that a mass that was stated wrong explains the gains that were found, if it does.
 
     It does where all joints that bear it have one gain, or all but one, as the bodies take in the
     rest. Where bodies are known from other logs, they cannot.

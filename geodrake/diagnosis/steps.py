@@ -180,6 +180,6 @@ def _deviations_by(fitted: FittedEffect, shifts: Array) -> dict[str, float]:
 
 
 def _factor(covariance: Array) -> Array:
-    """(k, k) independent shifts, row by row, that have a covariance (k, k)."""
+    """Return (k, k) independent shifts, row by row, that have a covariance (k, k)."""
     values, axes = np.linalg.eigh(covariance)
     return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * axes.T)

@@ -50,17 +50,17 @@ class Certificate:
 
     @property
     def relative_gap(self) -> float:
-        """The gap as a share of the cost."""
+        """Return the gap as a share of the cost."""
         return self.gap / self.cost
 
     @property
     def holds(self) -> bool:
-        """Whether both parts of the gap and the violation are within `TOLERANCE`."""
+        """Return whether both parts of the gap and the violation are within `TOLERANCE`."""
         return self.relative_gap <= 2.0 * TOLERANCE and self.violation <= TOLERANCE
 
     @property
     def words(self) -> str:
-        """The certificate in a line."""
+        """Return the certificate in a line."""
         if self.failure:
             return f"{self.solver} could not certify the fit: {self.failure}"
         least = "a local minimum" if self.scope == "local" else "the least"

@@ -84,7 +84,7 @@ class RiemannianProgram(NewtonProgram):
 
     @cached_property
     def freedom(self) -> Array:
-        """(p, q) orthonormal directions along the equalities."""
+        """Return (p, q) orthonormal directions along the equalities."""
         E = self.equalities[0]
         return np.asarray(null_space(E)) if len(E) else np.eye(E.shape[1])
 

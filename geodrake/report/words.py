@@ -466,7 +466,7 @@ def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
 
 
 def convincing(step: Step) -> bool:
-    """Whether a step lowers the held-out error, and is likelier than nothing or an unknown."""
+    """Return whether a step lowers held-out errors and outweighs nothing or an unknown."""
     other = step.false_alarm_probability + step.unknown_probability
     return lowers_error(step) and step.probability > other
 

@@ -11,7 +11,7 @@ from effort_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.diagnosis import Beliefs
-from geodrake.diagnosis.findings import INERTIA, findings_of, less, unknown_probability
+from geodrake.diagnosis.findings import INERTIA, findings_of, unknown_probability, without_finding
 from geodrake.diagnosis.search import searched
 from geodrake.effects import StribeckFriction
 from geodrake.errors import ArgumentError
@@ -49,10 +49,10 @@ def test_what_needs_a_finding_goes_with_it(found):
     stribeck = StribeckFriction.name
     whole = with_terms(found, "coulomb_friction", "viscous_friction", stribeck)
     findings = findings_of(whole)
-    fewer, kept = less(whole, findings, named(findings, "coulomb_friction"))
+    fewer, kept = without_finding(whole, findings, named(findings, "coulomb_friction"))
     assert [each.name for each in kept] == ["viscous_friction"]
     assert {term.name for term in fewer.fit.terms} == {"viscous_friction"}
-    fewer, kept = less(whole, findings, named(findings, stribeck))
+    fewer, kept = without_finding(whole, findings, named(findings, stribeck))
     assert {each.name for each in kept} == {"coulomb_friction", "viscous_friction"}
 
 
@@ -60,7 +60,7 @@ def test_bodies_that_are_no_finding_stay_at_the_file(found):
     widest = found.model.widths[-1]
     whole = with_terms(found, "coulomb_friction", width=widest)
     findings = findings_of(whole)
-    fewer, kept = less(whole, findings, named(findings, INERTIA))
+    fewer, kept = without_finding(whole, findings, named(findings, INERTIA))
     assert [each.name for each in kept] == ["coulomb_friction"]
     assert fewer.fit.choice.width == found.model.widths[0] < widest
 
@@ -72,10 +72,10 @@ def test_bodies_are_the_finding_where_nothing_else_is_left(found):
     wide = model.unbounded(widest, model.shares(was), was.variance)
     whole = replace(with_terms(found, "coulomb_friction"), start=wide)
     findings = findings_of(whole)
-    fewer, kept = less(whole, findings, named(findings, "coulomb_friction"))
+    fewer, kept = without_finding(whole, findings, named(findings, "coulomb_friction"))
     assert [each.name for each in kept] == [INERTIA]
     assert fewer.fit is wide
-    assert less(fewer, kept, kept[0])[1] == []
+    assert without_finding(fewer, kept, kept[0])[1] == []
 
 
 def table(rms, floor):

@@ -216,7 +216,7 @@ class JointDesign:
 
 
 def joint_motion(samples: ColumnSamples, assignment: Assignment) -> tuple[Array, Array, Array]:
-    """(N, n) positions, velocities and accelerations of the joints by an assignment."""
+    """Return (N, n) positions, velocities and accelerations of the joints by an assignment."""
     at, scale, time = assignment.position, assignment.scale, assignment.time
     q = samples.q[:, at] * scale + assignment.zero
     return q, samples.v[:, at] * scale / time, samples.vd[:, at] * scale / time**2

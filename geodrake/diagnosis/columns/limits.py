@@ -71,7 +71,7 @@ def likely_limits(asked: Array, needed: Array, velocity: Array) -> tuple[MotorLi
 
 
 def nearest_limit(first: MotorLimit, cost: Callable[[MotorLimit], float]) -> MotorLimit:
-    """The limit of the same kind that costs least."""
+    """Return the limit of the same kind that costs least."""
     flat = not np.isfinite(first.no_load_speed)
     start = np.log([first.effort] if flat else [first.effort, first.no_load_speed])
     found = minimize(

@@ -73,7 +73,7 @@ class ColumnSamples:
         )
 
     def effective(self, residuals: Sequence[Array], rows: Sequence[NDArray[np.intp]]) -> Array:
-        """(J,) how many independent samples residuals are worth."""
+        """Return (J,) how many independent samples residuals are worth."""
         series = []
         for left, at in zip(residuals, rows, strict=True):
             cuts = np.flatnonzero(np.diff(self.block[at])) + 1

@@ -128,7 +128,7 @@ class FormulaTerm:
     factors: tuple[Factor, ...]
 
     def values(self, motions: Callable[[str], JointMotion], samples: int) -> Array:
-        """(N,) values."""
+        """Return (N,) values."""
         product = np.ones(samples)
         for factor in self.factors:
             product = product * factor.values(motions(factor.joint))
@@ -194,7 +194,7 @@ class Formula(Effect):
 
     @property
     def where(self) -> tuple[str, ...]:
-        """The joint."""
+        """Return the joint."""
         return (self.joint,)
 
     @property

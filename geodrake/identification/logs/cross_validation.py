@@ -134,7 +134,7 @@ class CrossValidation:
         return bool(are_physical(self.held_out.x, self.unknowns.inertia_blocks).all())
 
     def _solved(self, grams: Array, rhs: Array, near: Array, *, physical: bool) -> Array:
-        """(F, p) fits of matrices (F, p, p) and right sides (F, p), physical ones from (p,) on."""
+        """Return (F, p) fits of matrices (F, p, p) to right sides (F, p), physical from `near` on."""
         scales = 1.0 / np.sqrt(np.diagonal(grams, axis1=1, axis2=2))
         scaled, x = grams * scales[:, :, None] * scales[:, None, :], np.empty_like(rhs)
         for f, factor in enumerate(cholesky(scaled)):
@@ -159,7 +159,7 @@ class CrossValidation:
 
     @cached_property
     def deviations(self) -> Array:
-        """(p,) standard deviations of `fit_all`, bounds left aside."""
+        """Return (p,) standard deviations of `fit_all`, bounds left aside."""
         gram, _ = self._whole
         scale = 1.0 / np.sqrt(np.diag(gram))
         matrix = gram * scale[:, None] * scale + RIDGE * np.eye(len(scale))

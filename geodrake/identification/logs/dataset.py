@@ -89,7 +89,7 @@ class JointData:
         return self._positions[np.minimum(columns, len(self._positions) - 1)]
 
     def products(self, left: Indices, right: Indices) -> Array:
-        """(l, r, F) blocks of the normal matrices, for positions (l,) and (r,).
+        """Return (l, r, F) blocks of the normal matrices, for positions (l,) and (r,).
 
         They are among the joint's columns, its efforts last, or −1 for columns of zeros.
         """
@@ -102,7 +102,7 @@ class JointData:
         return float(1.0 - self.samples.sum() / self.seen.sum())
 
     def parameters(self, columns: Indices, x: Array) -> Array:
-        """(F, p_j) parameters of this joint's columns, from those (F, p) of some global columns.
+        """Return (F, p_j) parameters of this joint's columns, of those (F, p) of global columns.
 
         One of these may be there twice; parameters of all others are zero.
         """

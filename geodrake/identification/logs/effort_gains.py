@@ -123,7 +123,7 @@ class SignalRows:
         return self.factor[self.free :, self.free : -1] @ np.append(phi[self.columns], 1.0)
 
     def left(self, a: float, phi: Array) -> Array:
-        """(r,) rows of what bodies with an inverse gain a leave, of the other sign."""
+        """Return (r,) rows of what bodies with an inverse gain a leave, of the other sign."""
         return a * self.load(phi) - self.factor[self.free :, -1]
 
     def least_squares_gain(self, phi: Array) -> float:
@@ -262,7 +262,7 @@ class _GainPoint:
 
     @property
     def phi(self) -> Array:
-        """(d,) inertial parameters."""
+        """Return (d,) inertial parameters."""
         return self._bodies[0]
 
     @cached_property
@@ -274,7 +274,7 @@ class _GainPoint:
         return float(sum(rows.cost(a, self.phi, worth) for rows, a, worth in joints) + known)
 
     def system(self) -> tuple[Array, Array, Array]:
-        """Gauss–Newton information and slope of half the cost, and each joint's part of it."""
+        """Return Gauss–Newton information and slope of half the cost, and each joint's part."""
         d, slope = len(self.x), self._bodies[1]
         size = d + len(self.a)
         information, grams = np.zeros((size, size)), np.zeros((len(self.a), size, size))

@@ -106,7 +106,7 @@ class Layout:
         return _felt(self.model, self.effects)
 
     def in_bodies(self, joint: int, blocks: Mapping[Effect, Blocks]) -> Array | float:
-        """(K,) effort of effects that a joint's columns of bodies have in them; 0 for none."""
+        """Return (K,) effort of effects that a joint's columns of bodies contain; 0 without."""
         effect = self._felt[1]
         if effect is None or joint not in blocks[effect]:
             return 0.0

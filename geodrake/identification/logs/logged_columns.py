@@ -30,11 +30,11 @@ class LoggedColumn(JointEffect):
     depends_on = frozenset({"time"})
 
     def columns(self, joint: JointMotion) -> tuple[Array]:
-        """[1], where there are no instants."""
+        """Return [1], where there are no instants."""
         return (np.ones_like(joint.v),)
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """The column (N, 1) at the joint."""
+        """Return the column (N, 1) at the joint."""
         if motion.time is None:
             return super().rows(motion)
         return {self.joint: self.values(motion.log, motion.time)[:, None]}
@@ -74,11 +74,11 @@ class Commands:
         return cls(commands, summed, behind)
 
     def late(self, delay: float, log: int, time: Array) -> Array:
-        """(N,) c(t − δ) − c(t), rad or m."""
+        """Return (N,) c(t − δ) − c(t), rad or m."""
         return _at(self.told, log, time - delay) - _at(self.told, log, time)
 
     def rate(self, delay: float, log: int, time: Array) -> Array:
-        """(N,) dc/dt(t − δ), rad/s or m/s."""
+        """Return (N,) dc/dt(t − δ), rad/s or m/s."""
         late = _at(self.told, log, time - delay)
         return np.gradient(late, time) if len(time) > 1 else np.zeros(len(time))
 
@@ -108,7 +108,7 @@ class CarriedColumn(RobotEffect):
     depends_on = frozenset({"q", "v", "vd", "bodies"})
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """The column (N, 1) at every joint."""
+        """Return the column (N, 1) at every joint."""
         effort = np.zeros_like(motion.v)
         for body, phi in self.carried.get(motion.log, {}).items():
             effort += motion.body_columns(body) @ phi

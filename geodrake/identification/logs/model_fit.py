@@ -203,7 +203,7 @@ def _unexplained_covariance(
 
 
 def _moved(fit: FitResult, pulls: Array) -> Array:
-    """(p, k) what parameters change by with each of some slopes (p, k) of the fit's cost."""
+    """Return (p, k) what parameters change by with each of some slopes (p, k) of the fit's cost."""
     factor, scale = scaled_cholesky(fit.information)
     return np.asarray(scale[:, None] * solved(factor, scale[:, None] * pulls))
 

@@ -294,7 +294,7 @@ class _CommandColumns:
 
 
 def _is_log(number: int, log: int, time: Array) -> Array:
-    """(N,) ones in one log, and zeros in all others."""
+    """Return (N,) ones in one log, and zeros in all others."""
     return np.full(len(time), float(log == number))
 
 
@@ -377,7 +377,7 @@ class _Calibration:
 
     @property
     def cost(self) -> float:
-        """That of the choice; less for a likelier one."""
+        """Return that of the choice; less for a likelier one."""
         return self.choice.cost(self.gains)
 
     def signals(self, kinds: Sequence[str]) -> tuple[EffortSignal, ...]:

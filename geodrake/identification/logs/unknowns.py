@@ -32,7 +32,7 @@ class Unknowns:
 
     @property
     def is_inertial(self) -> NDArray[np.bool_]:
-        """(p,) which unknowns are of bodies."""
+        """Return (p,) which unknowns are of bodies."""
         inertial = np.zeros(len(self.columns), bool)
         for start in self.inertia_blocks:
             inertial[start : start + PARAMETERS_PER_BODY] = True
