@@ -134,7 +134,7 @@ class CrossValidation:
         return bool(are_physical(self.held_out.x, self.unknowns.inertia_blocks).all())
 
     def _solved(self, grams: Array, rhs: Array, near: Array, *, physical: bool) -> Array:
-        """Return fits (F, p) of matrices (F, p, p); physical ones begin near `near` (F, p)."""
+        """Return fits (F, p) of matrices (F, p, p); physical ones begin at `near` (p,)."""
         scales = 1.0 / np.sqrt(np.diagonal(grams, axis1=1, axis2=2))
         scaled, x = grams * scales[:, :, None] * scales[:, None, :], np.empty_like(rhs)
         for f, factor in enumerate(cholesky(scaled)):
