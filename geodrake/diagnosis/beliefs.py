@@ -28,8 +28,8 @@ class Beliefs:
         wrong: Widths above this one mean that the file is wrong.
         fitted: Odds against a body of a model that was fitted before being another one since.
         free: Width of one body that is wrong while the others are right.
-        payloads: Deviations of a light and of a heavy payload, in units of one of a tenth of the
-            robot's mass.
+        payloads: Masses of light, usual and heavy payloads, in tenths of the robot's mass.
+        load: How well each of these is known, as a geometric distance.
         inner: Odds against a payload on a body that carries others.
         unknown: As `size`, for each term of a function of the motion that no effect describes.
         reversal: As `size`, for what friction does at speeds that a log does not resolve.
@@ -54,7 +54,8 @@ class Beliefs:
     wrong: float = 0.3
     fitted: float = 100.0
     free: float = 3.0
-    payloads: tuple[float, ...] = (0.3, 2.0)
+    payloads: tuple[float, ...] = (0.2, 0.7, 2.4)
+    load: float = 0.7
     inner: float = 30.0
     unknown: float = 0.3
     reversal: float = 0.3

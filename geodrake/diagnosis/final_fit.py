@@ -17,7 +17,6 @@ from geodrake.identification.logs.model_fit import ModelFit, fit_model
 from geodrake.identification.logs.unknowns import Unknowns, effect_prior
 from geodrake.model.robot_model import RobotModel
 
-_FREE = 0.1  # of the assumed width: bodies that are known well
 _MOST_ITERATIONS = 10
 """Refits until the weights stay: a prior from another fit gives way step by step."""
 
@@ -44,9 +43,8 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
     # Weights of maximum likelihood, so that the information is that of the parameters.
     held_out = settled.held_out
     weights = settled.effective / held_out.samples.sum(0) / held_out.mse
-    # To hold the inertias, as a search may do, does not make them known.
-    held = settled.looseness < _FREE
-    freed = settled.loosened(_FREE / settled.looseness) if held else settled
+    width = found.model.likely_width(found.fit) / found.fit.choice.width
+    freed = settled.loosened(width)
     fit = fit_model(
         base,
         reopened.dataset,

@@ -192,17 +192,17 @@ def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTa
     """Return how probable it is that a finding is a part of something that no effect describes.
 
     Whatever is unknown, some effect takes a part of its squared error away. One that takes away
-    many times of what is left in the end is likely to be there itself.
+    many times of what is left in the end is likely to be there itself. What reversals leave that
+    logs do not resolve is known, and not counted.
 
     `errors` are those before and after it, and in the end.
     """
-    is_left = verdict_of(errors[2], True, left=largest_residual(found)) == "unexplained"
-    if not is_left or not errors[2].shows_noise:
+    if not errors[2].shows_noise:
         return 0.0
-    before, after, end = (np.array([e.rms**2 for e in table.joints]) for table in errors)
+    before, after = (np.array([e.rms**2 for e in table.joints]) for table in errors[:2])
     weight = felt(found, finding) / np.array([e.std**2 for e in errors[2].joints])
     noise = JOINT_NOISE_MARGIN**2 * np.array([e.floor**2 for e in errors[2].joints])
-    left = float(weight @ np.maximum(end - noise, 0.0))
+    left = float(weight @ np.maximum(found.fit.variance - noise, 0.0))
     gone = max(0.0, float(weight @ (before - after)))
     if left <= 0.0:
         return 0.0
@@ -222,7 +222,8 @@ def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bo
 
     The squared error of the joints that feel it must fall, in the mean over the folds, by more than
     the standard error of that mean: what shows in one fold alone just does. That of all joints, as
-    nrms counts them, must not rise by as much.
+    nrms counts them, must not rise by as much. Bodies that are far from the file predict as a
+    payload does that they take in: it must not raise the error.
     """
     scale = np.maximum(found.model.dataset.effort_std, np.finfo(float).tiny)
     own = felt(found, finding) / np.maximum(before.mse, np.finfo(float).tiny)
@@ -231,7 +232,8 @@ def holds(found: Found, finding: Finding, before: HeldOut, after: HeldOut) -> bo
     if len(falls) > 1:
         errors = (1.0 - _ROUNDING) * falls.std(axis=0, ddof=1) / np.sqrt(len(falls))
     mean = falls.mean(axis=0)
-    return bool(mean[0] > errors[0] and mean[1] > -errors[1])
+    carried = any(term.is_whole for term in finding.terms)
+    return bool(mean[0] > (-errors[0] if carried else errors[0]) and mean[1] > -errors[1])
 
 
 def largest_residual(found: Found) -> float:

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.terms import (
+    Compatibility,
     Term,
     Terms,
-    are_compatible,
     key_of,
     odds_against,
     terms_of,
@@ -34,7 +34,8 @@ from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import LEAST_NOISE, NOISE_MARGIN, SPREAD
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut, hold_out
 from geodrake.identification.logs.dataset import Dataset, is_payload
-from geodrake.identification.logs.hypothesis import Hypothesis, effective_per_joint
+from geodrake.identification.logs.evidence import effective_samples_of_each
+from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.identification.normal_equations import scaled_cholesky, solved
@@ -50,6 +51,7 @@ _RIDGE = 1e-11
 _ALIKE = 0.02  # noise is settled if no logarithm of a variance changes by more
 _MOST_FITS = 8
 _SIMPLER = 0.5
+_FREE, _WIDTHS = 0.01, 20  # to hold the inertias, as a search may do, does not make them known
 _USUAL_SHARE = 0.3
 _MOST_PINNED, _PINNED = 4, 1e15
 _PSEUDO = pseudo_inertia_basis()
@@ -113,6 +115,8 @@ class LogModel:
         )
         known = {effect for effect in self.unknowns.effects if not is_payload(effect)}
         self.terms = terms_of(model, dataset, [e for e in effects if e not in known], beliefs)
+        self._compatibility = Compatibility(self.terms, self.known)
+        self._other_odds = dict[tuple[float, Delay], float]()
         self.widths = beliefs.widths if model.information is None else (1.0, 3.0)
         self.rows = np.maximum(dataset.samples.sum(axis=0), 1).astype(float)
         self._bodies = len(dataset.bodies) * PARAMETERS_PER_BODY
@@ -130,13 +134,22 @@ class LogModel:
         self.first_term = sum(map(len, sources))
         spans = self.spans(self.terms).items()
         self.at = {term: np.arange(span.start, span.stop) for term, span in spans}
+        self._order = {term: k for k, term in enumerate(self.terms)}
         columns = np.concatenate([*sources, *(term.columns for term in self.terms)])
-        self.grams, self.places = [], []
+        self.mean = np.zeros(len(columns))
+        self.information = np.zeros((len(columns),) * 2)  # of the terms alone
+        self.owner, self.positive = np.full(len(columns), -1), np.zeros(len(columns), bool)
+        for k, (term, at) in enumerate(self.at.items()):
+            self.information[at[:, None], at] = term.information
+            self.mean[at] = term.mean
+            self.owner[at], self.positive[at[term.positive]] = k, True
+        self.grams, self.places, self._loads = [], [], list[Array]()
         for j, joint in enumerate(data.data):
             gram = joint.grams.sum(axis=0)
             bodies = joint.local(np.arange(self._bodies))
             load = np.zeros(len(gram))
             load[bodies[bodies >= 0]] = self.unknowns.mean[: self._bodies][bodies >= 0]
+            self._loads.append(load[: len(joint.columns)])
             wider = np.zeros((len(gram) + 2,) * 2)  # the joint's load, and zeros for what it is not
             wider[:-2, :-2] = gram
             wider[-2, :-2] = wider[:-2, -2] = gram @ load
@@ -148,7 +161,6 @@ class LogModel:
         self.efforts = [len(joint.columns) for joint in data.data]
         first = [np.ix_(*(places[: self.first_term],) * 2) for places in self.places]
         self._base = np.array([gram[at] for gram, at in zip(self.grams, first, strict=True)])
-        self.mean = np.zeros(len(columns))
         self.mean[: len(self.unknowns.columns)] = self.unknowns.mean
         gains = np.maximum(data.gain_uncertainty, 1e-6) ** -2.0
         unsure = [
@@ -186,15 +198,21 @@ class LogModel:
 
     def odds_against(self, choice: Choice) -> float:
         """Return twice the logarithm of the prior odds against an explanation."""
-        beliefs = self.beliefs
-        total, late = odds_against(choice.terms), np.not_equal(choice.delay, self.on_time)
+        key = choice.width, choice.delay
+        if key not in self._other_odds:
+            self._other_odds[key] = self._odds_against(choice)
+        return odds_against(choice.terms) + self._other_odds[key]
+
+    def _odds_against(self, choice: Choice) -> float:
+        """Return the same of its width and delays alone."""
+        beliefs, total, late = self.beliefs, 0.0, np.not_equal(choice.delay, self.on_time)
         if late.any():
             alike = late.all() and len(np.unique(np.round(self.lateness(choice), 9))) == 1
             total += 2.0 * np.log(beliefs.delays)
             if not alike:
                 total += 2.0 * int(late.sum()) * np.log(beliefs.again * beliefs.shape)
         # Of widths that explain the same, the narrower one is the simpler one.
-        total += 2.0 * np.log1p(_SIMPLER * self.widths.index(choice.width))
+        total += 2.0 * np.log1p(_SIMPLER * np.searchsorted(self.widths, choice.width))
         if choice.width > (beliefs.wrong if self.model.information is None else 1.0):
             total += 6.0 * np.log(beliefs.rarer)
         return float(total)
@@ -206,13 +224,13 @@ class LogModel:
 
     def are_compatible(self, terms: Terms) -> bool:
         """Return whether terms may stand together, beside what the model has."""
-        return are_compatible(terms, self.known)
+        return self._compatibility.holds(terms)
 
     # Fits.
 
     def choice(self, terms: Iterable[Term], width: float, delay: Delay) -> Choice:
         """Return an explanation, its terms in the order of their columns."""
-        return Choice(tuple(sorted(terms, key=lambda t: self.at[t][0])), width, delay)
+        return Choice(tuple(sorted(terms, key=self._order.__getitem__)), width, delay)
 
     def alike(self, terms: Terms, moved: Mapping[Effect, Effect] | None = None) -> list[Term]:
         """Return the terms that stand for those of another model, effects moved, as far as any.
@@ -296,6 +314,19 @@ class LogModel:
         )
         return Fit(choice, columns, x, variance, weights, hessian, score)
 
+    def likely_width(self, fit: Fit) -> float:
+        """Return the most probable width of the prior of all bodies, between those of a search.
+
+        A model that was fitted before is known as well as that fit says.
+        """
+        if self.model.information is not None:
+            return fit.choice.width
+        shares, widths = self.shares(fit), np.geomspace(_FREE, self.widths[-1], _WIDTHS)
+        choices = [replace(fit.choice, width=float(width)) for width in widths]
+        fits = [self.unbounded(choice, shares, fit.variance) for choice in choices]
+        scores = [each.score + self.odds_against(each.choice) for each in fits]
+        return float(widths[int(np.argmax(scores))])
+
     def refitted(self, fit: Fit) -> Fit:
         """Fit another model's terms to the columns of this one, without regard to bounds."""
         choice = self.choice(self.alike(fit.terms), fit.choice.width, fit.choice.delay)
@@ -337,12 +368,9 @@ class LogModel:
         """Return (nv,) how many independent samples each row of a fit's residuals is worth."""
         key = fit.choice.key
         if key not in self._shares:
-            p, nv, data = len(self.unknowns.columns), len(self.rows), self.dataset
-            known = [self.unknowns.columns, *map(data.effect_columns, self._reversals)]
-            columns = np.concatenate([*known, *(term.columns for term in fit.terms)])
-            x = np.delete(fit.x, np.arange(p, p + nv))  # without gains
-            folds = np.tile(x, (len(data.folds), 1))
-            found = effective_per_joint(data, columns, folds, delay=fit.choice.delay)
+            blocks = [self._residuals(fit, j) for j in range(len(self.rows))]
+            kept = [max(1, sum(map(len, joint))) for joint in blocks]
+            found = effective_samples_of_each(blocks) * (self.rows / kept)
             worth = np.minimum(found, self.beliefs.discrepancy)
             # What is more than sensor noise goes with the motion, however often that repeats.
             noise = np.square(NOISE_MARGIN * self.dataset.noise_floor) / fit.variance
@@ -350,6 +378,14 @@ class LogModel:
             samples = 1.0 / ((1.0 - more) / found + more / worth)
             self._shares[key] = np.clip(samples / self.rows, _LEAST_SHARE, 1.0)
         return self._shares[key]
+
+    def _residuals(self, fit: Fit, joint: int) -> list[Array]:
+        """Return the residuals (K_i,) of a joint in each stretch of its rows."""
+        data, delay = self.dataset.data[joint], fit.choice.delay[joint]
+        x, load = np.zeros(len(self.grams[joint])), self._loads[joint]
+        np.add.at(x, self.places[joint][fit.columns], fit.x)
+        own = x[: len(load)] + x[-2] * load
+        return [rows.b[:, delay] - rows.A @ own for blocks in data.rows for rows in blocks]
 
     def gain_moments(self, fit: Fit) -> Array:
         """Return (nv, nv) second moments of the gains' errors, as prior and data have them."""
@@ -398,7 +434,9 @@ class LogModel:
             if term.effect in unknowns.effects:
                 unknowns = unknowns.released(term.effect, term.information)
             elif term.effect is not None:
-                unknowns = unknowns.with_effect(term.effect, term.columns, term.information)
+                unknowns = unknowns.with_effect(
+                    term.effect, term.columns, term.information, term.mean
+                )
         return unknowns
 
     def hypothesis(self, fit: Fit) -> Hypothesis:

@@ -44,8 +44,8 @@ class Neighbourhood:
         columns = fit.columns
         self._inverse = np.linalg.inv(fit.hessian)
         self._turned = self._inverse @ gram[columns]
-        self._schur = gram - gram[:, columns] @ self._turned
-        self._pull = right - gram[:, columns] @ fit.x
+        self._schur = gram - gram[:, columns] @ self._turned + model.information
+        self._pull = right - gram[:, columns] @ fit.x + model.information @ model.mean
         spans = model.spans(fit.terms).items()
         self._at = {term: np.arange(span.start, span.stop) for term, span in spans}
 
@@ -77,7 +77,7 @@ class Neighbourhood:
         at = np.concatenate([self._at[term] for term in terms])
         covariance, x = self._inverse[np.ix_(at, at)], self.fit.x[at]
         inverse = np.linalg.inv(covariance)
-        known = sum(term.log_information for term in terms)
+        known = sum(term.log_information - term.way for term in terms)
         loss = -x @ inverse @ x - np.linalg.slogdet(covariance)[1] - known
         return Dropped(float(loss), self._turned[at], inverse, x)
 
@@ -99,21 +99,12 @@ class Neighbourhood:
                 turned = np.swapaxes(rows, 1, 2)
                 schur = schur + turned @ (dropped.inverse @ rows)
                 pull = pull + turned @ (dropped.inverse @ dropped.x)
-            known, owner = np.zeros_like(schur), np.full(pull.shape, -1)
-            logarithm = np.array([sum(t.log_information for t in p) for p in alike])
-            for k, package in enumerate(alike):
-                start = 0
-                for place, term in enumerate(package):
-                    end = start + len(term.columns)
-                    known[k, start:end, start:end] = term.information
-                    owner[k, start + term.positive] = place
-                    start = end
-            schur = schur + known
+            logarithm = np.array([sum(t.log_information - t.way for t in p) for p in alike])
             x = np.linalg.solve(schur, pull[..., None])[..., 0]
             gain = (pull * x).sum(axis=1) - np.linalg.slogdet(schur)[1] + logarithm
-            below = np.zeros(len(x), bool)
-            for place in range(int(owner.max()) + 1):
-                own = owner == place
-                below |= own.any(axis=1) & ~(own & (x > 0.0)).any(axis=1)
+            owner, positive = self._model.owner[at], self._model.positive[at]
+            alone = owner[:, :, None] == owner[:, None]  # a term goes if all its values are below
+            above = (alone & (positive & (x > 0.0))[:, None]).any(axis=2)
+            below = (positive & ~above).any(axis=1)
             found[chosen] = np.where(below, -np.inf, gain)
         return found

@@ -27,8 +27,8 @@ Key = tuple[str, tuple[str, ...]]
 """Name and place of an effect; one of an episode in a log is not one of another log."""
 
 _REACH = 3.0  # of a tool, over that of a dataset's payload: as large as a link
-_PHYSICAL = 0.0025
-"""Share of a prior about no body, by the geometric metric, that is physical, whatever its width."""
+_PHYSICAL = 0.1
+"""Share of the prior of a payload that is physical, by the geometric metric: of any mass."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,8 @@ class Term:
     where: tuple[str, ...]
     effect: Effect | None  # the effect; None for a body that is wrong
     columns: Indices  # (k,) its columns in the dataset
-    information: Array  # (k, k) prior information of its parameters, whose prior mean is zero
+    mean: Array  # (k,) prior mean of its parameters
+    information: Array  # (k, k) their prior information
     first: float  # twice the logarithm of the prior odds against it, in a robot that has it nowhere
     again: float  # the same in a robot that has it elsewhere
     positive: Indices  # which of its parameters cannot be negative
@@ -55,6 +56,11 @@ class Term:
         """Log |Λ| of the prior, by what is left of it where things are as they must be."""
         share = _PHYSICAL if self.is_whole else 0.5 ** len(self.positive)
         return float(np.linalg.slogdet(self.information)[1]) - 2.0 * float(np.log(share))
+
+    @cached_property
+    def way(self) -> float:
+        """Return mᵀ Λ m, the squared distance of no effect at all from the prior mean."""
+        return float(self.mean @ self.information @ self.mean)
 
     @cached_property
     def key(self) -> Key:
@@ -98,24 +104,26 @@ def terms_of(
         places.setdefault(type(effect), set()).add(effect.where)
     sizes, terms = _column_sizes(dataset), list[Term]()
     load = dataset.payload * np.array([1.0, *(_REACH for _ in range(3)), *(_REACH**2,) * 6])
-    loads = [pullback_information(load[None], width) for width in beliefs.payloads]
+    loads = [mass * load for mass in beliefs.payloads]
+    carried = [(each, pullback_information(each[None], beliefs.load)) for each in loads]
+    changed = [(0.0 * each, pullback_information(each[None], 1.0)) for each in loads]
     for effect in effects:
         columns, odds = dataset.effect_columns(effect), float(len(places[type(effect)]))
         if is_body(effect):
             odds *= 1.0 if effect.where[0] in model.last_bodies else beliefs.inner
-            odds *= len(loads)  # light or heavy
+            odds *= len(loads)
             held = any(fitted.effect == effect for fitted in model.effects)
             positive = [] if held else [0]  # what is held may have been put down
-            known = loads
+            known = changed if held else carried
         else:
-            known = [_slab(effect, sizes[columns], beliefs)]
+            known = [(np.zeros(len(columns)), _slab(effect, sizes[columns], beliefs))]
             positive = [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
         first, again = _prices(effect, odds, beliefs)
         says = frozenset(key_of(effect, kind) for kind in (None, *effect.contains))
         needs = tuple(frozenset((e.name, effect.where) for e in bases) for bases in effect.refines)
         least = np.array(positive, np.intp)
         terms += [
-            Term(effect.name, effect.where, effect, columns, each, first, again, least, says, needs)
+            Term(effect.name, effect.where, effect, columns, *each, first, again, least, says, needs)
             for each in known
         ]
     return (*terms, *_wrong_bodies(model, dataset, beliefs))
@@ -151,9 +159,9 @@ def _wrong_bodies(model: RobotModel, dataset: Dataset, beliefs: Beliefs) -> list
     odds = 2.0 * (np.log(len(model.bodies)) + kind.complexity * np.log(beliefs.rarer))
     odds += 0.0 if model.information is None else 2.0 * np.log(beliefs.fitted)
     sources = np.arange(len(metric)).reshape(-1, PARAMETERS_PER_BODY)
-    none = np.zeros(0, np.intp)
+    zero, none = np.zeros(PARAMETERS_PER_BODY), np.zeros(0, np.intp)
     return [
-        Term(kind.name, (body,), None, at, metric[np.ix_(at, at)], odds, odds, none, says)
+        Term(kind.name, (body,), None, at, zero, metric[np.ix_(at, at)], odds, odds, none, says)
         for body, at in zip(model.bodies, sources, strict=True)
         for says in [frozenset({(kind.name, (body,))})]
     ]
@@ -174,20 +182,48 @@ def _column_sizes(dataset: Dataset) -> Array:
 Terms = tuple[Term, ...]
 
 
-def are_compatible(terms: Terms, known: frozenset[Key]) -> bool:
-    """Return whether terms may be together: each place once, and with what it needs."""
-    keys = {term.key for term in terms}
-    if len(keys) < len(terms) or not keys.isdisjoint(known):
-        return False
-    if any(term.contains and not keys.isdisjoint(term.contains) for term in terms):
-        return False
-    needing = [term for term in terms if term.needs]
-    if needing:
-        said = known.union(*(term.says for term in terms))
-        if not all(any(needed <= said for needed in term.needs) for term in needing):
-            return False
-    bodies = [term.where for term in terms if term.is_body]
-    return len(set(bodies)) == len(bodies)
+class Compatibility:
+    """Which terms may stand together, beside what a model has: sets of terms as bits.
+
+    Each place may be taken once, by an effect or by one that contains it, and what an effect needs
+    must be there. `known` are the keys of what the model has.
+    """
+
+    def __init__(self, terms: Terms, known: frozenset[Key]) -> None:
+        self._bit = {term: 1 << k for k, term in enumerate(terms)}
+        at, containing, bodies, says = (dict[Any, int]() for _ in range(4))
+        for term, bit in self._bit.items():
+            at[term.key] = at.get(term.key, 0) | bit
+            for key in term.contains:
+                containing[key] = containing.get(key, 0) | bit
+            for key in term.says:
+                says[key] = says.get(key, 0) | bit
+            if term.is_body:
+                bodies[term.where] = bodies.get(term.where, 0) | bit
+        self._against = dict[Term, int]()
+        self._needs = dict[Term, list[list[int]]]()
+        for term in terms:
+            against = at[term.key] | containing.get(term.key, 0)
+            for key in term.contains:
+                against |= at.get(key, 0)
+            if term.is_body:
+                against |= bodies[term.where]
+            self._against[term] = -1 if term.key in known else against
+            if term.needs:
+                ways = [[says.get(key, 0) for key in way - known] for way in term.needs]
+                self._needs[term] = ways
+
+    def holds(self, terms: Iterable[Term]) -> bool:
+        """Return whether terms may stand together."""
+        present, needing = 0, list[list[list[int]]]()
+        for term in terms:
+            against, bit = self._against[term], self._bit[term]
+            if against < 0 or against & present:
+                return False
+            present |= bit
+            if term in self._needs:
+                needing.append(self._needs[term])
+        return all(any(all(present & key for key in way) for way in ways) for ways in needing)
 
 
 def odds_against(terms: Iterable[Term]) -> float:

@@ -106,6 +106,7 @@ def dense_evidence(problem, fit, terms):
     covariance = A @ np.linalg.inv(block_diag(*known)) @ A.T
     covariance += np.diag(np.repeat(1.0 / fit.weights, ROWS))
     expected = np.concatenate(bodies) @ mean
+    expected = expected + sum(np.concatenate(own[t.effect]) @ t.mean for t in terms)
     return 2.0 * multivariate_normal(expected, covariance).logpdf(effort.ravel())
 
 
