@@ -115,7 +115,7 @@ class LogModel:
         )
         known = {effect for effect in self.unknowns.effects if not is_payload(effect)}
         self.terms = terms_of(model, dataset, [e for e in effects if e not in known], beliefs)
-        self._compatibility = Compatibility(self.terms, self.known)
+        self.compatibility = Compatibility(self.terms, self.known)
         self._other_odds = dict[tuple[float, Delay], float]()
         self.widths = beliefs.widths if model.information is None else (1.0, 3.0)
         self.rows = np.maximum(dataset.samples.sum(axis=0), 1).astype(float)
@@ -224,7 +224,7 @@ class LogModel:
 
     def are_compatible(self, terms: Terms) -> bool:
         """Return whether terms may stand together, beside what the model has."""
-        return self._compatibility.holds(terms)
+        return self.compatibility.holds(terms)
 
     # Fits.
 

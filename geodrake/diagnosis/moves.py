@@ -104,7 +104,7 @@ class _Finder:
         self, rest: Terms, packages: Iterable[Terms], dropped: Dropped | None = None
     ) -> list[tuple[float, Terms]]:
         """Return packages that may come to the rest, by their gains without prior odds."""
-        possible = [p for p in packages if self.model.are_compatible((*rest, *p))]
+        possible = self.model.compatibility.beside(rest, packages)
         gains = self.around.gains(possible, dropped)
         order = [k for k in np.argsort(-gains, kind="stable") if np.isfinite(gains[k])]
         return [(float(gains[k]), possible[k]) for k in order]

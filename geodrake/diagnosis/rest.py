@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from geodrake.diagnosis.residuals import (
     SLOW,
@@ -20,7 +21,7 @@ from geodrake.identification.logs.criteria import ALARM, NOISE_MARGIN
 from geodrake.identification.logs.evidence import false_alarm_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.reduce import peak_speeds
-from geodrake.identification.normal_equations import cholesky, solved
+from geodrake.identification.normal_equations import cholesky
 from geodrake.logs.smoothing import Segment
 
 Array = NDArray[np.float64]
@@ -120,27 +121,32 @@ def _waves(signals: Array) -> Iterator[Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Folds:
-    """A residual and features of it, fold by fold, with their normal equations."""
+    """A residual and features of it, with the products of the features and the folds."""
 
-    features: list[Array]  # (N_f, k) features of each fold
-    residuals: list[Array]  # (N_f,) residual of each fold
-    grams: Array  # (F, k, k) products of the features of each fold
-    moments: Array  # (F, k) products of features and residual
+    features: Array  # (N, k)
+    residual: Array  # (N,)
+    parts: list[Indices]  # samples of each fold
+    gram: Array  # (k, k) products of the features
 
     @classmethod
     def of(cls, features: Array, b: Array, folds: Indices) -> _Folds:
         """From features (N, k), a residual (N,) and the fold (N,) of each sample."""
-        parts = [folds == fold for fold in np.unique(folds)]
-        rows, left = [features[part] for part in parts], [b[part] for part in parts]
-        grams = np.array([A.T @ A for A in rows])
-        moments = np.array([A.T @ each for A, each in zip(rows, left, strict=True)])
-        return cls(rows, left, grams, moments)
+        parts = [np.flatnonzero(folds == fold) for fold in np.unique(folds)]
+        return cls(features, b, parts, features.T @ features)
 
     def held_out(self, ridge: float) -> Array:
-        """(F,) squared error of the residual in each fold by a ridge regression on all others."""
-        grams = self.grams.sum(axis=0) - self.grams
-        factors = cholesky(grams, ridge * sum(map(len, self.residuals)))
-        fits = zip(self.features, self.residuals, factors, self.moments, strict=True)
-        moment = self.moments.sum(axis=0)
-        left = [b - A @ solved(factor, moment - own) for A, b, factor, own in fits]
-        return np.array([np.square(each).sum() for each in left])
+        """(F,) squared error of the residual in each fold by a ridge regression on all others.
+
+        With the smoother WᵀW of all folds, that of a fold is (I − W_fᵀW_f)⁻¹ times the residual.
+        """
+        factor = cholesky(self.gram, ridge * len(self.residual))
+        W = solve_triangular(factor, self.features.T, lower=True)
+        left, found = self.residual - (W @ self.residual) @ W, list[float]()
+        for part in self.parts:
+            own, e = W[:, part], left[part]
+            if len(part) <= len(own):
+                e = np.linalg.solve(np.eye(len(part)) - own.T @ own, e)
+            else:
+                e = e + np.linalg.solve(np.eye(len(own)) - own @ own.T, own @ e) @ own
+            found.append(float(e @ e))
+        return np.array(found)

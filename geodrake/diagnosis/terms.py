@@ -114,17 +114,16 @@ def terms_of(
             odds *= len(loads)
             held = any(fitted.effect == effect for fitted in model.effects)
             positive = [] if held else [0]  # what is held may have been put down
-            known = changed if held else carried
+            priors = changed if held else carried
         else:
-            known = [(np.zeros(len(columns)), _slab(effect, sizes[columns], beliefs))]
+            priors = [(np.zeros(len(columns)), _slab(effect, sizes[columns], beliefs))]
             positive = [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
         first, again = _prices(effect, odds, beliefs)
         says = frozenset(key_of(effect, kind) for kind in (None, *effect.contains))
         needs = tuple(frozenset((e.name, effect.where) for e in bases) for bases in effect.refines)
-        least = np.array(positive, np.intp)
+        rest = first, again, np.array(positive, np.intp), says, needs
         terms += [
-            Term(effect.name, effect.where, effect, columns, *each, first, again, least, says, needs)
-            for each in known
+            Term(effect.name, effect.where, effect, columns, *prior, *rest) for prior in priors
         ]
     return (*terms, *_wrong_bodies(model, dataset, beliefs))
 
@@ -182,6 +181,10 @@ def _column_sizes(dataset: Dataset) -> Array:
 Terms = tuple[Term, ...]
 
 
+Ways = list[list[int]]
+"""Sets of what is needed, one of which must be there: each as terms that say it, as bits."""
+
+
 class Compatibility:
     """Which terms may stand together, beside what a model has: sets of terms as bits.
 
@@ -201,7 +204,7 @@ class Compatibility:
             if term.is_body:
                 bodies[term.where] = bodies.get(term.where, 0) | bit
         self._against = dict[Term, int]()
-        self._needs = dict[Term, list[list[int]]]()
+        self._needs = dict[Term, Ways]()
         for term in terms:
             against = at[term.key] | containing.get(term.key, 0)
             for key in term.contains:
@@ -215,15 +218,34 @@ class Compatibility:
 
     def holds(self, terms: Iterable[Term]) -> bool:
         """Return whether terms may stand together."""
-        present, needing = 0, list[list[list[int]]]()
-        for term in terms:
-            against, bit = self._against[term], self._bit[term]
-            if against < 0 or against & present:
+        return bool(self.beside((), [tuple(terms)]))
+
+    def beside(self, rest: Iterable[Term], packages: Iterable[Terms]) -> list[Terms]:
+        """Return the packages of terms that may stand beside the rest."""
+        present, against, needing = 0, 0, list[Ways]()
+        for term in rest:
+            if self._against[term] < 0 or self._against[term] & present:
+                return []
+            present |= self._bit[term]
+            against |= self._against[term]
+            needing += [self._needs[term]] if term in self._needs else []
+        needing = [ways for ways in needing if not _is_met(ways, present)]
+        return [each for each in packages if self._may_come(each, present, against, needing)]
+
+    def _may_come(self, come: Terms, present: int, against: int, needing: list[Ways]) -> bool:
+        needs = needing
+        for term in come:
+            own, bit = self._against[term], self._bit[term]
+            if own < 0 or own & present or against & bit:
                 return False
             present |= bit
             if term in self._needs:
-                needing.append(self._needs[term])
-        return all(any(all(present & key for key in way) for way in ways) for ways in needing)
+                needs = [*needs, self._needs[term]]
+        return not needs or all(_is_met(ways, present) for ways in needs)
+
+
+def _is_met(ways: Ways, present: int) -> bool:
+    return any(all(present & key for key in way) for way in ways)
 
 
 def odds_against(terms: Iterable[Term]) -> float:

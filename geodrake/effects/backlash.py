@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geodrake.compiling import compiled, contiguous
 from geodrake.effects.base import (
     Array,
     Parameter,
@@ -87,17 +88,24 @@ class Backlash(DeflectionEffect):
             acceleration: (N,) τ_j / M_jj, with which it falls behind when it is loose, rad/s².
             time: (N,) instants, s.
         """
-        h, lags = self.half_width, []
-        s, speed = float(np.copysign(self.half_width, acceleration[0])), 0.0
         steps = np.diff(time, append=time[-1:]) / _SUBSTEPS
         following = np.append(acceleration[1:], acceleration[-1:])
-        for a, b, dt in zip(acceleration.tolist(), following.tolist(), steps.tolist(), strict=True):
-            lags.append(s)
-            if a * s > 0.0 and b * s > 0.0 and abs(s) == h:
-                continue  # it lies at its side
-            for k in range(_SUBSTEPS):
-                speed += dt * (a + (b - a) * (k + 0.5) / _SUBSTEPS)
-                s += dt * speed
-                if abs(s) >= h:
-                    s, speed = float(np.copysign(h, s)), 0.0
-        return np.array(lags)
+        return np.asarray(_lag(self.half_width, contiguous(acceleration), following, steps))
+
+
+@compiled
+def _lag(h: float, acceleration: Array, following: Array, steps: Array) -> Array:
+    """Return the lag (N,) within ±h of a link that falls behind by accelerations, rad/s²."""
+    lags = np.empty(len(acceleration))
+    s, speed = np.copysign(h, acceleration[0]), 0.0
+    for i in range(len(acceleration)):
+        a, b, dt = acceleration[i], following[i], steps[i]
+        lags[i] = s
+        if a * s > 0.0 and b * s > 0.0 and abs(s) == h:
+            continue  # it lies at its side
+        for k in range(_SUBSTEPS):
+            speed += dt * (a + (b - a) * (k + 0.5) / _SUBSTEPS)
+            s += dt * speed
+            if abs(s) >= h:
+                s, speed = np.copysign(h, s), 0.0
+    return lags

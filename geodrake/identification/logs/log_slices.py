@@ -12,6 +12,7 @@ from scipy.interpolate import BSpline
 
 from geodrake.effects.base import Effect
 from geodrake.effects.delays import delayed_by
+from geodrake.effects.dependencies import declares_signals
 from geodrake.effects.effect_columns import EffectColumns
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.dataset import Indices, JointRows, column_starts, is_payload
@@ -112,9 +113,16 @@ class Layout:
             return 0.0
         return np.asarray(blocks[effect][joint] @ effect.in_bodies)
 
+    def origin_of(self, part: Effect | str) -> Hashable:
+        """Return what the columns of a part depend on beside the motion."""
+        if not isinstance(part, Effect):
+            return self.tree.gravity.tobytes()
+        of_motion = declares_signals(type(part)) and not part.depends_on & {"load", "bodies"}
+        return self.sign_width.tobytes() if of_motion else self._origin
+
     @cached_property
-    def origin(self) -> Hashable:
-        """What the columns of effects depend on beside the motion: the model's efforts, widths."""
+    def _origin(self) -> Hashable:
+        """The model's efforts, and widths."""
         effects = tuple(
             (fitted.effect, np.asarray(fitted.parameters).tobytes())
             for fitted in self.model.effects
@@ -255,10 +263,7 @@ class LogSlice:
     def _columns(self, shared: SharedRows) -> list[Blocks]:
         """Filtered columns of all parts of the layout."""
         layout, gravity = self.layout, self.layout.tree.gravity.tobytes()
-        keys = {
-            part: (part, self.place, gravity if part == INERTIA else layout.origin)
-            for part in layout.parts
-        }
+        keys = {part: (part, self.place, layout.origin_of(part)) for part in layout.parts}
         found = {part: shared.get(key) for part, key in keys.items()}
         missing = [part for part, blocks in found.items() if blocks is None]
         if missing:
