@@ -94,17 +94,17 @@ def named(found: Found) -> tuple[Found, list[Finding], list[str]]:
 
 
 def findings_of(found: Found, posterior: Posterior | None = None) -> list[Finding]:
-    """Return each finding of a search once."""
-    names = dict[str, list[Term]]()
+    """Return each finding of a search once; every payload is one of its own."""
+    groups = dict[object, list[Term]]()
     posterior = Posterior(found.model, found.fit) if posterior is None else posterior
     for term in found.fit.terms:
-        names.setdefault(term.name, []).append(term)
-    findings = [Finding(n, tuple(t), posterior.of_terms(t)) for n, t in names.items()]
+        groups.setdefault(term.key if term.is_whole else term.name, []).append(term)
+    findings = [Finding(t[0].name, tuple(t), posterior.of_terms(t)) for t in groups.values()]
     if found.fit.choice.delay != found.model.on_time:
         findings.append(Finding(DELAY, (), posterior.of_delay()))
     width, least, wrong = found.fit.choice.width, found.model.widths[0], found.model.beliefs.wrong
     far = found.model.model.information is not None or width > wrong or not findings
-    if INERTIA not in names and width > least and far:
+    if INERTIA not in groups and width > least and far:
         findings.append(Finding(INERTIA, (), posterior.of_bodies()))
     return findings
 

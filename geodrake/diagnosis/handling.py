@@ -327,7 +327,9 @@ def _timed(around: _Around, held: Episode) -> Episode:
     if len(known) < len(edges):  # the log has a gap there
         return held
     far, cut = np.zeros(()), list[tuple[int, _Rows, NDArray[np.intp]]]()
-    for rows in around.rows(log, body):
+    every = around.rows(log, body)
+    first, last = np.quantile(np.concatenate([e.time for e in every]), [_LEAST, 1.0 - _LEAST])
+    for rows in every:
         rest = np.ones(len(rows.time), bool)
         for k, each in enumerate(known):
             close = rest & (rows.time >= each.outputs[0]) & (rows.time <= each.outputs[-1])
@@ -343,6 +345,8 @@ def _timed(around: _Around, held: Episode) -> Episode:
         rise = held.window[2] * float(np.exp(step[-1]))
         times = dict(zip(edges, (values + step[:-1]).tolist(), strict=True))
         if not _SHARPEST <= rise <= _SLOWEST or np.abs(step[:-1]).max() > _SLOWEST:
+            return None
+        if not first <= min(times.values()) <= max(times.values()) <= last:
             return None
         if len(times) == 2 and times["end"] - times["start"] <= rise:
             return None

@@ -110,8 +110,10 @@ def terms_of(
     for effect in effects:
         columns, odds = dataset.effect_columns(effect), float(len(places[type(effect)]))
         if is_body(effect):
+            held_by = places[type(effect)]
+            usual = sum(where[0] in model.last_bodies for where in held_by)
+            odds = len(loads) * (usual + (len(held_by) - usual) / beliefs.inner)
             odds *= 1.0 if effect.where[0] in model.last_bodies else beliefs.inner
-            odds *= len(loads)
             held = any(fitted.effect == effect for fitted in model.effects)
             positive = [] if held else [0]  # what is held may have been put down
             priors = changed if held else carried

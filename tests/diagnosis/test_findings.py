@@ -84,12 +84,12 @@ def table(rms, floor):
 
 def test_a_finding_is_the_more_likely_the_more_it_takes_beside_what_is_left(found):
     whole = with_terms(found, "coulomb_friction")
-    whole = replace(whole, fit=replace(whole.fit, variance=np.full(2, 1.0)))
     (finding,) = (each for each in findings_of(whole) if each.name == "coulomb_friction")
 
     def chance(before, after, end, floor=0.01):
         errors = [table(rms, floor) for rms in (before, after, end)]
-        return unknown_probability(whole, finding, errors)
+        left = replace(whole.fit, variance=np.full(2, end**2))
+        return unknown_probability(replace(whole, fit=left), finding, errors)
 
     chances = [chance(before, 0.1, 0.1) for before in (0.9, 0.3, 0.2, 0.12, 0.1)]
     assert chances == sorted(chances)
