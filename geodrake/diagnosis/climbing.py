@@ -17,6 +17,7 @@ _MOST_COUNTS = 4
 _OPTIMISTIC = 0.3
 """On the way up, residuals are worth at least this share of their rows: what is missing still
 makes them look as if they were worth less."""
+_COUNTED = 20  # neighbours, of those that promise most, are fitted by what residuals count now
 _JUDGED = 5
 """So many neighbours that promise most have their own residuals counted."""
 
@@ -91,7 +92,7 @@ def _step(
     tried = model.ranked(choices, high, fit.variance)
     promising = tried[:_JUDGED]
     if not hopeful:
-        choices = [each.choice for each in tried]
+        choices = [each.choice for each in tried[:_COUNTED]]
         promising += model.ranked(choices, own, fit.variance)[:_JUDGED]
     best, gain = None, 1e-6
     for other in {each.choice.key: each for each in promising}.values():

@@ -107,7 +107,7 @@ class LogModel:
     ) -> None:
         self.model, self.dataset, self.beliefs, self.on_time = model, dataset, beliefs, on_time
         self.unknowns = model_unknowns(dataset, model)
-        self.known = frozenset(
+        keys = frozenset(
             key_of(effect, kind)
             for effect in self.unknowns.effects
             if not is_payload(effect)  # it may have been put down, or changed
@@ -115,7 +115,7 @@ class LogModel:
         )
         known = {effect for effect in self.unknowns.effects if not is_payload(effect)}
         self.terms = terms_of(model, dataset, [e for e in effects if e not in known], beliefs)
-        self.compatibility = Compatibility(self.terms, self.known)
+        self.compatibility = Compatibility(self.terms, keys)
         self._other_odds = dict[tuple[float, Delay], float]()
         self.widths = beliefs.widths if model.information is None else (1.0, 3.0)
         self.rows = np.maximum(dataset.samples.sum(axis=0), 1).astype(float)
@@ -137,11 +137,14 @@ class LogModel:
         self._order = {term: k for k, term in enumerate(self.terms)}
         columns = np.concatenate([*sources, *(term.columns for term in self.terms)])
         self.mean = np.zeros(len(columns))
-        self.information = np.zeros((len(columns),) * 2)  # of the terms alone
+        # Of the terms alone; a term's log |Λ| − mᵀΛm stands at its first column.
+        self.information = np.zeros((len(columns),) * 2)
+        self.prior_scores = np.zeros(len(columns))
         self.owner, self.positive = np.full(len(columns), -1), np.zeros(len(columns), bool)
         for k, (term, at) in enumerate(self.at.items()):
             self.information[at[:, None], at] = term.information
             self.mean[at] = term.mean
+            self.prior_scores[at[0]] = term.log_information - term.way
             self.owner[at], self.positive[at[term.positive]] = k, True
         self.grams, self.places, self._loads = [], [], list[Array]()
         for j, joint in enumerate(data.data):

@@ -77,7 +77,7 @@ class Neighbourhood:
         at = np.concatenate([self._at[term] for term in terms])
         covariance, x = self._inverse[np.ix_(at, at)], self.fit.x[at]
         inverse = np.linalg.inv(covariance)
-        known = sum(term.log_information - term.way for term in terms)
+        known = self._model.prior_scores[np.concatenate([self._model.at[t] for t in terms])].sum()
         loss = -x @ inverse @ x - np.linalg.slogdet(covariance)[1] - known
         return Dropped(float(loss), self._turned[at], inverse, x)
 
@@ -99,9 +99,12 @@ class Neighbourhood:
                 turned = np.swapaxes(rows, 1, 2)
                 schur = schur + turned @ (dropped.inverse @ rows)
                 pull = pull + turned @ (dropped.inverse @ dropped.x)
-            logarithm = np.array([sum(t.log_information - t.way for t in p) for p in alike])
             x = np.linalg.solve(schur, pull[..., None])[..., 0]
-            gain = (pull * x).sum(axis=1) - np.linalg.slogdet(schur)[1] + logarithm
+            gain = (
+                (pull * x).sum(axis=1)
+                - np.linalg.slogdet(schur)[1]
+                + self._model.prior_scores[at].sum(axis=1)
+            )
             owner, positive = self._model.owner[at], self._model.positive[at]
             alone = owner[:, :, None] == owner[:, None]  # a term goes if all its values are below
             above = (alone & (positive & (x > 0.0))[:, None]).any(axis=2)

@@ -109,7 +109,7 @@ def terms_of(
     changed = [(0.0 * each, pullback_information(each[None], 1.0)) for each in loads]
     for effect in effects:
         columns, odds = dataset.effect_columns(effect), float(len(places[type(effect)]))
-        if is_body(effect):
+        if body := is_body(effect):
             held_by = places[type(effect)]
             usual = sum(where[0] in model.last_bodies for where in held_by)
             odds = len(loads) * (usual + (len(held_by) - usual) / beliefs.inner)
@@ -120,7 +120,7 @@ def terms_of(
         else:
             priors = [(np.zeros(len(columns)), _slab(effect, sizes[columns], beliefs))]
             positive = [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
-        first, again = _prices(effect, odds, beliefs)
+        first, again = _prices(effect, odds, beliefs, body=body)
         says = frozenset(key_of(effect, kind) for kind in (None, *effect.contains))
         needs = tuple(frozenset((e.name, effect.where) for e in bases) for bases in effect.refines)
         rest = first, again, np.array(positive, np.intp), says, needs
@@ -143,14 +143,14 @@ _ODD_SHAPE = 4.0
 """Price of an exponent that is no multiple of one half, as those of laws are."""
 
 
-def _prices(effect: Effect, odds: float, beliefs: Beliefs) -> tuple[float, float]:
+def _prices(effect: Effect, odds: float, beliefs: Beliefs, *, body: bool) -> tuple[float, float]:
     """Prices of an effect that is nowhere else, by the odds against its place, and of one more."""
     exponent = effect.shape.get("exponent")
     odd = isinstance(exponent, float) and not (2.0 * exponent).is_integer()
     shape = beliefs.order if effect.proposer in _IN_MANY else beliefs.shape
     price = 2.0 * np.log(shape) * effect.free_shapes + _ODD_SHAPE * odd
     first = price + 2.0 * (np.log(odds) + effect.complexity * np.log(beliefs.rarer))
-    again = first if is_body(effect) else min(first, price + 2.0 * np.log(beliefs.again))
+    again = first if body else min(first, price + 2.0 * np.log(beliefs.again))
     return float(first), float(again)
 
 
