@@ -101,6 +101,22 @@ def test_a_finding_is_the_more_likely_the_more_it_takes_beside_what_is_left(foun
     assert chance(before, 0.1, 0.1) == pytest.approx(0.5)
     assert chance(0.9, 0.01, 0.01) == 0.0  # only noise is left
     assert chance(0.3, 0.2, 0.2, floor=0.0) == 0.0  # nobody knows what is noise
+    # Reversals that are not resolved err in the end, and not in a fit that allows for them.
+    errors = [table(rms, 0.01) for rms in (0.3, 0.2, 0.2)]
+    noise = replace(whole.fit, variance=np.full(2, 0.01**2))
+    assert unknown_probability(replace(whole, fit=noise), finding, errors) == 0.0
+
+
+def test_every_payload_is_a_finding_of_its_own(found):
+    """One that is there does not make up for one that is none."""
+    model, was = found.model, found.fit
+    bodies = {term.where: term for term in model.terms if term.is_whole}
+    assert len(bodies) == 2
+    choice = model.choice(bodies.values(), was.choice.width, was.choice.delay)
+    fit = model.unbounded(choice, model.shares(was), was.variance)
+    payloads = [f for f in findings_of(replace(found, fit=fit)) if f.name == "payload"]
+    assert sorted(f.terms[0].where for f in payloads) == sorted(bodies)
+    assert all(len(f.terms) == 1 for f in payloads)
 
 
 @pytest.mark.parametrize("wrong", [{"part": 0.0}, {"least": 2.0}, {"sharpness": -1.0}])

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from pendulum_logs import JOINTS, friction, pendulum_log
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, expm
 from scipy.stats import multivariate_normal
 
 pytest.importorskip("pinocchio")
@@ -308,3 +308,47 @@ def test_a_tool_beside_friction_and_rotors_is_named_with_its_mass():
 def test_invalid_widths_of_beliefs_are_named(name):
     with pytest.raises(ArgumentError, match=f"{name} must be a finite number above 0; it is -1"):
         Beliefs(**{name: (0.1, -1.0)})
+
+
+# How far bodies are from the file, and gains of efforts.
+
+
+def lighter(distance, seed):
+    """Efforts of bodies that are so far from those of the file, in the geometric metric."""
+
+    def hidden(seen):
+        rng = np.random.default_rng(seed)
+        model = pin.Model(seen.model)
+        for k in range(1, model.njoints):
+            pseudo = model.inertias[k].toPseudoInertia().toMatrix()
+            S = distance * rng.normal(size=(4, 4))
+            root, way = np.linalg.cholesky(pseudo), 0.5 * (S + S.T)
+            changed = root @ expm(way) @ root.T
+            model.inertias[k] = pin.PseudoInertia.FromMatrix(changed).toInertia()
+        data = model.createData()
+        samples = zip(seen.q, seen.v, seen.a, strict=True)
+        return np.array([pin.rnea(model, data, *sample) for sample in samples]) - seen.load
+
+    return hidden
+
+
+@pytest.mark.parametrize("distance", [0.05, 0.2])
+def test_bodies_are_as_far_from_the_file_as_they_are(distance):
+    """Between the widths that are searched, by logs of two arms of other bodies."""
+    found = []
+    for seed in (1, 2):
+        log = effort_log("arm6", seed, lighter(distance, seed), duration=16.0, rate=100.0).log
+        end = searched(open_case(arm(), [log], candidates=True))
+        found.append(end.model.likely_width(end.fit))
+    assert np.exp(np.mean(np.log(found))) == pytest.approx(distance, rel=0.5)
+
+
+def test_gains_of_efforts_that_are_wrong_make_no_sample_dependent():
+    """What they leave goes with the motion, and is known to."""
+    log = effort_log("double_pendulum", 2, lambda seen: 0.03 * seen.load, share=0.01).log
+    case = open_case(PENDULUM, [log], candidates=True)
+    model = searched(case).model
+    fit = model.bare(np.ones(2))
+    right = replace(log, effort=log.effort / 1.03)
+    sure = searched(open_case(PENDULUM, [right], candidates=True)).model
+    np.testing.assert_allclose(model.shares(fit), sure.shares(sure.bare(np.ones(2))), rtol=0.1)
