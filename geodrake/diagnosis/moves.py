@@ -10,7 +10,7 @@ import numpy as np
 
 from geodrake.diagnosis.log_model import Choice, Fit, LogModel
 from geodrake.diagnosis.neighbourhood import Dropped, Neighbourhood
-from geodrake.diagnosis.terms import Term, Terms
+from geodrake.diagnosis.terms import Term, Terms, odds_against
 
 _MOST = 14
 """So many neighbours, those that promise most, are fitted."""
@@ -119,7 +119,9 @@ class _Finder:
     ) -> list[Move]:
         """Return moves to packages beside the rest, those that promise most first."""
         loss = 0.0 if dropped is None else dropped.loss
+        hope = _HOPE - loss - self.base + odds_against(rest)
         offers = self._offers(rest, packages, dropped)[:most]
+        offers = [(gain, p) for gain, p in offers if gain - sum(t.again for t in p) > hope]
         moves = [self._move((*rest, *come), gain + loss, come) for gain, come in offers]
         return sorted(moves, key=lambda move: -move.gain)
 
@@ -237,11 +239,14 @@ class _Finder:
         With bodies as free as they are it may promise nothing, and much with bodies that stay.
         """
         present, last = self.fit.terms, set(self.model.model.last_bodies)
+        kinds = dict[object, list[Terms]]()
         for term in self.model.terms:
             whole = term.effect is not None and term.effect.places == "robot"
-            held = term.is_body and term.is_whole and term.where[0] in last
-            if (whole or held) and self.model.are_compatible((*present, term)):
-                yield self._choice((*present, term))
+            if whole or (term.is_body and term.is_whole and term.where[0] in last):
+                kinds.setdefault(term.effect, []).append((term,))
+        for offered in kinds.values():
+            for _, come in self._offers(present, offered)[:1]:
+                yield self._choice((*present, *come))
 
 
 def _complexity(term: Term) -> int:

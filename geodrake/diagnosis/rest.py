@@ -27,7 +27,7 @@ from geodrake.logs.smoothing import Segment
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_FREQUENCIES = 100  # of random features
+_FREQUENCIES = 60  # of random features
 _WIDTHS = (1.0, 3.0)  # over which functions vary, in deviations of the signals
 _RIDGES = (1e-3, 1e-2, 1e-1, 1.0)  # over the mean square of the features
 _FIRST_RIDGE = 1e-2
