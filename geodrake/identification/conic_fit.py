@@ -199,10 +199,9 @@ def _in_closed_form(problem: FitProblem) -> FitResult | None:
     lower, upper = coordinates.bounds()
     bounded = np.isfinite(lower) | np.isfinite(upper)
     order = np.argsort(bounded, kind="stable")
-    M, d = coordinates.data()
     C = coordinates.prior_root()
-    rows = np.block([[M[:, order], d[:, None]], [C[:, order], np.zeros((len(C), 1))]])
-    triangle = triangular_factor([rows])[: problem.size]
+    rows = np.vstack([coordinates.data(), np.column_stack([C, np.zeros(len(C))])])
+    triangle = triangular_factor([rows[:, [*order, -1]]])[: problem.size]
     F, f = triangle[:, :-1], triangle[:, -1]
     diagonal = np.abs(np.diagonal(F))
     if len(F) < problem.size or diagonal.min() <= 1e-12 * diagonal.max():

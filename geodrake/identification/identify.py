@@ -16,8 +16,7 @@ from geodrake.identification.constraints import BodyConstraints, checked_bounds
 from geodrake.identification.fit import Certificate, FitResult
 from geodrake.identification.problem import FitProblem, whitened_factor
 from geodrake.identification.regularizer import Entropic, Euclidean, Pullback, Regularizer
-from geodrake.identification.riemannian import Riemannian, RiemannianFit
-from geodrake.identification.riemannian_search import LocalMinima
+from geodrake.identification.riemannian import LocalMinima, Riemannian, RiemannianFit
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical, pseudo_inertia
 from geodrake.robot.repairs import nearest_physical
 

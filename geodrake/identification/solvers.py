@@ -21,7 +21,11 @@ from pydrake.solvers import (
 )
 
 from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
-from geodrake.identification.own_process import LateProcessError, LostProcessError, in_own_process
+from geodrake.identification.subprocess_solver import (
+    LateProcessError,
+    LostProcessError,
+    in_subprocess,
+)
 
 T = TypeVar("T")
 Tolerances = Mapping[str, Mapping[str, float | int]]
@@ -94,7 +98,7 @@ def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
     for accuracies in (EXACTLY, NEARLY):
         seconds = max(over - time.monotonic(), 0.0)
         try:
-            return in_own_process(partial(solve, accuracies), seconds=seconds)
+            return in_subprocess(partial(solve, accuracies), seconds=seconds)
         except LateProcessError as error:
             raise ConvergenceError(
                 f"{solver} {error}, which is all that a fit has.",

@@ -15,8 +15,7 @@ from scipy.linalg import eigh
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification import FitProblem, solve_fit
 from geodrake.identification.identify import identify
-from geodrake.identification.newton import solve_newton
-from geodrake.identification.newton_path import minimize
+from geodrake.identification.newton import minimize, solve_newton
 from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.problem import LinearConstraints, whitened_factor
 from geodrake.inertia import (

@@ -12,7 +12,7 @@ from scipy.optimize import NonlinearConstraint, minimize
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification import BodyConstraints, Riemannian, identify
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
-from geodrake.identification.riemannian_search import half_squared_logs, log_derivatives
+from geodrake.identification.riemannian import half_squared_logs, log_derivatives
 from geodrake.inertia import (
     from_mass_com_inertia,
     is_physical,
