@@ -97,19 +97,24 @@ class FitResult(Short):
         certificate = self.certificate
         return tuple(filter(None, [self.note, certificate.words if certificate else ""]))
 
-    def standard_deviations(self) -> Array:
-        """Standard deviations (p,) of x, in its units; inf where nothing is known.
+    def covariance(self) -> Array:
+        """Covariance (p, p) of x, in its units; inf on the diagonal where nothing is known.
 
-        They count every row of data as independent: with correlated residuals, scale the
-        information by the share of effective samples first.
+        It counts every row of data as independent: with correlated residuals, scale the information
+        by the share of effective samples first.
         """
         known = np.diagonal(self.information)
         size = np.sqrt(np.where(known > _NOTHING * known.max(initial=0.0), known, 1.0))
         values, vectors = np.linalg.eigh(self.information / np.outer(size, size))
         known = values > len(values) * np.finfo(float).eps * values[-1]
-        variances = (vectors[:, known] ** 2 / values[known]).sum(1)
+        inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
         unknown = (vectors[:, ~known] ** 2).sum(1) > np.sqrt(np.finfo(float).eps)
-        return np.where(unknown, np.inf, np.sqrt(variances) / size)
+        np.fill_diagonal(inverse, np.where(unknown, np.inf, np.diagonal(inverse)))
+        return np.asarray(inverse / np.outer(size, size))
+
+    def standard_deviations(self) -> Array:
+        """Standard deviations (p,) of x, in its units; inf where nothing is known."""
+        return np.sqrt(np.diagonal(self.covariance()))
 
 
 def fit_result(
