@@ -13,10 +13,10 @@ from geodrake.boundary.arguments import integer, one_of, positive
 from geodrake.descent import is_within_rounding, rounding_of_squares, step_length
 from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, smat
-from geodrake.identification.hyperplanes import Projections, covectors, flat, pairwise, project
+from geodrake.identification.hyperplanes import Projections, flat, pairwise, project, spectral
 from geodrake.identification.identify import identify, physical_prior
 from geodrake.identification.problem import whitened
-from geodrake.inertia import Array, from_pseudo_inertia, pseudo_inertia
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, dual, from_pseudo_inertia, pseudo_inertia
 from geodrake.inertia.positive_definite import karcher_mean, whitening
 
 METHODS = ("newton", "cyclic")
@@ -145,7 +145,8 @@ class _GeodesicProblem:
 
     @classmethod
     def of(cls, rows: Array, prior: Array, gamma: float) -> _GeodesicProblem:
-        root, X = whitening(pseudo_inertia(prior))[0], covectors(rows[:, :-1])
+        root = whitening(pseudo_inertia(prior))[0]
+        X = dual(rows[:, :-1].reshape(len(rows), -1, PARAMETERS_PER_BODY))
         weights = 2.0 * np.square(np.swapaxes(root, -1, -2) @ X @ root).sum((1, 2, 3))
         return cls(root, X, rows[:, -1], weights, gamma)
 
@@ -208,8 +209,8 @@ class _GeodesicPoint:
     def downhill(self) -> Array:
         """Minus the gradient of the cost, (10 nb,)."""
         logs, axes = self.to_prior
-        pull = (axes * logs[:, None, :]) @ np.swapaxes(axes, -1, -2)
-        return flat(self.problem.gamma * pull - self.projections.gradient(self.weights))
+        pull = self.problem.gamma * spectral(axes, logs)
+        return flat(pull - self.projections.gradient(self.weights))
 
     @cached_property
     def spectrum(self) -> tuple[Array, Array]:
@@ -251,7 +252,7 @@ class _GeodesicPoint:
     def moved(self, change: Array) -> _GeodesicPoint:
         """Return bodies L (𝟙 + V) Lᵀ, without the rows that have no projection there."""
         values, axes = np.linalg.eigh(change)
-        turned = (axes * np.sqrt(1.0 + values)[:, None, :]) @ np.swapaxes(axes, -1, -2)
+        turned = spectral(axes, np.sqrt(1.0 + values))
         there = self.problem.at(self.root @ turned, self.used)
         return there.only(there.projections.exists)
 
@@ -286,9 +287,7 @@ class _GeodesicPoint:
         """Return the Karcher mean of all projections and the prior ([Lee2019] Eq. (3.4.42))."""
         logs, axes = self.to_prior
         rates = np.concatenate([self.projections.rates, logs[None]])
-        sides = np.concatenate([self.projections.axes, axes[None]])
-        sides = sides * np.exp(0.5 * rates)[..., None, :]
-        points = sides @ np.swapaxes(sides, -1, -2)
+        points = spectral(np.concatenate([self.projections.axes, axes[None]]), np.exp(rates))
         weights = np.append(self.weights, self.problem.gamma)
         try:
             # Seen from here, so that what is far from another is so by its logarithm only.

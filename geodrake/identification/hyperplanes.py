@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 from scipy.special import lambertw
 
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, svec
-from geodrake.inertia import Array, pseudo_inertia_basis
+from geodrake.inertia import Array
 
 _ROOT = 1e-14
 _MOST_STEPS = 200
@@ -19,8 +19,7 @@ _SAME = 1e-5
 _LEAST_ROOM = 1e-8  # 1 + W where a projection is about to get lost
 
 
-@dataclass(frozen=True, eq=False)
-class Projections:
+class Projections(NamedTuple):
     """Projections of one set of bodies onto m hyperplanes.
 
     With P = L Lᵀ, the gradient of tr(P X) is N = Lᵀ X L = U diag(σ) Uᵀ, and P̂ = L exp(Q) Lᵀ with
@@ -34,22 +33,17 @@ class Projections:
     rates: Array  # (m, nb, 4) eigenvalues −W(λ σ) of Q; zero where there is no projection
 
     @property
-    def velocities(self) -> Array:
-        """Symmetric Q (m, nb, 4, 4), the velocities of the geodesics to the projections."""
-        return self.functions(self.rates)
-
-    @property
     def half_squared_distances(self) -> Array:
         """½ d², (m,)."""
         return 0.5 * np.square(self.rates).sum((1, 2))
 
     def of(self, rows: NDArray[np.bool_]) -> Projections:
         """Return those onto some of the hyperplanes."""
-        return Projections(self.exists[rows], self.sigma[rows], self.axes[rows], self.rates[rows])
+        return Projections(*(each[rows] for each in self))
 
     def gradient(self, weights: Array) -> Array:
         """Return that of Σ γ_i ½ d_i² as P moves along L exp(t V) Lᵀ, (nb, 4, 4)."""
-        return -np.asarray(np.einsum("m,mbij->bij", weights, self.velocities))
+        return -np.asarray(np.einsum("m,mbij->bij", weights, spectral(self.axes, self.rates)))
 
     def hessian(self, weights: Array) -> Array:
         """Return that of the same, (10 nb, 10 nb) in the coordinates of `flat`.
@@ -71,13 +65,14 @@ class Projections:
         hessian = pairwise(weights[:, None, None, None] * curvature, self.axes)
         along = self.sigma * decay
         size = (np.square(self.sigma) * np.exp(-W) * decay).sum((1, 2))
-        pull = flat(self.functions(along))
+        pull = flat(spectral(self.axes, along))
         pull *= np.sqrt(weights / np.where(size > 0, size, 1.0))[:, None]
         return np.asarray(hessian + pull.T @ pull)
 
-    def functions(self, values: Array) -> Array:
-        """Return matrices of other eigenvalues (m, nb, 4) in the axes of N."""
-        return np.asarray((self.axes * values[..., None, :]) @ np.swapaxes(self.axes, -1, -2))
+
+def spectral(axes: Array, values: Array) -> Array:
+    """Return symmetric matrices (…, 4, 4) of axes (…, 4, 4) and eigenvalues (…, 4)."""
+    return np.asarray((axes * values[..., None, :]) @ np.swapaxes(axes, -1, -2))
 
 
 def flat(matrices: Array) -> Array:
@@ -99,20 +94,10 @@ def pairwise(values: Array, axes: Array) -> Array:
     return np.asarray(block_diag(*blocks))
 
 
-def covectors(A: Array) -> Array:
-    """Return X (m, nb, 4, 4) with aᵀ Φ = Σ_j tr(P(φ_j) X_j) for rows a of A (m, 10·nb).
-
-    [Lee2019] Eq. (B.1.8).
-    """
-    basis = pseudo_inertia_basis()
-    dual = np.linalg.pinv(basis.reshape(10, 16)).T.reshape(10, 4, 4)
-    return np.asarray(np.einsum("mbi,ijk->mbjk", A.reshape(len(A), -1, len(basis)), dual))
-
-
 def project(roots: Array, X: Array, b: Array) -> Projections:
     """Return projections of bodies P_j = L_j L_jᵀ onto the hyperplanes Σ_j tr(P_j X_ij) = b_i.
 
-    L is (nb, 4, 4), and X (m, nb, 4, 4) as of `covectors`.
+    L is (nb, 4, 4), and X (m, nb, 4, 4).
     """
     sigma, axes = np.linalg.eigh(np.swapaxes(roots, -1, -2) @ X @ roots)
     multiplier, exists = _multipliers(sigma.reshape(len(b), -1), b)

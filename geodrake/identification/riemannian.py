@@ -27,8 +27,7 @@ from geodrake.identification.newton import bounded
 from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.regularizer import Entropic, Pullback, Regularizer
-from geodrake.inertia import Array, pseudo_inertia
-from geodrake.inertia.positive_definite import relative_logarithms
+from geodrake.inertia import Array, riemannian_distance
 
 STARTS = ("entropic", "pullback", "prior", "data")
 
@@ -118,8 +117,7 @@ class Riemannian(Regularizer):
 
     def divergence(self, phi: Array, prior: Array) -> float:
         """Return d(Φ, Φ⁰)² of all bodies together."""
-        logs = relative_logarithms(pseudo_inertia(prior), pseudo_inertia(phi))
-        return 0.5 * float(np.square(logs).sum())
+        return 0.5 * float(np.square(riemannian_distance(prior, phi)).sum())
 
     def scalar_divergence(self, values: Array, priors: Array) -> Array:
         """Return ½ log²(x/x⁰) of positive scalars ([Lee2019] Eq. (3.6.60))."""
