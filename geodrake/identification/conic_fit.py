@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -28,7 +27,7 @@ from geodrake.identification.program import FitProgram, build_fit
 from geodrake.identification.residual_path import check_residual_bound
 from geodrake.identification.solvers import (
     ROUGHLY,
-    Tolerances,
+    Accuracies,
     check_solver,
     cone_multiplier,
     run_solver,
@@ -136,7 +135,7 @@ def uncertified(fit: FitResult, failure: str, scope: Scope = "global") -> FitRes
 
 
 def conic_solution(
-    problem: FitProblem, solver: str, centre: Array | None, accuracies: Sequence[Tolerances]
+    problem: FitProblem, solver: str, centre: Array | None, accuracies: Accuracies
 ) -> tuple[Array, float, float]:
     """Return a conic solver's parameters (p,), the weight of their prior, and the duality gap.
 

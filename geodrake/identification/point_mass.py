@@ -28,7 +28,7 @@ from geodrake.identification.problem import FitProblem, LinearConstraints
 from geodrake.identification.program import build_fit
 from geodrake.identification.regularizer import Regularizer
 from geodrake.identification.residual_path import check_residual_bound, out_of_reach
-from geodrake.identification.solvers import ROUGHLY, Tolerances, run_solver, solved_apart
+from geodrake.identification.solvers import ROUGHLY, Accuracies, run_solver, solved_apart
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
     Array,
@@ -284,7 +284,7 @@ class PointMassRegularizer(Regularizer):
         return transform, beyond, floor
 
     def _solved(
-        self, inner: FitProblem, solver: str, gamma: float, accuracies: Sequence[Tolerances]
+        self, inner: FitProblem, solver: str, gamma: float, accuracies: Accuracies
     ) -> tuple[Array, float]:
         """Return v, and the weight of the prior."""
         N, prior = len(self.points.prior), self.points.prior
