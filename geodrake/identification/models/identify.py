@@ -15,10 +15,9 @@ from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
 from geodrake.identification.identify import IdentificationResult, physical_prior
 from geodrake.identification.logs.case import error_table, open_case, reopen
 from geodrake.identification.logs.compare import comparison
-from geodrake.identification.logs.cross_validation import hold_out
 from geodrake.identification.logs.hypothesis import first_hypothesis, settle
 from geodrake.identification.logs.log_fits import LogFits, log_unknowns
-from geodrake.identification.logs.model_fit import model_with
+from geodrake.identification.logs.model_fit import as_it_stands, model_with
 from geodrake.identification.logs.weighing import Weighing, weigh
 from geodrake.identification.models.bodies import (
     block_names,
@@ -106,11 +105,6 @@ def identify_model(
         progress("Comparing regularizers")
         alternatives, unsolved = _compared(fits, result, folds)
     held_out = fits.held_out(folds)
-    stands = fits.unknowns.mean.copy()  # the prior's parameters; a new payload is not there yet
-    for known in prior.effects:
-        if known.effect in unknowns.effects:
-            stands[unknowns.span(known.effect)] = known.parameters
-    before = hold_out(case.dataset, unknowns.columns, np.tile(stands, (len(fits.folds), 1)))
     deviations = result.fit.standard_deviations()
     delays = [known for known in prior.effects if known.effect.role is Role.DELAY]
     fitted = model_with(prior, unknowns, result.fit, deviations, noise=held_out.rms, delays=delays)
@@ -129,7 +123,7 @@ def identify_model(
         settings.regularizer,
         result.gamma,
         sweep,
-        error_table(case.dataset, before),
+        error_table(case.dataset, as_it_stands(case.dataset, prior)),
         error_table(case.dataset, held_out),
         bodies,
         result,
@@ -186,8 +180,10 @@ def _solved(
             ) from error
         if isinstance(error, ArgumentError):
             raise
-        blocks = [column // PARAMETERS_PER_BODY for column in error.evidence.get("columns", ())]
-        where = f" ({', '.join(block_names(fits)[k] for k in blocks)})" if blocks else ""
+        starts = dict(enumerate(block_names(fits)))
+        columns = [column // PARAMETERS_PER_BODY for column in error.evidence.get("columns", ())]
+        blocks = [starts[k] for k in columns if k in starts]
+        where = f" ({', '.join(blocks)})" if blocks else ""
         raise IdentificationError(
             f"The {name} regularizer with gamma {gamma:g} leads to no solution that can be "
             f"trusted{where}.",
