@@ -33,7 +33,8 @@ from geodrake.inertia import (
     PARAMETERS_PER_BODY,
     Array,
     Ellipsoid,
-    from_pseudo_inertia,
+    central_second_moment,
+    from_point_masses,
     is_physical,
     pseudo_inertia,
 )
@@ -56,18 +57,16 @@ class PointMasses(Short):
     def __post_init__(self) -> None:
         places = instances(self.positions, "positions", object)
         given = instances(self.masses, "masses", object)
-        positions = [real_array(p, f"positions[{i}]", ("m", 3)) for i, p in enumerate(places)]
-        if len(given) != len(positions):
+        if len(given) != len(places):
             raise ArgumentError(
-                f"Masses are needed for each of the {len(positions)} bodies; got those of "
+                f"Masses are needed for each of the {len(places)} bodies; got those of "
                 f"{len(given)}."
             )
+        positions = [real_array(p, f"positions[{i}]", ("m", 3)) for i, p in enumerate(places)]
         masses = [
-            real_array(mass, f"masses[{i}]", (len(place),))
-            for i, (mass, place) in enumerate(zip(given, positions, strict=True))
+            real_array(mass, f"masses[{i}]", (len(positions[i]),)) for i, mass in enumerate(given)
         ]
-        wrong = [i for i, mass in enumerate(masses) if not (len(mass) and (mass > 0).all())]
-        if wrong:
+        if wrong := [i for i, mass in enumerate(masses) if not (len(mass) and (mass > 0).all())]:
             raise ArgumentError(f"Bodies {wrong} have no points, or prior masses that are not > 0.")
         object.__setattr__(self, "positions", tuple(positions))
         object.__setattr__(self, "masses", tuple(masses))
@@ -80,11 +79,9 @@ class PointMasses(Short):
         counts, one or one a body, are at least 10 points.
         """
         phi, numbers = _checked_bodies(phi, counts)
-        positions = []
-        for P, number in zip(pseudo_inertia(phi), numbers, strict=True):
-            com = P[:3, 3] / P[3, 3]
-            spread = np.linalg.cholesky(P[:3, :3] / P[3, 3] - np.outer(com, com))
-            positions.append(com + _unit_ball(number) @ spread.T)
+        com, spread = phi[:, 1:4] / phi[:, :1], central_second_moment(phi) / phi[:, :1, None]
+        parts = zip(com, np.linalg.cholesky(spread), numbers, strict=True)
+        positions = [center + _unit_ball(number) @ root.T for center, root, number in parts]
         masses = [np.full(n, body[0] / n) for n, body in zip(numbers, phi, strict=True)]
         return cls(tuple(positions), tuple(masses))
 
@@ -110,9 +107,9 @@ class PointMasses(Short):
             ball = _unit_ball(number // 2)
             spread = regions.rotation[k] * regions.semi_axes[k]
             far = regions.center[k] + ball / np.linalg.norm(ball, axis=1).max() @ spread.T
-            shape = _moments(far).mean(0)
-            given = 0.5 / float(eigvalsh(shape, pseudo_inertia(body))[-1])
-            near = cls.of_bodies([body - given * from_pseudo_inertia(shape)], number - len(far))
+            shape = from_point_masses(np.full(len(far), 1.0 / len(far)), far)
+            given = 0.5 / float(eigvalsh(pseudo_inertia(shape), pseudo_inertia(body))[-1])
+            near = cls.of_bodies([body - given * shape], number - len(far))
             positions.append(np.vstack([*near.positions, far]))
             masses.append(np.append(near.masses[0], np.full(len(far), given / len(far))))
         return cls(tuple(positions), tuple(masses))
@@ -124,8 +121,8 @@ class PointMasses(Short):
 
     def matrix(self) -> Array:
         """R (10·nb, N) with Φ = R μ."""
-        blocks = [from_pseudo_inertia(_moments(places)).T for places in self.positions]
-        return np.asarray(block_diag(*blocks))
+        units = (from_point_masses(np.ones((len(x), 1)), x[:, None]) for x in self.positions)
+        return np.asarray(block_diag(*(unit.T for unit in units)))
 
     def parameters(self, masses: ArrayLike | None = None) -> Array:
         """Inertial parameters (nb, 10) of masses μ (N,), of the prior ones if None."""
@@ -149,12 +146,6 @@ def _checked_bodies(
     elif real_array(counts, "counts").shape != (len(phi),):
         raise ArgumentError(f"counts must have shape ({len(phi)},); got {np.shape(counts)}.")
     return phi, [integer(n, "counts", lower=least, upper=_MOST) for n in counts]
-
-
-def _moments(places: Array) -> Array:
-    """[x;1][x;1]ᵀ (n, 4, 4) of places (n, 3): the pseudo inertias of unit masses."""
-    homogeneous = np.column_stack([places, np.ones(len(places))])
-    return np.asarray(homogeneous[:, :, None] * homogeneous[:, None])
 
 
 def _unit_ball(number: int) -> Array:
@@ -321,14 +312,13 @@ class PointMassRegularizer(Regularizer):
         if own.shape == prior.shape:
             away = np.abs(own - prior).max(1)
             bodies = np.flatnonzero(away > _SAME_PRIOR * np.abs(prior).max()).tolist()
-            if not bodies:
-                return
-            differ = f"bodies {bodies} differ by up to {away.max():.2g}"
-        raise ArgumentError(
-            f"The prior is not that of the point masses: {differ}.",
-            advice="Pass points.parameters() as the prior, or make points that have this one "
-            "with PointMasses.of_bodies(prior).",
-        )
+            differ = f"bodies {bodies} differ by up to {away.max():.2g}" if bodies else ""
+        if differ:
+            raise ArgumentError(
+                f"The prior is not that of the point masses: {differ}.",
+                advice="Pass points.parameters() as the prior, or make points that have this one "
+                "with PointMasses.of_bodies(prior).",
+            )
 
 
 @dataclass(frozen=True, eq=False)
