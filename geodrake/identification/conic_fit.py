@@ -22,9 +22,8 @@ from geodrake.errors import ArgumentError, ConvergenceError, GeodrakeError, Iden
 from geodrake.identification.coordinates import Coordinates
 from geodrake.identification.fit import TOLERANCE, Certificate, FitResult, Scope, fit_result
 from geodrake.identification.newton import solve_newton
-from geodrake.identification.problem import FitProblem
+from geodrake.identification.problem import FitProblem, check_residual_bound
 from geodrake.identification.program import FitProgram, build_fit
-from geodrake.identification.residual_path import check_residual_bound
 from geodrake.identification.solvers import (
     ROUGHLY,
     Accuracies,

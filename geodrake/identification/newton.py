@@ -18,18 +18,19 @@ import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.linalg.lapack import dtpmqrt, dtpqrt, dtrtrs
+from scipy.optimize import brentq
 
 from geodrake.boundary.arguments import instance
 from geodrake.errors import IdentificationError
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, smat, svec
 from geodrake.identification.fit import FitResult, fit_result
 from geodrake.identification.newton_program import NewtonProgram
-from geodrake.identification.problem import FitProblem
-from geodrake.identification.residual_path import check_residual_bound, meet_residual, out_of_reach
+from geodrake.identification.problem import FitProblem, check_residual_bound, out_of_reach
 from geodrake.identification.solvers import CONTRADICTION, OTHER_CAUSE, no_parameters
 from geodrake.inertia import Array
 
@@ -53,6 +54,8 @@ _SAME_RESIDUAL, _NEARLY = 1e-10, 1e-7
 """Relative differences from the residual bound: that aimed at, and that rounding may leave."""
 _RIGID, _IDLE = 1e-12, 1e10
 """Weights, relative to the cost of the prior, at which prior and data no longer matter."""
+_LEAP, _MOST_TRIALS, _NARROW = 6.0, 60, 1e-12
+"""Longest step of the weight's logarithm, trials of Brent's method, and what it can tell apart."""
 _PANEL = 16
 _UNIT = np.eye(4)
 
@@ -112,36 +115,52 @@ Found = TypeVar("Found")  # has coordinates z (p,)
 
 
 def bounded(
-    program: Program,
-    solve: Callable[[Program, Found | None], Found],
-    *,
-    guess: float | None = None,
+    program: Program, solve: Callable[[Program, Found | None], Found], guess: float | None = None
 ) -> tuple[Found, float]:
     """Return the minimum by `solve`, and in the point-to-set form its weight of the prior.
 
     That is the one, near the guess, for which the residual is the bound; inf where data are idle.
-    `solve` maps a program and a minimum of another weight, None at first, to its minimum.
+    `solve` maps a program and the last minimum, None at first, to its minimum.
+
+    Brent's method on the logarithms: the residual grows with the weight of the prior ([Lee2019]
+    Propositions A.4 and A.5).
     """
     bound = program.coordinates.problem.residual_bound
     if bound is None:
         return solve(program, None), 1.0
     wanted = max(bound - program.floor, np.finfo(float).tiny)
     scale = (program.excess(program.middle) + wanted) / program.strength
+    low, high = np.log([_RIGID * scale, _IDLE * scale])
+    trials: list[tuple[float, Found, float, float]] = []
 
-    def at(weight: float, before: Found | None) -> tuple[Found, float]:
-        found = solve(program.weighted(weight), before)
-        return found, program.excess(found.z)
+    @cache
+    def error(log_weight: float) -> float:
+        weight = float(np.exp(log_weight))
+        found = solve(program.weighted(weight), trials[-1][1] if trials else None)
+        excess = program.excess(found.z)
+        trials.append((abs(excess - wanted), found, weight, excess))
+        if trials[-1][0] <= _SAME_RESIDUAL * bound:
+            return 0.0
+        return float(np.log(max(excess, np.finfo(float).tiny) / wanted))
 
-    found, weight, excess = meet_residual(
-        at,
-        wanted,
-        guess=wanted / program.strength if guess is None else guess,
-        limits=(_RIGID * scale, _IDLE * scale),
-        enough=_SAME_RESIDUAL * bound,
-    )
-    if np.isinf(weight) or abs(excess - wanted) <= _NEARLY * bound:
+    guess = wanted / program.strength if guess is None else guess
+    u, step = float(np.clip(np.log(guess), low, high)), 0.0
+    while here := error(u):
+        step = min(max(2.0 * abs(here), 2.0 * step), _LEAP)
+        following = float(np.clip(u - np.copysign(step, here), low, high))
+        if following == u:
+            break
+        if error(following) * here <= 0.0:
+            ends = min(u, following), max(u, following)
+            brentq(error, *ends, xtol=_NARROW, maxiter=_MOST_TRIALS, disp=False)
+            break
+        u = following
+    _, found, weight, excess = min(trials, key=lambda trial: trial[0])
+    if u == high and here < 0.0:
+        return found, np.inf
+    if abs(excess - wanted) <= _NEARLY * bound:
         return found, weight
-    if weight == 0.0:
+    if u == low and here > 0.0:
         raise out_of_reach(bound, program.floor + excess)
     raise IdentificationError(
         f"No weight of the prior was found with the residual {bound:.10g}; the nearest residual "

@@ -24,10 +24,14 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.conic_fit import solution_of, solve_fit
 from geodrake.identification.fit import FitResult, fit_result
-from geodrake.identification.problem import FitProblem, LinearConstraints
+from geodrake.identification.problem import (
+    FitProblem,
+    LinearConstraints,
+    check_residual_bound,
+    out_of_reach,
+)
 from geodrake.identification.program import build_fit
 from geodrake.identification.regularizer import Regularizer
-from geodrake.identification.residual_path import check_residual_bound, out_of_reach
 from geodrake.identification.solvers import ROUGHLY, Accuracies, run_solver, solved_apart
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
