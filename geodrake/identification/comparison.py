@@ -77,7 +77,7 @@ def compare_regularizers(
             f"extra_priors has {', '.join(unknown)}; compared are {', '.join(compared)}."
         )
 
-    def solve(kind: Regularizer, **form: float) -> IdentificationResult:
+    def solve(kind: Regularizer, **form: Any) -> IdentificationResult:
         own = {**options}
         if kind.name in extra_priors:
             own["extra_prior"] = extra_priors[kind.name]

@@ -39,7 +39,7 @@ class Projections(NamedTuple):
 
     def of(self, rows: NDArray[np.bool_]) -> Projections:
         """Return those onto some of the hyperplanes."""
-        return Projections(*(each[rows] for each in self))
+        return Projections(self.exists[rows], self.sigma[rows], self.axes[rows], self.rates[rows])
 
     def gradient(self, weights: Array) -> Array:
         """Return that of Σ γ_i ½ d_i² as P moves along L exp(t V) Lᵀ, (nb, 4, 4)."""

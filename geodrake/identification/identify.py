@@ -13,10 +13,10 @@ from geodrake.boundary.arguments import instance, number, one_of, real_array, ty
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.constraints import BodyConstraints, checked_bounds
-from geodrake.identification.fit import Certificate, FitResult
+from geodrake.identification.fit import Certificate, FitResult, LocalMinima
 from geodrake.identification.problem import FitProblem, whitened_factor
 from geodrake.identification.regularizer import Entropic, Euclidean, Pullback, Regularizer
-from geodrake.identification.riemannian import LocalMinima, Riemannian
+from geodrake.identification.riemannian import Riemannian
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical, pseudo_inertia
 from geodrake.robot.repairs import nearest_physical
 
@@ -61,7 +61,7 @@ class IdentificationResult(Short):
     @property
     def minima(self) -> LocalMinima | None:
         """For a regularizer that is not convex: what the starts led to. None for a convex one."""
-        return getattr(self.fit, "minima", None)
+        return self.fit.minima
 
     @property
     def solve_time(self) -> float:

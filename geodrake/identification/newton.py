@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from scipy.linalg.lapack import dtpmqrt, dtpqrt, dtrtrs
@@ -110,8 +110,16 @@ class Minimum:
         return self.point.z
 
 
+class Solution(Protocol):
+    """Has coordinates."""
+
+    @property
+    def z(self) -> Array:
+        """Coordinates (p,)."""
+
+
 Program = TypeVar("Program", bound=NewtonProgram)
-Found = TypeVar("Found")  # has coordinates z (p,)
+Found = TypeVar("Found", bound=Solution)
 
 
 def bounded(

@@ -167,13 +167,6 @@ def _unit_ball(number: int) -> Array:
     return np.asarray(np.linalg.solve(root, ball.T).T)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PointMassFit(FitResult):
-    """A `FitResult` with the masses (N,), kg, of all bodies in a row behind its parameters."""
-
-    masses: Array
-
-
 @dataclass(frozen=True, eq=False)
 class PointMassRegularizer(Regularizer):
     """A distance of masses μ ≥ 0 from their prior ones, with Φ = R μ.
@@ -209,13 +202,13 @@ class PointMassRegularizer(Regularizer):
             prior_information=np.zeros((p, p)),
             constraints=LinearConstraints(matrix=np.eye(p), lower=phi.ravel(), upper=phi.ravel()),
         )
-        return self.distance(self.solve(problem, prior, 1.0, "clarabel").masses)
+        return self.divergence_of(self.solve(problem, prior, 1.0, None), prior)
 
     def divergence_of(self, fit: FitResult, prior: Array) -> float:
         """Return d² at a solution of `solve`."""
-        if isinstance(fit, PointMassFit):
-            return self.distance(fit.masses)
-        return super().divergence_of(fit, prior)
+        if fit.masses is None:
+            return super().divergence_of(fit, prior)
+        return self.distance(fit.masses)
 
     def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
         """Return the problem with γ d² to second order around the prior; `solve` is exact."""
@@ -223,7 +216,7 @@ class PointMassRegularizer(Regularizer):
 
     def solve(
         self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
-    ) -> PointMassFit:
+    ) -> FitResult:
         """Return the masses that fit best, by Drake's conic solver of that name, Clarabel if None.
 
         The ArgumentError of a residual bound that no masses reach has the `minimum` that they do.
@@ -243,7 +236,7 @@ class PointMassRegularizer(Regularizer):
         x = np.clip(transform @ v, problem.lower, problem.upper)
         masses = v[: len(self.points.prior)] * self.points.prior
         fit = fit_result(self._informed(problem, gamma, masses), x, weight, solver, begin)
-        return PointMassFit(**vars(fit), masses=masses)
+        return replace(fit, masses=masses)
 
     def certified(
         self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult

@@ -22,7 +22,7 @@ from geodrake.descent import PRECISION, is_within_rounding, step_length
 from geodrake.errors import ArgumentError, GeodrakeError, IdentificationError
 from geodrake.identification.conic_fit import certified, uncertified
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, Rows, smat, svec
-from geodrake.identification.fit import FitResult, fit_result
+from geodrake.identification.fit import SAME_COST, FitResult, LocalMinima, fit_result
 from geodrake.identification.newton import bounded
 from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.problem import FitProblem
@@ -31,9 +31,6 @@ from geodrake.inertia import Array, riemannian_distance
 
 STARTS = ("entropic", "pullback", "prior", "data")
 
-_SAME_COST = 1e-9
-_SAME = 1e-4
-"""Geodesic distance within which two minima count as one."""
 _ACCURACY = 1e-14
 """Decrease that a step must promise to be worth taking, as a share of the size of the cost."""
 _MOST_STEPS = 300
@@ -43,39 +40,6 @@ _LEAST_CURVATURE = 0.1
 """Of the distance, relative to that at the prior, where its own is not convex."""
 _FARTHEST = 1.5
 """Standard deviation of the logarithms of mass and moments in random starts, at most."""
-
-
-@dataclass(frozen=True, eq=False)
-class LocalMinima:
-    """Where the starts led to."""
-
-    starts: tuple[str, ...]  # names of the starts
-    # (n,) cost reached from each start, at the γ of the solution; inf where the search failed.
-    costs: Array
-    distances: Array  # (n,) geodesic distance of what each start led to from the best
-    strict: bool  # whether the best is a strict local minimum: its Hessian is positive definite
-
-    @property
-    def agree(self) -> bool:
-        """Whether all starts led to the same minimum."""
-        return bool((self.distances < _SAME).all())
-
-    @property
-    def distinct(self) -> int:
-        """Number of different minima that were found, distinguished by their costs."""
-        reached = np.isfinite(self.costs)
-        if (self.distances[reached] < _SAME).all():
-            return 1
-        found = np.sort(self.costs[reached])
-        scale = max(abs(found[0]), np.finfo(float).tiny)
-        return 1 + int(np.count_nonzero(np.diff(found) > _SAME_COST * scale))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RiemannianFit(FitResult):
-    """A `FitResult` of a problem that may have several minima, and what the starts led to."""
-
-    minima: LocalMinima
 
 
 @dataclass(frozen=True)
@@ -166,15 +130,14 @@ class Riemannian(Regularizer):
                 found[name] = None
         lowest = min(filter(None, found.values()), key=lambda minimum: minimum.value)
         rounding = _ACCURACY * gamma * weighted.weight
-        better = lowest.value < best.value - max(_SAME_COST * abs(best.value), rounding)
+        better = lowest.value < best.value - max(SAME_COST * abs(best.value), rounding)
         minima = program.compared(found, lowest if better else best)
         if better:
             first = lowest.z
             best, weight = bounded(program, solve, guess=weight)
         x = np.clip(program.coordinates.parameters(best.z), problem.lower, problem.upper)
         fit = fit_result(program.coordinates.problem, x, weight, "newton", begin)
-        own = {**vars(fit), "information": program.information(best.hessian)}
-        return RiemannianFit(**own, minima=minima)
+        return replace(fit, information=program.information(best.hessian), minima=minima)
 
     def certified(
         self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult
