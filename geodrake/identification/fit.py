@@ -86,12 +86,12 @@ class LocalMinima:
 
     @property
     def agree(self) -> bool:
-        """Whether all starts led to the same minimum."""
+        """Return whether all starts led to the same minimum."""
         return bool((self.distances < _SAME).all())
 
     @property
     def distinct(self) -> int:
-        """Number of different minima that were found, distinguished by their costs."""
+        """Return the number of different minima that were found, told apart by their costs."""
         reached = np.isfinite(self.costs)
         if (self.distances[reached] < _SAME).all():
             return 1
@@ -128,7 +128,7 @@ class FitResult(Short):
         return tuple(filter(None, [self.note, certificate.words if certificate else ""]))
 
     def covariance(self) -> Array:
-        """Covariance (p, p) of x, in its units; inf on the diagonal where nothing is known.
+        """Return the covariance (p, p) of x, in its units; inf on its diagonal is of the unknown.
 
         It counts every row of data as independent: with correlated residuals, scale the information
         by the share of effective samples first.
@@ -143,7 +143,7 @@ class FitResult(Short):
         return np.asarray(inverse / np.outer(size, size))
 
     def standard_deviations(self) -> Array:
-        """Standard deviations (p,) of x, in its units; inf where nothing is known."""
+        """Return standard deviations (p,) of x, in its units; inf where nothing is known."""
         return np.sqrt(np.diagonal(self.covariance()))
 
 

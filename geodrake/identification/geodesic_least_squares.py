@@ -53,7 +53,7 @@ def geodesic_least_squares(
     tolerance: float = 1e-8,
     max_iterations: int = 2000,
 ) -> GeodesicLeastSquaresResult:
-    """Bodies that minimize Σ γ_i ½ d(Φ, H_i)² + γ ½ d(Φ, Φ⁰)² ([Lee2019] Eq. (3.4.37)).
+    """Find the bodies that minimize Σ γ_i ½ d(Φ, H_i)² + γ ½ d(Φ, Φ⁰)² ([Lee2019] Eq. (3.4.37)).
 
     H_i are the hyperplanes a_iᵀ Φ = b_i, d is the geodesic distance, and γ_i = a_iᵀ M₀⁻¹ a_i / σ_i²
     with the pullback metric M₀ at the prior (Remark 3.8), so that near the prior this is the

@@ -47,7 +47,7 @@ class IdentificationResult(Short):
 
     @property
     def note(self) -> str:
-        """Why another solver than usual gave the answer; empty if it was the usual one."""
+        """Return why another solver than usual gave the answer; empty if it was the usual one."""
         return self.fit.note
 
     @property
@@ -60,12 +60,12 @@ class IdentificationResult(Short):
 
     @property
     def minima(self) -> LocalMinima | None:
-        """For a regularizer that is not convex: what the starts led to. None for a convex one."""
+        """Return what the starts of a regularizer led to that is not convex; None for others."""
         return self.fit.minima
 
     @property
     def solve_time(self) -> float:
-        """Time of the solution, s."""
+        """Return the time of the solution, s."""
         return self.fit.solve_time
 
 
@@ -87,7 +87,7 @@ def identify(  # noqa: PLR0913 - the stable interface
     solver: str | None = None,
     certify: bool = True,
 ) -> IdentificationResult:
-    """Physical parameters that fit A x ≈ b and stay near a prior.
+    """Fit physical parameters to A x ≈ b, near a prior.
 
     The minimum is global, except with "riemannian", whose result says what was found (`minima`).
     With `gamma` it minimizes ‖A x − b‖²_{Σ⁻¹} + γ d(Φ, Φ⁰)² ([Lee2019] Eq. (3.2.16)); with

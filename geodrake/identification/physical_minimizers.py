@@ -13,7 +13,7 @@ from geodrake.identification.newton import minimize
 from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.normal_equations import scaled_cholesky
 from geodrake.identification.problem import FitProblem
-from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
 from geodrake.inertia.kernels import calc_from_pseudo_inertia, calc_pseudo_inertia
 
 _GAP = 1e-3
@@ -25,8 +25,7 @@ _NO_MASS = 1e-6  # kg or kg·m², largest moment of a body that is nothing
 
 def are_physical(x: Array, blocks: Sequence[int]) -> NDArray[np.bool_]:
     """Return (F,) whether all bodies of parameters x (F, p), which start at `blocks`, can exist."""
-    P = calc_pseudo_inertia(x[:, _places(blocks)])
-    return np.asarray((np.linalg.eigvalsh(P)[..., 0] > 0.0).all(axis=1))
+    return np.asarray(is_physical(x[:, _places(blocks)]).all(axis=1))
 
 
 def inner_bodies(x: Array, blocks: Sequence[int], small: Array) -> Array:

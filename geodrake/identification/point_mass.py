@@ -77,7 +77,7 @@ class PointMasses(Short):
 
     @classmethod
     def of_bodies(cls, phi: ArrayLike, counts: int | Sequence[int] = 85) -> PointMasses:
-        """Equal masses, spread evenly over the uniform ellipsoid of every body of phi (nb, 10).
+        """Spread equal masses evenly over the uniform ellipsoid of every body of phi (nb, 10).
 
         They have the bodies' inertial parameters exactly, so that `parameters()` returns phi. The
         counts, one or one a body, are at least 10 points.
@@ -93,7 +93,7 @@ class PointMasses(Short):
     def within(
         cls, phi: ArrayLike, ellipsoids: Ellipsoid, counts: int | Sequence[int] = 85
     ) -> PointMasses:
-        """Points all over the regions that bodies fit into, heavier where the bodies are.
+        """Spread points over the regions that bodies fit into, heavier where the bodies are.
 
         Half of the points are spread evenly over the region, with equal masses, half of what the
         body can have there. The other points are those of `of_bodies` for the rest of the body.
@@ -120,16 +120,16 @@ class PointMasses(Short):
 
     @property
     def prior(self) -> Array:
-        """⁰μ of all bodies in a row, (N,) kg."""
+        """Return ⁰μ of all bodies in a row, (N,) kg."""
         return np.concatenate(self.masses)
 
     def matrix(self) -> Array:
-        """R (10·nb, N) with Φ = R μ."""
+        """Return R (10·nb, N) with Φ = R μ."""
         units = (from_point_masses(np.ones((len(x), 1)), x[:, None]) for x in self.positions)
         return np.asarray(block_diag(*(unit.T for unit in units)))
 
     def parameters(self, masses: ArrayLike | None = None) -> Array:
-        """Inertial parameters (nb, 10) of masses μ (N,), of the prior ones if None."""
+        """Return the parameters (nb, 10) of masses μ (N,), of the prior ones if None."""
         mu = self.prior if masses is None else real_array(masses, "masses", (len(self.prior),))
         return (self.matrix() @ mu).reshape(-1, PARAMETERS_PER_BODY)
 
@@ -137,7 +137,7 @@ class PointMasses(Short):
 def _checked_bodies(
     phi: ArrayLike, counts: int | Sequence[int], least: int = PARAMETERS_PER_BODY
 ) -> tuple[Array, list[int]]:
-    """Physical bodies (nb, 10), and how many points each gets."""
+    """Return physical bodies (nb, 10), and how many points each gets."""
     phi = real_array(phi, "phi", ("m", PARAMETERS_PER_BODY))
     wrong = np.flatnonzero(~is_physical(phi)).tolist()
     if wrong:
@@ -153,7 +153,7 @@ def _checked_bodies(
 
 
 def _unit_ball(number: int) -> Array:
-    """(n, 3) points spread evenly over a ball, their mean zero and their covariance the identity.
+    """Return (n, 3) points spread evenly over a ball, with mean zero and covariance the identity.
 
     R_3 low-discrepancy points (M. Roberts 2018) in a cube, mapped to the ball and then corrected.
     """

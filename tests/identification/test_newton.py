@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from identified_bodies import THREE as PRIOR
 from identified_bodies import random_data, restated
 from measurements import DATA
-from scipy.linalg import eigh
+from scipy.linalg import block_diag, eigh
 
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification import FitProblem, solve_fit
@@ -19,6 +19,8 @@ from geodrake.identification.newton import minimize, solve_newton
 from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.problem import LinearConstraints, whitened_factor
 from geodrake.inertia import (
+    Ellipsoid,
+    from_dual,
     from_mass_com_inertia,
     is_physical,
     pseudo_inertia,
@@ -51,13 +53,9 @@ def example(seed, *, gamma=0.5, rows=24, extra=2, scale=1.0, pull=1.0, **changes
 def constrained(problem):
     """A total mass, and ellipsoids of which some are active."""
     rows = np.zeros((4, problem.size))
-    for i, start in enumerate(BODIES):
-        centre = PRIOR[i, 1:4] / PRIOR[i, 0]
-        Q = np.zeros((4, 4))
-        Q[:3, :3], Q[:3, 3], Q[3, :3] = -np.eye(3), centre, centre
-        Q[3, 3] = 0.25**2 - centre @ centre
-        rows[i, start : start + 10] = np.einsum("ij,kji->k", Q, pseudo_inertia_basis())
-        rows[3, start] = 1.0
+    regions = Ellipsoid(PRIOR[:, 1:4] / PRIOR[:, :1], [0.25] * 3, np.eye(3))
+    rows[:3, : PRIOR.size] = block_diag(*from_dual(regions.quadric))
+    rows[3, list(BODIES)] = 1.0
     lower, upper = np.array([0.0, 0.0, 0.0, 8.0]), np.array([np.inf, np.inf, np.inf, 8.0])
     return replace(problem, constraints=LinearConstraints(matrix=rows, lower=lower, upper=upper))
 
