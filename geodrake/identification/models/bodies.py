@@ -52,7 +52,10 @@ def body_changes(
         start, (m0, m1) = k * PARAMETERS_PER_BODY, masses[k].tolist()
         block = covariance[start : start + 4, start : start + 4]
         jacobian = np.hstack([-com[k, 1][:, None], np.eye(3)]) / m1  # of h/m by [m, h]
-        spread = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, block, jacobian))
+        unknown = np.isinf(np.diagonal(block))
+        known = np.where(np.isinf(block), 0.0, block)
+        spread = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, known, jacobian))
+        spread[unknown[1:] | unknown[0]] = np.inf
         deviation, far = float(np.sqrt(block[0, 0])), float(distances[k])
         changes.append(
             BodyChange(name, (m0, m1), com[k], deviation, spread, start in fit.active_blocks, far)

@@ -1,0 +1,48 @@
+"""What became of bodies, with what is known of them."""
+
+import numpy as np
+import pytest
+from identified_bodies import TWO
+
+from geodrake.identification import FitProblem, solve_fit
+from geodrake.identification.models.bodies import body_changes
+from geodrake.inertia import pullback_metric
+
+
+def fit_of(information):
+    """A fit of two bodies with a prior information (20, 20) and no data."""
+    problem = FitProblem(
+        factor=np.zeros((1, 21)),
+        inertia_blocks=(0, 10),
+        prior_mean=TWO.ravel(),
+        prior_information=information,
+    )
+    return solve_fit(problem)
+
+
+def known(gammas):
+    information = np.zeros((20, 20))
+    for k, (gamma, metric) in enumerate(zip(gammas, pullback_metric(TWO), strict=True)):
+        information[10 * k : 10 * k + 10, 10 * k : 10 * k + 10] = gamma * metric
+    return information
+
+
+def test_deviations_of_centres_of_mass_are_those_of_samples():
+    fit = fit_of(known([1e4, 1e6]))
+    changes = body_changes(("arm", "hand"), TWO, TWO, fit)
+    samples = np.random.default_rng(0).multivariate_normal(fit.x, fit.covariance(), 4000)
+    for k, change in enumerate(changes):
+        mass, moment = samples[:, 10 * k], samples[:, 10 * k + 1 : 10 * k + 4]
+        assert change.mass_deviation == pytest.approx(mass.std(), rel=0.05)
+        spread = (moment / mass[:, None]).std(0)
+        np.testing.assert_allclose(change.com_deviation, spread, rtol=0.05)
+        assert change.distance == 0.0 and not change.at_boundary
+
+
+def test_what_is_not_known_is_infinite_and_the_rest_is_not():
+    information = known([1e4, 1e4])
+    information[10:] = information[:, 10:] = 0.0
+    information[12, 12] = 1e4  # of the hand, only the moment along y
+    arm, hand = body_changes(("arm", "hand"), TWO, TWO, fit_of(information))
+    assert np.isfinite(arm.mass_deviation) and np.isfinite(arm.com_deviation).all()
+    assert np.isinf(hand.mass_deviation) and np.isinf(hand.com_deviation).all()
