@@ -119,13 +119,15 @@ def _multipliers(sigma: Array, b: Array) -> tuple[Array, NDArray[np.bool_]]:
     # Ends where λ σ_k is −1/e for the largest σ, if that is above 0, and the least, if below.
     ends = np.stack([-sigma.max(1), -sigma.min(1)])
     inner = ends * [[-1.0], [1.0]] > 0
-    low, high = np.where(inner, 1.0 / (np.e * np.where(inner, ends, 1.0)), [[-np.inf], [np.inf]])
-    # At an infinite end C comes close to −b, but does not reach it.
+    # Without such a σ, C + b ≤ Σ log(1 + |λ|)/|λ| ≤ n/√|λ| tells how far out a root can be.
+    far = np.square(sigma.shape[1] / np.where(b == 0.0, 1.0, b))
+    low, high = np.where(inner, 1.0 / (np.e * np.where(inner, ends, 1.0)), [-far, far])
+    # Far out C comes close to −b, but does not reach it.
     finite = np.where(inner, [low, high], 0.0)
     above, below = (np.exp(-_lambert(finite[..., None] * sigma)) * sigma).sum(2) - b
     exists = usable & np.where(inner[0], above >= 0, b < 0) & np.where(inner[1], below <= 0, b > 0)
     at = (sigma.sum(1) - b) / np.where(usable, np.square(sigma).sum(1), 1.0)
-    at = np.where((at > low) & (at < high), at, _middle(low, high))
+    at = np.where((at > low) & (at < high), at, 0.5 * (low + high))
     active, last = exists.copy(), np.full(len(b), np.inf)
     for _ in range(_MOST_STEPS):
         rows = np.flatnonzero(active)
@@ -142,18 +144,11 @@ def _multipliers(sigma: Array, b: Array) -> tuple[Array, NDArray[np.bool_]]:
         poor = (following <= low[rows]) | (following >= high[rows])
         poor |= np.abs(error) > 0.5 * last[rows]
         last[rows] = np.abs(error)
-        following = np.where(poor, _middle(low[rows], high[rows]), following)
+        following = np.where(poor, 0.5 * (low[rows] + high[rows]), following)
         done = np.abs(error) <= _ROOT * (1.0 + np.abs(b[rows]))
         done |= high[rows] - low[rows] <= _ROOT * np.abs(x)
         active[rows], at[rows] = ~done, np.where(done, x, following)
     return np.where(exists, at, 0.0) / safe, exists
-
-
-def _middle(low: Array, high: Array) -> Array:
-    """Return a point between ends, or beyond the one that is finite."""
-    least, most = (np.where(np.isfinite(end), end, 0.0) for end in (low, high))
-    inner = np.where(np.isfinite(low), 2.0 * least + 1.0, 2.0 * most - 1.0)
-    return np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (least + most), inner)
 
 
 def _lambert(x: Array) -> Array:
