@@ -24,7 +24,7 @@ METHODS = ("newton", "cyclic")
 _SHARE = 0.9  # of the way to where a body is none, at most in one step
 _SHORT = 2.0**-8  # of that, the share from which on rows may be left out
 _LEAST_CURVATURE = 1e-3  # of that of the prior
-_SMALL = 1e-4
+_SMALL = 1e-100
 _SETTLED = 1e-6  # distance below which rounding may end the search
 _MOST_ROUNDS = 5
 
@@ -216,10 +216,8 @@ class _GeodesicPoint:
     def spectrum(self) -> tuple[Array, Array]:
         """Eigenvalues and eigenvectors of the Hessian (10 nb, 10 nb) of the cost, in V."""
         logs, axes = self.to_prior
-        half = 0.5 * np.abs(logs[:, :, None] - logs[:, None, :])
-        safe = np.maximum(half, _SMALL)
-        curvature = np.where(half < _SMALL, 1.0 + half**2 / 3.0, safe / np.tanh(safe))
-        own = pairwise(self.problem.gamma * curvature[None], axes[None])
+        half = np.maximum(0.5 * np.abs(logs[:, :, None] - logs[:, None, :]), _SMALL)
+        own = pairwise(self.problem.gamma * (half / np.tanh(half))[None], axes[None])
         # To second order, L (𝟙 + V) Lᵀ is on the geodesic of velocity V − ½ V².
         pull = smat(self.downhill.reshape(len(axes), -1))
         bent = block_diag(*np.einsum("bca,iad,jdc->bij", pull, SYMMETRIC_BASIS, SYMMETRIC_BASIS))

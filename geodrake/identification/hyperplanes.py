@@ -14,7 +14,6 @@ from geodrake.inertia import Array
 
 _ROOT = 1e-14
 _MOST_STEPS = 200
-_BRANCH = 1e-5
 _SAME = 1e-5
 _LEAST_ROOM = 1e-8  # 1 + W where a projection is about to get lost
 
@@ -152,9 +151,5 @@ def _multipliers(sigma: Array, b: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _lambert(x: Array) -> Array:
-    """Return W(x) ≥ −1 with W eᵂ = x ≥ −1/e; by a series close to −1/e, where SciPy gives NaN."""
-    beyond = np.maximum(1.0 + np.e * x, 0.0)
-    near = beyond < _BRANCH
-    p = np.sqrt(2.0 * np.where(near, beyond, 0.0))
-    series = -1.0 + p * (1.0 - p * (1.0 / 3.0 - p * (11.0 / 72.0 - p * 43.0 / 540.0)))
-    return np.where(near, series, lambertw(np.where(near, 0.0, x)).real)
+    """Return W(x) ≥ −1 with W eᵂ = x ≥ −1/e, of which SciPy gives NaN within rounding of −1/e."""
+    return np.fmax(lambertw(x).real, -1.0)

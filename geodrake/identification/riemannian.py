@@ -16,6 +16,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.linalg import null_space
 from scipy.optimize import nnls
+from scipy.special import exprel
 
 from geodrake.boundary.arguments import instances, integer
 from geodrake.descent import PRECISION, is_within_rounding, step_length
@@ -361,10 +362,7 @@ def log_derivatives(S: Array, *, convex: bool = False) -> tuple[Array, Array]:
     logs = np.log(eigenvalues)
     gradient = svec((V * (logs / eigenvalues)[..., None, :]) @ np.swapaxes(V, -1, -2))
     ratio = logs[..., :, None] - logs[..., None, :]
-    # δ/(e^δ − 1), with its limit 1 at δ = 0.
-    small = np.abs(ratio) < 1e-12
-    share = np.where(small, 1.0, ratio / np.where(small, 1.0, np.expm1(ratio)))
-    coefficients = share - logs[..., None, :]
+    coefficients = 1.0 / exprel(ratio) - logs[..., None, :]
     if convex:
         coefficients = np.maximum(np.abs(coefficients), _LEAST_CURVATURE)
     coefficients = coefficients / (eigenvalues[..., :, None] * eigenvalues[..., None, :])
