@@ -56,17 +56,13 @@ class Riemannian(Regularizer):
     the global minimum of a convex neighbour, and then at others; `minima` of the result says
     whether they led to the same place. In the point-to-set form, γ is the one for which the
     residual of a local minimum meets its bound.
-
-    Attributes:
-        starts: Where to start from, the entropic solution first: some of "entropic", "pullback",
-            "prior" and "data", the entropic solution of a thousandth of the weight γ.
-        random_starts: Number of further starts, on random geodesics from the entropic solution.
-        seed: Seed of the random starts.
     """
 
+    # Where to start from, the entropic solution first: some of "entropic", "pullback", "prior" and
+    # "data", the entropic solution of a thousandth of the weight γ.
     starts: tuple[str, ...] = STARTS
-    random_starts: int = 0
-    seed: int = 0
+    random_starts: int = 0  # number of further starts, on random geodesics from the entropic one
+    seed: int = 0  # of the random starts
 
     name: ClassVar[str] = "riemannian"
 
@@ -168,7 +164,7 @@ class LocalMinimum:
 
 @dataclass(frozen=True, eq=False)
 class RiemannianProgram(NewtonProgram):
-    """A fit of data ‖M z − d‖² + w (‖C z‖² + Σ_i γ_i ½ ‖log S_i‖² + Σ_k γ_k ½ log² y_k).
+    """A fit of ½ ‖F z − f‖² + Σ_i γ_i ½ ‖log S_i‖² + Σ_k γ_k ½ log² y_k.
 
     It is that of its entropic neighbour, with another distance from the same prior, where every
     S_i is the identity and the positive scalars y are 1.
@@ -211,22 +207,20 @@ class RiemannianProgram(NewtonProgram):
 
     def cost(self, z: Array) -> float:
         """Return the cost at z (p,), less `floor`; infinite where a body is not physical."""
-        bodies = self.gammas @ half_squared_logs(self.matrices(z))
-        scalars = self.scalars.weights @ half_squared_logs(self.scalars.ratios(z)[:, None, None])
-        prior = np.square(self.prior @ z).sum() + bodies + scalars
-        return self.excess(z) + float(self.weight * prior)
+        (F, f), y = self.rows, self.scalars.ratios(z)
+        bodies = self.gamma @ half_squared_logs(self.matrices(z))
+        scalars = self.targets[: len(y)] @ half_squared_logs(y[:, None, None])
+        return float(0.5 * np.square(F @ z - f).sum() + bodies + scalars)
 
     def derivatives(self, z: Array, *, convex: bool = False) -> tuple[Array, Array]:
         """Return the gradient (p,) and Hessian (p, p) at z, or one of positive curvatures only."""
-        M, d, C = self.data[:, :-1], self.data[:, -1], self.prior
-        gradient = 2.0 * (M.T @ (M @ z - d) + self.weight * C.T @ (C @ z))
-        hessian = 2.0 * (M.T @ M + self.weight * C.T @ C)
+        (F, f), blocks = self.rows, self.blocks
+        gradient, hessian = F.T @ (F @ z - f), F.T @ F
         slopes, curvatures = log_derivatives(self.matrices(z), convex=convex)
-        scale, blocks = self.weight * self.gammas, self.blocks
-        gradient[blocks] += scale[:, None] * slopes
-        hessian[blocks[:, :, None], blocks[:, None, :]] += scale[:, None, None] * curvatures
+        gradient[blocks] += self.gamma[:, None] * slopes
+        hessian[blocks[:, :, None], blocks[:, None, :]] += self.gamma[:, None, None] * curvatures
         columns, y = self.scalars.columns, self.scalars.ratios(z)
-        weights, rates = self.weight * self.scalars.weights, self.scalars.slope / y
+        weights, rates = self.targets[: len(y)], self.scalars.slope / y
         bend = 1.0 - np.log(y)
         bend = np.maximum(np.abs(bend), _LEAST_CURVATURE) if convex else bend
         gradient[columns] += weights * rates * np.log(y)
@@ -235,7 +229,7 @@ class RiemannianProgram(NewtonProgram):
 
     def minimum(self, z: Array) -> LocalMinimum:
         """Return the minimum that z (p,), inside all constraints, leads to."""
-        size = max(min(self.cost(z), self.cost(0.0 * z)), self.weight * self.gammas.max())
+        size = max(min(self.cost(z), self.cost(0.0 * z)), float(self.gamma.max()))
         before = np.inf
         for _ in range(_MOST_STEPS):
             gradient, step, strict = self._direction(z)
@@ -263,10 +257,9 @@ class RiemannianProgram(NewtonProgram):
         if (step := self._step(z, gradient, hessian)) is not None:
             return gradient, step, True
         hessian = self.derivatives(z, convex=True)[1]
-        size = np.diagonal(hessian)
-        size = np.diag(np.where(size > 0.0, size, 1.0))
         for ridge in _RIDGES:  # it may be convex, but for rounding
-            if (step := self._step(z, gradient, hessian + ridge * size)) is not None:
+            ridged = hessian + ridge * np.diag(np.diagonal(hessian))
+            if (step := self._step(z, gradient, ridged)) is not None:
                 return gradient, step, False
         raise IdentificationError(
             "The parameters cannot be distinguished by data and prior: no Newton step is defined.",
@@ -317,7 +310,7 @@ class RiemannianProgram(NewtonProgram):
             residual_bound=None,
         )
         # (Like that of a FitProgram: where the prior fits, γ is what there is to compare with.)
-        return local, max(self.cost(z) + self.floor, self.weight * float(self.gammas.max()))
+        return local, max(self.cost(z) + self.floor, float(self.gamma.max()))
 
     def information(self, hessian: Array) -> Array:
         """Return the information (p, p) about the parameters of a Hessian (p, p) in z."""
