@@ -91,19 +91,18 @@ def geodesic_least_squares(
             f"{prior.size}; there are no other parameters here.",
             advice="Subtract what friction and the like contribute to b first.",
         )
-    problem = _GeodesicProblem.of(rows, prior, gamma)
-    point, readmitted = problem.start(prior, rows), np.zeros(len(rows), bool)
+    point, readmitted = _start(rows, prior, gamma), np.zeros(len(rows), bool)
     before = np.inf
     for count in range(max_iterations + 1):
         hidden = is_within_rounding(point.promise, before, point.rounding)
         if point.distance <= tolerance or (point.distance < _SETTLED and hidden):
-            reachable = project(point.root, problem.X, problem.b).exists
-            returning = reachable & ~(point.used | readmitted)
+            everything = replace(point, used=np.ones(len(rows), bool))
+            returning = everything.projections.exists & ~(point.used | readmitted)
             if not returning.any():
                 return _result(point, rows, count)
             # (Once each, so that there is an end.)
             readmitted |= returning
-            point = problem.at(point.root, point.used | returning)
+            point = replace(point, used=point.used | returning)
         if count < max_iterations:
             before = point.promise
             point = point.mean() if method == "cyclic" else point.newton_step()
@@ -113,8 +112,31 @@ def geodesic_least_squares(
     )
 
 
+def _start(rows: Array, prior: Array, gamma: float) -> _GeodesicPoint:
+    """Return the entropic fit to the rows that have projections there, and these rows."""
+    point = _GeodesicPoint.of(rows, prior, gamma)
+    if not point.used.any():
+        raise ArgumentError(
+            f"None of the {len(rows)} rows has a projection near the prior.",
+            advice="Check units and signs of A and b against the prior.",
+        )
+    for _ in range(_MOST_ROUNDS):
+        A, b = rows[point.used, :-1], rows[point.used, -1]
+        try:
+            fit = identify(A, b, prior, regularizer="entropic", gamma=gamma, certify=False)
+        except IdentificationError:  # of data that are too much for double precision
+            break
+        found = point.at(whitening(pseudo_inertia(fit.phi))[0], np.ones(len(rows), bool))
+        if not found.used.any():
+            break
+        same, point = np.array_equal(found.used, point.used), found
+        if same:
+            break
+    return point
+
+
 def _result(point: _GeodesicPoint, rows: Array, iterations: int) -> GeodesicLeastSquaresResult:
-    curvature = float(point.spectrum[0][0] / point.problem.gamma)
+    curvature = float(point.spectrum[0][0] / point.gamma)
     if not curvature > 0:
         raise point.failure(
             f"ended where its cost has a curvature of {curvature:.2g} γ: a saddle",
@@ -134,90 +156,70 @@ def _result(point: _GeodesicPoint, rows: Array, iterations: int) -> GeodesicLeas
 
 
 @dataclass(frozen=True, eq=False)
-class _GeodesicProblem:
-    """What is minimized: roots L⁰ (nb, 4, 4) of the prior P⁰, rows X (m, nb, 4, 4), b, γ_i, γ."""
-
-    prior: Array
-    X: Array
-    b: Array
-    weights: Array
-    gamma: float
-
-    @classmethod
-    def of(cls, rows: Array, prior: Array, gamma: float) -> _GeodesicProblem:
-        root = whitening(pseudo_inertia(prior))[0]
-        X = dual(rows[:, :-1].reshape(len(rows), -1, PARAMETERS_PER_BODY))
-        weights = 2.0 * np.square(np.swapaxes(root, -1, -2) @ X @ root).sum((1, 2, 3))
-        return cls(root, X, rows[:, -1], weights, gamma)
-
-    def start(self, prior: Array, rows: Array) -> _GeodesicPoint:
-        """Return the entropic fit to the rows that have projections there, and these rows."""
-        root, used = self.prior, project(self.prior, self.X, self.b).exists
-        if not used.any():
-            raise ArgumentError(
-                f"None of the {len(self.b)} rows has a projection near the prior.",
-                advice="Check units and signs of A and b against the prior.",
-            )
-        for _ in range(_MOST_ROUNDS):
-            A, b = rows[used, :-1], rows[used, -1]
-            try:
-                fit = identify(A, b, prior, regularizer="entropic", gamma=self.gamma, certify=False)
-            except IdentificationError:  # of data that are too much for double precision
-                break
-            found = whitening(pseudo_inertia(fit.phi))[0]
-            reached = project(found, self.X, self.b).exists
-            if not reached.any():
-                break
-            same, root, used = np.array_equal(used, reached), found, reached
-            if same:
-                break
-        return self.at(root, used)
-
-    def at(self, root: Array, used: NDArray[np.bool_]) -> _GeodesicPoint:
-        """Return bodies with some of the rows, all of which must have projections."""
-        return _GeodesicPoint(self, root, used, project(root, self.X[used], self.b[used]))
-
-
-@dataclass(frozen=True, eq=False)
 class _GeodesicPoint:
-    """Bodies P = L Lᵀ, and their projections onto the rows in use (m,).
+    """Bodies P = L Lᵀ, seen from m rows tr(P X) = b of weights γ_i and from a prior of weight γ.
 
-    P is kept as its root L (nb, 4, 4), which stays one however far a step leads.
+    P is kept as its root L, which stays one however far a step leads.
     """
 
-    problem: _GeodesicProblem
-    root: Array
-    used: NDArray[np.bool_]
-    projections: Projections
+    prior: Array  # roots L⁰ (nb, 4, 4) of the prior P⁰
+    X: Array  # (m, nb, 4, 4)
+    b: Array  # (m,)
+    gammas: Array  # (m,)
+    gamma: float
+    root: Array  # (nb, 4, 4) L
+    used: NDArray[np.bool_]  # (m,) rows in use
+
+    @classmethod
+    def of(cls, rows: Array, prior: Array, gamma: float) -> _GeodesicPoint:
+        """Return the prior, with the rows (m, 10·nb + 1) that have projections there."""
+        root = whitening(pseudo_inertia(prior))[0]
+        X = dual(rows[:, :-1].reshape(len(rows), -1, PARAMETERS_PER_BODY))
+        gammas = 2.0 * np.square(np.swapaxes(root, -1, -2) @ X @ root).sum((1, 2, 3))
+        everything = np.ones(len(rows), bool)
+        return cls(root, X, rows[:, -1], gammas, gamma, root, everything).at(root, everything)
+
+    def at(self, root: Array, used: NDArray[np.bool_]) -> _GeodesicPoint:
+        """Return other bodies with some of the rows, less those without a projection there."""
+        there = replace(self, root=root, used=used)
+        if (exists := there.projections.exists).all():
+            return there
+        kept = used.copy()
+        kept[used] = exists
+        return replace(there, used=kept)
 
     @cached_property
+    def projections(self) -> Projections:
+        """Projections onto the rows in use."""
+        return project(self.root, self.X[self.used], self.b[self.used])
+
+    @property
     def weights(self) -> Array:
-        return self.problem.weights[self.used]
+        return self.gammas[self.used]
 
     @cached_property
     def to_prior(self) -> tuple[Array, Array]:
         """Logarithms (nb, 4) and axes (nb, 4, 4) of L⁻¹ P⁰ L⁻ᵀ."""
-        axes, ratios, _ = np.linalg.svd(np.linalg.solve(self.root, self.problem.prior))
+        axes, ratios, _ = np.linalg.svd(np.linalg.solve(self.root, self.prior))
         return 2.0 * np.log(ratios), axes
 
     @cached_property
     def cost(self) -> float:
         data = self.weights @ self.projections.half_squared_distances
-        return float(data + 0.5 * self.problem.gamma * np.square(self.to_prior[0]).sum())
+        return float(data + 0.5 * self.gamma * np.square(self.to_prior[0]).sum())
 
     @cached_property
     def downhill(self) -> Array:
         """Minus the gradient of the cost, (10 nb,)."""
         logs, axes = self.to_prior
-        pull = self.problem.gamma * spectral(axes, logs)
-        return flat(pull - self.projections.gradient(self.weights))
+        return flat(self.gamma * spectral(axes, logs) - self.projections.gradient(self.weights))
 
     @cached_property
     def spectrum(self) -> tuple[Array, Array]:
         """Eigenvalues and eigenvectors of the Hessian (10 nb, 10 nb) of the cost, in V."""
         logs, axes = self.to_prior
         half = np.maximum(0.5 * np.abs(logs[:, :, None] - logs[:, None, :]), _SMALL)
-        own = pairwise(self.problem.gamma * (half / np.tanh(half))[None], axes[None])
+        own = pairwise(self.gamma * (half / np.tanh(half))[None], axes[None])
         # To second order, L (𝟙 + V) Lᵀ is on the geodesic of velocity V − ½ V².
         pull = smat(self.downhill.reshape(len(axes), -1))
         bent = block_diag(*np.einsum("bca,iad,jdc->bij", pull, SYMMETRIC_BASIS, SYMMETRIC_BASIS))
@@ -229,9 +231,8 @@ class _GeodesicPoint:
     def step(self) -> Array:
         """Newton's step (10 nb,), turned downhill where the cost is not convex."""
         values, vectors = self.spectrum
-        least = _LEAST_CURVATURE * self.problem.gamma
-        along = (vectors.T @ self.downhill) / np.maximum(np.abs(values), least)
-        return np.asarray(vectors @ along)
+        along = vectors.T @ self.downhill
+        return vectors @ (along / np.maximum(np.abs(values), _LEAST_CURVATURE * self.gamma))
 
     @property
     def distance(self) -> float:
@@ -245,20 +246,12 @@ class _GeodesicPoint:
     @property
     def rounding(self) -> float:
         """What the cost is not known better than."""
-        return float(rounding_of_squares(self.cost, self.weights.sum() + self.problem.gamma))
+        return float(rounding_of_squares(self.cost, self.weights.sum() + self.gamma))
 
     def moved(self, change: Array) -> _GeodesicPoint:
         """Return bodies L (𝟙 + V) Lᵀ, without the rows that have no projection there."""
         values, axes = np.linalg.eigh(change)
-        turned = spectral(axes, np.sqrt(1.0 + values))
-        there = self.problem.at(self.root @ turned, self.used)
-        return there.only(there.projections.exists)
-
-    def only(self, kept: NDArray[np.bool_]) -> _GeodesicPoint:
-        """Return the same with some of the rows in use."""
-        used = self.used.copy()
-        used[used] = kept
-        return replace(self, used=used, projections=self.projections.of(kept))
+        return self.at(self.root @ spectral(axes, np.sqrt(1.0 + values)), self.used)
 
     def newton_step(self) -> _GeodesicPoint:
         """Return bodies of lower cost along Newton's step; rows are lost if nothing else helps."""
@@ -269,10 +262,11 @@ class _GeodesicPoint:
         def decrease(share: Array) -> float:
             nonlocal trial
             trial = self.moved(share * change)
-            kept = trial.used[self.used]
-            if not kept.all() and (share > _SHORT * longest or not kept.any()):
+            if np.array_equal(trial.used, self.used):
+                return self.cost - trial.cost
+            if share > _SHORT * longest or not trial.used.any():
                 return -np.inf
-            return self.only(kept).cost - trial.cost
+            return replace(self, used=trial.used).cost - trial.cost
 
         if step_length(decrease, self.promise, self.rounding, longest=longest):
             return trial
@@ -286,10 +280,9 @@ class _GeodesicPoint:
         logs, axes = self.to_prior
         rates = np.concatenate([self.projections.rates, logs[None]])
         points = spectral(np.concatenate([self.projections.axes, axes[None]]), np.exp(rates))
-        weights = np.append(self.weights, self.problem.gamma)
         try:
             # Seen from here, so that what is far from another is so by its logarithm only.
-            mean = karcher_mean(np.swapaxes(points, 0, 1), weights)
+            mean = karcher_mean(np.swapaxes(points, 0, 1), np.append(self.weights, self.gamma))
             return self.moved(mean - np.eye(4))
         except (ArgumentError, ConvergenceError) as error:
             raise self.failure(

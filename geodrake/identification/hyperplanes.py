@@ -36,10 +36,6 @@ class Projections(NamedTuple):
         """½ d², (m,)."""
         return 0.5 * np.square(self.rates).sum((1, 2))
 
-    def of(self, rows: NDArray[np.bool_]) -> Projections:
-        """Return those onto some of the hyperplanes."""
-        return Projections(self.exists[rows], self.sigma[rows], self.axes[rows], self.rates[rows])
-
     def gradient(self, weights: Array) -> Array:
         """Return that of Σ γ_i ½ d_i² as P moves along L exp(t V) Lᵀ, (nb, 4, 4)."""
         return -np.asarray(np.einsum("m,mbij->bij", weights, spectral(self.axes, self.rates)))

@@ -14,7 +14,7 @@ from scipy.optimize import NonlinearConstraint, minimize
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.identification import geodesic_least_squares, identify
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
-from geodrake.identification.geodesic_least_squares import _GeodesicProblem
+from geodrake.identification.geodesic_least_squares import _GeodesicPoint
 from geodrake.identification.hyperplanes import _lambert, project, spectral
 from geodrake.inertia import (
     dual,
@@ -136,8 +136,7 @@ def test_the_cost_is_the_source_one_and_stationary():
 def problem_at(seed, rows=12):
     """A point off the prior, and the problem there."""
     A, b = data(seed, rows=rows)
-    whole = np.column_stack([A, b]) / 0.1
-    point = _GeodesicProblem.of(whole, PRIOR, 3.0).at(ROOTS, project(ROOTS, covectors(A), b).exists)
+    point = _GeodesicPoint.of(np.column_stack([A, b]) / 0.1, PRIOR, 3.0)
     rng = np.random.default_rng(seed)
     change = np.einsum("bk,kij->bij", 0.1 * rng.normal(size=(2, 10)), SYMMETRIC_BASIS)
     return point.moved(change), rng.normal(size=20)
