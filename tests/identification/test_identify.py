@@ -201,6 +201,8 @@ def test_a_residual_bound_that_no_physical_body_reaches():
         with pytest.raises(ArgumentError, match="physical bodies inside all") as caught:
             identify(A, b, PRIOR[:1], regularizer=regularizer, residual_bound=0.01)
         assert caught.value.evidence["minimum"] == pytest.approx(1.0, rel=1e-4)
+        reached = identify(A, b, PRIOR[:1], regularizer=regularizer, residual_bound=1.01)
+        assert reached.residual == pytest.approx(1.01, rel=1e-6)
 
 
 @pytest.mark.parametrize("regularizer", ["euclidean", "pullback"])
