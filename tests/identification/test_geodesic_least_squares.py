@@ -14,8 +14,12 @@ from scipy.optimize import NonlinearConstraint, minimize
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.identification import geodesic_least_squares, identify
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
-from geodrake.identification.geodesic_least_squares import _GeodesicPoint
-from geodrake.identification.hyperplanes import _lambert, project, spectral
+from geodrake.identification.geodesic_least_squares import (
+    _GeodesicPoint,
+    _lambert,
+    project,
+    spectral,
+)
 from geodrake.inertia import (
     dual,
     from_pseudo_inertia,
