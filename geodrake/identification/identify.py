@@ -159,9 +159,8 @@ def identify(  # noqa: PLR0913 - the stable interface
         kind.scalar_divergence(values, values)  # refuses, if there is none
     try:
         weight = 1.0 if gamma is None else float(gamma)
-        fit = kind.solve(problem, prior, weight, solver)
-        if instance(certify, "certify", bool) and solver is None:
-            fit = kind.certified(problem, prior, weight, fit)
+        certify = instance(certify, "certify", bool) and solver is None
+        fit = kind.solve(problem, prior, weight, solver, certify=certify)
     except np.linalg.LinAlgError as error:
         raise _rounded(str(error)) from error
     phi, extra = fit.x[: prior.size].reshape(prior.shape), fit.x[prior.size :]

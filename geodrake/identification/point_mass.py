@@ -215,10 +215,17 @@ class PointMassRegularizer(Regularizer):
         return self._informed(problem, gamma, self.points.prior)
 
     def solve(
-        self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
+        self,
+        problem: FitProblem,
+        prior: Array,
+        gamma: float,
+        solver: str | None,
+        *,
+        certify: bool = False,
     ) -> FitResult:
         """Return the masses that fit best, by Drake's conic solver of that name, Clarabel if None.
 
+        There is no certificate, as that solves a MathematicalProgram itself.
         The ArgumentError of a residual bound that no masses reach has the `minimum` that they do.
         """
         begin, solver = time.perf_counter(), solver or "clarabel"
@@ -237,12 +244,6 @@ class PointMassRegularizer(Regularizer):
         masses = v[: len(self.points.prior)] * self.points.prior
         fit = fit_result(self._informed(problem, gamma, masses), x, weight, solver, begin)
         return replace(fit, masses=masses)
-
-    def certified(
-        self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult
-    ) -> FitResult:
-        """Return the solution as it is: a MathematicalProgram has solved it."""
-        return fit
 
     def _of_masses(self, problem: FitProblem) -> tuple[Array, FitProblem, float]:
         """Return T, the fit of v = [μ/⁰μ, extra] with x = T v, and the least residual of any x.

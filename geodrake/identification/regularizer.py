@@ -48,17 +48,25 @@ class Regularizer(ABC):
         return self.divergence(fit.x[: prior.size].reshape(prior.shape), prior)
 
     def solve(
-        self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
+        self,
+        problem: FitProblem,
+        prior: Array,
+        gamma: float,
+        solver: str | None,
+        *,
+        certify: bool = False,
     ) -> FitResult:
         """Return the fit with γ d(Φ, Φ⁰)² added.
 
-        With None, as `solve_with_fallback` does; with "newton", by that alone; else by Drake's
-        conic solver of that name alone. Where such a solver is not exact enough to keep bodies
-        physical at the problem's margin, it tries ten times that margin, up to 1e-4.
+        With None, as `solve_with_fallback` does, and if asked with its `Certificate`, or the better
+        solution of its program; with "newton", by that alone; else by Drake's conic solver of that
+        name alone. Where such a solver is not exact enough to keep bodies physical at the problem's
+        margin, it tries ten times that margin, up to 1e-4.
         """
         regularized = self.regularize(problem, prior, gamma)
         if solver is None:
-            return solve_with_fallback(regularized)
+            fit = solve_with_fallback(regularized)
+            return certified(regularized, fit) if certify else fit
         if solver == "newton":
             return solve_newton(regularized)
         try:
@@ -67,12 +75,6 @@ class Regularizer(ABC):
             if "columns" not in error.evidence or problem.margin > _WIDE:
                 raise
         return self.solve(replace(problem, margin=10.0 * problem.margin), prior, gamma, solver)
-
-    def certified(
-        self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult
-    ) -> FitResult:
-        """Return a solution of `solve` with its `Certificate`, or the better one of its program."""
-        return certified(self.regularize(problem, prior, gamma), fit)
 
 
 class QuadraticRegularizer(Regularizer):

@@ -89,9 +89,19 @@ class Riemannian(Regularizer):
         return Entropic().regularize(problem, prior, gamma)
 
     def solve(
-        self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
+        self,
+        problem: FitProblem,
+        prior: Array,
+        gamma: float,
+        solver: str | None,
+        *,
+        certify: bool = False,
     ) -> FitResult:
-        """Return the best local minimum of all starts; the solver finds the first start."""
+        """Return the best local minimum of all starts; the solver finds the first start.
+
+        The certificate is that of a local minimum. Its program is the second order of the cost at
+        the solution, with all constraints, and with the weight that meets a residual bound.
+        """
         begin, random = time.perf_counter(), np.random.default_rng(self.seed)
         program = RiemannianProgram.of(self.regularize(problem, prior, gamma))
         convex = Entropic().solve(problem, prior, gamma, solver)
@@ -134,19 +144,11 @@ class Riemannian(Regularizer):
             best, weight = bounded(program, solve, guess=weight)
         x = np.clip(program.coordinates.parameters(best.z), problem.lower, problem.upper)
         fit = fit_result(program.coordinates.problem, x, weight, "newton", begin)
-        return replace(fit, information=program.information(best.hessian), minima=minima)
-
-    def certified(
-        self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult
-    ) -> FitResult:
-        """Return the solution with a certificate that it is a local minimum.
-
-        The program is that of the cost's second order at the solution, with all constraints, and
-        with the weight that meets a residual bound.
-        """
-        program = RiemannianProgram.of(self.regularize(problem, prior, gamma))
+        fit = replace(fit, information=program.information(best.hessian), minima=minima)
+        if not certify:
+            return fit
         try:
-            local, size = program.weighted(fit.prior_weight).second_order(fit.x)
+            local, size = program.weighted(weight).second_order(x)
             return certified(local, fit, size=size, scope="local")
         except ArgumentError:  # the second order is no convex program
             return uncertified(fit, "the cost is not convex around the minimum", scope="local")
