@@ -185,8 +185,8 @@ def minimize(
 ) -> Minimum:
     """Return the minimum of a program, by damped Newton steps that stay strictly inside.
 
-    That of the same program with another weight, or with similar data, is a start that saves some
-    steps; a gap of `enough` will do.
+    That of the same program with another weight is a start that saves some steps; a gap of `enough`
+    will do.
     """
     if near is not None:
         with contextlib.suppress(IdentificationError):  # it can be too close to a boundary
@@ -250,7 +250,7 @@ def _cold_start(program: NewtonProgram) -> Iterate:
 
 
 def _continued(near: Minimum, program: NewtonProgram) -> Iterate:
-    """Return a start from the minimum of the same program with another weight or similar data."""
+    """Return a start from the minimum of the same program with another weight."""
     point = near.point
     s, y, mere = point.slack, point.multipliers.copy(), program.targets == 0
     y[~mere] *= program.targets[~mere] / near.program.targets[~mere]

@@ -24,6 +24,7 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.conic_fit import solution_of, solve_fit
 from geodrake.identification.fit import FitResult, fit_result
+from geodrake.identification.identify import build_problem
 from geodrake.identification.problem import (
     FitProblem,
     LinearConstraints,
@@ -194,14 +195,9 @@ class PointMassRegularizer(Regularizer):
 
     def divergence(self, phi: Array, prior: Array) -> float:
         """Return the least d² of masses with the inertial parameters Φ (nb, 10)."""
-        p = phi.size
-        problem = FitProblem(
-            factor=np.zeros((1, p + 1)),
-            inertia_blocks=tuple(range(0, p, PARAMETERS_PER_BODY)),
-            prior_mean=prior.ravel(),
-            prior_information=np.zeros((p, p)),
-            constraints=LinearConstraints(matrix=np.eye(p), lower=phi.ravel(), upper=phi.ravel()),
-        )
+        wanted = LinearConstraints(matrix=np.eye(phi.size), lower=phi.ravel(), upper=phi.ravel())
+        problem = build_problem(np.zeros((1, phi.size + 1)), prior)
+        problem = replace(problem, constraints=wanted)
         return self.divergence_of(self.solve(problem, prior, 1.0, None), prior)
 
     def divergence_of(self, fit: FitResult, prior: Array) -> float:
