@@ -11,7 +11,7 @@ import numpy as np
 from geodrake.boundary.arguments import function, instance, instances
 from geodrake.effects import Effect, FittedEffect, Role
 from geodrake.effects.dependencies import declares_signals
-from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
+from geodrake.errors import ArgumentError, GeodrakeError, IdentificationError
 from geodrake.identification.identify import IdentificationResult, physical_prior
 from geodrake.identification.logs.case import error_table, open_case, reopen
 from geodrake.identification.logs.compare import comparison
@@ -206,7 +206,7 @@ def _compared(
             parts = folds
             if name != result.regularizer:
                 parts = [fits.solve(name, gamma=own.gamma, without=f) for f in fits.folds]
-        except (IdentificationError, ConvergenceError) as error:
+        except GeodrakeError as error:
             failures[name] = f"Without one fold: {error}"
             continue
         errors = error_table(fits.dataset, fits.held_out(parts))
