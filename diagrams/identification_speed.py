@@ -28,7 +28,7 @@ from rich.progress import track
 
 from geodrake.identification import geodesic_least_squares, identify, solve_fit
 from geodrake.identification.newton import solve_newton
-from geodrake.identification.own_process import end_waiting
+from geodrake.identification.subprocess_solver import end_waiting
 from geodrake.inertia import pseudo_inertia
 from geodrake.inertia.positive_definite import distance
 

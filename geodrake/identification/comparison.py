@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TypedDict, Unpack
+from dataclasses import dataclass, field
+from typing import Any
 
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import instances, positive, typed
 from geodrake.boundary.showing import Short
-from geodrake.errors import ArgumentError, IdentificationError
-from geodrake.identification.constraints import BodyConstraints
+from geodrake.errors import ArgumentError, GeodrakeError, IdentificationError
 from geodrake.identification.identify import (
     REGULARIZERS,
     IdentificationResult,
@@ -24,30 +23,19 @@ EQUAL = 1e-5
 """Greatest relative difference of two residuals that counts as none."""
 
 
-class SharedArguments(TypedDict, total=False):
-    """Arguments of `identify` that are the same for all regularizers."""
-
-    sigma: ArrayLike | None
-    ellipsoids: ArrayLike | None
-    total_mass: float | None
-    extra_bounds: ArrayLike | None
-    extra_prior: ArrayLike | None
-    constraints: BodyConstraints | None
-    solver: str | None
-    certify: bool
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RegularizerComparison(Short):
     """Results by name of the regularizer, in the order asked for, of a residual equal to 1e-5.
 
-    The `gamma` given is that of the `reference`.
+    The `gamma` given is that of the `reference`. Regularizers without a solution of that residual
+    are among the `failures` instead, with the reason.
     """
 
     results: Mapping[str, IdentificationResult]
     reference: str
     gamma: float
     residual: float
+    failures: Mapping[str, str] = field(default_factory=dict)
 
 
 @typed
@@ -60,7 +48,7 @@ def compare_regularizers(
     reference: str | Regularizer = "entropic",
     regularizers: Sequence[str | Regularizer] = tuple(REGULARIZERS),
     extra_priors: Mapping[str, ArrayLike | None] | None = None,
-    **options: Unpack[SharedArguments],
+    **options: Any,
 ) -> RegularizerComparison:
     """Solve with one regularizer and its γ, and with the others for the same residual.
 
@@ -74,7 +62,7 @@ def compare_regularizers(
     an `extra_prior` of their own, as weights of a Euclidean distance have a unit.
 
     Raises:
-        IdentificationError: A solver failed, or a residual differs by more than 1e-5.
+        IdentificationError: The reference has no solution.
     """
     positive(gamma, "gamma")
     given = instances(regularizers, "regularizers", object)
@@ -83,32 +71,41 @@ def compare_regularizers(
         names = ", ".join(regularizer_of(kind).name for kind in given)
         raise ArgumentError(f"Each regularizer can be compared once; got {names}.")
     first_kind = kinds.get(str(reference)) or regularizer_of(reference)
-    compared, extra_priors = (*kinds, first_kind.name), extra_priors or {}
+    compared, extra_priors = {**kinds, first_kind.name: first_kind}, extra_priors or {}
     if unknown := sorted(set(extra_priors) - set(compared)):
         raise ArgumentError(
-            f"extra_priors has {', '.join(unknown)}; compared are "
-            f"{', '.join(dict.fromkeys(compared))}."
+            f"extra_priors has {', '.join(unknown)}; compared are {', '.join(compared)}."
         )
 
-    def solve(kind: Regularizer, **form: float) -> IdentificationResult:
-        own: SharedArguments = {**options}
+    def solve(kind: Regularizer, **form: Any) -> IdentificationResult:
+        own = {**options}
         if kind.name in extra_priors:
             own["extra_prior"] = extra_priors[kind.name]
         return identify(A, b, prior, regularizer=kind, **form, **own)
 
-    first, results = solve(first_kind, gamma=gamma), {}
+    first = solve(first_kind, gamma=gamma)
+    results, failures = dict[str, IdentificationResult](), dict[str, str]()
     for name, kind in kinds.items():
-        same = name == first_kind.name
-        result = first if same else solve(kind, residual_bound=first.residual)
-        if abs(result.residual - first.residual) > EQUAL * first.residual:
-            raise IdentificationError(
-                f"{name} has the residual {result.residual:.6g} instead of "
-                f"{first.residual:.6g}: its closest parameters to the prior already fit better.",
-                advice="Lower gamma: with so strong a prior there is nothing to compare.",
-                residual=result.residual,
-                reference=first.residual,
-            )
-        results[name] = result
+        if name == first_kind.name:
+            results[name] = first
+            continue
+        try:
+            result = solve(kind, residual_bound=first.residual)
+            if abs(result.residual - first.residual) > EQUAL * first.residual:
+                raise IdentificationError(
+                    f"It has the residual {result.residual:.6g} instead of {first.residual:.6g}: "
+                    "its closest parameters to the prior already fit better.",
+                    advice="Lower gamma: with so strong a prior there is nothing to compare.",
+                )
+            results[name] = result
+        except GeodrakeError as error:
+            if isinstance(error, ArgumentError) and "minimum" not in error.evidence:
+                raise  # no other data would do with these arguments
+            failures[name] = str(error)
     return RegularizerComparison(
-        results=results, reference=first_kind.name, gamma=gamma, residual=first.residual
+        results=results,
+        reference=first_kind.name,
+        gamma=gamma,
+        residual=first.residual,
+        failures=failures,
     )

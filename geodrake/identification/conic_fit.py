@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -23,12 +22,11 @@ from geodrake.errors import ArgumentError, ConvergenceError, GeodrakeError, Iden
 from geodrake.identification.coordinates import Coordinates
 from geodrake.identification.fit import TOLERANCE, Certificate, FitResult, Scope, fit_result
 from geodrake.identification.newton import solve_newton
-from geodrake.identification.problem import FitProblem
+from geodrake.identification.problem import FitProblem, check_residual_bound
 from geodrake.identification.program import FitProgram, build_fit
-from geodrake.identification.residual_path import check_residual_bound
 from geodrake.identification.solvers import (
     ROUGHLY,
-    Tolerances,
+    Accuracies,
     check_solver,
     cone_multiplier,
     run_solver,
@@ -45,13 +43,9 @@ SOLVER = "clarabel"
 def solve_fit(problem: FitProblem, *, solver: str = SOLVER, shortcuts: bool = True) -> FitResult:
     """Fit the parameters: the unique minimum, with the information of data and prior together.
 
-    A quadratic problem is first solved in closed form and then as bounded least squares; when all
-    bodies come out physical, that is the solution of the full problem too.
-
-    Args:
-        problem: What to fit.
-        solver: Drake's conic solver, "clarabel" or "scs" (slower, less exact).
-        shortcuts: Whether to try the exact solutions without a conic solver first.
+    With `shortcuts`, a quadratic problem is first solved in closed form and then as bounded least
+    squares; when all bodies come out physical, that is the solution of the full problem too. Else,
+    or if they do not, the solver is one of Drake's conic ones.
 
     Raises:
         ArgumentError: There is no such solver, or the residual bound is below what any parameters
@@ -129,14 +123,12 @@ def certified(
 
 def uncertified(fit: FitResult, failure: str, scope: Scope = "global") -> FitResult:
     """Return the fit with a certificate that says in words why there is none."""
-    none = Certificate(
-        solver=SOLVER, gap=np.inf, cost=np.nan, violation=np.nan, scope=scope, failure=failure
-    )
-    return replace(fit, certificate=none)
+    told = Certificate(solver=SOLVER, gap=np.inf, cost=np.nan, violation=np.nan, scope=scope)
+    return replace(fit, certificate=replace(told, failure=failure))
 
 
 def conic_solution(
-    problem: FitProblem, solver: str, centre: Array | None, accuracies: Sequence[Tolerances]
+    problem: FitProblem, solver: str, centre: Array | None, accuracies: Accuracies
 ) -> tuple[Array, float, float]:
     """Return a conic solver's parameters (p,), the weight of their prior, and the duality gap.
 
@@ -165,18 +157,12 @@ def solution_of(fit: FitProgram, result: MathematicalProgramResult) -> tuple[Arr
     problem, bound = fit.problem, fit.problem.residual_bound
     x = fit.coordinates.parameters(result.GetSolution(fit.z))
     x = np.clip(x, problem.lower, problem.upper)
-    scalars = np.array(list(problem.entropic_scalars), int)
-    if not np.all(x[scalars] > 0):
+    flat = fit.coordinates.smallest_eigenvalues(x) <= 0
+    wrong = [start for start, is_so in zip(problem.inertia_blocks, flat, strict=True) if is_so]
+    wrong += [column for column in problem.entropic_scalars if x[column] <= 0]
+    if wrong:
         raise IdentificationError(
-            f"The solver's parameters at columns {scalars[x[scalars] <= 0].tolist()} are not "
-            "positive: it did not reach the accuracy that the data and prior need.",
-            advice="Raise gamma, or check units and noise levels.",
-        )
-    physical = fit.coordinates.smallest_eigenvalues(x) > 0
-    if not np.all(physical):
-        wrong = np.array(problem.inertia_blocks)[~physical].tolist()
-        raise IdentificationError(
-            f"The solver's parameters are not physical in the blocks at columns {wrong}: it did "
+            f"The solver's parameters are not physical at columns {wrong}: it did "
             "not reach the accuracy that the data and prior need.",
             advice="Raise `margin` or gamma, or check units and noise levels.",
             columns=wrong,
@@ -199,10 +185,9 @@ def _in_closed_form(problem: FitProblem) -> FitResult | None:
     lower, upper = coordinates.bounds()
     bounded = np.isfinite(lower) | np.isfinite(upper)
     order = np.argsort(bounded, kind="stable")
-    M, d = coordinates.data()
     C = coordinates.prior_root()
-    rows = np.block([[M[:, order], d[:, None]], [C[:, order], np.zeros((len(C), 1))]])
-    triangle = triangular_factor([rows])[: problem.size]
+    rows = np.vstack([coordinates.data(), np.column_stack([C, np.zeros(len(C))])])
+    triangle = triangular_factor([rows[:, [*order, -1]]])[: problem.size]
     F, f = triangle[:, :-1], triangle[:, -1]
     diagonal = np.abs(np.diagonal(F))
     if len(F) < problem.size or diagonal.min() <= 1e-12 * diagonal.max():

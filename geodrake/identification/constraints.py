@@ -14,27 +14,21 @@ from geodrake.boundary.arguments import number, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.identification.problem import LinearConstraints
-from geodrake.inertia import Array, pseudo_inertia, pseudo_inertia_basis
+from geodrake.inertia import Array, from_dual, pseudo_inertia
 
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodyConstraints(Short):
-    """Linear constraints on inertial parameters.
+    """Linear constraints on inertial parameters; −inf and inf are no bounds."""
 
-    Attributes:
-        ellipsoids: (nb, 4, 4) matrices Q with [x;1]ᵀ Q [x;1] ≥ 0 inside an ellipsoid that holds
-            all of a body's mass: tr(P(φ_i) Q_i) ≥ 0 ([Lee2019] Eq. (3.5.46)).
-        total_mass: Sum of all masses, kg.
-        mass_bounds: (nb, 2) least and greatest masses, kg; −inf and inf for none.
-        com_bounds: (nb, 3, 2) least and greatest coordinates of each centre of mass in the body's
-            frame, m; −inf and inf for none.
-    """
-
+    # (nb, 4, 4) matrices Q with [x;1]ᵀ Q [x;1] ≥ 0 inside an ellipsoid that holds all of a body's
+    # mass: tr(P(φ_i) Q_i) ≥ 0 ([Lee2019] Eq. (3.5.46)).
     ellipsoids: ArrayLike | None = None
-    total_mass: float | None = None
-    mass_bounds: ArrayLike | None = None
+    total_mass: float | None = None  # sum of all masses, kg
+    mass_bounds: ArrayLike | None = None  # (nb, 2) least and greatest masses, kg
+    # (nb, 3, 2) least and greatest coordinates of each centre of mass in the body's frame, m.
     com_bounds: ArrayLike | None = None
 
     def rows(self, prior: Array, size: int) -> LinearConstraints | None:
@@ -49,15 +43,15 @@ class BodyConstraints(Short):
         used = np.isfinite(lower) | np.isfinite(upper)
         if not used.any():
             return None
-        wide = np.zeros((used.sum(), size))
-        wide[:, : prior.size] = matrix[used]
+        wide = np.pad(matrix[used], ((0, 0), (0, size - prior.size)))
         return LinearConstraints(matrix=wide, lower=lower[used], upper=upper[used])
 
-    def _parts(self, prior: Array) -> Iterator[Part]:
+    def _parts(self, prior: Array) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield rows (k, 10·nb) on the bodies, with their lower and upper values (k,)."""
         mass, none = np.zeros_like(prior), np.full(len(prior), np.inf)
         mass[:, 0] = 1.0
         if self.ellipsoids is not None:
-            yield _ellipsoid_rows(self.ellipsoids, prior)
+            yield block_diag(*_ellipsoid_rows(self.ellipsoids, prior)), 0.0 * prior[:, 0], none
         if self.total_mass is not None:
             number(self.total_mass, "total_mass", lower=0.0, strict=True, finite=False)
             total = np.array([float(self.total_mass)])
@@ -69,44 +63,31 @@ class BodyConstraints(Short):
                     f"mass_bounds leave no positive mass to bodies {wrong}; masses are in kg.",
                     bodies=wrong,
                 )
-            yield _of_bodies(mass), bounds[:, 0], bounds[:, 1]
+            yield block_diag(*mass), bounds[:, 0], bounds[:, 1]
         if self.com_bounds is not None:
             bounds = checked_bounds("com_bounds", self.com_bounds, (len(prior), 3, 2))
-            # h_k − l m ≥ 0 and h_k − u m ≤ 0 are linear, where h/m would not be.
-            for axis, side in product(range(3), range(2)):
+            # h_k − l m ≥ 0 and u m − h_k ≥ 0 are linear, where h/m would not be.
+            for axis, (side, sign) in product(range(3), enumerate((1.0, -1.0))):
                 limit = bounds[:, axis, side]
                 finite = np.isfinite(limit)
-                rows = -np.where(finite, limit, 0.0)[:, None] * mass
-                rows[:, 1 + axis] = 1.0
-                ends = np.where(finite, 0.0, none)
-                yield _of_bodies(rows), *((-none, ends) if side else (-ends, none))
+                rows = -sign * np.where(finite, limit, 0.0)[:, None] * mass
+                rows[:, 1 + axis] = sign
+                yield block_diag(*rows), np.where(finite, 0.0, -none), none
 
 
-Part = tuple[Array, Array, Array]
-"""Rows (k, 10·nb) on the bodies, with their lower and upper values (k,)."""
-
-
-def _of_bodies(rows: Array) -> Array:
-    """Return a matrix (nb, 10·nb) with one row (nb, 10) a body."""
-    return np.asarray(block_diag(*rows))
-
-
-def _ellipsoid_rows(ellipsoids: ArrayLike, prior: Array) -> Part:
-    nb = len(prior)
-    Q = real_array(ellipsoids, "ellipsoids", (nb, 4, 4))
+def _ellipsoid_rows(ellipsoids: ArrayLike, prior: Array) -> Array:
+    """Return covectors (nb, 10) of tr(P(φ_i) Q_i)."""
+    Q = real_array(ellipsoids, "ellipsoids", (len(prior), 4, 4))
     Q = 0.5 * (Q + np.swapaxes(Q, 1, 2))
-    wrong = np.flatnonzero(np.linalg.eigvalsh(Q[:, :3, :3])[:, -1] >= 0).tolist()
-    if wrong:
+    if wrong := np.flatnonzero(np.linalg.eigvalsh(Q[:, :3, :3])[:, -1] >= 0).tolist():
         raise ArgumentError(
             f"The ellipsoids of bodies {wrong} are not bounded regions [x;1]ᵀQ[x;1] ≥ 0.",
             advice="Q is positive inside: use −Q if yours is negative there.",
             bodies=wrong,
         )
     P = pseudo_inertia(prior)
-    inside = np.einsum("bij,bji->b", Q, P)
-    outside = inside < -_ROUNDING * np.einsum("bij,bji->b", np.abs(Q), np.abs(P))
-    if outside.any():
-        wrong = np.flatnonzero(outside).tolist()
+    inside, size = (np.einsum("bij,bji->b", *pair) for pair in ((Q, P), (np.abs(Q), np.abs(P))))
+    if wrong := np.flatnonzero(inside < -_ROUNDING * size).tolist():
         raise ArgumentError(
             f"The ellipsoids of bodies {wrong} do not contain the prior's bodies: tr(P Q) is "
             f"{', '.join(f'{value:.3g}' for value in inside[wrong])} instead of at least 0.",
@@ -115,8 +96,7 @@ def _ellipsoid_rows(ellipsoids: ArrayLike, prior: Array) -> Part:
             bodies=wrong,
             trace=inside[wrong].tolist(),
         )
-    rows = _of_bodies(np.einsum("bij,kji->bk", Q, pseudo_inertia_basis()))
-    return rows, np.zeros(nb), np.full(nb, np.inf)
+    return from_dual(Q)
 
 
 def checked_bounds(name: str, bounds: ArrayLike, shape: tuple[int, ...]) -> Array:

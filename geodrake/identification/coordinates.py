@@ -103,10 +103,10 @@ class Coordinates:
         """Return coordinates z (p,) of parameters x (p,)."""
         return np.asarray(np.linalg.solve(self.transform, x - self.problem.prior_mean), float)
 
-    def data(self) -> tuple[Array, Array]:
-        """Return R T (k, p) and r − R x₀ (k,), whose residual is ‖(R T) z − (r − R x₀)‖²."""
+    def data(self) -> Array:
+        """Return [R T | r − R x₀] (k, p + 1), whose residual is ‖(R T) z − (r − R x₀)‖²."""
         R, r = self.problem.factor[:, :-1], self.problem.factor[:, -1]
-        return R @ self.transform, r - R @ self.problem.prior_mean
+        return np.column_stack([R @ self.transform, r - R @ self.problem.prior_mean])
 
     def prior_root(self) -> Array:
         """Return some C (k, p) with Cᵀ C = Tᵀ Λ T."""

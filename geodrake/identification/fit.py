@@ -25,6 +25,8 @@ _NOTHING = 1e-24
 """A parameter is not identifiable up to this share of the largest information: rounding's."""
 _BOUNDARY = 1e-5
 """Distance, in scaled units, within which a bound counts as reached."""
+_SAME, SAME_COST = 1e-4, 1e-9
+"""Geodesic distance, and relative difference of costs, within which two minima count as one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +74,32 @@ class Certificate:
         return f"the fit is {how} {self.solver}: {near}, bodies are physical, and bounds are kept"
 
 
+@dataclass(frozen=True, eq=False)
+class LocalMinima:
+    """Where the starts led to."""
+
+    starts: tuple[str, ...]  # names of the starts
+    # (n,) cost reached from each start, at the γ of the solution; inf where the search failed.
+    costs: Array
+    distances: Array  # (n,) geodesic distance of what each start led to from the best
+    strict: bool  # whether the best is a strict local minimum: its Hessian is positive definite
+
+    @property
+    def agree(self) -> bool:
+        """Return whether all starts led to the same minimum."""
+        return bool((self.distances < _SAME).all())
+
+    @property
+    def distinct(self) -> int:
+        """Return the number of different minima that were found, told apart by their costs."""
+        reached = np.isfinite(self.costs)
+        if (self.distances[reached] < _SAME).all():
+            return 1
+        found = np.sort(self.costs[reached])
+        scale = max(abs(found[0]), np.finfo(float).tiny)
+        return 1 + int(np.count_nonzero(np.diff(found) > SAME_COST * scale))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FitResult(Short):
     """Solution of a `FitProblem`: every inertia block is physical, and every bound kept exactly."""
@@ -90,6 +118,8 @@ class FitResult(Short):
     solve_time: float  # of the whole solution, s
     note: str = ""  # why another solver than usual gave the answer; empty if it was the usual one
     certificate: Certificate | None = None  # None if it was not asked for
+    minima: LocalMinima | None = None  # what the starts led to, if several minima are possible
+    masses: Array | None = None  # (N,) point masses of all bodies in a row, kg, if that they are
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -97,19 +127,24 @@ class FitResult(Short):
         certificate = self.certificate
         return tuple(filter(None, [self.note, certificate.words if certificate else ""]))
 
-    def standard_deviations(self) -> Array:
-        """Standard deviations (p,) of x, in its units; inf where nothing is known.
+    def covariance(self) -> Array:
+        """Return the covariance (p, p) of x, in its units; inf on its diagonal is of the unknown.
 
-        They count every row of data as independent: with correlated residuals, scale the
-        information by the share of effective samples first.
+        It counts every row of data as independent: with correlated residuals, scale the information
+        by the share of effective samples first.
         """
         known = np.diagonal(self.information)
         size = np.sqrt(np.where(known > _NOTHING * known.max(initial=0.0), known, 1.0))
         values, vectors = np.linalg.eigh(self.information / np.outer(size, size))
         known = values > len(values) * np.finfo(float).eps * values[-1]
-        variances = (vectors[:, known] ** 2 / values[known]).sum(1)
+        inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
         unknown = (vectors[:, ~known] ** 2).sum(1) > np.sqrt(np.finfo(float).eps)
-        return np.where(unknown, np.inf, np.sqrt(variances) / size)
+        np.fill_diagonal(inverse, np.where(unknown, np.inf, np.diagonal(inverse)))
+        return np.asarray(inverse / np.outer(size, size))
+
+    def standard_deviations(self) -> Array:
+        """Return standard deviations (p,) of x, in its units; inf where nothing is known."""
+        return np.sqrt(np.diagonal(self.covariance()))
 
 
 def fit_result(

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
+from scipy.special import lambertw
 
 from geodrake.boundary.arguments import integer, one_of, positive
 from geodrake.descent import is_within_rounding, rounding_of_squares, step_length
 from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
-from geodrake.identification.coordinates import SYMMETRIC_BASIS, smat
-from geodrake.identification.hyperplanes import Projections, covectors, flat, pairwise, project
+from geodrake.identification.coordinates import SYMMETRIC_BASIS, smat, svec
 from geodrake.identification.identify import identify, physical_prior
 from geodrake.identification.problem import whitened
-from geodrake.inertia import Array, from_pseudo_inertia, pseudo_inertia
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, dual, from_pseudo_inertia, pseudo_inertia
 from geodrake.inertia.positive_definite import karcher_mean, whitening
 
 METHODS = ("newton", "cyclic")
@@ -24,9 +25,13 @@ METHODS = ("newton", "cyclic")
 _SHARE = 0.9  # of the way to where a body is none, at most in one step
 _SHORT = 2.0**-8  # of that, the share from which on rows may be left out
 _LEAST_CURVATURE = 1e-3  # of that of the prior
-_SMALL = 1e-4
+_SMALL = 1e-100
 _SETTLED = 1e-6  # distance below which rounding may end the search
 _MOST_ROUNDS = 5
+_ROOT = 1e-14
+_MOST_STEPS = 200
+_SAME = 1e-5
+_LEAST_ROOM = 1e-8  # 1 + W where a projection is about to get lost
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +58,7 @@ def geodesic_least_squares(
     tolerance: float = 1e-8,
     max_iterations: int = 2000,
 ) -> GeodesicLeastSquaresResult:
-    """Bodies that minimize Σ γ_i ½ d(Φ, H_i)² + γ ½ d(Φ, Φ⁰)² ([Lee2019] Eq. (3.4.37)).
+    """Find the bodies that minimize Σ γ_i ½ d(Φ, H_i)² + γ ½ d(Φ, Φ⁰)² ([Lee2019] Eq. (3.4.37)).
 
     H_i are the hyperplanes a_iᵀ Φ = b_i, d is the geodesic distance, and γ_i = a_iᵀ M₀⁻¹ a_i / σ_i²
     with the pullback metric M₀ at the prior (Remark 3.8), so that near the prior this is the
@@ -91,19 +96,18 @@ def geodesic_least_squares(
             f"{prior.size}; there are no other parameters here.",
             advice="Subtract what friction and the like contribute to b first.",
         )
-    problem = _GeodesicProblem.of(rows, prior, gamma)
-    point, readmitted = problem.start(prior, rows), np.zeros(len(rows), bool)
+    point, readmitted = _start(rows, prior, gamma), np.zeros(len(rows), bool)
     before = np.inf
     for count in range(max_iterations + 1):
         hidden = is_within_rounding(point.promise, before, point.rounding)
         if point.distance <= tolerance or (point.distance < _SETTLED and hidden):
-            reachable = project(point.root, problem.X, problem.b).exists
-            returning = reachable & ~(point.used | readmitted)
+            everything = replace(point, used=np.ones(len(rows), bool))
+            returning = everything.projections.exists & ~(point.used | readmitted)
             if not returning.any():
                 return _result(point, rows, count)
             # (Once each, so that there is an end.)
             readmitted |= returning
-            point = problem.at(point.root, point.used | returning)
+            point = replace(point, used=point.used | returning)
         if count < max_iterations:
             before = point.promise
             point = point.mean() if method == "cyclic" else point.newton_step()
@@ -113,8 +117,31 @@ def geodesic_least_squares(
     )
 
 
+def _start(rows: Array, prior: Array, gamma: float) -> _GeodesicPoint:
+    """Return the entropic fit to the rows that have projections there, and these rows."""
+    point = _GeodesicPoint.of(rows, prior, gamma)
+    if not point.used.any():
+        raise ArgumentError(
+            f"None of the {len(rows)} rows has a projection near the prior.",
+            advice="Check units and signs of A and b against the prior.",
+        )
+    for _ in range(_MOST_ROUNDS):
+        A, b = rows[point.used, :-1], rows[point.used, -1]
+        try:
+            fit = identify(A, b, prior, regularizer="entropic", gamma=gamma, certify=False)
+        except IdentificationError:  # of data that are too much for double precision
+            break
+        found = point.at(whitening(pseudo_inertia(fit.phi))[0], np.ones(len(rows), bool))
+        if not found.used.any():
+            break
+        same, point = np.array_equal(found.used, point.used), found
+        if same:
+            break
+    return point
+
+
 def _result(point: _GeodesicPoint, rows: Array, iterations: int) -> GeodesicLeastSquaresResult:
-    curvature = float(point.spectrum[0][0] / point.problem.gamma)
+    curvature = float(point.spectrum[0][0] / point.gamma)
     if not curvature > 0:
         raise point.failure(
             f"ended where its cost has a curvature of {curvature:.2g} γ: a saddle",
@@ -134,91 +161,70 @@ def _result(point: _GeodesicPoint, rows: Array, iterations: int) -> GeodesicLeas
 
 
 @dataclass(frozen=True, eq=False)
-class _GeodesicProblem:
-    """What is minimized: roots L⁰ (nb, 4, 4) of the prior P⁰, rows X (m, nb, 4, 4), b, γ_i, γ."""
-
-    prior: Array
-    X: Array
-    b: Array
-    weights: Array
-    gamma: float
-
-    @classmethod
-    def of(cls, rows: Array, prior: Array, gamma: float) -> _GeodesicProblem:
-        root, X = whitening(pseudo_inertia(prior))[0], covectors(rows[:, :-1])
-        weights = 2.0 * np.square(np.swapaxes(root, -1, -2) @ X @ root).sum((1, 2, 3))
-        return cls(root, X, rows[:, -1], weights, gamma)
-
-    def start(self, prior: Array, rows: Array) -> _GeodesicPoint:
-        """Return the entropic fit to the rows that have projections there, and these rows."""
-        root, used = self.prior, project(self.prior, self.X, self.b).exists
-        if not used.any():
-            raise ArgumentError(
-                f"None of the {len(self.b)} rows has a projection near the prior.",
-                advice="Check units and signs of A and b against the prior.",
-            )
-        for _ in range(_MOST_ROUNDS):
-            A, b = rows[used, :-1], rows[used, -1]
-            try:
-                fit = identify(A, b, prior, regularizer="entropic", gamma=self.gamma, certify=False)
-            except IdentificationError:  # of data that are too much for double precision
-                break
-            found = whitening(pseudo_inertia(fit.phi))[0]
-            reached = project(found, self.X, self.b).exists
-            if not reached.any():
-                break
-            same, root, used = np.array_equal(used, reached), found, reached
-            if same:
-                break
-        return self.at(root, used)
-
-    def at(self, root: Array, used: NDArray[np.bool_]) -> _GeodesicPoint:
-        """Return bodies with some of the rows, all of which must have projections."""
-        return _GeodesicPoint(self, root, used, project(root, self.X[used], self.b[used]))
-
-
-@dataclass(frozen=True, eq=False)
 class _GeodesicPoint:
-    """Bodies P = L Lᵀ, and their projections onto the rows in use (m,).
+    """Bodies P = L Lᵀ, seen from m rows tr(P X) = b of weights γ_i and from a prior of weight γ.
 
-    P is kept as its root L (nb, 4, 4), which stays one however far a step leads.
+    P is kept as its root L, which stays one however far a step leads.
     """
 
-    problem: _GeodesicProblem
-    root: Array
-    used: NDArray[np.bool_]
-    projections: Projections
+    prior: Array  # roots L⁰ (nb, 4, 4) of the prior P⁰
+    X: Array  # (m, nb, 4, 4)
+    b: Array  # (m,)
+    gammas: Array  # (m,)
+    gamma: float
+    root: Array  # (nb, 4, 4) L
+    used: NDArray[np.bool_]  # (m,) rows in use
+
+    @classmethod
+    def of(cls, rows: Array, prior: Array, gamma: float) -> _GeodesicPoint:
+        """Return the prior, with the rows (m, 10·nb + 1) that have projections there."""
+        root = whitening(pseudo_inertia(prior))[0]
+        X = dual(rows[:, :-1].reshape(len(rows), -1, PARAMETERS_PER_BODY))
+        gammas = 2.0 * np.square(np.swapaxes(root, -1, -2) @ X @ root).sum((1, 2, 3))
+        everything = np.ones(len(rows), bool)
+        return cls(root, X, rows[:, -1], gammas, gamma, root, everything).at(root, everything)
+
+    def at(self, root: Array, used: NDArray[np.bool_]) -> _GeodesicPoint:
+        """Return other bodies with some of the rows, less those without a projection there."""
+        there = replace(self, root=root, used=used)
+        if (exists := there.projections.exists).all():
+            return there
+        kept = used.copy()
+        kept[used] = exists
+        return replace(there, used=kept)
 
     @cached_property
+    def projections(self) -> Projections:
+        """Projections onto the rows in use."""
+        return project(self.root, self.X[self.used], self.b[self.used])
+
+    @property
     def weights(self) -> Array:
-        return self.problem.weights[self.used]
+        return self.gammas[self.used]
 
     @cached_property
     def to_prior(self) -> tuple[Array, Array]:
         """Logarithms (nb, 4) and axes (nb, 4, 4) of L⁻¹ P⁰ L⁻ᵀ."""
-        axes, ratios, _ = np.linalg.svd(np.linalg.solve(self.root, self.problem.prior))
+        axes, ratios, _ = np.linalg.svd(np.linalg.solve(self.root, self.prior))
         return 2.0 * np.log(ratios), axes
 
     @cached_property
     def cost(self) -> float:
         data = self.weights @ self.projections.half_squared_distances
-        return float(data + 0.5 * self.problem.gamma * np.square(self.to_prior[0]).sum())
+        return float(data + 0.5 * self.gamma * np.square(self.to_prior[0]).sum())
 
     @cached_property
     def downhill(self) -> Array:
         """Minus the gradient of the cost, (10 nb,)."""
         logs, axes = self.to_prior
-        pull = (axes * logs[:, None, :]) @ np.swapaxes(axes, -1, -2)
-        return flat(self.problem.gamma * pull - self.projections.gradient(self.weights))
+        return flat(self.gamma * spectral(axes, logs) - self.projections.gradient(self.weights))
 
     @cached_property
     def spectrum(self) -> tuple[Array, Array]:
         """Eigenvalues and eigenvectors of the Hessian (10 nb, 10 nb) of the cost, in V."""
         logs, axes = self.to_prior
-        half = 0.5 * np.abs(logs[:, :, None] - logs[:, None, :])
-        safe = np.maximum(half, _SMALL)
-        curvature = np.where(half < _SMALL, 1.0 + half**2 / 3.0, safe / np.tanh(safe))
-        own = pairwise(self.problem.gamma * curvature[None], axes[None])
+        half = np.maximum(0.5 * np.abs(logs[:, :, None] - logs[:, None, :]), _SMALL)
+        own = pairwise(self.gamma * (half / np.tanh(half))[None], axes[None])
         # To second order, L (𝟙 + V) Lᵀ is on the geodesic of velocity V − ½ V².
         pull = smat(self.downhill.reshape(len(axes), -1))
         bent = block_diag(*np.einsum("bca,iad,jdc->bij", pull, SYMMETRIC_BASIS, SYMMETRIC_BASIS))
@@ -230,9 +236,8 @@ class _GeodesicPoint:
     def step(self) -> Array:
         """Newton's step (10 nb,), turned downhill where the cost is not convex."""
         values, vectors = self.spectrum
-        least = _LEAST_CURVATURE * self.problem.gamma
-        along = (vectors.T @ self.downhill) / np.maximum(np.abs(values), least)
-        return np.asarray(vectors @ along)
+        along = vectors.T @ self.downhill
+        return vectors @ (along / np.maximum(np.abs(values), _LEAST_CURVATURE * self.gamma))
 
     @property
     def distance(self) -> float:
@@ -246,20 +251,12 @@ class _GeodesicPoint:
     @property
     def rounding(self) -> float:
         """What the cost is not known better than."""
-        return float(rounding_of_squares(self.cost, self.weights.sum() + self.problem.gamma))
+        return float(rounding_of_squares(self.cost, self.weights.sum() + self.gamma))
 
     def moved(self, change: Array) -> _GeodesicPoint:
         """Return bodies L (𝟙 + V) Lᵀ, without the rows that have no projection there."""
         values, axes = np.linalg.eigh(change)
-        turned = (axes * np.sqrt(1.0 + values)[:, None, :]) @ np.swapaxes(axes, -1, -2)
-        there = self.problem.at(self.root @ turned, self.used)
-        return there.only(there.projections.exists)
-
-    def only(self, kept: NDArray[np.bool_]) -> _GeodesicPoint:
-        """Return the same with some of the rows in use."""
-        used = self.used.copy()
-        used[used] = kept
-        return replace(self, used=used, projections=self.projections.of(kept))
+        return self.at(self.root @ spectral(axes, np.sqrt(1.0 + values)), self.used)
 
     def newton_step(self) -> _GeodesicPoint:
         """Return bodies of lower cost along Newton's step; rows are lost if nothing else helps."""
@@ -270,10 +267,11 @@ class _GeodesicPoint:
         def decrease(share: Array) -> float:
             nonlocal trial
             trial = self.moved(share * change)
-            kept = trial.used[self.used]
-            if not kept.all() and (share > _SHORT * longest or not kept.any()):
+            if np.array_equal(trial.used, self.used):
+                return self.cost - trial.cost
+            if share > _SHORT * longest or not trial.used.any():
                 return -np.inf
-            return self.only(kept).cost - trial.cost
+            return replace(self, used=trial.used).cost - trial.cost
 
         if step_length(decrease, self.promise, self.rounding, longest=longest):
             return trial
@@ -286,13 +284,10 @@ class _GeodesicPoint:
         """Return the Karcher mean of all projections and the prior ([Lee2019] Eq. (3.4.42))."""
         logs, axes = self.to_prior
         rates = np.concatenate([self.projections.rates, logs[None]])
-        sides = np.concatenate([self.projections.axes, axes[None]])
-        sides = sides * np.exp(0.5 * rates)[..., None, :]
-        points = sides @ np.swapaxes(sides, -1, -2)
-        weights = np.append(self.weights, self.problem.gamma)
+        points = spectral(np.concatenate([self.projections.axes, axes[None]]), np.exp(rates))
         try:
             # Seen from here, so that what is far from another is so by its logarithm only.
-            mean = karcher_mean(np.swapaxes(points, 0, 1), weights)
+            mean = karcher_mean(np.swapaxes(points, 0, 1), np.append(self.weights, self.gamma))
             return self.moved(mean - np.eye(4))
         except (ArgumentError, ConvergenceError) as error:
             raise self.failure(
@@ -303,3 +298,136 @@ class _GeodesicPoint:
     def failure(self, what: str, advice: str) -> ConvergenceError:
         words = f"Geodesic least squares {what}."
         return ConvergenceError(words, advice=advice, distance=self.distance)
+
+
+class Projections(NamedTuple):
+    """Geodesic projections of one set of bodies onto m hyperplanes ([Lee2019] Proposition 3.2).
+
+    With P = L Lᵀ, the gradient of tr(P X) is N = Lᵀ X L = U diag(σ) Uᵀ, and P̂ = L exp(Q) Lᵀ with
+    Q = −W(λ N) for the inverse W of w eʷ.
+    """
+
+    # (m,) whether there is one within a factor e: λ_max(P⁻¹ P̂) ≤ e for every body.
+    exists: NDArray[np.bool_]
+    sigma: Array  # (m, nb, 4) eigenvalues σ
+    axes: Array  # (m, nb, 4, 4) U
+    rates: Array  # (m, nb, 4) eigenvalues −W(λ σ) of Q; zero where there is no projection
+
+    @property
+    def half_squared_distances(self) -> Array:
+        """½ d², (m,)."""
+        return 0.5 * np.square(self.rates).sum((1, 2))
+
+    def gradient(self, weights: Array) -> Array:
+        """Return that of Σ γ_i ½ d_i² as P moves along L exp(t V) Lᵀ, (nb, 4, 4)."""
+        return -np.asarray(np.einsum("m,mbij->bij", weights, spectral(self.axes, self.rates)))
+
+    def hessian(self, weights: Array) -> Array:
+        """Return that of the same, (10 nb, 10 nb) in the coordinates of `flat`.
+
+        L exp(½ t V) is a frame that is parallel along the geodesic, so Hess[V] = −dQ with
+        dN = ½ (V N + N V), where λ changes so that P̂ stays on its hyperplane. In the axes of N,
+        that of each row is diagonal, plus a term of rank one.
+        """
+        W = -self.rates
+        decay = np.exp(-W) / np.maximum(1.0 + W, _LEAST_ROOM)  # W'(λ σ)
+        x = W * np.exp(W)
+        # Divided differences of W, which are W' where two arguments are nearly the same.
+        gap, middle = W[..., :, None] - W[..., None, :], 0.5 * (W[..., :, None] + W[..., None, :])
+        near = np.abs(gap) < _SAME
+        slope = np.exp(-middle) / np.maximum(1.0 + middle, _LEAST_ROOM)
+        step = np.where(near, 1.0, x[..., :, None] - x[..., None, :])
+        curvature = 0.5 * (x[..., :, None] + x[..., None, :])
+        curvature *= np.where(near, slope, gap / np.where(step == 0.0, 1.0, step))
+        hessian = pairwise(weights[:, None, None, None] * curvature, self.axes)
+        along = self.sigma * decay
+        size = (np.square(self.sigma) * np.exp(-W) * decay).sum((1, 2))
+        pull = flat(spectral(self.axes, along))
+        pull *= np.sqrt(weights / np.where(size > 0, size, 1.0))[:, None]
+        return np.asarray(hessian + pull.T @ pull)
+
+
+def spectral(axes: Array, values: Array) -> Array:
+    """Return symmetric matrices (…, 4, 4) of axes (…, 4, 4) and eigenvalues (…, 4)."""
+    return np.asarray((axes * values[..., None, :]) @ np.swapaxes(axes, -1, -2))
+
+
+def flat(matrices: Array) -> Array:
+    """Return coordinates (…, 10 nb) of symmetric matrices (…, nb, 4, 4)."""
+    coordinates = svec(np.ascontiguousarray(matrices))
+    return coordinates.reshape(*coordinates.shape[:-2], -1)
+
+
+def pairwise(values: Array, axes: Array) -> Array:
+    """Return the sum of m quadratic forms Σ values_ab (uₐᵀ V u_b)², (10 nb, 10 nb) as of `flat`.
+
+    Values (m, nb, 4, 4) are symmetric; axes (m, nb, 4, 4) have u as columns.
+    """
+    turned = np.swapaxes(axes, -1, -2)[..., None, :, :] @ SYMMETRIC_BASIS @ axes[..., None, :, :]
+    rows, nb = turned.shape[:2]
+    turned = np.moveaxis(turned, 0, 1).reshape(nb, rows, len(SYMMETRIC_BASIS), 16)
+    scaled = turned * np.moveaxis(values, 0, 1).reshape(nb, rows, 1, 16)
+    blocks = np.einsum("bmip,bmjp->bij", scaled, turned, optimize=True)
+    return np.asarray(block_diag(*blocks))
+
+
+def project(roots: Array, X: Array, b: Array) -> Projections:
+    """Return projections of bodies P_j = L_j L_jᵀ onto the hyperplanes Σ_j tr(P_j X_ij) = b_i.
+
+    L is (nb, 4, 4), and X (m, nb, 4, 4).
+    """
+    sigma, axes = np.linalg.eigh(np.swapaxes(roots, -1, -2) @ X @ roots)
+    multiplier, exists = _multipliers(sigma.reshape(len(b), -1), b)
+    rates = -_lambert(multiplier[:, None, None] * sigma)
+    rates[~exists] = 0.0
+    return Projections(exists, sigma, axes, rates)
+
+
+def _multipliers(sigma: Array, b: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return roots λ (m,) of C(λ) = Σ_k σ_k exp(−W(λ σ_k)) − b, and whether there are any.
+
+    [Lee2019] Eq. (3.4.40): C decreases from one end of the interval where all λ σ_k ≥ −1/e to the
+    other, so that its values there tell whether it has a root. Newton's method, kept in a bracket.
+    """
+    scale = np.abs(sigma).max(1)
+    usable = scale > 0
+    safe = np.where(usable, scale, 1.0)
+    sigma, b = sigma / safe[:, None], b / safe
+    # Ends where λ σ_k is −1/e for the largest σ, if that is above 0, and the least, if below.
+    ends = np.stack([-sigma.max(1), -sigma.min(1)])
+    inner = ends * [[-1.0], [1.0]] > 0
+    # Without such a σ, C + b ≤ Σ log(1 + |λ|)/|λ| ≤ n/√|λ| tells how far out a root can be.
+    far = np.square(sigma.shape[1] / np.where(b == 0.0, 1.0, b))
+    low, high = np.where(inner, 1.0 / (np.e * np.where(inner, ends, 1.0)), [-far, far])
+    # Far out C comes close to −b, but does not reach it.
+    finite = np.where(inner, [low, high], 0.0)
+    above, below = (np.exp(-_lambert(finite[..., None] * sigma)) * sigma).sum(2) - b
+    exists = usable & np.where(inner[0], above >= 0, b < 0) & np.where(inner[1], below <= 0, b > 0)
+    at = (sigma.sum(1) - b) / np.where(usable, np.square(sigma).sum(1), 1.0)
+    at = np.where((at > low) & (at < high), at, 0.5 * (low + high))
+    active, last = exists.copy(), np.full(len(b), np.inf)
+    for _ in range(_MOST_STEPS):
+        rows = np.flatnonzero(active)
+        if not len(rows):
+            break
+        s, x = sigma[rows], at[rows]
+        decay = np.exp(-_lambert(x[:, None] * s))
+        error = (s * decay).sum(1) - b[rows]
+        low[rows] = np.where(error > 0, x, low[rows])
+        high[rows] = np.where(error > 0, high[rows], x)
+        slope = (np.square(s * decay) / np.maximum(1.0 - np.log(decay), 1e-12)).sum(1)
+        following = x + error / slope
+        # At the ends C falls so steeply that Newton's steps are short: halve instead.
+        poor = (following <= low[rows]) | (following >= high[rows])
+        poor |= np.abs(error) > 0.5 * last[rows]
+        last[rows] = np.abs(error)
+        following = np.where(poor, 0.5 * (low[rows] + high[rows]), following)
+        done = np.abs(error) <= _ROOT * (1.0 + np.abs(b[rows]))
+        done |= high[rows] - low[rows] <= _ROOT * np.abs(x)
+        active[rows], at[rows] = ~done, np.where(done, x, following)
+    return np.where(exists, at, 0.0) / safe, exists
+
+
+def _lambert(x: Array) -> Array:
+    """Return W(x) ≥ −1 with W eᵂ = x ≥ −1/e, of which SciPy gives NaN within rounding of −1/e."""
+    return np.fmax(lambertw(x).real, -1.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,10 @@ from geodrake.boundary.arguments import instance, number, one_of, real_array, ty
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.constraints import BodyConstraints, checked_bounds
-from geodrake.identification.fit import Certificate, FitResult
+from geodrake.identification.fit import Certificate, FitResult, LocalMinima
 from geodrake.identification.problem import FitProblem, whitened_factor
 from geodrake.identification.regularizer import Entropic, Euclidean, Pullback, Regularizer
-from geodrake.identification.riemannian import Riemannian, RiemannianFit
-from geodrake.identification.riemannian_search import LocalMinima
+from geodrake.identification.riemannian import Riemannian
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical, pseudo_inertia
 from geodrake.robot.repairs import nearest_physical
 
@@ -48,7 +47,7 @@ class IdentificationResult(Short):
 
     @property
     def note(self) -> str:
-        """Why another solver than usual gave the answer; empty if it was the usual one."""
+        """Return why another solver than usual gave the answer; empty if it was the usual one."""
         return self.fit.note
 
     @property
@@ -61,12 +60,12 @@ class IdentificationResult(Short):
 
     @property
     def minima(self) -> LocalMinima | None:
-        """For a regularizer that is not convex: what the starts led to. None for a convex one."""
-        return self.fit.minima if isinstance(self.fit, RiemannianFit) else None
+        """Return what the starts of a regularizer led to that is not convex; None for others."""
+        return self.fit.minima
 
     @property
     def solve_time(self) -> float:
-        """Time of the solution, s."""
+        """Return the time of the solution, s."""
         return self.fit.solve_time
 
 
@@ -88,7 +87,7 @@ def identify(  # noqa: PLR0913 - the stable interface
     solver: str | None = None,
     certify: bool = True,
 ) -> IdentificationResult:
-    """Physical parameters that fit A x ≈ b and stay near a prior.
+    """Fit physical parameters to A x ≈ b, near a prior.
 
     The minimum is global, except with "riemannian", whose result says what was found (`minima`).
     With `gamma` it minimizes ‖A x − b‖²_{Σ⁻¹} + γ d(Φ, Φ⁰)² ([Lee2019] Eq. (3.2.16)); with
@@ -142,15 +141,14 @@ def identify(  # noqa: PLR0913 - the stable interface
             f"Exactly one of gamma and residual_bound is needed; got gamma={gamma}, "
             f"residual_bound={residual_bound}."
         )
-    gamma = None if gamma is None else number(gamma, "gamma", lower=0.0, strict=True, finite=False)
-    if residual_bound is not None:
-        number(residual_bound, "residual_bound", lower=0.0, strict=True, finite=False)
+    for name, value in (("gamma", gamma), ("residual_bound", residual_bound)):
+        if value is not None:
+            number(value, name, lower=0.0, strict=True, finite=False)
     prior = physical_prior(prior)
-    bodies = _merged(constraints, ellipsoids=ellipsoids, total_mass=total_mass)
     problem = build_problem(
         whitened_factor(A, b, sigma=sigma),
         prior,
-        constraints=bodies,
+        constraints=_merged(constraints, ellipsoids=ellipsoids, total_mass=total_mass),
         extra_bounds=extra_bounds,
         extra_prior=extra_prior,
     )
@@ -160,10 +158,9 @@ def identify(  # noqa: PLR0913 - the stable interface
     if columns:
         kind.scalar_divergence(values, values)  # refuses, if there is none
     try:
-        weight = 1.0 if gamma is None else gamma
-        fit = kind.solve(problem, prior, weight, solver)
-        if instance(certify, "certify", bool) and solver is None:
-            fit = kind.certified(problem, prior, weight, fit)
+        weight = 1.0 if gamma is None else float(gamma)
+        certify = instance(certify, "certify", bool) and solver is None
+        fit = kind.solve(problem, prior, weight, solver, certify=certify)
     except np.linalg.LinAlgError as error:
         raise _rounded(str(error)) from error
     phi, extra = fit.x[: prior.size].reshape(prior.shape), fit.x[prior.size :]
@@ -178,7 +175,7 @@ def identify(  # noqa: PLR0913 - the stable interface
         residual=fit.residual,
         divergence=kind.divergence_of(fit, prior) + among_scalars,
         regularizer=kind.name,
-        gamma=fit.prior_weight if gamma is None else gamma,
+        gamma=fit.prior_weight if gamma is None else weight,
         fit=fit,
     )
 
@@ -203,53 +200,48 @@ def physical_prior(prior: ArrayLike, names: Sequence[str] = ()) -> Array:
 
     Raises:
         ArgumentError: There are none, or some cannot exist; its evidence then has `bodies` and, as
-            `nearest`, the `nearest_prior` (nb, 10).
+            `nearest`, a prior (nb, 10) with the smallest possible bodies in the place of impossible
+            ones. They keep mass and centre of mass; those without a mass get a thousandth of all.
     """
     prior = real_array(prior, "prior", ("m", PARAMETERS_PER_BODY))
     if not len(prior):
         raise ArgumentError("The prior has no bodies.", advice="Give one row for every body of A.")
-    wrong = np.flatnonzero(~is_physical(prior)).tolist()
-    if not wrong:
+    physical = is_physical(prior)
+    if physical.all():
         return prior
-    least = np.linalg.eigvalsh(pseudo_inertia(prior[wrong]))[:, 0]
-    what, advice = (
-        f"The prior is not physical for bodies {wrong}: their pseudo inertia is not positive "
-        f"definite, with smallest eigenvalues {', '.join(f'{value:.3g}' for value in least)}.",
-        "Give them a mass, a centre of mass and an inertia that a solid body can have; "
-        "evidence['nearest'] of this error is a prior with the least such change.",
-    )
-    bodies = [names[body] for body in wrong] if names else []
+    wrong, nearest = np.flatnonzero(~physical).tolist(), prior.copy()
+    spare = float(1e-3 * prior[physical, 0].sum() or 1.0)
+    for body in wrong:
+        nearest[body] = nearest_physical(prior[body], points=np.zeros((1, 3)), spare_mass=spare)
     if names:
-        what, advice = (
+        bodies = [names[body] for body in wrong]
+        raise ArgumentError(
             f"The model's inertial parameters of {', '.join(bodies)} are those of no body, so they "
             "cannot be a prior.",
-            "Load the model from its URDF, SDF or MJCF file, which repairs them; "
+            advice="Load the model from its URDF, SDF or MJCF file, which repairs them; "
             "evidence['nearest'] of this error has the nearest ones.",
+            bodies=bodies,
+            nearest=nearest,
         )
-    raise ArgumentError(what, advice=advice, bodies=bodies or wrong, nearest=nearest_prior(prior))
-
-
-def nearest_prior(prior: Array) -> Array:
-    """Return a prior (nb, 10) with the smallest possible bodies in the place of impossible ones.
-
-    They keep their mass and centre of mass; those without a mass get a thousandth of all mass.
-    """
-    physical = is_physical(prior)
-    spare = float(1e-3 * prior[physical, 0].sum() or 1.0)
-    nearest = prior.copy()
-    for body in np.flatnonzero(~physical):
-        nearest[body] = nearest_physical(prior[body], points=np.zeros((1, 3)), spare_mass=spare)
-    return nearest
+    least = np.linalg.eigvalsh(pseudo_inertia(prior[wrong]))[:, 0]
+    raise ArgumentError(
+        f"The prior is not physical for bodies {wrong}: their pseudo inertia is not positive "
+        f"definite, with smallest eigenvalues {', '.join(f'{value:.3g}' for value in least)}.",
+        advice="Give them a mass, a centre of mass and an inertia that a solid body can have; "
+        "evidence['nearest'] of this error is a prior with the least such change.",
+        bodies=wrong,
+        nearest=nearest,
+    )
 
 
 def _merged(constraints: BodyConstraints | None, **given: Any) -> BodyConstraints:
     """Return the constraints together with those given one by one."""
-    given_constraints = BodyConstraints() if constraints is None else constraints
-    constraints = instance(given_constraints, "constraints", BodyConstraints)
-    for field in fields(constraints):
-        if given.get(field.name) is not None and getattr(constraints, field.name) is not None:
-            raise ArgumentError(f"{field.name} is given twice: by itself and in constraints.")
-    return replace(constraints, **{k: v for k, v in given.items() if v is not None})
+    constraints = BodyConstraints() if constraints is None else constraints
+    given = {name: value for name, value in given.items() if value is not None}
+    for name in given:
+        if getattr(constraints, name) is not None:
+            raise ArgumentError(f"{name} is given twice: by itself and in constraints.")
+    return replace(constraints, **given)
 
 
 def build_problem(
@@ -275,8 +267,8 @@ def build_problem(
         bounds = checked_bounds("extra_bounds", extra_bounds, (extra, 2)).copy()
     priors = _extra_priors(extra_prior, bounds)
     mean = np.zeros(extra)
-    mean[list(priors)] = [value for value, _ in priors.values()]
-    bounds[list(priors), 0] = np.maximum(bounds[list(priors), 0], 0.0)
+    for k, (value, _) in priors.items():
+        mean[k], bounds[k, 0] = value, max(bounds[k, 0], 0.0)
     free = np.full(prior.size, np.inf)
     return FitProblem(
         factor=factor,

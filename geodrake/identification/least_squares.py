@@ -39,7 +39,7 @@ def least_squares(
     bodies: int = 0,
     minimum_norm: bool = False,
 ) -> LeastSquaresResult:
-    """Unconstrained least squares A x ≈ b ([Lee2019] Eq. (3.2.15)).
+    """Solve the unconstrained least squares A x ≈ b ([Lee2019] Eq. (3.2.15)).
 
     A is (m, p), b (m,), and sigma the standard deviations of b, (m,) or scalar, in its units. Of
     as many `bodies`, the 10 parameters each come first, to name directions by. With `minimum_norm`,
@@ -80,7 +80,7 @@ def physical_least_squares(
     constraints: BodyConstraints | None = None,
     solver: str = "clarabel",
 ) -> FitResult:
-    """Least squares over physical bodies only, with P(φ) ≻ 0 and nothing else known.
+    """Solve least squares over physical bodies, with P(φ) ≻ 0 and nothing else known.
 
     [Lee2019] §3.2.2: the solution often lies at the boundary of physical bodies (`active_blocks`).
 

@@ -1,26 +1,63 @@
-"""Solve convex fits by some ten Newton steps on the triangular factor."""
+"""Solve convex fits by Newton's method, some ten primal–dual steps on the triangular factor.
+
+With dual matrices Z_i and multipliers λ, the minimum of a `NewtonProgram` is where
+
+    F'(F z − f) + γ svec(I) − svec(Z) + Gᵀ(γ − λ) − Eᵀ ν = 0,
+    S_i Z_i = γ_i I,   s_k λ_k = γ_k,   s = G z − h
+
+with γ_k = 0 for a mere inequality and the weight of its prior for a positive scalar s_k. So the
+entropic divergence is the point γ on the central path of S ⪰ 0, and a method that follows
+the path stops there: it needs as few steps for a tiny γ, which leaves S nearly singular, as for a
+large one. Steps are those of Nesterov and Todd with Mehrotra's predictor and corrector; S, Z, s
+and λ stay strictly positive.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from scipy.linalg.lapack import dtpmqrt, dtpqrt, dtrtrs
+from scipy.optimize import brentq
 
 from geodrake.boundary.arguments import instance
 from geodrake.errors import IdentificationError
+from geodrake.identification.coordinates import SYMMETRIC_BASIS, smat, svec
 from geodrake.identification.fit import FitResult, fit_result
-from geodrake.identification.newton_path import Minimum, continued, minimize
 from geodrake.identification.newton_program import NewtonProgram
-from geodrake.identification.problem import FitProblem
-from geodrake.identification.residual_path import check_residual_bound, meet_residual, out_of_reach
-from geodrake.inertia import Array, is_physical
+from geodrake.identification.problem import FitProblem, check_residual_bound, out_of_reach
+from geodrake.identification.solvers import CONTRADICTION, OTHER_CAUSE, no_parameters
+from geodrake.inertia import Array
 
-_INSIDE = (0.0, 1e-13, 1e-11, 1e-9)
-"""Shares of the way to the prior, where every P(φ⁰)⁻¹ P(φ) is the identity, to be tried in turn."""
+_STEPS, _PATIENCE, _HALVINGS = 100, 3, 8
+_ROOM, _LEAST_ROOM = 0.02, 1e-5
+"""Share of the way to the boundary that a step leaves, far from and close to the solution."""
+_PUSH, _SLACK = 10.0, 0.1
+"""Multipliers at the start, relative to the cost's slope, and least slack there."""
+_SHORT, _BACK = 0.4, 0.7
+"""Length below which a step is bad, and the share of the excess that is kept to go back."""
+_FEASIBLE = 1e-9
+_EXACT, _QUADRATIC = 1e-11, 1e-4
+"""Gaps, relative to the smallest γ: one more step is exact; Newton's method is quadratic."""
+_ROUNDING, _GOOD = 1e-16, 1e-9
+"""Gaps, relative to the cost: only rounding is left; it will do where rounding ends the way."""
+_LIFT = 1e-2
+"""Share of the smallest weight to which the next start lifts the products s λ."""
+_FLOOR = 1e-15
+"""Products S Z, relative to the misfit, below which rounding would make Z or S indefinite."""
 _SAME_RESIDUAL, _NEARLY = 1e-10, 1e-7
 """Relative differences from the residual bound: that aimed at, and that rounding may leave."""
 _RIGID, _IDLE = 1e-12, 1e10
 """Weights, relative to the cost of the prior, at which prior and data no longer matter."""
+_LEAP, _MOST_TRIALS, _NARROW = 6.0, 60, 1e-12
+"""Longest step of the weight's logarithm, trials of Brent's method, and what it can tell apart."""
+_PANEL = 16
+_UNIT = np.eye(4)
 
 
 def solve_newton(problem: FitProblem) -> FitResult:
@@ -40,55 +77,366 @@ def solve_newton(problem: FitProblem) -> FitResult:
     begin = time.perf_counter()
     check_residual_bound(instance(problem, "problem", FitProblem))
     program = NewtonProgram.of(problem)
-    if problem.residual_bound is None:
-        minimum, weight = minimize(program), 1.0
-    else:
-        minimum, weight = _bounded(program, problem.residual_bound)
-    return fit_result(problem, parameters_at(minimum), weight, "newton", begin)
+    found, weight = bounded(program, minimize)
+    return fit_result(problem, program.parameters(found.z), weight, "newton", begin)
 
 
-def parameters_at(minimum: Minimum) -> Array:
-    """Return the parameters (p,) of a minimum, physical and within bounds despite rounding."""
-    program = minimum.program
-    coordinates, problem = program.coordinates, program.coordinates.problem
-    for share in _INSIDE:  # rounding alone can leave a tiny γ's bodies at the boundary
-        z = (1.0 - share) * minimum.point.z + share * program.middle
-        x = np.clip(coordinates.parameters(z), problem.lower, problem.upper)
-        blocks = [x[start : start + 10] for start in problem.inertia_blocks]
-        if np.all(coordinates.smallest_eigenvalues(x) > 0) and np.all(is_physical(blocks)):
-            return x
-    raise IdentificationError(
-        "Newton's parameters are not physical after rounding: a body of the prior is too flat for "
-        "double precision.",
-        advice="Check the units of the prior, or raise gamma.",
-        solver="newton",
-    )
+class Iterate(NamedTuple):
+    """A point between start and solution, or a step from it."""
+
+    z: Array  # (p,) coordinates
+    Z: Array  # (n, 4, 4) dual matrices of the blocks
+    slack: Array  # (m,) slacks s of the inequalities
+    multipliers: Array  # (m,) multipliers λ of the inequalities
+    forces: Array  # (l,) multipliers ν of the equalities
+
+    def moved(self, step: Iterate, length: float) -> Iterate:
+        """Return this point, a length of a step further."""
+        return Iterate(*(at + length * by for at, by in zip(self, step, strict=True)))
 
 
-def _bounded(program: NewtonProgram, bound: float) -> tuple[Minimum, float]:
-    """Return the minimum whose residual is the bound, and its weight; inf when data are idle."""
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Minimum of a `NewtonProgram`."""
+
+    program: NewtonProgram
+    point: Iterate  # the minimum with its multipliers
+    steps: int  # Newton steps that were taken
+    gap: float  # bound on how much lower the cost was before the last step, to first order
+
+    @property
+    def z(self) -> Array:
+        """Coordinates (p,)."""
+        return self.point.z
+
+
+class Solution(Protocol):
+    """Has coordinates."""
+
+    @property
+    def z(self) -> Array:
+        """Coordinates (p,)."""
+
+
+Program = TypeVar("Program", bound=NewtonProgram)
+Found = TypeVar("Found", bound=Solution)
+
+
+def bounded(
+    program: Program, solve: Callable[[Program, Found | None], Found], guess: float | None = None
+) -> tuple[Found, float]:
+    """Return the minimum by `solve`, and in the point-to-set form its weight of the prior.
+
+    That is the one, near the guess, for which the residual is the bound; inf where data are idle.
+    `solve` maps a program and the last minimum, None at first, to its minimum.
+
+    Brent's method on the logarithms: the residual grows with the weight of the prior ([Lee2019]
+    Propositions A.4 and A.5).
+    """
+    bound = program.coordinates.problem.residual_bound
+    if bound is None:
+        return solve(program, None), 1.0
     wanted = max(bound - program.floor, np.finfo(float).tiny)
     scale = (program.excess(program.middle) + wanted) / program.strength
+    low, high = np.log([_RIGID * scale, _IDLE * scale])
+    trials: list[tuple[float, Found, float, float]] = []
 
-    def solve(weight: float, before: Minimum | None) -> tuple[Minimum, float]:
-        weighted = program.weighted(weight)
-        found = minimize(weighted, None if before is None else continued(before, weighted))
-        return found, program.excess(found.point.z)
+    @cache
+    def error(log_weight: float) -> float:
+        weight = float(np.exp(log_weight))
+        found = solve(program.weighted(weight), trials[-1][1] if trials else None)
+        excess = program.excess(found.z)
+        trials.append((abs(excess - wanted), found, weight, excess))
+        if trials[-1][0] <= _SAME_RESIDUAL * bound:
+            return 0.0
+        return float(np.log(max(excess, np.finfo(float).tiny) / wanted))
 
-    minimum, weight, excess = meet_residual(
-        solve,
-        wanted,
-        guess=wanted / program.strength,
-        limits=(_RIGID * scale, _IDLE * scale),
-        enough=_SAME_RESIDUAL * bound,
-    )
-    if np.isinf(weight) or abs(excess - wanted) <= _NEARLY * bound:
-        return minimum, weight
-    if weight == 0.0:
+    guess = wanted / program.strength if guess is None else guess
+    u, step = float(np.clip(np.log(guess), low, high)), 0.0
+    while here := error(u):
+        step = min(max(2.0 * abs(here), 2.0 * step), _LEAP)
+        following = float(np.clip(u - np.copysign(step, here), low, high))
+        if following == u:
+            break
+        if error(following) * here <= 0.0:
+            ends = min(u, following), max(u, following)
+            brentq(error, *ends, xtol=_NARROW, maxiter=_MOST_TRIALS, disp=False)
+            break
+        u = following
+    _, found, weight, excess = min(trials, key=lambda trial: trial[0])
+    if u == high and here < 0.0:
+        return found, np.inf
+    if abs(excess - wanted) <= _NEARLY * bound:
+        return found, weight
+    if u == low and here > 0.0:
         raise out_of_reach(bound, program.floor + excess)
     raise IdentificationError(
-        f"newton found no weight of the prior with the residual {bound:.10g}; the nearest residual "
+        f"No weight of the prior was found with the residual {bound:.10g}; the nearest residual "
         f"was {program.floor + excess:.10g}.",
-        advice="Check units and noise levels, or use the solver clarabel.",
+        advice="Check units and noise levels, or use the solver clarabel. With the Riemannian "
+        "distance, another bound may do: this one may lie where the fit jumps between two minima.",
+        residual=program.floor + excess,
         solver="newton",
     )
+
+
+def minimize(
+    program: NewtonProgram, near: Minimum | None = None, *, enough: float = 0.0
+) -> Minimum:
+    """Return the minimum of a program, by damped Newton steps that stay strictly inside.
+
+    That of the same program with another weight is a start that saves some steps; a gap of `enough`
+    will do.
+    """
+    if near is not None:
+        with contextlib.suppress(IdentificationError):  # it can be too close to a boundary
+            return _followed(program, _continued(near, program), enough)
+    return _followed(program, _cold_start(program), enough)
+
+
+def _followed(program: NewtonProgram, start: Iterate, enough: float) -> Minimum:
+    """Return the minimum that steps from a start lead to."""
+    best: tuple[float, int, _Linearization] | None = None
+    gamma, stalled = program.weights.min(initial=np.inf), 0
+    here, last = _linearized(program, start), start
+    for count in range(_STEPS):
+        if here is None:
+            break
+        last, gap, cost = here.at, here.gap(), program.cost(here.at.z)
+        feasible, stalled = here.is_feasible, stalled + 1
+        if feasible and (best is None or gap < best[0]):
+            stalled = 0 if best is None or gap < 0.5 * best[0] else stalled
+            best = gap, count, here
+        least = max(_EXACT * gamma, min(_QUADRATIC * gamma, _ROUNDING * cost))
+        least = max(least if np.isfinite(gamma) else _ROUNDING * cost, enough)
+        if feasible and gap <= least:
+            break
+        if best is not None and stalled > _PATIENCE and best[0] <= _GOOD * cost:
+            break
+        here = _next(here)
+    size = 0.0 if best is None else max(program.cost(best[2].at.z), float(program.weights.sum()))
+    if best is None or best[0] > max(enough, _GOOD * size):
+        (G, h), (E, e) = program.inequalities, program.equalities
+        missed = np.append(h - G @ last.z, np.abs(E @ last.z - e)).max(initial=0.0)
+        contradict = missed > 1e-7 * (1.0 + np.abs(last.z).max(initial=0.0))
+        why = CONTRADICTION if contradict else OTHER_CAUSE
+        raise no_parameters("newton", why, violation=float(missed))
+    gap, count, here = best
+    point = here.at
+    if gap <= _QUADRATIC * gamma:
+        # One more step on the factor at hand nearly squares the error that is left.
+        step = here.direction(0.0)
+        point = point.moved(step.step, min(1.0, (1.0 - _LEAST_ROOM) * here.reach(step)))
+    return Minimum(program, point, count, gap)
+
+
+def _cold_start(program: NewtonProgram) -> Iterate:
+    """Return the prior, with multipliers larger than all slopes of the cost there."""
+    z, (F, f), (G, h) = program.middle, program.rows, program.inequalities
+    slack, errors = G @ z - h, F @ z - f
+    slope = F.T @ errors + G.T @ program.targets  # of all but logarithms and traces of blocks
+    push = _PUSH * float(np.abs(slope).max(initial=0.0))
+    if np.any(slack < 0):
+        push = max(push, float(program.gamma.max(initial=0.0)))
+    push = push or 1.0
+    # Columns of scalars have unit length, so a scalar moves about as far as the error is large.
+    scalars = np.ones(len(z))
+    scalars[program.blocks] = 0.0
+    far = np.linalg.norm(errors) * np.linalg.norm(G * scalars, axis=1)
+    slack = np.maximum(slack, _SLACK * (1.0 + far))
+    Z = (program.gamma + push)[:, None, None] * _UNIT
+    multipliers = (push + program.targets) / slack
+    return Iterate(z, Z, slack, multipliers, np.zeros(len(program.equalities[1])))
+
+
+def _continued(near: Minimum, program: NewtonProgram) -> Iterate:
+    """Return a start from the minimum of the same program with another weight."""
+    point = near.point
+    s, y, mere = point.slack, point.multipliers.copy(), program.targets == 0
+    y[~mere] *= program.targets[~mere] / near.program.targets[~mere]
+    # Products of nothing would hold the next steps at the boundary that is active here.
+    push = _LIFT * min(program.weights.min(initial=np.inf), 1.0)
+    active = mere & (s * program.gamma.max(initial=1.0) < y)
+    slack = np.where(active, np.maximum(s, push / y), s)
+    multipliers = np.where(mere & ~active, np.maximum(y, push / s), y)
+    ratios = (program.gamma / near.program.gamma)[:, None, None]
+    return point._replace(Z=ratios * point.Z, slack=slack, multipliers=multipliers)
+
+
+class _Direction(NamedTuple):
+    """A step, and what it does to the scaled S and Z, (n, 4, 4)."""
+
+    step: Iterate
+    primal: Array
+    dual: Array
+
+
+class _Linearization:
+    """The optimality conditions of a program linearized at a point, factored once.
+
+    With Newton's matrix FᵀF + KᵀK + Gᵀ(λ/s)G a step is the solution of a least squares problem
+    with the rows F, K and √(λ/s) G, where K_i takes z_i to the change of the scaled S_i. It is
+    solved as such, by QR: its right side in products like Fᵀ f would lose a tiny γ next to strong
+    data.
+    """
+
+    def __init__(self, program: NewtonProgram, at: Iterate) -> None:
+        self.program, self.at = program, at
+        (F, f), (G, h), (E, e) = program.rows, program.inequalities, program.equalities
+        self._slack_error = G @ at.z - h - at.slack
+        self._equality_error = E @ at.z - e
+        # Nesterov–Todd scaling: T⁻¹ S T⁻ᵀ = Tᵀ Z T = diag(d).
+        root_S = np.linalg.cholesky(program.matrices(at.z))
+        root_Z = np.linalg.cholesky(at.Z)
+        _, self._d, V = np.linalg.svd(np.swapaxes(root_Z, 1, 2) @ root_S)
+        self._products = self._d**2  # eigenvalues of S Z
+        T = root_S @ np.swapaxes(V, 1, 2) / np.sqrt(self._d)[:, None, :]
+        self._D = self._d[:, :, None] * _UNIT
+        self._prior_pull = program.gamma[:, None, None] * (np.swapaxes(T, 1, 2) @ T)
+        self._scaling = np.linalg.inv(T)
+        self._errors = f - F @ at.z
+        floor = _FLOOR * float(self._errors @ self._errors)
+        self._aim = np.maximum(program.gamma, floor)
+        self._targets = np.where(program.targets > 0, np.maximum(program.targets, floor), 0.0)
+        self._stiffness = at.multipliers / at.slack
+        scaling = self._scaling[:, None]
+        K = np.zeros((*program.blocks.shape, len(f)))
+        images = svec(scaling @ SYMMETRIC_BASIS @ np.swapaxes(scaling, 2, 3))
+        for into, block, image in zip(K, program.blocks, images, strict=True):
+            into[:, block] = image.T
+        below = [K.reshape(-1, len(f)), np.sqrt(self._stiffness)[:, None] * G]
+        self._R, self._reflectors = F, list[Array]()
+        if len(rows := np.asfortranarray(np.vstack(below))):
+            panel = min(_PANEL, len(f))
+            self._R, *self._reflectors, _ = dtpqrt(0, panel, F, rows, overwrite_b=True)
+        self._spread = _solve(self._R, E.T, transposed=True)
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether inequalities and equalities hold, but for their slacks."""
+        errors = np.abs(np.append(self._slack_error, self._equality_error))
+        scale = 1.0 + np.abs(self.at.z).max(initial=0.0)
+        return bool(errors.max(initial=0.0) <= _FEASIBLE * scale)
+
+    def _reduced(self, matrices: Array, forces: Array) -> Array:
+        """Return the right side (p,) of R x = … for those of K as (n, 4, 4), and of λ."""
+        if not self._reflectors:
+            return self._errors.copy()
+        pulls = svec(matrices - self._prior_pull).ravel()
+        rows = (forces - self.program.targets) / np.sqrt(self._stiffness)
+        sides = self._errors[:, None], np.concatenate([pulls, rows])[:, None]
+        return np.asarray(dtpmqrt(0, *self._reflectors, *sides, side="L", trans="T")[0][:, 0])
+
+    def gap(self) -> float:
+        """Return the distance of the cost from its minimum, to first order; inf if it overflows."""
+        at, weighty = self.at, self._targets > 0
+        try:
+            with np.errstate(over="raise", divide="raise", invalid="raise"):
+                error = self._reduced(self._D, at.multipliers) + self._spread @ at.forces
+                products = at.slack * at.multipliers
+                aims = np.append(np.repeat(self._aim, 4), self._targets[weighty])
+                ratio = np.append(self._products.ravel(), products[weighty]) / aims
+                logs = aims @ (ratio - 1.0 - np.log(ratio))
+                return float(logs + products[~weighty].sum() + 0.5 * error @ error)
+        except FloatingPointError:
+            return np.inf
+
+    def direction(self, centre: float, predicted: _Direction | None = None) -> _Direction:
+        """Return the step to S Z = (γ + centre) I and s λ = centre.
+
+        The second-order terms of a first step, if one was predicted, are taken along.
+        """
+        at, d, G = self.at, self._d, self.program.inequalities[0]
+        wanted = (self._aim[:, None] + centre - self._products)[:, :, None] * _UNIT
+        force = (self._targets + centre) / at.slack
+        if predicted is not None:
+            product = predicted.primal @ predicted.dual
+            wanted = wanted - 0.5 * (product + np.swapaxes(product, 1, 2))
+            force = force - predicted.step.slack * predicted.step.multipliers / at.slack
+        force = force - self._stiffness * self._slack_error
+        M = 2.0 * wanted / (d[:, :, None] + d[:, None, :])
+        right = self._reduced(M + self._D, force)
+        spread = self._spread
+        forces: Array = np.empty(0)
+        if len(self._equality_error):
+            missing = -self._equality_error - spread.T @ right
+            forces = np.asarray(np.linalg.lstsq(spread.T @ spread, missing)[0], float)
+            right += spread @ forces
+        dz = _solve(self._R, right)
+        turn = np.swapaxes(self._scaling, 1, 2)
+        primal = self._scaling @ smat(dz[self.program.blocks]) @ turn
+        dual, nearing = M - primal, G @ dz
+        step = Iterate(
+            z=dz,
+            Z=turn @ dual @ self._scaling,
+            slack=nearing + self._slack_error,
+            multipliers=force - at.multipliers - self._stiffness * nearing,
+            forces=forces - at.forces,
+        )
+        return _Direction(step, primal, dual)
+
+    def reach(self, direction: _Direction) -> float:
+        """Return the length at which S, Z, s or λ reach the boundary; inf if they never do."""
+        root = 1.0 / np.sqrt(self._d)
+        scale = root[:, :, None] * root[:, None, :]
+        both = np.concatenate([direction.primal * scale, direction.dual * scale])
+        shares = [
+            np.linalg.eigvalsh(both)[:, 0],
+            direction.step.slack / self.at.slack,
+            direction.step.multipliers / self.at.multipliers,
+        ]
+        fall = -np.concatenate(shares).min(initial=0.0)
+        return float(1.0 / fall) if fall > 0 else np.inf
+
+    def excess(self, direction: _Direction, length: float) -> float:
+        """Return the mean of what S Z and s λ have beyond γ, after a length of a step."""
+        S, Z = self._D + length * direction.primal, self._D + length * direction.dual
+        s = self.at.slack + length * direction.step.slack
+        y = self.at.multipliers + length * direction.step.multipliers
+        beyond = np.maximum((S * Z).sum((1, 2)) - 4.0 * self._aim, 0.0).sum()
+        mere = self._targets == 0
+        beyond += np.maximum(s * y - self._targets, 0.0)[~mere].sum() + max(s[mere] @ y[mere], 0.0)
+        return float(beyond) / max(self._d.size + len(s), 1)
+
+
+def _linearized(program: NewtonProgram, point: Iterate) -> _Linearization | None:
+    """Return the conditions at a point; None where rounding has put it at the boundary."""
+    with contextlib.suppress(np.linalg.LinAlgError):
+        return _Linearization(program, point)
+    return None
+
+
+def _next(here: _Linearization) -> _Linearization | None:
+    """Return the conditions after a predictor and a corrector; None where no way is left.
+
+    Multipliers of constraints that contradict each other grow until they overflow.
+    """
+    with (
+        contextlib.suppress(FloatingPointError),
+        np.errstate(over="raise", divide="raise", invalid="raise"),
+    ):
+        predictor = here.direction(0.0)
+        excess = here.excess(predictor, 0.0)
+        length = min(1.0, (1.0 - _LEAST_ROOM) * here.reach(predictor))
+        ratio = min(1.0, here.excess(predictor, length) / excess) if excess > 0 else 0.0
+        step = here.direction(ratio**3 * excess, predictor)
+        reach = here.reach(step)
+        if reach < _SHORT:
+            # Second-order terms can mislead far from the path; go back towards it.
+            back = here.direction(_BACK * excess)
+            step, reach = max((step, reach), (back, here.reach(back)), key=lambda way: way[1])
+        # The closer to the solution, the closer to the boundary a step may end.
+        length = min(1.0, (1.0 - min(_ROOM, max(ratio, _LEAST_ROOM))) * reach)
+        for _ in range(_HALVINGS):
+            there = _linearized(here.program, here.at.moved(step.step, length))
+            if there is not None:
+                return there
+            length *= 0.5  # Rounding was more than the room.
+    return None
+
+
+def _solve(R: Array, right: Array, *, transposed: bool = False) -> Array:
+    """Return R⁻¹ right, or R⁻ᵀ right, for an upper triangular R."""
+    if not right.size:
+        return np.zeros(right.shape)
+    return np.asarray(dtrtrs(R, right, trans=int(transposed))[0])

@@ -9,15 +9,17 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.coordinates import IDENTITY, Coordinates, Rows, Scalars, smat, svec
 from geodrake.identification.problem import FitProblem
-from geodrake.inertia import Array
+from geodrake.inertia import Array, is_physical
 from geodrake.robot.reduction import triangular_factor
 
 _BARRIER, _LEAST = 1e-10, 1e-11
 """Weight of a barrier, of the curvature of its block's quadratic prior, and of the misfit there."""
 _UNDETERMINED, _FIXING = 1e-11, 1e-5
+_INSIDE = (0.0, 1e-13, 1e-11, 1e-9)
+"""Shares of the way to the prior, where every P(φ⁰)⁻¹ P(φ) is the identity, to be tried in turn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +32,7 @@ class NewtonProgram:
     quadratic has a γ_i next to nothing, as the barrier that keeps it physical.
     """
 
-    coordinates: Coordinates  # map to the parameters of the problem
+    coordinates: Coordinates
     data: Array  # (p, p + 1) triangle [M | d]; what d has beyond it is `floor`
     prior: Array  # (k, p) root C of the quadratic prior
     fixing: Array  # (j, p) weak rows that fix directions which neither data nor prior determine
@@ -51,7 +53,7 @@ class NewtonProgram:
     def of(cls, problem: FitProblem) -> Self:
         """Return the program of a problem with a prior, entropic or quadratic, for every block."""
         coordinates, p = Coordinates.of(problem), problem.size
-        triangle = triangular_factor([np.column_stack(coordinates.data())])
+        triangle = triangular_factor([coordinates.data()])
         prior, starts = coordinates.prior_root(), np.array(problem.inertia_blocks, np.intp)
         blocks = starts[:, None] + np.arange(10)
         curvatures = np.square(prior).sum(0)[blocks].mean(1)
@@ -66,16 +68,15 @@ class NewtonProgram:
             )
         scalars = coordinates.scalars(problem.entropic_scalars)
         (G, h), equalities = coordinates.rows()
-        positive = np.zeros((len(scalars.columns), p))
-        positive[np.arange(len(positive)), scalars.columns] = scalars.slope
-        known = np.append(blocks.ravel(), scalars.columns)
+        positive = np.eye(p)[scalars.columns] * scalars.slope[:, None]
+        others = np.setdiff1d(np.arange(p), np.append(blocks.ravel(), scalars.columns))
         margins = np.where(barrier, problem.margin, 0.0)[:, None, None]
         strengths = np.append(np.where(barrier, curvatures, entropic), scalars.weights)
         return cls(
             coordinates=coordinates,
             data=triangle[:p],
             prior=prior,
-            fixing=_undetermined(np.vstack([triangle[:p, :p], prior]), known),
+            fixing=_undetermined(np.vstack([triangle[:p, :p], prior]), others),
             blocks=blocks,
             begin=coordinates.starts - margins * coordinates.references,
             gammas=np.where(barrier, _BARRIER * curvatures, entropic),
@@ -84,7 +85,7 @@ class NewtonProgram:
             scalars=scalars,
             inequalities=(np.vstack([positive, G]), np.append(-scalars.begin, h)),
             equalities=equalities,
-            floor=float(triangle[p, p] ** 2) if len(triangle) > p else 0.0,
+            floor=float(triangle[p, p] ** 2),
         )
 
     def weighted(self, weight: float) -> Self:
@@ -107,6 +108,22 @@ class NewtonProgram:
     def matrices(self, z: Array) -> Array:
         """Return S_i of every block, (n, 4, 4), at z (p,)."""
         return self.begin + smat(z[self.blocks])
+
+    def parameters(self, z: Array) -> Array:
+        """Return parameters (p,) at z (p,), physical and within bounds despite rounding."""
+        problem = self.coordinates.problem
+        for share in _INSIDE:  # rounding alone can leave a tiny γ's bodies at the boundary
+            near = (1.0 - share) * z + share * self.middle
+            x = np.clip(self.coordinates.parameters(near), problem.lower, problem.upper)
+            physical = is_physical(x[self.blocks]) & (self.coordinates.smallest_eigenvalues(x) > 0)
+            if np.all(physical):
+                return x
+        raise IdentificationError(
+            "Newton's parameters are not physical after rounding: a body of the prior is too flat "
+            "for double precision.",
+            advice="Check the units of the prior, or raise gamma.",
+            solver="newton",
+        )
 
     @cached_property
     def rows(self) -> Rows:
@@ -144,16 +161,10 @@ class NewtonProgram:
         return float(0.5 * np.square(F @ z - f).sum() + self.gamma @ divergences + scalars)
 
 
-def _undetermined(rows: Array, known: NDArray[np.intp]) -> Array:
-    """Return weak rows for the directions of scalars that no row determines.
-
-    Blocks and entropic scalars (`known`) have their curvature, so only others can be without.
-    """
-    scalars = np.setdiff1d(np.arange(rows.shape[1]), known)
+def _undetermined(rows: Array, scalars: NDArray[np.intp]) -> Array:
+    """Return weak rows for the directions of scalars (indices) that no row determines."""
     if not len(scalars):
         return np.zeros((0, rows.shape[1]))
     _, sizes, directions = np.linalg.svd(triangular_factor([rows[:, scalars]]))
     unknown = directions[sizes <= _UNDETERMINED * max(sizes[0], 1e-300)]
-    fixing = np.zeros((len(unknown), rows.shape[1]))
-    fixing[:, scalars] = _FIXING * unknown
-    return fixing
+    return _FIXING * unknown @ np.eye(rows.shape[1])[scalars]

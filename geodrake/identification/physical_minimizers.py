@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from geodrake.identification.newton import parameters_at
-from geodrake.identification.newton_path import minimize
+from geodrake.identification.newton import minimize
 from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.normal_equations import scaled_cholesky
 from geodrake.identification.problem import FitProblem
-from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
 from geodrake.inertia.kernels import calc_from_pseudo_inertia, calc_pseudo_inertia
 
 _GAP = 1e-3
@@ -26,8 +25,7 @@ _NO_MASS = 1e-6  # kg or kg·m², largest moment of a body that is nothing
 
 def are_physical(x: Array, blocks: Sequence[int]) -> NDArray[np.bool_]:
     """Return (F,) whether all bodies of parameters x (F, p), which start at `blocks`, can exist."""
-    P = calc_pseudo_inertia(x[:, _places(blocks)])
-    return np.asarray((np.linalg.eigvalsh(P)[..., 0] > 0.0).all(axis=1))
+    return np.asarray(is_physical(x[:, _places(blocks)]).all(axis=1))
 
 
 def inner_bodies(x: Array, blocks: Sequence[int], small: Array) -> Array:
@@ -52,10 +50,9 @@ def physical_minimizers(
 ) -> Array:
     """Return minimizers (F, p) of ½ xᵀ G x − rᵀ x with physical bodies within bounds.
 
-    Each but the first is found from a point on the way to that one. G are positive definite
-    (F, p, p) and r (F, p); inertia blocks begin at `blocks`. The bodies of `start` (F, p) are
-    physical and of about the size that is expected. The lower and upper bounds (p,) are infinite
-    for inertial parameters.
+    G are positive definite (F, p, p) and r (F, p);
+    inertia blocks begin at `blocks`. The bodies of `start` (F, p) are physical and of about the
+    size that is expected. The lower and upper bounds (p,) are infinite for inertial parameters.
     """
     p, bodies = rhs.shape[1], start.mean(0)
     common = FitProblem(
@@ -67,13 +64,12 @@ def physical_minimizers(
         upper=bounds[1],
         entropic={block: (bodies[block : block + 10], _GAP) for block in blocks},
     )
-    found, early = np.empty_like(rhs), None
+    found = np.empty_like(rhs)
     for x, L, scale, right in zip(found, *scaled_cholesky(gram, _RIDGE), rhs, strict=True):
         target = solve_triangular(L, scale * right, lower=True)
         problem = replace(common, factor=np.column_stack([L.T / scale, target]))
-        minimum = minimize(NewtonProgram.of(problem), early, enough=_GAP)
-        early = early or minimum.early
-        x[:] = parameters_at(minimum)
+        minimum = minimize(NewtonProgram.of(problem), enough=_GAP)
+        x[:] = minimum.program.parameters(minimum.z)
     return found
 
 

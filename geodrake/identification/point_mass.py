@@ -24,16 +24,22 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.conic_fit import solution_of, solve_fit
 from geodrake.identification.fit import FitResult, fit_result
-from geodrake.identification.problem import FitProblem, LinearConstraints
+from geodrake.identification.identify import build_problem
+from geodrake.identification.problem import (
+    FitProblem,
+    LinearConstraints,
+    check_residual_bound,
+    out_of_reach,
+)
 from geodrake.identification.program import build_fit
 from geodrake.identification.regularizer import Regularizer
-from geodrake.identification.residual_path import check_residual_bound, out_of_reach
-from geodrake.identification.solvers import ROUGHLY, Tolerances, run_solver, solved_apart
+from geodrake.identification.solvers import ROUGHLY, Accuracies, run_solver, solved_apart
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
     Array,
     Ellipsoid,
-    from_pseudo_inertia,
+    central_second_moment,
+    from_point_masses,
     is_physical,
     pseudo_inertia,
 )
@@ -56,35 +62,31 @@ class PointMasses(Short):
     def __post_init__(self) -> None:
         places = instances(self.positions, "positions", object)
         given = instances(self.masses, "masses", object)
-        positions = [real_array(p, f"positions[{i}]", ("m", 3)) for i, p in enumerate(places)]
-        if len(given) != len(positions):
+        if len(given) != len(places):
             raise ArgumentError(
-                f"Masses are needed for each of the {len(positions)} bodies; got those of "
+                f"Masses are needed for each of the {len(places)} bodies; got those of "
                 f"{len(given)}."
             )
+        positions = [real_array(p, f"positions[{i}]", ("m", 3)) for i, p in enumerate(places)]
         masses = [
-            real_array(mass, f"masses[{i}]", (len(place),))
-            for i, (mass, place) in enumerate(zip(given, positions, strict=True))
+            real_array(mass, f"masses[{i}]", (len(positions[i]),)) for i, mass in enumerate(given)
         ]
-        wrong = [i for i, mass in enumerate(masses) if not (len(mass) and (mass > 0).all())]
-        if wrong:
+        if wrong := [i for i, mass in enumerate(masses) if not (len(mass) and (mass > 0).all())]:
             raise ArgumentError(f"Bodies {wrong} have no points, or prior masses that are not > 0.")
         object.__setattr__(self, "positions", tuple(positions))
         object.__setattr__(self, "masses", tuple(masses))
 
     @classmethod
     def of_bodies(cls, phi: ArrayLike, counts: int | Sequence[int] = 85) -> PointMasses:
-        """Equal masses, spread evenly over the uniform ellipsoid of every body of phi (nb, 10).
+        """Spread equal masses evenly over the uniform ellipsoid of every body of phi (nb, 10).
 
         They have the bodies' inertial parameters exactly, so that `parameters()` returns phi. The
         counts, one or one a body, are at least 10 points.
         """
         phi, numbers = _checked_bodies(phi, counts)
-        positions = []
-        for P, number in zip(pseudo_inertia(phi), numbers, strict=True):
-            com = P[:3, 3] / P[3, 3]
-            spread = np.linalg.cholesky(P[:3, :3] / P[3, 3] - np.outer(com, com))
-            positions.append(com + _unit_ball(number) @ spread.T)
+        com, spread = phi[:, 1:4] / phi[:, :1], central_second_moment(phi) / phi[:, :1, None]
+        parts = zip(com, np.linalg.cholesky(spread), numbers, strict=True)
+        positions = [center + _unit_ball(number) @ root.T for center, root, number in parts]
         masses = [np.full(n, body[0] / n) for n, body in zip(numbers, phi, strict=True)]
         return cls(tuple(positions), tuple(masses))
 
@@ -92,7 +94,7 @@ class PointMasses(Short):
     def within(
         cls, phi: ArrayLike, ellipsoids: Ellipsoid, counts: int | Sequence[int] = 85
     ) -> PointMasses:
-        """Points all over the regions that bodies fit into, heavier where the bodies are.
+        """Spread points over the regions that bodies fit into, heavier where the bodies are.
 
         Half of the points are spread evenly over the region, with equal masses, half of what the
         body can have there. The other points are those of `of_bodies` for the rest of the body.
@@ -110,25 +112,25 @@ class PointMasses(Short):
             ball = _unit_ball(number // 2)
             spread = regions.rotation[k] * regions.semi_axes[k]
             far = regions.center[k] + ball / np.linalg.norm(ball, axis=1).max() @ spread.T
-            shape = _moments(far).mean(0)
-            given = 0.5 / float(eigvalsh(shape, pseudo_inertia(body))[-1])
-            near = cls.of_bodies([body - given * from_pseudo_inertia(shape)], number - len(far))
+            shape = from_point_masses(np.full(len(far), 1.0 / len(far)), far)
+            given = 0.5 / float(eigvalsh(pseudo_inertia(shape), pseudo_inertia(body))[-1])
+            near = cls.of_bodies([body - given * shape], number - len(far))
             positions.append(np.vstack([*near.positions, far]))
             masses.append(np.append(near.masses[0], np.full(len(far), given / len(far))))
         return cls(tuple(positions), tuple(masses))
 
     @property
     def prior(self) -> Array:
-        """⁰μ of all bodies in a row, (N,) kg."""
+        """Return ⁰μ of all bodies in a row, (N,) kg."""
         return np.concatenate(self.masses)
 
     def matrix(self) -> Array:
-        """R (10·nb, N) with Φ = R μ."""
-        blocks = [from_pseudo_inertia(_moments(places)).T for places in self.positions]
-        return np.asarray(block_diag(*blocks))
+        """Return R (10·nb, N) with Φ = R μ."""
+        units = (from_point_masses(np.ones((len(x), 1)), x[:, None]) for x in self.positions)
+        return np.asarray(block_diag(*(unit.T for unit in units)))
 
     def parameters(self, masses: ArrayLike | None = None) -> Array:
-        """Inertial parameters (nb, 10) of masses μ (N,), of the prior ones if None."""
+        """Return the parameters (nb, 10) of masses μ (N,), of the prior ones if None."""
         mu = self.prior if masses is None else real_array(masses, "masses", (len(self.prior),))
         return (self.matrix() @ mu).reshape(-1, PARAMETERS_PER_BODY)
 
@@ -136,7 +138,7 @@ class PointMasses(Short):
 def _checked_bodies(
     phi: ArrayLike, counts: int | Sequence[int], least: int = PARAMETERS_PER_BODY
 ) -> tuple[Array, list[int]]:
-    """Physical bodies (nb, 10), and how many points each gets."""
+    """Return physical bodies (nb, 10), and how many points each gets."""
     phi = real_array(phi, "phi", ("m", PARAMETERS_PER_BODY))
     wrong = np.flatnonzero(~is_physical(phi)).tolist()
     if wrong:
@@ -151,14 +153,8 @@ def _checked_bodies(
     return phi, [integer(n, "counts", lower=least, upper=_MOST) for n in counts]
 
 
-def _moments(places: Array) -> Array:
-    """[x;1][x;1]ᵀ (n, 4, 4) of places (n, 3): the pseudo inertias of unit masses."""
-    homogeneous = np.column_stack([places, np.ones(len(places))])
-    return np.asarray(homogeneous[:, :, None] * homogeneous[:, None])
-
-
 def _unit_ball(number: int) -> Array:
-    """(n, 3) points spread evenly over a ball, their mean zero and their covariance the identity.
+    """Return (n, 3) points spread evenly over a ball, with mean zero and covariance the identity.
 
     R_3 low-discrepancy points (M. Roberts 2018) in a cube, mapped to the ball and then corrected.
     """
@@ -170,13 +166,6 @@ def _unit_ball(number: int) -> Array:
     ball -= ball.mean(0)
     root = np.linalg.cholesky(ball.T @ ball / number)
     return np.asarray(np.linalg.solve(root, ball.T).T)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PointMassFit(FitResult):
-    """A `FitResult` with the masses (N,), kg, of all bodies in a row behind its parameters."""
-
-    masses: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,31 +195,33 @@ class PointMassRegularizer(Regularizer):
 
     def divergence(self, phi: Array, prior: Array) -> float:
         """Return the least d² of masses with the inertial parameters Φ (nb, 10)."""
-        p = phi.size
-        problem = FitProblem(
-            factor=np.zeros((1, p + 1)),
-            inertia_blocks=tuple(range(0, p, PARAMETERS_PER_BODY)),
-            prior_mean=prior.ravel(),
-            prior_information=np.zeros((p, p)),
-            constraints=LinearConstraints(matrix=np.eye(p), lower=phi.ravel(), upper=phi.ravel()),
-        )
-        return self.distance(self.solve(problem, prior, 1.0, "clarabel").masses)
+        wanted = LinearConstraints(matrix=np.eye(phi.size), lower=phi.ravel(), upper=phi.ravel())
+        problem = build_problem(np.zeros((1, phi.size + 1)), prior)
+        problem = replace(problem, constraints=wanted)
+        return self.divergence_of(self.solve(problem, prior, 1.0, None), prior)
 
     def divergence_of(self, fit: FitResult, prior: Array) -> float:
         """Return d² at a solution of `solve`."""
-        if isinstance(fit, PointMassFit):
-            return self.distance(fit.masses)
-        return super().divergence_of(fit, prior)
+        if fit.masses is None:
+            return super().divergence_of(fit, prior)
+        return self.distance(fit.masses)
 
     def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
         """Return the problem with γ d² to second order around the prior; `solve` is exact."""
         return self._informed(problem, gamma, self.points.prior)
 
     def solve(
-        self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
-    ) -> PointMassFit:
+        self,
+        problem: FitProblem,
+        prior: Array,
+        gamma: float,
+        solver: str | None,
+        *,
+        certify: bool = False,
+    ) -> FitResult:
         """Return the masses that fit best, by Drake's conic solver of that name, Clarabel if None.
 
+        There is no certificate, as that solves a MathematicalProgram itself.
         The ArgumentError of a residual bound that no masses reach has the `minimum` that they do.
         """
         begin, solver = time.perf_counter(), solver or "clarabel"
@@ -248,13 +239,7 @@ class PointMassRegularizer(Regularizer):
         x = np.clip(transform @ v, problem.lower, problem.upper)
         masses = v[: len(self.points.prior)] * self.points.prior
         fit = fit_result(self._informed(problem, gamma, masses), x, weight, solver, begin)
-        return PointMassFit(**vars(fit), masses=masses)
-
-    def certified(
-        self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult
-    ) -> FitResult:
-        """Return the solution as it is: a MathematicalProgram has solved it."""
-        return fit
+        return replace(fit, masses=masses)
 
     def _of_masses(self, problem: FitProblem) -> tuple[Array, FitProblem, float]:
         """Return T, the fit of v = [μ/⁰μ, extra] with x = T v, and the least residual of any x.
@@ -284,7 +269,7 @@ class PointMassRegularizer(Regularizer):
         return transform, beyond, floor
 
     def _solved(
-        self, inner: FitProblem, solver: str, gamma: float, accuracies: Sequence[Tolerances]
+        self, inner: FitProblem, solver: str, gamma: float, accuracies: Accuracies
     ) -> tuple[Array, float]:
         """Return v, and the weight of the prior."""
         N, prior = len(self.points.prior), self.points.prior
@@ -321,14 +306,13 @@ class PointMassRegularizer(Regularizer):
         if own.shape == prior.shape:
             away = np.abs(own - prior).max(1)
             bodies = np.flatnonzero(away > _SAME_PRIOR * np.abs(prior).max()).tolist()
-            if not bodies:
-                return
-            differ = f"bodies {bodies} differ by up to {away.max():.2g}"
-        raise ArgumentError(
-            f"The prior is not that of the point masses: {differ}.",
-            advice="Pass points.parameters() as the prior, or make points that have this one "
-            "with PointMasses.of_bodies(prior).",
-        )
+            differ = f"bodies {bodies} differ by up to {away.max():.2g}" if bodies else ""
+        if differ:
+            raise ArgumentError(
+                f"The prior is not that of the point masses: {differ}.",
+                advice="Pass points.parameters() as the prior, or make points that have this one "
+                "with PointMasses.of_bodies(prior).",
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,7 @@ def whitened(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> A
     """Return the rows [A | b]/σ, (m, p + 1), of what `whitened_factor` takes."""
     A = real_array(A, "A", ("m", "n"))
     b = real_array(b, "b", (len(A),))
-    deviations = np.ones(()) if sigma is None else real_array(sigma, "sigma")
+    deviations = real_array(1.0 if sigma is None else sigma, "sigma")
     if deviations.ndim:
         deviations = real_array(deviations, "sigma", (len(A),))
     if not np.all(deviations > 0):
@@ -60,40 +60,31 @@ class FitProblem(Short):
     ([Lee2019] Eqs. (3.5.43), (3.5.47)); with `residual_bound` c it minimizes the last two terms
     subject to ‖R x − r‖² ≤ c instead (Eq. (3.5.52)). P ≻ 0 is kept strictly, as
     P(φ_i) ⪰ margin · P(reference_i), because a solver returns points on the boundary.
-
-    Attributes:
-        factor: (k, p + 1) factor [R | r] of the data divided by their standard deviation, such as
-            `whitened_factor` gives.
-        inertia_blocks: First columns of the blocks of ten inertial parameters.
-        prior_mean: (p,) x₀.
-        prior_information: (p, p) positive semidefinite Λ; zero where nothing is known.
-        lower: (p,) least values of the scalar parameters, −inf for none.
-        upper: (p,) greatest values of the scalar parameters, inf for none.
-        entropic: First column of a block -> (φ⁰ (10,), γ) of its entropic divergence.
-        reference: First column of a block -> physical φ (10,) of the size that is expected of it;
-            φ⁰ of `entropic`, else the prior mean, when absent.
-        scalar_priors: Column of a positive scalar -> (x⁰, w), of which a regularizer of weight γ
-            makes γ w d(x, x⁰)² ([Lee2019] Remark 3.13); by itself it only sets the scale.
-        entropic_scalars: Column of a positive scalar -> (x⁰, γ) of its entropic divergence
-            x/x⁰ − log(x/x⁰) − 1 (Eq. (5.3.33)).
-        constraints: Further linear constraints on x.
-        residual_bound: Greatest squared residual c of the point-to-set form; None for the sum.
-        margin: Smallest eigenvalue of P(reference)⁻¹ P(φ) that is allowed.
     """
 
+    # (k, p + 1) factor [R | r] of the data divided by their standard deviation, such as
+    # `whitened_factor` gives.
     factor: Array
-    inertia_blocks: tuple[int, ...]
-    prior_mean: Array
-    prior_information: Array
+    inertia_blocks: tuple[int, ...]  # first columns of the blocks of ten inertial parameters
+    prior_mean: Array  # (p,) x₀
+    prior_information: Array  # (p, p) positive semidefinite Λ; zero where nothing is known
+    # (p,) least and greatest values of the scalar parameters, −inf and inf for none.
     lower: Array = field(default_factory=lambda: np.array(-np.inf))
     upper: Array = field(default_factory=lambda: np.array(np.inf))
+    # First column of a block -> (φ⁰ (10,), γ) of its entropic divergence.
     entropic: Mapping[int, tuple[Array, float]] = field(default_factory=dict)
+    # First column of a block -> physical φ (10,) of the size that is expected of it; φ⁰ of
+    # `entropic`, else the prior mean, when absent.
     reference: Mapping[int, Array] = field(default_factory=dict)
+    # Column of a positive scalar -> (x⁰, w), of which a regularizer of weight γ makes γ w d(x, x⁰)²
+    # ([Lee2019] Remark 3.13); by itself it only sets the scale.
     scalar_priors: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    # Column of a positive scalar -> (x⁰, γ) of its entropic divergence x/x⁰ − log(x/x⁰) − 1
+    # (Eq. (5.3.33)).
     entropic_scalars: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     constraints: LinearConstraints | None = None
-    residual_bound: float | None = None
-    margin: float = 1e-4
+    residual_bound: float | None = None  # c of the point-to-set form; None for the sum
+    margin: float = 1e-4  # smallest eigenvalue of P(reference)⁻¹ P(φ) that is allowed
 
     def __post_init__(self) -> None:
         """Check every field, and complete bounds and references."""
@@ -168,7 +159,7 @@ class FitProblem(Short):
             given, _ = self.entropic.get(start, (given, None))
             references[start] = real_array(given, f"reference[{start}]", (10,))
         physical = is_physical(np.reshape(list(references.values()), (-1, 10)))
-        if wrong := [start for start, ok in zip(references, physical, strict=True) if not ok]:
+        if wrong := np.array(self.inertia_blocks, int)[~physical].tolist():
             raise ArgumentError(
                 f"The inertia blocks at columns {wrong} have no physical reference: their prior "
                 "mean does not belong to a body of positive density.",
@@ -210,3 +201,32 @@ def _check_constraints(constraints: LinearConstraints, p: int) -> None:
             f"Nothing lies between the lower and upper values of constraints {empty}: {limits}.",
             rows=empty,
         )
+
+
+def check_residual_bound(problem: FitProblem) -> None:
+    """Raise if the residual bound is below the least squares minimum, which nothing lowers."""
+    bound = problem.residual_bound
+    if bound is None:
+        return
+    minimum = least_residual(problem.factor[:, :-1], problem.factor[:, -1])
+    if not bound > minimum:
+        raise out_of_reach(bound, minimum, "any parameters")
+
+
+def least_residual(A: Array, b: Array) -> float:
+    """Return the least ‖A x − b‖² that any parameters x reach, physical or not."""
+    norms = np.linalg.norm(A, axis=0)
+    scaled = A / np.where(norms > 0, norms, 1.0)
+    return float(np.square(scaled @ np.linalg.lstsq(scaled, b)[0] - b).sum())
+
+
+def out_of_reach(
+    bound: float, minimum: float, who: str = "physical bodies inside all constraints"
+) -> ArgumentError:
+    """Return what is wrong with a residual bound below the minimum that some can reach."""
+    return ArgumentError(
+        f"residual_bound is {bound:.10g}, but the least squared residual that {who} reach is "
+        f"{minimum:.10g}.",
+        advice="Take a bound above that.",
+        minimum=minimum,
+    )

@@ -156,7 +156,7 @@ def build_fit(
     fit = FitProgram(
         problem, coordinates, program, program.NewContinuousVariables(problem.size, "z")
     )
-    data, C, p = np.column_stack(coordinates.data()), coordinates.prior_root(), problem.size
+    data, C, p = coordinates.data(), coordinates.prior_root(), problem.size
     rows = np.column_stack([C, np.zeros(len(C))])
     if problem.residual_bound is None:
         rows = np.vstack([data, rows])

@@ -13,10 +13,9 @@ from geodrake.identification.conic_fit import certified, solve_fit, solve_with_f
 from geodrake.identification.fit import FitResult
 from geodrake.identification.newton import solve_newton
 from geodrake.identification.problem import FitProblem
-from geodrake.inertia import Array, pseudo_inertia, pullback_metric
-from geodrake.inertia.positive_definite import relative_logarithms
+from geodrake.inertia import Array, entropic_divergence, pullback_metric
 
-_MARGINS = (1.0, 10.0, 100.0)
+_WIDE = 5e-5
 
 
 class Regularizer(ABC):
@@ -49,33 +48,33 @@ class Regularizer(ABC):
         return self.divergence(fit.x[: prior.size].reshape(prior.shape), prior)
 
     def solve(
-        self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
+        self,
+        problem: FitProblem,
+        prior: Array,
+        gamma: float,
+        solver: str | None,
+        *,
+        certify: bool = False,
     ) -> FitResult:
         """Return the fit with γ d(Φ, Φ⁰)² added.
 
-        With None, as `solve_with_fallback` does; with "newton", by that alone; else by Drake's
-        conic solver of that name alone. Where such a solver is not exact enough to keep bodies
-        physical at the problem's margin, it tries ten and a hundred times that margin.
+        With None, as `solve_with_fallback` does, and if asked with its `Certificate`, or the better
+        solution of its program; with "newton", by that alone; else by Drake's conic solver of that
+        name alone. Where such a solver is not exact enough to keep bodies physical at the problem's
+        margin, it tries ten times that margin, up to 1e-4.
         """
         regularized = self.regularize(problem, prior, gamma)
         if solver is None:
-            return solve_with_fallback(regularized)
+            fit = solve_with_fallback(regularized)
+            return certified(regularized, fit) if certify else fit
         if solver == "newton":
             return solve_newton(regularized)
-        for factor in _MARGINS[:-1]:
-            try:
-                wider = replace(regularized, margin=factor * problem.margin)
-                return solve_fit(wider, solver=solver)
-            except IdentificationError as error:
-                if "columns" not in error.evidence:
-                    raise
-        return solve_fit(replace(regularized, margin=_MARGINS[-1] * problem.margin), solver=solver)
-
-    def certified(
-        self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult
-    ) -> FitResult:
-        """Return a solution of `solve` with its `Certificate`, or the better one of its program."""
-        return certified(self.regularize(problem, prior, gamma), fit)
+        try:
+            return solve_fit(regularized, solver=solver)
+        except IdentificationError as error:
+            if "columns" not in error.evidence or problem.margin > _WIDE:
+                raise
+        return self.solve(replace(problem, margin=10.0 * problem.margin), prior, gamma, solver)
 
 
 class QuadraticRegularizer(Regularizer):
@@ -155,8 +154,7 @@ class Entropic(Regularizer):
 
     def divergence(self, phi: Array, prior: Array) -> float:
         """Return d(Φ ‖ Φ⁰)² of all bodies together."""
-        logs = relative_logarithms(pseudo_inertia(prior), pseudo_inertia(phi))
-        return float((np.expm1(logs) - logs).sum())
+        return float(entropic_divergence(phi, prior).sum())
 
     def scalar_divergence(self, values: Array, priors: Array) -> Array:
         """Return x/x⁰ − log(x/x⁰) − 1 of positive scalars ([Lee2019] Eqs. (3.6.60), (5.3.33))."""

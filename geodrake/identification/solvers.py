@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, TypeVar
 
@@ -21,11 +21,13 @@ from pydrake.solvers import (
 )
 
 from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
-from geodrake.identification.own_process import LateProcessError, LostProcessError, in_own_process
+from geodrake.identification.subprocess_solver import (
+    LateProcessError,
+    LostProcessError,
+    in_subprocess,
+)
 
 T = TypeVar("T")
-Tolerances = Mapping[str, Mapping[str, float | int]]
-"""Options of each solver that say how exact a solution is to be."""
 
 SOLVERS: dict[str, type[SolverInterface]] = {
     "clarabel": ClarabelSolver,
@@ -36,21 +38,11 @@ SOLVERS: dict[str, type[SolverInterface]] = {
 """SCS and CSDP are there to cross-check; CSDP takes no exponential cones, so no entropic fits."""
 
 
-def _accuracy(share: float, enough: float, scs: float | None = None) -> Tolerances:
-    """Return tolerances; "almost solved" counts as success in Drake, so it must be enough too."""
-    wanted = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), share)
-    accepted = {f"reduced_{name}": enough for name in wanted}
-    others = {} if scs is None else {"eps_abs": scs, "eps_rel": scs, "max_iters": 100_000}
-    return {"clarabel": {**wanted, **accepted}, "scs": others}
-
-
-_EXACT, _GOOD = _accuracy(1e-10, 1e-7, scs=1e-8), _accuracy(1e-9, 1e-6)
-ROUGHLY = (_accuracy(1e-7, 1e-3, scs=1e-5),)
-"""Accuracies to try in turn, for about four digits."""
-EXACTLY = (_EXACT, _GOOD)
-"""The same, for all digits: the last may be out of reach of rounding, and a little less will do."""
-NEARLY = (_GOOD,)
-"""The same, short of where a step can have no digits left."""
+Accuracies = Sequence[float]
+"""Relative duality gaps and violations to ask for in turn."""
+ROUGHLY: Accuracies = (1e-7, 1e-6)
+EXACTLY: Accuracies = (1e-10, 1e-9)
+"""The last digit may be out of reach of rounding, and a little less will do."""
 
 _SECONDS = 20.0
 """Time that a fit by a conic solver may take."""
@@ -83,7 +75,7 @@ def check_solver(solver: str) -> None:
         raise ArgumentError(f"No conic solver '{solver}' here; there are {there}.", advice=advice)
 
 
-def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
+def solved_apart(solve: Callable[[Accuracies], T], solver: str) -> T:
     """Return what `solve`, given accuracies to try, makes of a solver in a process of its own.
 
     Where rounding has left no digit of a step, Clarabel panics on the numbers that are none, and
@@ -91,10 +83,10 @@ def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
     of an iterate; a little less accuracy often ends before that.
     """
     over = time.monotonic() + _SECONDS
-    for accuracies in (EXACTLY, NEARLY):
+    for accuracies in (EXACTLY, EXACTLY[1:]):
         seconds = max(over - time.monotonic(), 0.0)
         try:
-            return in_own_process(partial(solve, accuracies), seconds=seconds)
+            return in_subprocess(partial(solve, accuracies), seconds=seconds)
         except LateProcessError as error:
             raise ConvergenceError(
                 f"{solver} {error}, which is all that a fit has.",
@@ -107,7 +99,7 @@ def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
 
 
 def run_solver(
-    program: MathematicalProgram, solver: str, accuracies: Sequence[Tolerances] = EXACTLY
+    program: MathematicalProgram, solver: str, accuracies: Accuracies = EXACTLY
 ) -> tuple[MathematicalProgramResult, float]:
     """Return the solution of a program, and the duality gap that Clarabel may have left.
 
@@ -125,16 +117,23 @@ def run_solver(
             f"{engine.ExplainUnsatisfiedProgramAttributes(program)}",
             advice="Use clarabel, or scs as a cross-check.",
         )
-    for tolerances in accuracies:
-        options, own = SolverOptions(), tolerances.get(solver, {})
+    for share in accuracies:
+        almost = 1e3 * share  # "almost solved" counts as success in Drake
+        own: dict[str, float | int] = {}
+        if solver == "clarabel":
+            for name in ("tol_gap_abs", "tol_gap_rel", "tol_feas"):
+                own |= {name: share, f"reduced_{name}": almost}
+        elif solver == "scs":
+            own = {"eps_abs": 1e2 * share, "eps_rel": 1e2 * share, "max_iters": 100_000}
+        options = SolverOptions()
         for name, value in own.items():
             options.SetOption(engine.solver_id(), name, value)
         result = engine.Solve(program, None, options)
         status = result.get_solution_result()
         if result.is_success():
             exact = getattr(result.get_solver_details(), "status", "") == "Solved"
-            share = own.get("tol_gap_rel" if exact else "reduced_tol_gap_rel", np.nan)
-            return result, float(share) * max(1.0, abs(result.get_optimal_cost()))
+            gap = (share if exact else almost) if solver == "clarabel" else np.nan
+            return result, gap * max(1.0, abs(result.get_optimal_cost()))
         if status != SolutionResult.kSolverSpecificError:
             break
     why = _CAUSES.get(status, OTHER_CAUSE)

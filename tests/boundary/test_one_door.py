@@ -61,7 +61,7 @@ OWN = {
     "cli/surroundings.py": {"open"},
     "compiling.py": {"fdopen", "open", "read_text"},
     "excitation/collision_meshes.py": {"open"},
-    "identification/own_process.py": {"open"},
+    "identification/subprocess_solver.py": {"open"},
     "report/page.py": {"read_text"},
     "robot/files/xacro_process.py": {"run_path"},
 }

@@ -222,6 +222,26 @@ def test_compare_meets_one_residual(log):
     assert "Regularizers at the same training residual" in result.stderr
 
 
+def test_compare_tells_of_a_regularizer_without_a_solution(log, monkeypatch):
+    solve = LogFits.solve
+
+    def failing(self, regularizer, **options):
+        if regularizer == "pullback":
+            raise IdentificationError("The solver found nothing.")
+        return solve(self, regularizer, **options)
+
+    monkeypatch.setattr(LogFits, "solve", failing)
+    result = identify(
+        MODEL, log, "--effects", FRICTIONS, "--gamma", "10", "--compare", "--json", "-"
+    )
+    assert result.exit_code == 0, result.output
+    numbers = json.loads(result.stdout)
+    compared = [row["regularizer"] for row in numbers["comparison"]]
+    assert compared == ["euclidean", "entropic", "riemannian"]
+    why = "the pullback regularizer has no solution to compare: Without one fold: The solver found"
+    assert sum(why in note for note in numbers["notes"]) == 1
+
+
 def test_a_residual_bound_is_met(log):
     model = load_model(MODEL)
     effects = named_effects(FRICTIONS.split(","), model)

@@ -8,7 +8,7 @@ import pytest
 from geodrake.boundary.arguments import integers
 from geodrake.boundary.whole_files import write_together
 from geodrake.errors import ArgumentError
-from geodrake.identification.own_process import in_own_process
+from geodrake.identification.subprocess_solver import in_subprocess
 
 
 @pytest.fixture
@@ -42,12 +42,12 @@ def test_files_are_written_where_the_handler_returns(tmp_path, handler):
 
 def test_an_answer_is_kept_where_children_are_reaped_elsewhere(handler):
     handler(signal.SIGCHLD, signal.SIG_IGN)
-    assert in_own_process(lambda: 42, seconds=30.0) == 42
+    assert in_subprocess(lambda: 42, seconds=30.0) == 42
 
 
 def test_the_signals_of_the_caller_stay_as_they_were():
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
-    in_own_process(lambda: None, seconds=30.0)
+    in_subprocess(lambda: None, seconds=30.0)
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
 
 

@@ -178,3 +178,40 @@ def test_bodies_flat_to_the_solvers_accuracy_are_solved_with_a_wider_margin():
     result = identify(A, b, PRIOR, regularizer="euclidean", residual_bound=bound, **options)
     assert is_physical(result.phi).all()
     assert result.residual == pytest.approx(bound, rel=1e-6)
+
+
+def test_a_regularizer_without_a_solution_is_told_beside_the_others(monkeypatch):
+    A, b = data(2)
+    solve = Riemannian.solve
+
+    def failing(self, problem, *rest, **options):
+        if problem.residual_bound is not None:
+            raise IdentificationError("It jumps from one minimum to another.", advice="Lower it.")
+        return solve(self, problem, *rest, **options)
+
+    expected = compare_regularizers(A, b, PRIOR, gamma=1.0)
+    monkeypatch.setattr(Riemannian, "solve", failing)
+    found = compare_regularizers(A, b, PRIOR, gamma=1.0)
+    assert dict(found.failures) == {"riemannian": "It jumps from one minimum to another. Lower it."}
+    assert list(found.results) == ["euclidean", "pullback", "entropic"] and not expected.failures
+    for name, result in found.results.items():
+        np.testing.assert_allclose(result.phi, expected.results[name].phi, rtol=1e-9)
+    other = compare_regularizers(A, b, PRIOR, gamma=1.0, reference="riemannian")
+    assert not other.failures and list(other.results) == list(expected.results)
+
+
+def test_a_prior_that_fits_better_than_the_reference_leaves_nothing_to_compare():
+    A, b = data(9, rows=40, extra=1)
+    kinds = {"regularizers": ("pullback", "entropic"), "gamma": 1e7, "certify": False}
+    own = {"entropic": [0.1], "pullback": [2.0]}  # the true one is 2
+    found = compare_regularizers(A, b, PRIOR, extra_priors=own, **kinds)
+    assert list(found.results) == ["entropic"]
+    assert "already fit better" in found.failures["pullback"]
+
+
+def test_a_mistake_of_arguments_is_no_failure_of_a_regularizer():
+    A, b = data(2, extra=1)
+    kinds = ["entropic", PointMassKL(PointMasses.of_bodies(PRIOR, 30))]
+    own = {"point_mass_kl": [1.0]}
+    with pytest.raises(ArgumentError, match="has no divergence of extra parameters"):
+        compare_regularizers(A, b, PRIOR, gamma=1.0, regularizers=kinds, extra_priors=own)

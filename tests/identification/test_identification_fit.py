@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_newton import cost
 
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification import FitProblem, solve_fit
@@ -40,15 +41,6 @@ def example(seed, *, n=2, scalars=3, gamma=5.0, noise=1.0, rows=40, friction=2.0
         prior_information=information,
         lower=np.append(np.full(10 * n, -np.inf), np.zeros(scalars)),
     )
-
-
-def cost(problem, x):
-    change = x - problem.prior_mean
-    value = problem.residual(x) + change @ problem.prior_information @ change
-    for start, (phi, gamma) in problem.entropic.items():
-        ratio = np.linalg.solve(pseudo_inertia(phi), pseudo_inertia(x[start : start + 10]))
-        value += gamma * (np.trace(ratio) - np.log(np.linalg.det(ratio)) - 4.0)
-    return value
 
 
 def entropic(problem, gamma):

@@ -12,6 +12,7 @@ from scipy.linalg import block_diag
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification import BodyConstraints, identify
 from geodrake.inertia import (
+    Ellipsoid,
     is_physical,
     pseudo_inertia,
     pullback_metric,
@@ -23,6 +24,11 @@ REGULARIZERS = ("euclidean", "pullback", "entropic", "riemannian")
 def data(seed, *, rows=24, **options):
     """Fewer rows than parameters."""
     return random_data(seed, PRIOR, rows=rows, **options)
+
+
+def balls(radius, away=0.0):
+    """Q (3, 4, 4) of balls around the centres of mass, or away from them."""
+    return Ellipsoid(PRIOR[:, 1:4] / PRIOR[:, :1] + away, [radius] * 3, np.eye(3)).quadric
 
 
 @pytest.mark.parametrize("regularizer", REGULARIZERS)
@@ -116,12 +122,7 @@ def test_a_generous_residual_bound_gives_the_prior(regularizer):
 
 def test_total_mass_and_ellipsoids_hold():
     A, b = data(6)
-    radii = 0.25
-    centre = PRIOR[:, 1:4] / PRIOR[:, :1]
-    Q = np.zeros((3, 4, 4))
-    for q, c in zip(Q, centre, strict=True):
-        q[:3, :3], q[:3, 3], q[3, :3] = -np.eye(3), c, c
-        q[3, 3] = radii**2 - c @ c
+    Q = balls(0.25)
     for regularizer in REGULARIZERS:
         result = identify(
             A, b, PRIOR, regularizer=regularizer, gamma=0.1, ellipsoids=Q, total_mass=8.0
@@ -185,7 +186,7 @@ def test_data_that_say_nothing_give_the_prior(regularizer):
 
 def test_ellipsoids_count_by_their_symmetric_part():
     A, b = data(9)
-    Q = np.array([ball(com, 0.3) for com in PRIOR[:, 1:4] / PRIOR[:, :1]])
+    Q = balls(0.3)
     skew = np.triu(np.full((4, 4), 50.0), 1)
     options = {"regularizer": "entropic", "gamma": 1.0}
     expected = identify(A, b, PRIOR, ellipsoids=Q, **options)
@@ -200,6 +201,8 @@ def test_a_residual_bound_that_no_physical_body_reaches():
         with pytest.raises(ArgumentError, match="physical bodies inside all") as caught:
             identify(A, b, PRIOR[:1], regularizer=regularizer, residual_bound=0.01)
         assert caught.value.evidence["minimum"] == pytest.approx(1.0, rel=1e-4)
+        reached = identify(A, b, PRIOR[:1], regularizer=regularizer, residual_bound=1.01)
+        assert reached.residual == pytest.approx(1.01, rel=1e-6)
 
 
 @pytest.mark.parametrize("regularizer", ["euclidean", "pullback"])
@@ -261,13 +264,6 @@ def test_human_residuals_match_for_all_regularizers():
         assert (inside > -1e-6).all()
 
 
-def ball(centre, radius):
-    """Q with [x;1]ᵀ Q [x;1] ≥ 0 inside a ball."""
-    Q = np.zeros((4, 4))
-    Q[:3, :3], Q[:3, 3], Q[3, :3], Q[3, 3] = -np.eye(3), centre, centre, radius**2 - centre @ centre
-    return Q
-
-
 @pytest.mark.parametrize("regularizer", REGULARIZERS)
 def test_bounds_on_mass_and_centre_of_mass_hold(regularizer):
     A, b = data(9, noise=2.0)
@@ -312,8 +308,7 @@ def test_bad_constraints_are_refused(name):
 
 def test_an_ellipsoid_without_the_prior_names_the_body():
     A, b = data(10)
-    com = PRIOR[:, 1:4] / PRIOR[:, :1]
-    Q = np.array([ball(c + np.array([0, 0.5 * (i == 1), 0]), 0.3) for i, c in enumerate(com)])
+    Q = balls(0.3, [[0.0] * 3, [0.0, 0.5, 0.0], [0.0] * 3])
     with pytest.raises(ArgumentError, match=r"bodies \[1\] do not contain the prior") as caught:
         identify(A, b, PRIOR, regularizer="pullback", gamma=1.0, ellipsoids=Q)
     assert caught.value.evidence["bodies"] == [1]

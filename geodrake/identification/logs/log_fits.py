@@ -24,7 +24,7 @@ from geodrake.identification.logs.unknowns import (
     inertial_unknowns,
     pullback_information,
 )
-from geodrake.identification.residual_path import least_residual
+from geodrake.identification.problem import least_residual
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical, pullback_metric
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_messages

@@ -30,9 +30,6 @@ _FAR = 2.0
 _USUAL = 2.0
 """All bodies together are usually no farther off than so many times what a file knows them to."""
 
-_NOTHING = 1e-140
-"""Square root of information, in any unit, that is none: its inverse would be beyond floats."""
-
 USUAL = tuple(effect.name for effect in catalogue() if effect.usual)
 """Effects that a real robot is hardly without; inertias that lack them stand in for them."""
 
@@ -47,7 +44,7 @@ def body_changes(
     names: Sequence[str], before: Array, after: Array, fit: FitResult
 ) -> tuple[BodyChange, ...]:
     """Return the changes of bodies (nb, 10) by a fit, whose first parameters they are."""
-    covariance = covariance_of(fit.information)
+    covariance = fit.covariance()
     masses, com, _ = to_mass_com_inertia(np.stack([before, after], axis=1))
     distances = pullback_distance(before, after, before)
     changes = []
@@ -55,25 +52,15 @@ def body_changes(
         start, (m0, m1) = k * PARAMETERS_PER_BODY, masses[k].tolist()
         block = covariance[start : start + 4, start : start + 4]
         jacobian = np.hstack([-com[k, 1][:, None], np.eye(3)]) / m1  # of h/m by [m, h]
-        spread = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, block, jacobian))
+        unknown = np.isinf(np.diagonal(block))
+        known = np.where(np.isinf(block), 0.0, block)
+        spread = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, known, jacobian))
+        spread[unknown[1:] | unknown[0]] = np.inf
         deviation, far = float(np.sqrt(block[0, 0])), float(distances[k])
         changes.append(
             BodyChange(name, (m0, m1), com[k], deviation, spread, start in fit.active_blocks, far)
         )
     return tuple(changes)
-
-
-def covariance_of(information: Array) -> Array:
-    """Return the inverse of an information matrix in any units; infinite where nothing is known."""
-    size = np.sqrt(np.diagonal(information))
-    known = np.flatnonzero(size > _NOTHING)
-    covariance, size = np.diag(np.full(len(information), np.inf)), size[known]
-    if len(known):
-        values, vectors = np.linalg.eigh(information[np.ix_(known, known)] / np.outer(size, size))
-        values = np.maximum(values, np.finfo(float).eps * values[-1])
-        inverse = (vectors / values) @ vectors.T
-        covariance[np.ix_(known, known)] = inverse / np.outer(size, size)
-    return covariance
 
 
 def block_names(fits: LogFits) -> tuple[str, ...]:

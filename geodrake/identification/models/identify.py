@@ -11,19 +11,17 @@ import numpy as np
 from geodrake.boundary.arguments import function, instance, instances
 from geodrake.effects import Effect, FittedEffect, Role
 from geodrake.effects.dependencies import declares_signals
-from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.errors import ArgumentError, GeodrakeError, IdentificationError
 from geodrake.identification.identify import IdentificationResult, physical_prior
 from geodrake.identification.logs.case import error_table, open_case, reopen
 from geodrake.identification.logs.compare import comparison
-from geodrake.identification.logs.cross_validation import hold_out
 from geodrake.identification.logs.hypothesis import first_hypothesis, settle
 from geodrake.identification.logs.log_fits import LogFits, log_unknowns
-from geodrake.identification.logs.model_fit import model_with
+from geodrake.identification.logs.model_fit import as_it_stands, model_with
 from geodrake.identification.logs.weighing import Weighing, weigh
 from geodrake.identification.models.bodies import (
     block_names,
     body_changes,
-    covariance_of,
     model_notes,
     sweep_notes,
 )
@@ -102,31 +100,18 @@ def identify_model(
         unknowns = log_unknowns(case.dataset, prior)
         fits = replace(fits, dataset=case.dataset, unknowns=unknowns)
         result, folds = _solved(fits, settings, gamma)
-    alternatives = list[Alternative]()
+    alternatives, unsolved = tuple[Alternative, ...](), list[str]()
     if settings.compare and np.isfinite(result.gamma):
         progress("Comparing regularizers")
-        names = block_names(fits)
-        for name, own in fits.compare(settings.regularizer, result.gamma).results.items():
-            parts = folds
-            if name != settings.regularizer:
-                parts = [fits.solve(name, gamma=own.gamma, without=f) for f in fits.folds]
-            errors = error_table(fits.dataset, fits.held_out(parts))
-            at = tuple(names[start // PARAMETERS_PER_BODY] for start in own.fit.active_blocks)
-            phi = own.phi[: len(prior.phi)]
-            alternatives.append(Alternative(name, own.gamma, own.residual, errors, phi, at))
+        alternatives, unsolved = _compared(fits, result, folds)
     held_out = fits.held_out(folds)
-    stands = fits.unknowns.mean.copy()  # the prior's parameters; a new payload is not there yet
-    for known in prior.effects:
-        if known.effect in unknowns.effects:
-            stands[unknowns.span(known.effect)] = known.parameters
-    before = hold_out(case.dataset, unknowns.columns, np.tile(stands, (len(fits.folds), 1)))
-    deviations = np.sqrt(np.diagonal(covariance_of(result.fit.information)))
+    deviations = result.fit.standard_deviations()
     delays = [known for known in prior.effects if known.effect.role is Role.DELAY]
     fitted = model_with(prior, unknowns, result.fit, deviations, noise=held_out.rms, delays=delays)
     seen = tuple(dict.fromkeys((*prior.fitted_to, *case.fingerprints)))
     fitted = replace(fitted, fitted_to=seen, bandwidths=case.bandwidths)
     bodies = body_changes(block_names(fits), fits.prior, result.phi, result.fit)
-    notes = [*case.notes, *model_notes(fitted, bodies), *sweep_notes(gamma, sweep)]
+    notes = [*case.notes, *model_notes(fitted, bodies), *sweep_notes(gamma, sweep), *unsolved]
     if not np.isfinite(result.gamma):
         notes.append(
             "the residual bound holds for the model as it is: nothing limits gamma, and "
@@ -138,12 +123,12 @@ def identify_model(
         settings.regularizer,
         result.gamma,
         sweep,
-        error_table(case.dataset, before),
+        error_table(case.dataset, as_it_stands(case.dataset, prior)),
         error_table(case.dataset, held_out),
         bodies,
         result,
         comparison(case, unknowns, held_out),
-        tuple(alternatives),
+        alternatives,
         (*notes, *result.fit.notes),
     )
 
@@ -195,10 +180,40 @@ def _solved(
             ) from error
         if isinstance(error, ArgumentError):
             raise
-        blocks = [column // PARAMETERS_PER_BODY for column in error.evidence.get("columns", ())]
-        where = f" ({', '.join(block_names(fits)[k] for k in blocks)})" if blocks else ""
+        starts = dict(enumerate(block_names(fits)))
+        columns = [column // PARAMETERS_PER_BODY for column in error.evidence.get("columns", ())]
+        blocks = [starts[k] for k in columns if k in starts]
+        where = f" ({', '.join(blocks)})" if blocks else ""
         raise IdentificationError(
             f"The {name} regularizer with gamma {gamma:g} leads to no solution that can be "
             f"trusted{where}.",
             advice="Give a larger gamma; check the total mass if one is given.",
         ) from error
+
+
+def _compared(
+    fits: LogFits, result: IdentificationResult, folds: Sequence[IdentificationResult]
+) -> tuple[tuple[Alternative, ...], list[str]]:
+    """Return all regularizers at the residual of a fit, and notes of those without a solution.
+
+    The `folds` are the same fit to all but each fold.
+    """
+    names, found = block_names(fits), list[Alternative]()
+    compared = fits.compare(result.regularizer, result.gamma)
+    failures = dict(compared.failures)
+    for name, own in compared.results.items():
+        try:
+            parts = folds
+            if name != result.regularizer:
+                parts = [fits.solve(name, gamma=own.gamma, without=f) for f in fits.folds]
+        except GeodrakeError as error:
+            failures[name] = f"Without one fold: {error}"
+            continue
+        errors = error_table(fits.dataset, fits.held_out(parts))
+        at = tuple(names[start // PARAMETERS_PER_BODY] for start in own.fit.active_blocks)
+        phi = own.phi[: len(fits.dataset.bodies)]
+        found.append(Alternative(name, own.gamma, own.residual, errors, phi, at))
+    notes = [
+        f"the {name} regularizer has no solution to compare: {failures[name]}" for name in failures
+    ]
+    return tuple(found), notes

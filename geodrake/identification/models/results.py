@@ -73,31 +73,23 @@ _LARGEST_RATIO = 1e6  # of residuals, beyond which a bound bounds nothing
 
 @dataclass(frozen=True, kw_only=True)
 class IdentificationSettings(Short):
-    """How to identify; at most one of gamma and residual_ratio, neither to choose γ by itself.
+    """How to identify; at most one of gamma and residual_ratio, neither to choose γ by itself."""
 
-    Attributes:
-        regularizer: Name of the regularizer: see `geodrake.identification.REGULARIZERS`.
-        gamma: Weight γ > 0 of the regularizer against effective samples.
-        residual_ratio: RMS of the training residual that is allowed, relative to the least that
-            any parameters reach; above 1, and up to a million.
-        total_mass: Mass of all moving bodies together, payloads included, kg, if it is known.
-        compare: Whether to solve with all regularizers at the same training residual too.
-        bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
-            or chosen from the data.
-        blocks: Blocks into which every log is cut for validation.
-        hold_resting: Whether joints that hardly move in any log are held; see
-            `geodrake.model.logged_joints.holding_resting`. None is held beside a total mass, which
-            is that of all bodies.
-
-    """
-
-    regularizer: str = "entropic"
-    gamma: float | None = None
+    regularizer: str = "entropic"  # its name, of `geodrake.identification.REGULARIZERS`
+    gamma: float | None = None  # weight γ > 0 of the regularizer against effective samples
+    # RMS of the training residual that is allowed, relative to the least that any parameters reach;
+    # above 1, and up to a million.
     residual_ratio: float | None = None
+    # Mass of all moving bodies together, payloads included, kg, if it is known.
     total_mass: float | None = None
-    compare: bool = False
+    compare: bool = False  # whether to solve with all regularizers at the same residual too
+    # Bandwidth of the filter, Hz; by default that of the model's fit to the same logs, or chosen
+    # from the data.
     bandwidth: float | None = None
-    blocks: int | None = None
+    blocks: int | None = None  # blocks into which every log is cut for validation
+    # Whether joints that hardly move in any log are held; see
+    # `geodrake.model.logged_joints.holding_resting`. None is held beside a total mass, which is
+    # that of all bodies.
     hold_resting: bool = True
 
     def __post_init__(self) -> None:

@@ -34,7 +34,7 @@ class LateProcessError(LostProcessError):
     """A process whose time was over."""
 
 
-def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
+def in_subprocess(work: Callable[[], T], *, seconds: float) -> T:
     """Return or raise what a function does, called in a copy of this process that prints nothing.
 
     What it returns is pickled; a copy that waits takes it if it can be pickled too. Where that one

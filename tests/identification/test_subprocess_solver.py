@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from geodrake.errors import ArgumentError, IdentificationError
-from geodrake.identification.own_process import (
+from geodrake.identification.solvers import solved_apart
+from geodrake.identification.subprocess_solver import (
     LostProcessError,
     end_waiting,
-    in_own_process,
+    in_subprocess,
 )
-from geodrake.identification.solvers import solved_apart
 
 
 @pytest.mark.parametrize(
@@ -32,50 +32,50 @@ from geodrake.identification.solvers import solved_apart
 )
 def test_a_lost_process_is_told(work, words):
     with pytest.raises(LostProcessError, match=words):
-        in_own_process(work, seconds=0.2 if "no answer" in words else 20.0)
+        in_subprocess(work, seconds=0.2 if "no answer" in words else 20.0)
     end_waiting()  # those of other tests
     with pytest.raises(ChildProcessError):  # none is left
         os.waitpid(-1, os.WNOHANG)
 
 
 def test_a_series_takes_one_process():
-    first = in_own_process(os.getpid, seconds=20.0)
+    first = in_subprocess(os.getpid, seconds=20.0)
     assert first != os.getpid()
-    assert in_own_process(os.getpid, seconds=20.0) == first
+    assert in_subprocess(os.getpid, seconds=20.0) == first
     os.kill(first, signal.SIGKILL)  # while it waits
-    other = in_own_process(os.getpid, seconds=20.0)
+    other = in_subprocess(os.getpid, seconds=20.0)
     assert other not in (first, os.getpid())
-    assert in_own_process(partial(os.getenv, "none"), seconds=20.0) is None
+    assert in_subprocess(partial(os.getenv, "none"), seconds=20.0) is None
     with pytest.raises(LostProcessError, match="signal SIGABRT"):
-        in_own_process(os.abort, seconds=20.0)
-    assert in_own_process(os.getpid, seconds=20.0) not in (first, other, os.getpid())
+        in_subprocess(os.abort, seconds=20.0)
+    assert in_subprocess(os.getpid, seconds=20.0) not in (first, other, os.getpid())
 
 
 def test_work_that_cannot_be_pickled_leaves_no_process():
     end_waiting()
     for _ in range(3):
-        assert in_own_process(lambda: 1, seconds=20.0) == 1
+        assert in_subprocess(lambda: 1, seconds=20.0) == 1
     with pytest.raises(ChildProcessError):
         os.waitpid(-1, os.WNOHANG)
 
 
 def test_a_process_without_work_ends_by_itself():
     end_waiting()
-    child = in_own_process(os.getpid, seconds=20.0)
+    child = in_subprocess(os.getpid, seconds=20.0)
     assert os.waitpid(child, 0) == (child, 0)
 
 
 def test_answers_of_another_process_are_whole(capfd):
-    assert in_own_process(lambda: None, seconds=20.0) is None
+    assert in_subprocess(lambda: None, seconds=20.0) is None
     values = np.arange(1e5)
-    np.testing.assert_array_equal(in_own_process(lambda: 2.0 * values, seconds=20.0), 2.0 * values)
+    np.testing.assert_array_equal(in_subprocess(lambda: 2.0 * values, seconds=20.0), 2.0 * values)
 
     def refuse():
         os.write(1, b"what a solver prints")
         raise ArgumentError("No.", advice="Take another.", minimum=np.ones(2))
 
     with pytest.raises(ArgumentError, match=r"^No\. Take another\.$") as caught:
-        in_own_process(refuse, seconds=20.0)
+        in_subprocess(refuse, seconds=20.0)
     np.testing.assert_array_equal(caught.value.evidence["minimum"], np.ones(2))
     assert capfd.readouterr() == ("", "")
 
