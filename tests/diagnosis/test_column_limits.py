@@ -17,7 +17,7 @@ from geodrake.diagnosis import (
     with_motor_limits,
 )
 from geodrake.diagnosis.columns.assignment import Assignment
-from geodrake.diagnosis.columns.finding import mistake_words
+from geodrake.diagnosis.columns.kinds import KINDS, words_of
 from geodrake.diagnosis.columns.limits import likely_limits, spread
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
@@ -198,14 +198,14 @@ def test_columns_with_nothing_in_them_cost_no_efforts(speed, lacks):
 
 def test_a_limit_goes_with_gains_and_swaps_that_are_found_later():
     """As corrections do, one after another."""
-    found = Assignment.as_named(3).times("gain", 1, -2.0).limited(1, MotorLimit(3.0, 4.0))
+    found = Assignment.as_named(3).times(("gain",), (1,), -2.0).limited(1, MotorLimit(3.0, 4.0))
     assert found.limit_of(1) == MotorLimit(3.0, 4.0)
-    assert found.times("gain", None, 0.1).limit_of(1).effort == pytest.approx(0.3)
-    swapped = found.swapped(0, 1, positions=False, efforts=True)
-    assert swapped.limited_joints == (0,)
+    assert found.times(("gain",), (), 0.1).limit_of(1).effort == pytest.approx(0.3)
+    swapped = found.swapped(KINDS["swapped_efforts"].changes, 0, 1)
     assert swapped.limit_of(0) == MotorLimit(3.0, 4.0)
+    assert swapped.limit_of(1) is None
 
 
 def test_words_say_the_limit():
-    said = mistake_words("effort_limit", ["elbow"], (30.0,), all_joints=False)
+    said, _ = words_of("effort_limit", ["elbow"], (30.0,), all_joints=False)
     assert said == "the efforts of elbow are what was asked for: its motor gives at most 30"

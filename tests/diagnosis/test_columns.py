@@ -18,8 +18,9 @@ from scipy.spatial.transform import Rotation
 from geodrake import load_model
 from geodrake.cli.columns import unchecked_words
 from geodrake.diagnosis import ColumnFinding, check_columns, corrected
+from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.columns.assignment import Assignment
-from geodrake.diagnosis.columns.design import Parameters, joint_designs, joint_motion
+from geodrake.diagnosis.columns.evidence import ColumnModel
 from geodrake.diagnosis.columns.samples import column_samples
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import prepared_as_measured
@@ -172,16 +173,16 @@ def test_a_base_on_a_slope_is_no_mistake_in_columns(robot, motion, log, seed):
 def test_designs_of_a_leaning_base_are_efforts_under_its_gravity(pendulum, right):
     """Those of an engine whose gravity is turned the other way."""
     samples = column_samples(pendulum, *prepared_as_measured(pendulum, [right]))
-    parameters, named = Parameters.of(samples), Assignment.as_named(2)
-    leaning = named.leaning(pendulum.tree.gravity, np.array([0.1, -0.2]))
-    leaning = leaning.leaning(pendulum.tree.gravity, np.array([0.0, 0.05]))
+    model, named = ColumnModel(samples, Beliefs()), Assignment.as_named(2)
+    turned = np.zeros((2, len(model.mean)))
+    turned[:, model.tilt] = [0.1, -0.2], [0.0, 0.05]
+    leaning = model.moved(model.moved(named, turned[0]), turned[1])
     twice = Rotation.from_rotvec([0.0, -0.05, 0.0]) * Rotation.from_rotvec([-0.1, 0.2, 0.0])
     engine = make_engine("pinocchio", robot_file("double_pendulum"))
     for assignment, gravity in ((named, [0, 0, -9.81]), (leaning, twice.apply([0, 0, -9.81]))):
         engine.set_gravity(np.array(gravity))
-        q, v, vd = joint_motion(samples, assignment)
-        efforts, phi = engine.efforts(q, v, vd), pendulum.phi.ravel()
-        for j, design in enumerate(joint_designs(samples, parameters, assignment, {})):
+        efforts, phi = engine.efforts(*samples.motion(assignment)), pendulum.phi.ravel()
+        for j, design in enumerate(model.designs(assignment)):
             own = design.columns < phi.size
             found = design.X[:, : len(own)][:, own] @ phi[design.columns[own]]
             np.testing.assert_allclose(found, efforts[design.rows, j], atol=1e-9)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.beliefs import Beliefs
-from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.evidence import ColumnFit, ColumnModel
-from geodrake.diagnosis.columns.finding import ColumnFinding, mistake_advice, mistake_words
+from geodrake.diagnosis.columns.finding import ColumnFinding
+from geodrake.diagnosis.columns.kinds import KINDS, words_of
 from geodrake.diagnosis.columns.samples import column_samples
 from geodrake.diagnosis.columns.search import ColumnSearch, Judged, MistakeFound
 from geodrake.identification.logs.case import prepared_as_measured
@@ -20,9 +20,10 @@ from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-_LEAST_EFFORT = 1e-12  # N·m or N, by which efforts that were measured change
 MOST_JOINTS = 30
 """With more, weighing all that may be wrong takes minutes: nothing is checked."""
+
+_LEAST_EFFORT = 1e-12  # N·m or N, by which efforts that were measured change
 _WORTH_NAMING = 0.05  # probability of a rival
 
 
@@ -66,56 +67,54 @@ def check_columns(
 
 
 def _finding(gaussian: ColumnModel, found: MistakeFound) -> ColumnFinding:
-    joints, best = gaussian.parameters.model.joints, found.best
-    mistake = best.mistake
-    at = mistake.joints or tuple(range(len(joints)))
-    names = tuple(joints[j] for j in at)
-    values = _values(found.before.assignment, best)
-    words = mistake_words(mistake.kind, names, values, all_joints=not mistake.joints)
+    model, best, before = gaussian.samples.model, found.best, found.before
+    kind, joints, values = _told(model, before, best)
+    words, advice = words_of(kind, joints, values, all_joints=not best.mistake.joints)
     rivals = [
-        (_rival_words(joints, found.before, rival), chance)
+        (_rival_words(model, before, rival), chance)
         for rival, chance in found.rivals
         if chance >= _WORTH_NAMING
     ]
     return ColumnFinding(
-        mistake.kind,
-        names,
+        kind,
+        joints,
         values,
         found.gain,
         found.probability,
         tuple(rivals),
-        gaussian.nrms(found.before),
+        gaussian.nrms(before),
         gaussian.nrms(best.fit),
         words[0].upper() + words[1:],
-        mistake_advice(mistake.kind, names, values),
+        advice,
     )
 
 
-def _rival_words(joints: Sequence[str], before: ColumnFit, rival: Judged) -> str:
-    mistake = rival.mistake
-    if not mistake.kind:
-        if mistake.joints:
-            return f"the efforts of {joints[mistake.joints[0]]} have something unknown in them"
-        tilted = rival.fit.assignment.tilted and not before.assignment.tilted
-        return "a base on a slope" if tilted else "a payload that the model lacks"
-    names = [joints[j] for j in mistake.joints or range(len(joints))]
-    values = _values(before.assignment, rival)
-    return mistake_words(mistake.kind, names, values, all_joints=not mistake.joints)
+def _rival_words(model: RobotModel, before: ColumnFit, rival: Judged) -> str:
+    mistake, after = rival.mistake, rival.fit.assignment
+    if mistake.kind:
+        return words_of(*_told(model, before, rival), all_joints=not mistake.joints)[0]
+    if mistake.joints:
+        joint = model.joints[mistake.joints[0]]
+        return f"the efforts of {joint} have something unknown in them"
+    tilted = after.gravity is not None and before.assignment.gravity is None
+    return "a base on a slope" if tilted else "a payload that the model lacks"
 
 
-def _values(before: Assignment, best: Judged) -> tuple[float, ...]:
-    """What corrects a mistake, at each of its joints."""
-    kind, after = best.mistake.kind, best.fit.assignment
-    if kind.startswith(("swapped", "without", "effort_magnitude")):
-        return ()
-    if kind == "time":
-        return (after.time / before.time,)
-    if kind == "effort_limit":
-        limit = after.limit_of(best.mistake.joints[0])
+def _told(
+    model: RobotModel, before: ColumnFit, judged: Judged
+) -> tuple[str, tuple[str, ...], tuple[float, ...]]:
+    """Return the kind of a mistake, its joints, and what corrects it at each of them."""
+    mistake, was, is_now = judged.mistake, before.assignment, judged.fit.assignment
+    at = list(mistake.joints or range(len(model.joints)))
+    values = tuple[float, ...]()
+    if mistake.kind == "effort_limit" and (limit := is_now.limit_of(at[0])) is not None:
         falls = np.isfinite(limit.no_load_speed)
-        return (limit.effort, limit.no_load_speed) if falls else (limit.effort,)
-    at = list(best.mistake.joints or range(len(after.gain)))
-    if kind == "position_zero":
-        return tuple((after.zero - before.zero)[at].tolist())
-    quantity = {"effort": "gain", "position": "scale", "velocity": "rate"}[kind.split("_")[0]]
-    return tuple((getattr(after, quantity) / getattr(before, quantity))[at].tolist())
+        values = (limit.effort, limit.no_load_speed) if falls else (limit.effort,)
+    elif mistake.kind == "time":
+        values = (is_now.time / was.time,)
+    elif mistake.kind == "position_zero":
+        values = tuple((is_now.zero - was.zero)[at].tolist())
+    elif len(KINDS[mistake.kind].changes) <= 2 and not mistake.kind.startswith("swapped"):
+        for name in KINDS[mistake.kind].changes[:1]:
+            values = tuple((getattr(is_now, name) / getattr(was, name))[at].tolist())
+    return mistake.kind, tuple(model.joints[j] for j in at), values

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, instances
 from geodrake.diagnosis.columns.finding import ColumnFinding
+from geodrake.diagnosis.columns.kinds import KINDS
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal
@@ -20,23 +21,9 @@ from geodrake.model.signal_efforts import kind_of, limited_effort
 
 Array = NDArray[np.float64]
 
-_MOTION = ("position", "velocity", "acceleration", "command")
-_SWAPPED = {
-    "swapped_efforts": ("effort",),
-    "swapped_positions": _MOTION,
-    "swapped_joints": (*_MOTION, "effort", "temperature"),
-}
-_OF_EFFORTS = ("effort_sign", "effort_unit", "effort_gain", "effort_gains")
-_MULTIPLIED = {
-    "effort": ("effort",),
-    "position": _MOTION,
-    "position_alone": ("position", "command"),
-    "velocity": ("velocity",),
-}
-
 
 def corrected(log: JointLog, findings: Sequence[ColumnFinding]) -> JointLog:
-    """A log with what was found in its columns corrected, one after the other.
+    """Return a log with what was found in its columns corrected, one after the other.
 
     What was taken out of the efforts stays so: no column has it. A limit of a motor is one of its
     efforts: currents, voltages and commands stay as they are.
@@ -56,10 +43,32 @@ def corrected(log: JointLog, findings: Sequence[ColumnFinding]) -> JointLog:
     return log
 
 
+def _corrected(log: JointLog, finding: ColumnFinding) -> JointLog:
+    at = [log.joints.index(joint) for joint in finding.joints]
+    if finding.kind == "time":
+        return replace(log, time=log.time * finding.values[0])
+    if finding.kind == "effort_limit":
+        (j,), effort = at, log.effort.copy()
+        if _has(log, log.joints[j], EFFORT):
+            effort[:, j] = limited_effort(log, j, MotorLimit(*finding.values), effort[:, j])
+        return replace(log, effort=effort)
+    changed: dict[str, Any] = {}
+    for name in KINDS[finding.kind].columns:
+        if getattr(log, name) is not None:
+            changed[name] = own = getattr(log, name).copy()
+            if finding.kind.startswith("swapped"):
+                own[:, at] = own[:, at[::-1]]
+            elif finding.kind == "position_zero":
+                own[:, at] += np.asarray(finding.values)
+            else:
+                own[:, at] *= np.asarray(finding.values)
+    return replace(log, **changed) if changed else log
+
+
 def with_motor_limits(
     model: RobotModel, logs: Sequence[JointLog], findings: Sequence[ColumnFinding]
 ) -> RobotModel:
-    """The model that knows what was found of its motors' limits, for these and other logs.
+    """Return the model that knows what was found of its motors' limits, for these and other logs.
 
     Limits are left out of motors whose logs have something else than what the model knows of them,
     such as currents of unknown gains, and of servos, which have their own.
@@ -73,7 +82,7 @@ def with_motor_limits(
     for finding in instances(findings, "findings", ColumnFinding):
         if finding.kind == "effort_limit":
             found[finding.joints[0]] = MotorLimit(*finding.values)
-        elif finding.kind in _OF_EFFORTS:  # all that the limit was found by
+        elif KINDS[finding.kind].changes == ("gain",):  # all that the limit was found by
             for joint, factor in zip(finding.joints, finding.values, strict=True):
                 if joint in found:
                     found[joint] = found[joint].times(abs(factor))
@@ -94,52 +103,5 @@ def with_motor_limits(
 
 
 def _has(log: JointLog, joint: str, kind: str) -> bool:
-    """Whether a log has efforts of a joint, or what stands for them, of a kind."""
+    """Return whether a log has efforts of a joint, or what stands for them, of a kind."""
     return joint in log.joints and kind_of(log, joint) == kind
-
-
-def _corrected(log: JointLog, finding: ColumnFinding) -> JointLog:
-    at = [log.joints.index(joint) for joint in finding.joints]
-    if finding.kind in _SWAPPED:
-        return replace(log, **_changed(log, _SWAPPED[finding.kind], lambda own: _swap(own, at)))
-    if finding.kind == "time":
-        return replace(log, time=log.time * finding.values[0])
-    if finding.kind == "position_zero":
-        shifted = ("position", "command")
-        return replace(log, **_changed(log, shifted, lambda own: _add(own, at, finding.values)))
-    if not finding.is_correctable:
-        return log
-    if finding.kind == "effort_limit":
-        return _limited(log, at[0], MotorLimit(*finding.values))
-    quantities = _MULTIPLIED[finding.kind.rpartition("_")[0]]
-    return replace(log, **_changed(log, quantities, lambda own: _multiply(own, at, finding.values)))
-
-
-def _changed(log: JointLog, quantities: Sequence[str], change: Any) -> dict[str, Any]:
-    """Columns of a log, changed in a copy, as far as it has them."""
-    found = {name: getattr(log, name) for name in quantities}
-    return {name: change(own.copy()) for name, own in found.items() if own is not None}
-
-
-def _limited(log: JointLog, joint: int, limit: MotorLimit) -> JointLog:
-    """The log whose efforts of one joint are no more than its motor gives."""
-    if not _has(log, log.joints[joint], EFFORT):
-        return log
-    effort = log.effort.copy()
-    effort[:, joint] = limited_effort(log, joint, limit, effort[:, joint])
-    return replace(log, effort=effort)
-
-
-def _swap(own: Array, at: Sequence[int]) -> Array:
-    own[:, list(at)] = own[:, list(at)[::-1]]
-    return own
-
-
-def _add(own: Array, at: Sequence[int], values: Sequence[float]) -> Array:
-    own[:, list(at)] += np.asarray(values)
-    return own
-
-
-def _multiply(own: Array, at: Sequence[int], values: Sequence[float]) -> Array:
-    own[:, list(at)] *= np.asarray(values)
-    return own

@@ -7,39 +7,44 @@ left is noise, profiled out on the scale of its column, so that a gain of zero e
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
 
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.columns.assignment import Assignment
-from geodrake.diagnosis.columns.design import (
-    UNKNOWN,
-    USUAL_REST,
-    EffectRows,
-    JointDesign,
-    Parameters,
-    joint_designs,
-    joint_motion,
-)
+from geodrake.diagnosis.columns.design import UNKNOWN, JointDesign, joint_designs
+from geodrake.diagnosis.columns.gaussian import JointEquations, most_probable
 from geodrake.diagnosis.columns.limits import spread
 from geodrake.diagnosis.columns.samples import ColumnSamples
-from geodrake.identification.logs.criteria import LARGEST, LEAST_NOISE, NOISE_MARGIN
+from geodrake.effects import catalogue
+from geodrake.effects.base import Effect
+from geodrake.effects.role import Role
+from geodrake.identification.logs.criteria import LARGEST, NOISE_MARGIN, SPREAD
+from geodrake.identification.logs.log_slices import Layout
 from geodrake.identification.logs.noise import noise_floor
 from geodrake.identification.logs.unknowns import payload_reference, pullback_information
 from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.robot.driven_tree import with_gravity
 from geodrake.robot.regressor import inverse_dynamics
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+USUAL_TILT, USUAL_ZERO = 0.03, 0.02
+"""Deviations of the angles by which bases are off the level, rad, and of zeros, rad or m."""
+
+USUAL_REST = 0.1
+"""Of friction and rotors that drives take out, so much may be left, or be taken out twice."""
+
 CARRIED = 3.0
 """A body that may hold a payload is known to within this geometric distance."""
 
-WIDE = {"gain": 4.0, "apart": 1.2, "zero": 1.0, "tilt": 0.5}
+WIDE_GAIN, WIDE_APART, WIDE_ZERO, WIDE_TILT = 4.0, 1.2, 1.0, 0.5
 """Deviations of errors that are to be found: of the logarithm of the gains of all joints, and of
 each one from that, as motors of one robot are alike; of a zero and of a slope, rad."""
 
@@ -50,10 +55,7 @@ hardly any joint turns by 0.02 or by 200 rad, hardly any log has 2 or 20,000 sam
 LEAST_RANGE = 0.02
 """A joint that turns by less, rad, is at rest, whatever its unit."""
 
-_ROUNDS = 12  # of a fit, in which weights and what gains act on change
-_HOPED = 0.03  # error over the deviation of efforts, that a fit begins with where none is near
-_SETTLED = 1e-3  # change of the logarithm of the noise
-_FURTHEST = 0.5  # logarithm of a gain's error: farther, sizes of efforts are other ones
+_LONGEST = 0.7  # rad, or of a logarithm, of a step
 _RATE_AGREEMENT = 0.05  # of a velocity's RMS: measured ones are the derivatives but for that
 _LEAST = 1e-12  # information: that of what efforts do not depend on
 _MOST_KEPT = 200_000_000  # bytes of designs
@@ -61,45 +63,61 @@ _MOST_KEPT = 200_000_000  # bytes of designs
 
 @dataclass(frozen=True, eq=False)
 class ColumnFit:
-    """A fit by one assignment.
-
-    Attributes:
-        assignment: The assignment.
-        x: (p,) parameters.
-        mse: (n,) mean squared errors of each column of efforts, in its own unit.
-        score: Twice the logarithm of the evidence.
-    """
+    """A fit by one assignment."""
 
     assignment: Assignment
-    x: Array
-    mse: Array
-    score: float
+    x: Array  # (p,) parameters
+    mse: Array  # (n,) mean squared errors of each column of efforts, in its own unit
+    score: float  # twice the logarithm of the evidence
 
 
 class ColumnModel:
-    """The Gaussian model of some samples."""
+    """The Gaussian model of some samples.
+
+    Its parameters are those of bodies and effects, the tilt of the base (2), errors of the zeros
+    (n) and logarithms of the errors of the gains (n), and those of unknown functions of the joints
+    that have one.
+    """
 
     def __init__(self, samples: ColumnSamples, beliefs: Beliefs) -> None:
-        self.samples, self.parameters = samples, Parameters.of(samples)
-        self.noise, self.beliefs = noise_floor(samples.trajectories), beliefs
-        self._designs: dict[tuple[object, ...], tuple[JointDesign, ...]] = {}
-        self._rows: EffectRows = {}
+        self.samples, self.beliefs, model = samples, beliefs, samples.model
+        self.noise, n = noise_floor(samples.trajectories), len(model.joints)
+        own = [f for f in model.effects if _is_seen(f.effect)]
+        said = {(f.effect.name, f.effect.where) for f in own}
+        usual = [kind for kind in catalogue() if kind.beside_gains]
+        more = [e for kind in usual for joint in model.single_joints for e in kind.shaped(joint)]
+        more = [effect for effect in more if (effect.name, effect.where) not in said]
+        self.effects = [*(f.effect for f in own), *more]
+        self.layout = Layout.of(model, tuple(self.effects), samples.width, samples.width)
+        known, size = _information(samples), model.phi.size
+        first = len(known) + sum(len(effect.parameters) for effect in more)
+        self.lacking = slice(len(known), first)
+        self.tilt, self.zeros = first + np.arange(2), first + 2 + np.arange(n)
+        self.gains = self.zeros + n
+        gains = np.maximum(samples.gain_deviations, 1e-3)
+        errors = np.concatenate([np.full(2, USUAL_TILT), np.full(n, USUAL_ZERO), gains])
+        none = np.zeros(first - len(known))
+        self.information = block_diag(known, np.diag(none), np.diag(errors**-2.0))
+        stated = [model.total_phi.ravel(), *(f.parameters for f in own)]
+        self.mean = np.concatenate([*stated, none, np.zeros(len(errors))])
+        self.lower = np.full(len(self.mean), -np.inf)
+        self.lower[size:first] = [q.lower for e in self.effects for q in e.parameters]
+        self._designs: dict[tuple[object, ...], list[JointDesign]] = {}
         periods = [segment.period for t in samples.trajectories for segment in t.segments]
         self._rate = 1.0 / float(np.median(periods))
-        rows = [np.arange(len(samples))] * samples.v.shape[1]
-        self._rates = samples.effective(list(samples.v.T), rows)
+        self._rates = samples.effective(list(samples.v.T), [np.arange(len(samples))] * n)
 
-    def designs(self, assignment: Assignment) -> tuple[JointDesign, ...]:
+    def designs(self, assignment: Assignment) -> list[JointDesign]:
         """Return the joints' normal matrices for an assignment; those of last motions are kept."""
-        key = assignment.motion_key
+        key, samples = assignment.motion_key, self.samples
         found = self._designs.pop(key, None)
         if found is None:
-            found = joint_designs(self.samples, self.parameters, assignment, self._rows)
+            found = joint_designs(samples, self.layout, self.mean, assignment)
             each = sum(design.X.nbytes for design in found)
             while self._designs and (len(self._designs) + 1) * each > _MOST_KEPT:
                 self._designs.pop(next(iter(self._designs)))
         self._designs[key] = found
-        return tuple(d.read_as(self.samples, assignment, j) for j, d in enumerate(found))
+        return [design.read_as(samples, assignment, j) for j, design in enumerate(found)]
 
     def hopeful(self) -> Array:
         """Return (n,) independent samples of each column, as long as mistakes may be in it."""
@@ -107,16 +125,136 @@ class ColumnModel:
 
     def worth(self, fit: ColumnFit) -> Array:
         """Return (n,) independent samples that a fit's residuals of each column are worth."""
-        system = _System(self, fit.assignment, ())
-        left = [joint.residual(fit.x) for joint in system.near(fit.x)]
+        joints = self._joints(fit.assignment)
+        left, rows = [j.residual(fit.x) for j in joints], [j.design.rows for j in joints]
         found = np.zeros(len(left))
-        rows = [design.rows for design in system.designs]
         found[fit.assignment.effort] = self.samples.effective(left, rows)
         # What is more than sensor noise goes with the motion, however often that repeats.
         noise = np.square(NOISE_MARGIN * self.noise) / np.maximum(fit.mse, 1e-300)
         more = np.clip(1.0 - noise, 0.0, 1.0)
         repeated = np.minimum(found, self.beliefs.discrepancy)
         return np.asarray(1.0 / ((1.0 - more) / found + more / repeated))
+
+    def needed(self, fit: ColumnFit) -> list[Array]:
+        """Return per joint (K,) efforts that bodies and effects of a fit need."""
+        return [j.effort + j.residual(fit.x) for j in self._joints(fit.assignment)]
+
+    def needed_by_model(self, assignment: Assignment, rows: Indices | slice = slice(None)) -> Array:
+        """Return (K, n) efforts that the model's own bodies need for the motion in some rows."""
+        robot, (q, v, vd) = self.samples.model, self.samples.motion(assignment, rows)
+        tree = robot.tree
+        if assignment.gravity is not None:
+            tree = with_gravity(tree, np.array(assignment.gravity))
+        return inverse_dynamics(tree, robot.positions(q), v, vd, robot.total_phi)
+
+    def nrms(self, fit: ColumnFit) -> float:
+        """Return the root mean square over joints of errors over the deviations of efforts."""
+        return float(np.sqrt(np.mean(fit.mse / self.samples.effort.var(axis=0))))
+
+    def moved(self, assignment: Assignment, step: Array) -> Assignment:
+        """Return an assignment whose zeros, gains and tilt are moved by a step (p,)."""
+        zero = assignment.zero + step[self.zeros]
+        moved = replace(assignment, zero=zero, gain=assignment.gain / np.exp(step[self.gains]))
+        if step[self.tilt].any():
+            turn = Rotation.from_rotvec([*-step[self.tilt], 0.0])
+            down = assignment.gravity or self.samples.model.tree.gravity
+            moved = replace(moved, gravity=tuple(turn.apply(down).tolist()))
+        return moved
+
+    def way(self, fit: ColumnFit, free: Collection[int]) -> Array:
+        """Return the step (p,) of Newton's method in some errors of zeros, gains and tilt."""
+        step, at = np.zeros(len(self.mean)), list(free)
+        step[at] = np.clip(fit.x[at], -_LONGEST, _LONGEST)
+        return step
+
+    def score_of_motion(self, assignment: Assignment) -> float:
+        """Return twice the logarithm of how likely ranges, rates and measured velocities are."""
+        samples, model, at = self.samples, self.samples.model, assignment.position
+        turns = [joint not in model.sliding_joints for joint in model.joints]
+        reach = np.abs(assignment.scale) * np.ptp(samples.q, axis=0)[at]
+        far = np.log(np.maximum(reach[turns], LEAST_RANGE) / USUAL_RANGE) / USUAL_SPREAD
+        often = np.log(self._rate / assignment.time / USUAL_RATE) / USUAL_SPREAD
+        score = -float(far @ far + often**2)
+        if samples.rate is None:
+            return score
+        v, rate = samples.v[:, at], samples.rate[:, at]
+        share = assignment.scale / (assignment.time * assignment.rate)
+        error, size = np.mean((rate - v * share) ** 2, axis=0), np.mean(rate**2, axis=0)
+        slow = np.mean(v**2, axis=0) < samples.width[at] ** 2
+        relative = np.maximum(error / np.maximum(size, 1e-300), _RATE_AGREEMENT**2)
+        errors = np.where(slow | (size == 0.0), 1.0, relative)
+        return score - float(np.minimum(self._rates, self.beliefs.discrepancy)[at] @ np.log(errors))
+
+    def _joints(self, assignment: Assignment) -> list[JointEquations]:
+        """Return the equations of all joints."""
+        joints = list[JointEquations]()
+        for j, design in enumerate(self.designs(assignment)):
+            at = [design.columns, self.tilt, self.zeros, self.gains[[j]]]
+            local, target = np.arange(design.gain + 1), np.zeros(design.X.shape[1])
+            target[design.effort(int(assignment.effort[j]))] = assignment.gain[j]
+            if j in assignment.apart:
+                local = np.flatnonzero(design.columns >= self.samples.model.phi.size)
+                at = [design.columns[local]]
+            else:
+                target[design.effort(-1)] = -1.0
+            if j in assignment.unknown:
+                before = sum(other < j for other in assignment.unknown)
+                at.append(len(self.mean) + UNKNOWN * before + np.arange(UNKNOWN))
+                local = np.append(local, design.unknown)
+            joints.append(JointEquations(design, np.concatenate(at), local, target))
+        return joints
+
+    def _prior(
+        self, assignment: Assignment, joints: Sequence[JointEquations], wide: Collection[int]
+    ) -> tuple[Array, Array, Array]:
+        """Return the prior mean (p,), information (p, p) and lower bounds (p,)."""
+        mean, information, lower = self.mean.copy(), self.information.copy(), self.lower.copy()
+        unknown = list[Array]()
+        for j, joint in enumerate(joints):
+            design, size = joint.design, self._size(assignment, j)
+            new = np.flatnonzero(design.columns >= self.lacking.start)
+            at, peak = design.columns[new], np.abs(design.X[:, new]).max(axis=0)
+            information[at, at] += (peak / (LARGEST * size)) ** 2
+            if j in assignment.unknown:
+                share = 1.0 if j in assignment.apart else self.beliefs.unknown
+                power = np.diag(design.gram)[design.unknown] / len(design.rows)
+                unknown.append(power / (share * size) ** 2)
+        self._widen(information, assignment, wide)
+        gone, first = list[int](), self.samples.model.phi.size
+        for effect in self.effects:
+            here = range(first, first := first + len(effect.parameters))
+            gone += here if effect.taken_out_as in assignment.without else ()
+        left = np.maximum((USUAL_REST * mean[gone]) ** 2.0, 1e-12)
+        mean[gone], lower[gone] = 0.0, -np.inf
+        information[gone] = information[:, gone] = 0.0
+        information[gone, gone] = 1.0 / left
+        load = payload_reference(self.samples.model.total_phi)
+        for body in assignment.carrying:
+            own = slice(PARAMETERS_PER_BODY * body, PARAMETERS_PER_BODY * (body + 1))
+            mean[own] += load
+            information[own] = information[:, own] = 0.0
+            information[own, own] = pullback_information(mean[own][None], CARRIED)
+        more = np.concatenate([np.zeros(0), *unknown])
+        information = block_diag(information, np.diag(more)) if len(more) else information
+        np.fill_diagonal(information, np.maximum(np.diag(information), _LEAST))
+        bounds = np.full(len(more), -np.inf)
+        return np.append(mean, 0.0 * more), information, np.append(lower, bounds)
+
+    def _size(self, assignment: Assignment, joint: int) -> float:
+        """Return the deviation of a joint's efforts, N·m or N."""
+        deviation = self.samples.effort[:, assignment.effort[joint]].std()
+        return max(float(abs(assignment.gain[joint]) * deviation), 1e-300)
+
+    def _widen(self, information: Array, assignment: Assignment, wide: Collection[int]) -> None:
+        """Free errors of zeros, gains and tilt that are to be found."""
+        found = np.array(sorted(wide), np.intp)
+        gains, zeros = np.intersect1d(found, self.gains), np.intersect1d(found, self.zeros)
+        if len(gains):
+            covariance = WIDE_GAIN**2 + WIDE_APART**2 * np.eye(len(gains))
+            information[np.ix_(gains, gains)] = np.linalg.inv(covariance)
+        information[zeros, zeros] = WIDE_ZERO**-2.0
+        if assignment.gravity is not None:
+            information[self.tilt, self.tilt] = WIDE_TILT**-2.0
 
     def fit(
         self,
@@ -137,242 +275,48 @@ class ColumnModel:
             wide: Parameters of errors that may be large.
             moved: (p,) by how much the assignment has moved these already.
         """
-        return _System(self, assignment, wide).fitted(worth, near, moved)
-
-    def needed(self, fit: ColumnFit) -> list[Array]:
-        """Return per joint (K,) efforts that bodies and effects of a fit need."""
-        assignment, found = fit.assignment, list[Array]()
-        for j, joint in enumerate(_System(self, assignment, ()).near(fit.x)):
-            design = joint.design
-            effort = design.X[:, design.place_of(assignment.effort[j])]
-            found.append(joint.residual(fit.x) + assignment.gain[j] * effort)
-        return found
-
-    def needed_by_model(self, assignment: Assignment, rows: Indices | slice = slice(None)) -> Array:
-        """Return (K, n) efforts that the model's own bodies need for the motion in some rows."""
-        robot = self.parameters.model
-        q, v, vd = (part[rows] for part in joint_motion(self.samples, assignment))
-        load = inverse_dynamics(robot.tree, robot.positions(q), v, vd, robot.total_phi)
-        if assignment.level:
-            still = np.zeros_like(v)
-            load -= inverse_dynamics(robot.tree, robot.positions(q), still, still, robot.total_phi)
-        return np.asarray(load)
-
-    def nrms(self, fit: ColumnFit) -> float:
-        """Return the root mean square over joints of errors over the deviations of efforts."""
-        return float(np.sqrt(np.mean(fit.mse / self.samples.effort.var(axis=0))))
-
-    def usual_score(self, assignment: Assignment) -> float:
-        """Return twice the logarithm of how usual ranges of joints and the rate of samples are."""
-        model = self.parameters.model
-        turns = [joint not in model.sliding_joints for joint in model.joints]
-        reach = np.abs(assignment.scale) * np.ptp(self.samples.q, axis=0)[assignment.position]
-        found = np.append(np.maximum(reach[turns], LEAST_RANGE) / USUAL_RANGE, 1.0)
-        found[-1] = self._rate / assignment.time / USUAL_RATE
-        far = np.log(found) / USUAL_SPREAD
-        return -float(far @ far)
-
-    def rate_score(self, assignment: Assignment) -> float:
-        """Return twice the log-likelihood of measured velocities; zero if there are none."""
-        samples = self.samples
-        if samples.rate is None:
-            return 0.0
-        share = assignment.scale / (assignment.time * assignment.rate)
-        at = assignment.position
-        error = np.mean((samples.rate[:, at] - samples.v[:, at] * share) ** 2, axis=0)
-        size = np.mean(samples.rate[:, at] ** 2, axis=0)
-        slow = np.mean(samples.v[:, at] ** 2, axis=0) < samples.width[at] ** 2
-        relative = np.maximum(error / np.maximum(size, 1e-300), _RATE_AGREEMENT**2)
-        errors = np.where(slow | (size == 0.0), 1.0, relative)
-        return -float(np.minimum(self._rates, self.beliefs.discrepancy)[at] @ np.log(errors))
-
-
-@dataclass(frozen=True, eq=False)
-class _JointSystem:
-    """Equations of one joint: its parameters, its gain's error last, explain its efforts.
-
-    Attributes:
-        design: The design.
-        parameters: (m + 1,) those parameters.
-        factor: (m,) what the design's columns are multiplied by.
-        ends: (·, 2) of the design's columns, what an error of the gain changes, and the efforts.
-    """
-
-    design: JointDesign
-    parameters: Indices
-    factor: Array
-    ends: Array
-
-    @property
-    def gram(self) -> Array:
-        """(m + 2, m + 2) normal matrix, efforts last."""
-        m, gram = len(self.factor), self.design.gram
-        mapped, found = gram @ self.ends, np.empty((m + 2, m + 2))
-        np.multiply(gram[:m, :m], self.factor[:, None] * self.factor, out=found[:m, :m])
-        found[:m, m:] = self.factor[:, None] * mapped[:m]
-        found[m:, :m], found[m:, m:] = found[:m, m:].T, self.ends.T @ mapped
-        return found
-
-    def residual(self, x: Array) -> Array:
-        """(K,) what is needed with parameters (p,), less the efforts."""
-        m, own = len(self.factor), x[self.parameters]
-        columns = self.ends @ [own[-1], -1.0]
-        columns[:m] += self.factor * own[:-1]
-        return np.asarray(self.design.X @ columns)
-
-
-class _System:
-    """Normal equations of all joints, in the parameters that an assignment leaves free."""
-
-    def __init__(self, model: ColumnModel, assignment: Assignment, wide: Collection[int]) -> None:
-        self.model, self.assignment = model, assignment
-        self.designs = model.designs(assignment)
-        parameters, n = model.parameters, len(self.designs)
-        mean, information = parameters.mean.copy(), parameters.information.copy()
-        lower = parameters.lower.copy()
-        sizes = np.abs(assignment.gain) * model.samples.effort.std(axis=0)[assignment.effort]
-        sizes = np.maximum(sizes, 1e-300)
-        lacking = parameters.lacking
-        for j, (design, size) in enumerate(zip(self.designs, sizes.tolist(), strict=True)):
-            of_lacking = (design.columns >= lacking.start) & (design.columns < lacking.stop)
-            at = design.columns[of_lacking]
-            information[at, at] += (design.peak[of_lacking] / (LARGEST * size)) ** 2
-            share = 1.0 if j in assignment.apart else model.beliefs.unknown
-            at = design.columns[-UNKNOWN:]
-            power = np.sqrt(
-                np.diag(design.gram)[len(design.columns) - UNKNOWN : len(design.columns)]
-                / len(design.rows)
-            )
-            information[at, at] = (power / (share * size)) ** 2
-        self._widen(information, wide)
-        gone = parameters.taken_out(assignment.without)
-        left = np.maximum((USUAL_REST * mean[gone]) ** 2.0, 1e-12)
-        mean[gone], lower[gone] = 0.0, -np.inf
-        information[gone] = information[:, gone] = 0.0
-        information[gone, gone] = 1.0 / left
-        load = payload_reference(parameters.model.total_phi)
-        for body in assignment.carrying:
-            own = slice(PARAMETERS_PER_BODY * body, PARAMETERS_PER_BODY * (body + 1))
-            mean[own] += load
-            information[own] = information[:, own] = 0.0
-            information[own, own] = pullback_information(mean[own][None], CARRIED)
-        diagonal = np.arange(len(mean))
-        information[diagonal, diagonal] = np.maximum(information[diagonal, diagonal], _LEAST)
-        free = np.ones(len(mean), bool)
-        for j in range(n):
-            if j not in assignment.unknown:
-                free[parameters.unknown(j)] = False
-        self.free = np.flatnonzero(free)
-        self.mean, self.information, self.lower = mean, information, lower
-        self._bodies, self._errors = parameters.model.phi.size, parameters.shared
-        self._functions = int(parameters.unknown(0)[0])
-        self._gains = parameters.gains()
-
-    def _widen(self, information: Array, wide: Collection[int]) -> None:
-        """Free errors of zeros, gains and tilt that are to be found."""
-        parameters, found = self.model.parameters, np.array(sorted(wide), np.intp)
-        gains = np.intersect1d(found, parameters.gains())
-        if len(gains):
-            covariance = WIDE["gain"] ** 2 + WIDE["apart"] ** 2 * np.eye(len(gains))
-            information[np.ix_(gains, gains)] = np.linalg.inv(covariance)
-        zeros = np.intersect1d(found, parameters.zeros())
-        information[zeros, zeros] = WIDE["zero"] ** -2.0
-        tilt = parameters.tilt()
-        if self.assignment.tilted or np.isin(tilt, found).all():
-            information[tilt, tilt] = WIDE["tilt"] ** -2.0
-
-    def near(self, x: Array) -> Iterator[_JointSystem]:
-        """Yield the joints' equations near parameters (p,), where gains act on what is needed."""
-        assignment, n = self.assignment, len(self.designs)
-        for j, design in enumerate(self.designs):
-            m, error = len(design.columns), x[self._gains[j]]
-            factor, ends = np.full(m, np.exp(error)), np.zeros((m + 1 + n, 2))
-            if j in assignment.apart:
-                bodies = design.columns < self._bodies
-                errors = (design.columns >= self._errors) & (design.columns < self._functions)
-                factor = np.where(bodies | errors, 0.0, 1.0)
-            else:
-                needed = np.exp(error) * np.append(x[design.columns], 1.0)
-                ends[: m + 1, 0], ends[: m + 1, 1] = needed, error * needed
-                ends[m, 1] -= np.exp(error)
-            ends[m + 1 + assignment.effort[j], 1] = assignment.gain[j]
-            yield _JointSystem(design, np.append(design.columns, self._gains[j]), factor, ends)
-
-    def _carrying(self, x: Array) -> Array:
-        """(b, 10) inertial parameters of the bodies that may hold a payload."""
-        bodies = x[: self._bodies].reshape(-1, PARAMETERS_PER_BODY)
-        return np.asarray(bodies[sorted(self.assignment.carrying)])
-
-    def fitted(self, worth: Array, near: ColumnFit | None, moved: Array | None) -> ColumnFit:
-        """See `ColumnModel.fit`."""
-        assignment, free = self.assignment, self.free
-        count = np.array([len(design.rows) for design in self.designs], float)
-        each, scale = worth[assignment.effort], np.square(assignment.gain)
-        power = np.array(
-            [
-                scale[j] * d.gram[k, k] / count[j]
-                for j, d in enumerate(self.designs)
-                for k in [d.place_of(assignment.effort[j])]
-            ]
+        joints = self._joints(assignment)
+        mean, information, lower = self._prior(assignment, joints, wide)
+        start = mean.copy()
+        if moved is not None:
+            mean[: len(moved)] -= moved
+        sources, scale = assignment.effort, np.square(assignment.gain)
+        mse = None if near is None else near.mse[sources] * scale
+        found = most_probable(
+            joints,
+            worth[sources],
+            (mean, information, lower),
+            start=start,
+            gains=self.gains,
+            mse=mse,
         )
-        least = power * LEAST_NOISE**2 + 1e-300
-        mse = _HOPED**2 * power if near is None else near.mse[assignment.effort] * scale
-        mse = np.clip(mse, least, np.maximum(power, least))
-        x, held = self.mean.copy(), np.zeros(len(self.mean), bool)
-        offset = np.zeros_like(x) if moved is None else moved
-        pull = self.information @ (self.mean - offset)
-        for _ in range(_ROUNDS):
-            H, b = self.information.copy(), pull.copy()
-            local = []
-            for j, joint in enumerate(self.near(x)):
-                small, at = joint.gram, joint.parameters
-                weight = each[j] / count[j] / mse[j]
-                H[at[:, None], at] += weight * small[:-1, :-1]
-                b[at] += weight * small[:-1, -1]
-                local.append((at, small))
-            H, b = H[free[:, None], free], b[free]
-            to = x.copy()
-            to[free] = _bounded(H, b, self.lower[free], held[free])
-            held[free] = np.where(held[free], H @ to[free] >= b, to[free] < self.lower[free])
-            to = np.maximum(to, self.lower)
-            to[self._gains] = np.clip(to[self._gains], -_FURTHEST, _FURTHEST)
-            x, before = to, mse
-            ends = [np.append(x[at], -1.0) for at, _ in local]
-            squares = [end @ small @ end for end, (_, small) in zip(ends, local, strict=True)]
-            mse = np.maximum(np.array(squares) / count, least)
-            if np.abs(np.log(mse / before)).max() < _SETTLED:
-                break
-        far = (x - self.mean + offset)[free]
-        prior = self.information[free[:, None], free]
-        spreads = np.array([spread(m, d.beyond) for m, d in zip(mse, self.designs, strict=True)])
-        score = (
-            -float(each @ np.log(spreads / scale))
-            - float(far @ prior @ far)
-            - _log_determinant(H)
-            + _log_determinant(prior)
-            + self.model.rate_score(assignment)
-            + self.model.usual_score(assignment)
-        )
-        if (self._carrying(x)[:, 0] <= 0.0).any():  # no mass
-            score = -np.inf
-        by_column = np.zeros(len(count))
-        by_column[assignment.effort] = spreads / scale
-        return ColumnFit(assignment, x, by_column, score)
+        pairs = zip(found.mse.tolist(), joints, strict=True)
+        errors = np.array([spread(m, joint.design.beyond) for m, joint in pairs]) / scale
+        score = found.score - float(worth[sources] @ np.log(errors))
+        # Sizes that frictions may have go with the efforts, multiplied by their gains.
+        lacking = [np.sum(joint.design.columns >= self.lacking.start) for joint in joints]
+        score += 2.0 * float(found.x[self.gains] @ lacking)
+        masses = found.x[[PARAMETERS_PER_BODY * body for body in assignment.carrying]]
+        score = score + self.score_of_motion(assignment) if (masses > 0.0).all() else -np.inf
+        by_column = np.zeros(len(errors))
+        by_column[sources] = errors
+        return ColumnFit(assignment, found.x, by_column, score)
 
 
-def _bounded(A: Array, b: Array, lower: Array, held: NDArray[np.bool_]) -> Array:
-    """Solve a positive definite system, some of the unknowns at their lower bounds."""
-    x, free = np.where(held, lower, 0.0), ~held
-    scale = 1.0 / np.sqrt(np.diag(A)[free])
-    right = scale * (b - A[:, held] @ x[held])[free]
-    scaled = A[np.ix_(free, free)] * scale * scale[:, None]
-    np.fill_diagonal(scaled, 1.0 + 1e-12)
-    x[free] = scale * solve(scaled, right, assume_a="pos")
-    return x
+def _is_seen(effect: Effect) -> bool:
+    """Return whether an effect's columns need no samples that follow each other."""
+    apart = "history" in effect.depends_on or effect.state_count > 0 or effect.places == "log"
+    return bool(effect.parameters) and effect.role is not Role.BODY and not apart
 
 
-def _log_determinant(A: Array) -> float:
-    scale = 1.0 / np.sqrt(np.diag(A))
-    scaled = A * scale * scale[:, None]
-    np.fill_diagonal(scaled, 1.0 + 1e-12)
-    return float(np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum())
+def _information(samples: ColumnSamples) -> Array:
+    """Prior information of the bodies and of the model's effects whose columns are seen."""
+    model = samples.model
+    fitted, d = [f for f in model.effects if len(f.effect.parameters)], model.phi.size
+    seen = [np.ones(d, bool), *(np.full(len(f.parameters), _is_seen(f.effect)) for f in fitted)]
+    information = model.information
+    if information is None:
+        stated = np.concatenate([np.zeros(0), *(f.parameters for f in fitted)])
+        rest = np.diag(1.0 / np.maximum(stated**2, 1e-12)) if len(stated) else np.zeros((0, 0))
+        information = block_diag(pullback_information(model.phi, SPREAD), rest)
+    return np.asarray(information[np.ix_(*[np.concatenate(seen)] * 2)])

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.columns.assignment import Assignment
-from geodrake.diagnosis.columns.design import joint_motion
 from geodrake.diagnosis.columns.evidence import ColumnModel
 
 Array = NDArray[np.float64]
@@ -20,49 +19,46 @@ class FirstLook:
 
     def __init__(self, model: ColumnModel) -> None:
         self._model, samples = model, model.samples
-        step = max(1, len(samples) // _ROWS)
-        self._rows = np.arange(0, len(samples), step)
+        self._rows = np.arange(0, len(samples), max(1, len(samples) // _ROWS))
         self._moments: dict[tuple[object, ...], tuple[Array, Array, Array]] = {}
 
-    def score(self, assignment: Assignment, worth: Array) -> float:
-        """Return twice the log-likelihood of an assignment.
+    def score(self, assignment: Assignment) -> float:
+        """Return twice the log-likelihood of an assignment."""
+        needed, product, power = self.moments(assignment)
+        errors = np.maximum(power - 2.0 * product + needed, 0.0) + _AGREEMENT**2 * power
+        errors = (errors + 1e-300) / assignment.gain**2
+        score = -float(self._model.hopeful()[assignment.effort] @ np.log(errors))
+        return score + self._model.score_of_motion(assignment)
 
-        Args:
-            assignment: The assignment.
-            worth: (n,) independent samples of each column of efforts.
+    def moments(self, assignment: Assignment) -> tuple[Array, Array, Array]:
+        """Return mean squares (n,) of needed efforts, products with those of the log, and theirs.
+
+        All are without what is linear in an offset, friction and rotor of the joint.
         """
-        needed, products, powers = self._moments_of(assignment)
-        at, gain = np.arange(len(assignment.effort)), assignment.gain
-        power, product = powers[at, assignment.effort], products[at, assignment.effort]
-        errors = power - 2.0 * product / gain + needed / gain**2
-        errors = np.maximum(errors, 0.0) + _AGREEMENT**2 * power + 1e-300
-        score = -float(worth[assignment.effort] @ np.log(errors))
-        return score + self._model.rate_score(assignment)
-
-    def _moments_of(self, assignment: Assignment) -> tuple[Array, Array, Array]:
-        """Mean squares (n,) of needed efforts, and products and mean squares (n, n) of columns."""
         key = (*assignment.motion_key, *sorted(assignment.signs))
         if key not in self._moments:
             self._moments[key] = self._moments_at(assignment)
-        return self._moments[key]
+        needed, products, powers = self._moments[key]
+        at, gain = (np.arange(len(needed)), assignment.effort), assignment.gain
+        return needed, gain * products[at], gain**2 * powers[at]
 
     def _moments_at(self, assignment: Assignment) -> tuple[Array, Array, Array]:
+        """Return mean squares (n,), and products and mean squares (n, n) of columns of efforts."""
         samples, rows = self._model.samples, self._rows
-        q, v, vd = (part[rows] for part in joint_motion(samples, assignment))
-        load = self._model.needed_by_model(assignment, rows)
-        n, efforts = q.shape[1], samples.effort[rows]
+        _, v, vd = samples.motion(assignment, rows)
+        load, efforts = self._model.needed_by_model(assignment, rows), samples.effort[rows]
         for source, signs in assignment.signs.items():
             efforts[:, source] *= signs[rows]
-        needed, products, powers = np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
-        for j in range(n):
-            used = samples.used[rows, assignment.position[j]]
-            beside = [np.ones(used.sum()), v[used, j], np.sign(v[used, j]), vd[used, j]]
-            Q, _ = np.linalg.qr(np.column_stack(beside))
+        found = []
+        for j, position in enumerate(assignment.position.tolist()):
+            used = samples.used[rows, position]
+            v_j = v[used, j]
+            beside = np.column_stack([np.ones(len(v_j)), v_j, np.sign(v_j), vd[used, j]])
+            Q, _ = np.linalg.qr(beside)
             both = np.column_stack([load[used, j], efforts[used]])
             both -= Q @ (Q.T @ both)
-            needed[j] = np.mean(both[:, 0] ** 2)
-            products[j], powers[j] = (
-                both[:, 0] @ both[:, 1:] / len(both),
-                np.mean(both[:, 1:] ** 2, 0),
-            )
-        return needed, products, powers
+            own = both[:, 0]
+            found.append((own @ own, own @ both[:, 1:], np.square(both[:, 1:]).sum(axis=0)))
+        needed, products, powers = (np.array(part) for part in zip(*found, strict=True))
+        counts = np.maximum(samples.used[rows][:, assignment.position].sum(axis=0), 1)
+        return needed / counts, products / counts[:, None], powers / counts[:, None]

@@ -7,8 +7,6 @@ spread of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
@@ -26,30 +24,22 @@ _STEPS = 60  # evaluations of the search for a limit's numbers
 
 
 def spread(error: float, beyond: tuple[float, float]) -> float:
-    """Mean square of a joint's errors, those of samples beyond its limit counted as they are.
+    """Return the mean square of a joint's errors, those beyond its limit counted as they are.
 
-    A sample within the limit has the density of the error, one beyond it that of what was asked
-    for too much, which no less than three deviations of the error tell from noise. The mean of the
-    logarithms is that of this value.
-
-    Args:
-        error: Mean squared error of given efforts, (N·m)² or N².
-        beyond: Share and mean square, as of `MotorLimit.beyond`.
+    A sample within the limit has the density of the `error` (N·m)², one beyond it that of what was
+    asked for too much, which no less than three deviations of the error tell from noise. The mean
+    of the logarithms is that of this value. `beyond` is as of `MotorLimit.beyond`.
     """
     share, square = beyond
     within = error / max(1.0 - share, _LEAST)
     return float(within ** (1.0 - share) * max(square, _SEEN * within) ** share)
 
 
-def likely_limits(asked: Array, needed: Array, velocity: Array) -> tuple[MotorLimit, ...]:
-    """The limit at all speeds, and the one that falls with the speed, that explain efforts best.
+def likely_limits(asked: Array, needed: Array, velocity: Array) -> list[MotorLimit]:
+    """Return the limit at all speeds, and the one that falls with speed, that explain efforts best.
 
-    Only those are told with which what bodies need is nearer.
-
-    Args:
-        asked: (K,) efforts of the log.
-        needed: (K,) what the bodies and effects of a fit need.
-        velocity: (K,) velocities of the joint.
+    They are those that lead from efforts (K,) of a log nearer to what bodies need (K,), at
+    velocities (K,) of the joint.
     """
     without = float(np.log(np.mean((asked - needed) ** 2) + 1e-300))
     largest, fastest = np.quantile(np.abs(asked), _SHARES), float(np.abs(velocity).max())
@@ -60,36 +50,32 @@ def likely_limits(asked: Array, needed: Array, velocity: Array) -> tuple[MotorLi
         for w in _SPEEDS
         if fastest > 0.0
     ]
-    found = []
-    for kind in (flat, falling):
-        costs = [_cost(limit, asked, needed, velocity) for limit in kind]
-        if costs and np.isfinite(min(costs)):
-            first = kind[int(np.argmin(costs))]
-            limit = nearest_limit(first, lambda x: _cost(x, asked, needed, velocity))
-            found += [limit] if _cost(limit, asked, needed, velocity) < without else []
-    return tuple(found)
+    nearest = [nearest_limit(kind, asked, needed, velocity) for kind in (flat, falling) if kind]
+    return [limit for limit, cost in nearest if cost < without]
 
 
-def nearest_limit(first: MotorLimit, cost: Callable[[MotorLimit], float]) -> MotorLimit:
-    """Return the limit of the same kind that costs least."""
-    flat = not np.isfinite(first.no_load_speed)
-    start = np.log([first.effort] if flat else [first.effort, first.no_load_speed])
-    found = minimize(
-        lambda x: cost(MotorLimit(*np.exp(x).tolist())),
-        start,
-        method="Nelder-Mead",
-        options={
-            "maxfev": _STEPS,
-            "initial_simplex": start + 0.1 * np.eye(len(start) + 1, len(start), -1),
-        },
-    )
-    return MotorLimit(*np.exp(found.x).tolist())
+def nearest_limit(
+    first: list[MotorLimit], asked: Array, needed: Array, velocity: Array
+) -> tuple[MotorLimit, float]:
+    """Return the limit of the kind of those that are tried that costs least, and its cost.
 
+    That is the logarithm of `spread`; infinite where too little is beyond the limit, or within it.
+    """
 
-def _cost(limit: MotorLimit, asked: Array, needed: Array, velocity: Array) -> float:
-    """Logarithm of `spread`; infinite where too little is beyond the limit, or within it."""
-    beyond = limit.beyond(asked, velocity)
-    if not _FEWEST <= beyond[0] <= 1.0 - _LEAST:
-        return np.inf
-    error = float(np.mean((limit.given(asked, velocity) - needed) ** 2))
-    return float(np.log(spread(error + 1e-300, beyond)))
+    def cost(numbers: Array) -> float:
+        limit = MotorLimit(*np.exp(numbers).tolist())
+        beyond = limit.beyond(asked, velocity)
+        if not _FEWEST <= beyond[0] <= 1.0 - _LEAST:
+            return np.inf
+        error = float(np.mean((limit.given(asked, velocity) - needed) ** 2))
+        return float(np.log(spread(error + 1e-300, beyond)))
+
+    falls = np.isfinite(first[0].no_load_speed)
+    starts = np.log([[m.effort, m.no_load_speed] if falls else [m.effort] for m in first])
+    start = min(starts, key=cost)
+    if not np.isfinite(cost(start)):
+        return first[0], np.inf
+    simplex = start + 0.1 * np.eye(len(start) + 1, len(start), -1)
+    options = {"maxfev": _STEPS, "initial_simplex": simplex}
+    found = minimize(cost, start, method="Nelder-Mead", options=options)
+    return MotorLimit(*np.exp(found.x).tolist()), float(found.fun)

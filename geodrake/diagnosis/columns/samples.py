@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.identification.logs.evidence import effective_samples_of_each
 from geodrake.identification.logs.reduce import STILL_SPEED, peak_speeds, sign_widths
 from geodrake.logs.folds import Block, Fold
@@ -23,6 +24,7 @@ from geodrake.logs.smoothing import CHUNK
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 _MOST = 1500  # samples
 _ONE_WAY = 0.9  # mean direction, from −1 to 1, of a joint that does not reverse
@@ -31,35 +33,20 @@ _FEWEST = 0.3  # of the samples that a joint keeps
 
 @dataclass(frozen=True, eq=False)
 class ColumnSamples:
-    """Filtered samples of the columns of logs, as they are assigned to the model's joints.
-
-    Attributes:
-        model: The model.
-        q: (N, n) positions.
-        v: (N, n) their derivatives.
-        vd: (N, n) second derivatives.
-        effort: (N, n) efforts.
-        rate: (N, n) measured velocities; None where a log has none.
-        used: (N, n) whether the joint of a position's column moves one way.
-        width: (n,) speed below which the direction of motion is not known.
-        block: (N,) block of time without gaps that it is in.
-        log: (N,) index of its trajectory.
-        trajectories: The prepared logs.
-        keeps_sign: (n,) whether a column of efforts is never of one of the signs.
-    """
+    """N filtered samples of the columns of logs, one log after the other."""
 
     model: RobotModel
-    q: Array
-    v: Array
-    vd: Array
-    effort: Array
-    rate: Array | None
-    used: NDArray[np.bool_]
-    width: Array
-    block: NDArray[np.intp]
-    log: NDArray[np.intp]
-    trajectories: tuple[Trajectory, ...]
-    keeps_sign: NDArray[np.bool_]
+    q: Array  # (N, n) positions
+    v: Array  # (N, n) their derivatives
+    vd: Array  # (N, n) second derivatives
+    effort: Array  # (N, n) efforts
+    rate: Array | None  # (N, n) measured velocities; None where a log has none
+    used: NDArray[np.bool_]  # (N, n) whether the joint of a position's column moves one way
+    block: Indices  # (N,) block of time without gaps that it is in
+    log: Indices  # (N,) index of its trajectory
+    trajectories: tuple[Trajectory, ...]  # the prepared logs
+    width: Array  # (n,) speed below which the direction of motion is not known
+    keeps_sign: NDArray[np.bool_]  # (n,) whether a column of efforts is never of one of the signs
 
     def __len__(self) -> int:
         return len(self.q)
@@ -68,17 +55,24 @@ class ColumnSamples:
     def gain_deviations(self) -> Array:
         """(n,) how well the gains of the efforts are known."""
         n = self.q.shape[1]
-        return np.asarray(
-            np.max([np.broadcast_to(t.gain_deviations, n) for t in self.trajectories], axis=0)
-        )
+        each = [np.broadcast_to(t.gain_deviations, n) for t in self.trajectories]
+        return np.asarray(np.max(each, axis=0))
 
-    def effective(self, residuals: Sequence[Array], rows: Sequence[NDArray[np.intp]]) -> Array:
+    def motion(
+        self, assignment: Assignment, rows: Indices | slice = slice(None)
+    ) -> tuple[Array, Array, Array]:
+        """Return (K, n) positions, velocities and accelerations of the joints in some rows."""
+        at, scale, time = assignment.position, assignment.scale, assignment.time
+        q, v, vd = (own[rows][:, at] * scale for own in (self.q, self.v, self.vd))
+        return q + assignment.zero, v / time, vd / time**2
+
+    def effective(self, residuals: Sequence[Array], rows: Sequence[Indices]) -> Array:
         """Return (J,) how many independent samples residuals are worth."""
-        series = []
-        for left, at in zip(residuals, rows, strict=True):
-            cuts = np.flatnonzero(np.diff(self.block[at])) + 1
-            series.append([part for part in np.split(left, cuts) if len(part)])
-        return effective_samples_of_each(series)
+        cuts = [np.flatnonzero(np.diff(self.block[at])) + 1 for at in rows]
+        pairs = zip(residuals, cuts, strict=True)
+        return effective_samples_of_each(
+            [[part for part in np.split(left, own) if len(part)] for left, own in pairs]
+        )
 
 
 def column_samples(
@@ -86,65 +80,50 @@ def column_samples(
 ) -> ColumnSamples:
     """Return the samples of prepared logs."""
     width = sign_widths(model, trajectories)
-    still = STILL_SPEED * peak_speeds(trajectories)
     blocks = [block for fold in folds for block in fold.blocks]
+    blocks.sort(key=lambda block: block.trajectory)
     stride = max(1, -(-sum(len(block) for block in blocks) // _MOST))
-    speed = np.maximum(width, still)
+    speed = np.maximum(width, STILL_SPEED * peak_speeds(trajectories))
     parts = [_block(trajectories[b.trajectory], b, speed, stride) for b in blocks]
     counts = [len(part[0]) for part in parts]
-    q, v, vd, effort, direction = (np.concatenate([part[i] for part in parts]) for i in range(5))
+    most = min(map(len, parts))  # without measured velocities where a log has none
+    q, v, vd, effort, direction, *rate = (
+        np.concatenate([p[i] for p in parts]) for i in range(most)
+    )
     one_way = np.abs(direction)
     least = np.minimum(_ONE_WAY, np.quantile(one_way, 1.0 - _FEWEST, axis=0))
+    pieces = [segment.piece.piece.effort for t in trajectories for segment in t.segments]
+    lowest = np.min([np.nanmin(own, axis=0) for own in pieces], axis=0)
+    highest = np.max([np.nanmax(own, axis=0) for own in pieces], axis=0)
     return ColumnSamples(
         model,
         q,
         v,
         vd,
         effort,
-        _joined([part[5] for part in parts]),
+        rate[0] if rate else None,
         one_way >= least,
-        width,
         np.repeat(np.arange(len(blocks)), counts),
         np.repeat([b.trajectory for b in blocks], counts),
         trajectories,
-        _keeps_sign(trajectories),
+        width,
+        (lowest >= 0.0) | (highest <= 0.0),
     )
 
 
-def _keeps_sign(trajectories: Sequence[Trajectory]) -> NDArray[np.bool_]:
-    """(n,) whether efforts, as they were logged, are never of one of the signs."""
-    pieces = [segment.piece.piece.effort for t in trajectories for segment in t.segments]
-    least = np.min([np.nanmin(own, axis=0) for own in pieces], axis=0)
-    most = np.max([np.nanmax(own, axis=0) for own in pieces], axis=0)
-    return np.asarray((least >= 0.0) | (most <= 0.0))
-
-
-def _block(
-    trajectory: Trajectory, block: Block, speed: Array, stride: int
-) -> tuple[Array, Array, Array, Array, Array, Array | None]:
-    """Filtered motion, efforts, direction and measured velocities of a block, thinned out."""
+def _block(trajectory: Trajectory, block: Block, speed: Array, stride: int) -> list[Array]:
+    """Filtered motion, efforts, direction and any measured velocities of a block, thinned out."""
     low_pass, stretch = trajectory.filter, trajectory.segments[block.segment]
     first = block.start * low_pass.decimation
-    window = slice(first, first + (len(block) - 1) * low_pass.decimation + len(low_pass.kernel))
-    found: list[list[Array]] = [[] for _ in range(6)]
-    for inside, _ in low_pass.chunks(window.stop - window.start, CHUNK):
+    length = (len(block) - 1) * low_pass.decimation + len(low_pass.kernel)
+    found = []
+    for inside, _ in low_pass.chunks(length, CHUNK):
         here = slice(first + inside.start, first + inside.stop)
-        segment, raw = stretch[here], stretch.piece.piece
-        raw = raw[stretch.first + here.start : stretch.first + here.stop]
-        n = segment.position.shape[1]
+        segment = stretch[here]
+        raw = stretch.piece.piece[stretch.first + here.start : stretch.first + here.stop]
         direction = np.tanh(segment.velocity / np.maximum(speed, 1e-300))
         columns = [segment.position, segment.velocity, segment.acceleration, raw.effort, direction]
         columns += [] if raw.velocity is None else [raw.velocity]
-        filtered = low_pass.apply(np.hstack(columns))
-        for k, part in enumerate(np.split(filtered, filtered.shape[1] // n, axis=1)):
-            found[k].append(part)
-    q, v, vd, effort, direction, *rate = (
-        np.concatenate(parts)[::stride] for parts in found if parts
-    )
-    return q, v, vd, effort, direction, rate[0] if rate else None
-
-
-def _joined(parts: Sequence[Array | None]) -> Array | None:
-    """Parts (·, n) one after another; None if one is missing."""
-    known = [part for part in parts if part is not None]
-    return np.concatenate(known) if len(known) == len(parts) else None
+        found.append(low_pass.apply(np.hstack(columns)))
+    filtered = np.concatenate(found)[::stride]
+    return np.split(filtered, filtered.shape[1] // len(speed), axis=1)

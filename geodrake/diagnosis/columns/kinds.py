@@ -1,0 +1,134 @@
+"""Kinds of mistakes in columns: what each changes, which factors are usual, and its words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+DEGREE = math.pi / 180.0
+THOUSAND = (1e-3, 1e3)  # N·mm beside N·m, and the other way round; milliseconds
+TIMES = (*THOUSAND, 60.0, 1.0 / 60.0, 0.1, 10.0, 0.5, 2.0)
+
+_MOTION = ("position", "velocity", "acceleration", "command")
+_ALL = (*_MOTION, "effort", "temperature")
+_POSITIONS, _EFFORTS = ("position", "scale", "zero", "rate"), ("effort", "gain")
+_GEARED = 5.0  # all gains beyond it are those of gears and of motor constants
+_BY_SWAP = "Swap them in the mapping (--mapping), or name the columns so."
+_BY_MODEL = "Log the efforts before that, or use a model without it."
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of mistake."""
+
+    words: str  # what is wrong, as a clause that begins with a small letter
+    advice: str  # what corrects it, in a sentence
+    changes: tuple[str, ...] = ()  # fields of an `Assignment` that a factor or a swap changes
+    columns: tuple[str, ...] = ()  # of a log that it is corrected in, each with the same change
+    factors: tuple[float, ...] = ()  # those that are tried
+
+
+def _gain(words: str, factors: tuple[float, ...] = ()) -> Kind:
+    return Kind(words, "Correct it by {gains}.", ("gain",), ("effort",), factors)
+
+
+def _position(words: str, changes: tuple[str, ...], columns: tuple[str, ...]) -> Kind:
+    factors = (-1.0,) if words.endswith("sign") else (DEGREE, 1.0 / DEGREE)
+    advice = "Correct it in the mapping (--mapping), by `{entry}`."
+    return Kind(words, advice, changes, columns, factors)
+
+
+_BOTH = ("scale", "rate"), _MOTION
+_ALONE = ("scale",), ("position", "command")
+
+KINDS: Mapping[str, Kind] = {
+    "effort_sign": _gain("the effort of {where} has the wrong sign", (-1.0,)),
+    "effort_unit": _gain("the efforts of {where} are in {effort}", THOUSAND),
+    "effort_gain": _gain(
+        "the efforts of {where} must be multiplied by {number} to match what the bodies need"
+    ),
+    "effort_gains": _gain(
+        "the efforts of each joint must be multiplied by a number of its own, {numbers}"
+    ),
+    "effort_limit": Kind(
+        "the efforts of {where} are what was asked for: its motor gives at most {limit}",
+        "Log what the motor gives, or let --correct-columns keep the efforts to the limit, which a "
+        "saved model then knows.",
+    ),
+    "effort_magnitude": Kind(
+        "the efforts of {where} never change their sign, though the motion needs both: they are "
+        "magnitudes",
+        "Log them with their sign: no other column can give it back.",
+    ),
+    "swapped_efforts": Kind("the efforts of {where} are swapped", _BY_SWAP, _EFFORTS, ("effort",)),
+    "swapped_positions": Kind(
+        "the positions and velocities of {where} are swapped", _BY_SWAP, _POSITIONS, _MOTION
+    ),
+    "swapped_joints": Kind(
+        "the columns of {where} are swapped", _BY_SWAP, (*_POSITIONS, *_EFFORTS), _ALL
+    ),
+    "position_sign": _position("the position and velocity of {where} have the wrong sign", *_BOTH),
+    "position_unit": _position("the position and velocity of {where} are in {angle}", *_BOTH),
+    "position_alone_sign": _position("the position of {where} has the wrong sign", *_ALONE),
+    "position_alone_unit": _position("the position of {where} is in {angle}", *_ALONE),
+    "position_zero": Kind(
+        "the position of {where} has another zero, {off} off",
+        "Add {turn} to it, or turn the joint's origin in the model.",
+        ("zero",),
+        ("position", "command"),
+    ),
+    "velocity_factor": Kind(
+        "the velocities of {where} are {inverse:.4g} times the positions' derivatives",
+        "They are not used; multiply them by {value:.4g} in the mapping, or leave them out.",
+        ("rate",),
+        ("velocity",),
+    ),
+    "time": Kind(
+        "time runs {inverse:.4g} times as fast as the robot's",
+        "Multiply time by {value:.4g}, by its `gain` in the mapping, or give --rate.",
+        ("time",),
+    ),
+    "without_gravity": Kind("gravity has been taken out of the efforts already", _BY_MODEL),
+    "without_friction": Kind("friction has been taken out of the efforts already", _BY_MODEL),
+    "without_rotor_inertia": Kind(
+        "the rotors' inertia has been taken out of the efforts already", _BY_MODEL
+    ),
+}
+"""By name, as of `ColumnFinding.kind`."""
+
+
+def words_of(
+    kind: str, joints: Sequence[str], values: Sequence[float], *, all_joints: bool
+) -> tuple[str, str]:
+    """Return what is wrong, beginning with a small letter, and what corrects it.
+
+    `values` correct it at the joints, and `all_joints` is whether it is in the columns of all.
+    """
+    value = values[0] if values else 1.0
+    small, sign = abs(value) < 1.0, kind.endswith("_sign")
+    side = (
+        ": torques of the motors, or currents"
+        if min(map(abs, values), default=0.0) > _GEARED
+        else ""
+    )
+    falls = f" at rest, and none at a speed of {values[1]:.3g}" if len(values) > 1 else ""
+    said = {
+        "where": "all joints" if all_joints else " and ".join(joints),
+        "value": value,
+        "inverse": 1.0 / value,
+        "number": f"one number, {value:.3g}" if all_joints else f"{value:.3g}",
+        "numbers": ", ".join(f"{each:.3g}" for each in values) + side,
+        "gains": " ".join(f"--gain {j}={v:.4g}" for j, v in zip(joints, values, strict=False)),
+        "effort": "N·mm or mN" if small else "kN·m or kN",
+        "angle": "degrees" if small else "radians in place of degrees",
+        "entry": "gain: -1" if sign else f"unit: {'deg' if small else 'rad'}",
+        "limit": f"{value:.4g}{falls}",
+        "turn": _angle(value),
+        "off": _angle(-value),
+    }
+    return KINDS[kind].words.format(**said), KINDS[kind].advice.format(**said)
+
+
+def _angle(value: float) -> str:
+    return f"{value:+.4g} rad ({math.degrees(value):+.1f}°)"
