@@ -166,14 +166,17 @@ def identify(  # noqa: PLR0913 - the stable interface
     phi, extra = fit.x[: prior.size].reshape(prior.shape), fit.x[prior.size :]
     if not (np.isfinite(fit.x).all() and np.all(is_physical(phi))):
         raise _rounded("the parameters are not physical")
-    among_scalars = 0.0
+    try:
+        divergence = kind.divergence_of(fit, prior)
+    except ArgumentError as error:  # of a body that is so flat that its logarithm has no digits
+        raise _rounded("the parameters are not physical") from error
     if columns:
-        among_scalars = float(weights @ kind.scalar_divergence(fit.x[columns], values))
+        divergence += float(weights @ kind.scalar_divergence(fit.x[columns], values))
     return IdentificationResult(
         phi=phi,
         extra=extra,
         residual=fit.residual,
-        divergence=kind.divergence_of(fit, prior) + among_scalars,
+        divergence=divergence,
         regularizer=kind.name,
         gamma=fit.prior_weight if gamma is None else weight,
         fit=fit,

@@ -34,7 +34,7 @@ STARTS = ("entropic", "pullback", "prior", "data")
 
 _ACCURACY = 1e-14
 """Decrease that a step must promise to be worth taking, as a share of the size of the cost."""
-_MOST_STEPS = 300
+_MOST_STEPS, _MOST_DRAWS = 300, 60
 _RIDGES = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6)
 """Shares of its diagonal to be added in turn to a Hessian that rounding left indefinite."""
 _LEAST_CURVATURE = 0.1
@@ -122,10 +122,8 @@ class Riemannian(Regularizer):
             if name == "data":
                 weak = 1e-3 * gamma * weight
                 return program.start(Entropic().solve(free, prior, weak, "newton").x)
-            if name == "prior":  # it may break a constraint that the first start keeps
-                begin = program.start(free.prior_mean)
-                ways = ((1.0 - share) * begin + share * first for share in (0.0, 1e-3, 0.1, 0.5))
-                return next((z for z in ways if program.is_inside(z)), first)
+            if name == "prior":
+                return program.drawn_in(program.start(free.prior_mean), first)
             return program.random_start(first, random)
 
         idle = {"pullback", "data"} if np.isinf(weight) else {}
@@ -188,11 +186,15 @@ class RiemannianProgram(NewtonProgram):
         z, (E, e) = self.coordinates.at(x), self.equalities
         return np.asarray(z + np.linalg.lstsq(E, e - E @ z, rcond=None)[0])
 
-    def is_inside(self, z: Array) -> bool:
-        """Return whether coordinates z (p,) keep all constraints."""
+    def drawn_in(self, z: Array, inner: Array) -> Array:
+        """Return z (p,), or if it breaks a constraint a point on the way to one that keeps all."""
         (G, h), (E, e) = self.limits, self.equalities
-        kept = np.allclose(E @ z, e, rtol=0.0, atol=1e-9) and (G @ z >= h).all()
-        return bool(kept and np.isfinite(self.cost(z)))
+        for share in 0.8 ** np.arange(_MOST_DRAWS):
+            near = inner + share * (z - inner)
+            kept = np.allclose(E @ near, e, rtol=0.0, atol=1e-9) and (G @ near >= h).all()
+            if kept and np.isfinite(self.cost(near)):
+                return near
+        return inner
 
     def random_start(self, z: Array, random: np.random.Generator) -> Array:
         """Return a point inside all constraints on a random geodesic from z (p,), which is so."""
@@ -202,10 +204,7 @@ class RiemannianProgram(NewtonProgram):
         root = np.linalg.cholesky(S) @ axes * far
         start = z.copy()
         start[self.blocks] = svec(root @ np.swapaxes(root, 1, 2) - self.begin)
-        start = self.start(self.coordinates.parameters(start))
-        while not self.is_inside(start):
-            start = 0.8 * start + 0.2 * z
-        return start
+        return self.drawn_in(self.start(self.coordinates.parameters(start)), z)
 
     def cost(self, z: Array) -> float:
         """Return the cost at z (p,), less `floor`; infinite where a body is not physical."""

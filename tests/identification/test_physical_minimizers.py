@@ -8,7 +8,7 @@ from identified_bodies import frames_and_units
 from scipy.linalg import block_diag
 
 from geodrake.identification.conic_fit import solve_with_fallback
-from geodrake.identification.physical_minimizers import (
+from geodrake.identification.normal_equations import (
     are_physical,
     inner_bodies,
     physical_minimizers,

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from measurements import DATA
 
-from geodrake.errors import GeodrakeError
+from geodrake.errors import GeodrakeError, IdentificationError
 from geodrake.identification import PointMasses, PointMassEuclidean, PointMassKL, identify
 from geodrake.inertia import from_mass_com_inertia, is_physical, pseudo_inertia
 
@@ -170,6 +170,16 @@ def test_numbers_that_leave_no_digits_are_refused():
     prior = np.array([[1e-300, 0, 0, 0, 1e-300, 1e-300, 1e-300, 0, 0, 0]])
     with pytest.raises(GeodrakeError):
         identify(np.eye(10), np.ones(10), prior, regularizer="pullback", gamma=1.0)
+
+
+def test_bodies_too_flat_to_measure_are_rounding_and_no_mistake_of_arguments():
+    arguments, options = random_fit(58, 1430)
+    try:
+        found = identify(*arguments, **options, certify=False)
+    except IdentificationError as error:
+        assert "Rounding has left no solution" in str(error)
+    else:
+        assert np.all(is_physical(found.phi)) and np.isfinite(found.divergence)
 
 
 def main():

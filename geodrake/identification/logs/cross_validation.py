@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 
 from geodrake.identification.logs.dataset import Dataset, Delay
 from geodrake.identification.logs.unknowns import Unknowns
-from geodrake.identification.normal_equations import RIDGE, cholesky, solved
-from geodrake.identification.physical_minimizers import (
+from geodrake.identification.normal_equations import (
+    RIDGE,
     are_physical,
+    cholesky,
     inner_bodies,
     physical_minimizers,
+    solved,
 )
 
 Array = NDArray[np.float64]
