@@ -30,36 +30,27 @@ UNKNOWN = len(UnknownFunction.parameters)
 class JointDesign:
     """What K samples say of one joint.
 
-    Columns are those of bodies and effects, the slopes with a tilt (2), with all zeros (n) and with
-    the gain (1), and those of an unknown function; then the efforts of known payloads, and all n
-    columns of efforts.
+    Columns are those of bodies and effects, the slopes with a tilt (2) and with all zeros (n),
+    those of an unknown function, the efforts of known payloads, and all n columns of efforts.
     """
 
     columns: Indices  # (m,) bodies and effects that matter
     rows: Indices  # (K,) samples
-    X: Array  # (K, m + 3 + n + UNKNOWN + 1 + n)
+    X: Array  # (K, m + 2 + n + UNKNOWN + 1 + n)
     gram: Array  # normal matrix of X
     # Share of the samples in which more effort was asked for than the motor gives, and the mean
     # square of what was too much.
     beyond: tuple[float, float] = (0.0, 1.0)
 
     @property
-    def gain(self) -> int:
-        """Return where the slope with the gain stands in X."""
-        return len(self.columns) + 2 + self._joints
-
-    @property
     def unknown(self) -> Indices:
         """Return where the columns of the unknown function stand in X."""
-        return self.gain + 1 + np.arange(UNKNOWN)
+        m = len(self.columns)
+        return m + 2 + (self.X.shape[1] - m - 3 - UNKNOWN) // 2 + np.arange(UNKNOWN)
 
     def effort(self, source: int) -> int:
         """Return where a column of efforts stands in X; before the first one are payloads."""
-        return self.gain + 2 + UNKNOWN + source
-
-    @property
-    def _joints(self) -> int:
-        return (self.X.shape[1] - len(self.columns) - 4 - UNKNOWN) // 2
+        return int(self.unknown[-1]) + 2 + source
 
     def read_as(self, samples: ColumnSamples, assignment: Assignment, joint: int) -> JointDesign:
         """Return the design with the joint's efforts signed, or kept to what its motor gives."""
@@ -81,9 +72,9 @@ class JointDesign:
 
 
 def joint_designs(
-    samples: ColumnSamples, layout: Layout, mean: Array, assignment: Assignment
+    samples: ColumnSamples, layout: Layout, assignment: Assignment
 ) -> list[JointDesign]:
-    """Return the designs of all joints for one motion; gains act near parameters `mean`."""
+    """Return the designs of all joints for one motion."""
     model, (q, v, vd) = layout.model, samples.motion(assignment)
     at, down = model.positions(q), np.array(assignment.gravity or model.tree.gravity)
     tree = with_gravity(model.tree, down)
@@ -100,11 +91,10 @@ def joint_designs(
     designs = []
     for j, joint in enumerate(model.joints):
         rows = np.flatnonzero(samples.used[:, assignment.position[j]])
-        own, load = columns[j][rows], held[rows, j]
-        gain = own @ mean[layout.columns[j]] + load
         unknown = _unknown_function(joint, q[rows, j], v[rows, j], float(width[j]))
-        parts = own, tilts[rows, j], turned[rows, j], gain, unknown, load, samples.effort[rows]
-        X = np.column_stack(parts)
+        parts = [part[rows] for part in (columns[j], tilts[:, j], turned[:, j])]
+        parts += [unknown, held[rows, j, None], samples.effort[rows]]
+        X = np.hstack(parts)
         designs.append(JointDesign(layout.columns[j], rows, X, X.T @ X))
     return designs
 

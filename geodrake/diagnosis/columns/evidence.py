@@ -112,7 +112,7 @@ class ColumnModel:
         key, samples = assignment.motion_key, self.samples
         found = self._designs.pop(key, None)
         if found is None:
-            found = joint_designs(samples, self.layout, self.mean, assignment)
+            found = joint_designs(samples, self.layout, assignment)
             each = sum(design.X.nbytes for design in found)
             while self._designs and (len(self._designs) + 1) * each > _MOST_KEPT:
                 self._designs.pop(next(iter(self._designs)))
@@ -126,7 +126,8 @@ class ColumnModel:
     def worth(self, fit: ColumnFit) -> Array:
         """Return (n,) independent samples that a fit's residuals of each column are worth."""
         joints = self._joints(fit.assignment)
-        left, rows = [j.residual(fit.x) for j in joints], [j.design.rows for j in joints]
+        left = [np.subtract(*joint.needed(fit.x)) for joint in joints]
+        rows = [joint.design.rows for joint in joints]
         found = np.zeros(len(left))
         found[fit.assignment.effort] = self.samples.effective(left, rows)
         # What is more than sensor noise goes with the motion, however often that repeats.
@@ -137,7 +138,7 @@ class ColumnModel:
 
     def needed(self, fit: ColumnFit) -> list[Array]:
         """Return per joint (K,) efforts that bodies and effects of a fit need."""
-        return [j.effort + j.residual(fit.x) for j in self._joints(fit.assignment)]
+        return [joint.needed(fit.x)[0] for joint in self._joints(fit.assignment)]
 
     def needed_by_model(self, assignment: Assignment, rows: Indices | slice = slice(None)) -> Array:
         """Return (K, n) efforts that the model's own bodies need for the motion in some rows."""
@@ -187,21 +188,22 @@ class ColumnModel:
 
     def _joints(self, assignment: Assignment) -> list[JointEquations]:
         """Return the equations of all joints."""
-        joints = list[JointEquations]()
+        joints, effects = list[JointEquations](), self.samples.model.phi.size
         for j, design in enumerate(self.designs(assignment)):
-            at = [design.columns, self.tilt, self.zeros, self.gains[[j]]]
-            local, target = np.arange(design.gain + 1), np.zeros(design.X.shape[1])
-            target[design.effort(int(assignment.effort[j]))] = assignment.gain[j]
+            at, local = [design.columns, self.tilt, self.zeros], np.arange(design.unknown[0])
+            effort, known = np.zeros((2, design.X.shape[1]))
+            effort[design.effort(int(assignment.effort[j]))] = assignment.gain[j]
             if j in assignment.apart:
-                local = np.flatnonzero(design.columns >= self.samples.model.phi.size)
+                local = np.flatnonzero(design.columns >= effects)
                 at = [design.columns[local]]
-            else:
-                target[design.effort(-1)] = -1.0
             if j in assignment.unknown:
                 before = sum(other < j for other in assignment.unknown)
                 at.append(len(self.mean) + UNKNOWN * before + np.arange(UNKNOWN))
                 local = np.append(local, design.unknown)
-            joints.append(JointEquations(design, np.concatenate(at), local, target))
+            if j not in assignment.apart:
+                at.append(self.gains[[j]])
+                known[design.effort(-1)] = 1.0
+            joints.append(JointEquations(design, np.concatenate(at), local, effort, known))
         return joints
 
     def _prior(

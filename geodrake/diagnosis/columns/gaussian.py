@@ -27,46 +27,43 @@ _RIDGE = 1e-12
 
 
 class JointEquations:
-    """Normal equations of one joint."""
+    """Equations of one joint in some parameters, the last of which may be its gain's error ε."""
 
-    def __init__(self, design: JointDesign, at: Indices, local: Indices, target: Array) -> None:
-        self.design, self.at, self.has_gain = design, at, bool((local == design.gain).any())
-        self._local, self._target, self.factor = local, target, 1.0
-        self.gram = design.gram[local[:, None], local]
-        moments = design.gram @ target
-        self.moments, self._power = moments[local], float(target @ moments)
-        effort = target[design.effort(0) :]
-        self.power = float(effort @ design.gram[design.effort(0) :, design.effort(0) :] @ effort)
+    def __init__(
+        self, design: JointDesign, at: Indices, local: Indices, effort: Array, known: Array
+    ) -> None:
+        self.design, self.at = design, at  # the parameters
+        # Columns of X of all but ε, and weights of columns for efforts g s and for known payloads.
+        self._local, self._effort, self._known = local, effort, known
+        self._gram = np.empty((len(at), len(at)))
+        self._gram[: len(local), : len(local)] = design.gram[local[:, None], local]
+        self.power = float(effort @ design.gram @ effort)  # sum of the squared efforts
 
-    @property
-    def effort(self) -> Array:
-        """(K,) efforts of the log."""
-        first = self.design.effort(0)
-        return np.asarray(self.design.X[:, first:] @ self._target[first:])
+    def _needed(self, x: Array) -> tuple[Array, float]:
+        """Weights of the columns for what is needed with parameters (p,), and ε."""
+        weights, own = self._known.copy(), x[self.at]
+        weights[self._local] = own[: len(self._local)]
+        return weights, float(own[-1]) if len(own) > len(self._local) else 0.0
 
-    def residual(self, x: Array) -> Array:
-        """Return (K,) what is needed with parameters (p,), less the efforts."""
-        X = self.design.X
-        return np.asarray(X[:, self._local] @ x[self.at] - X @ self._target)
+    def needed(self, x: Array) -> tuple[Array, Array]:
+        """Return (K,) efforts that are needed with parameters (p,), and those of the log (K,)."""
+        weights, error = self._needed(x)
+        return np.exp(error) * (self.design.X @ weights), self.design.X @ self._effort
 
-    def square(self, x: Array) -> float:
-        """Return the sum of squared errors with parameters (p,)."""
-        own = x[self.at]
-        left = own @ self.gram @ own - 2.0 * own @ self.moments + self._power
-        return float(left) * self.factor**2
+    def normal(self, x: Array) -> tuple[Array, Array, float]:
+        """Return the normal matrix, the moments and the squared efforts near parameters (p,).
 
-    def turn(self, x: Array) -> None:
-        """Let the error ε of the gain act on what is needed, near parameters (p,)."""
-        design, gain, needed = self.design, self.design.gain, np.zeros(len(self._target))
-        needed[self._local], error = x[self.at], float(x[self.at[gain]])
-        needed[gain], needed[design.effort(-1)] = 0.0, 1.0
-        self.factor, target = float(np.exp(error)), self._target + error * needed
-        target[design.effort(0) :] /= self.factor
-        column, moments = design.gram @ needed, design.gram @ target
-        self.gram[gain] = self.gram[:, gain] = column[self._local]
-        self.gram[gain, gain] = needed @ column
-        self.moments, self._power = moments[self._local], float(target @ moments)
-        self.moments[gain] = column @ target
+        To first order, the sum of squared errors with parameters z is zᵀ H z − 2 bᵀ z + c.
+        """
+        m, (weights, error) = len(self._local), self._needed(x)
+        target = self._effort * np.exp(-error) - self._known + error * weights
+        column = self.design.gram @ np.column_stack([target, weights])
+        moments, scale = column[self._local, 0], np.exp(2.0 * error)
+        if len(self.at) > m:
+            self._gram[m, :m] = self._gram[:m, m] = column[self._local, 1]
+            self._gram[m, m] = weights @ column[:, 1]
+            moments = np.append(moments, weights @ column[:, 0])
+        return scale * self._gram, scale * moments, float(scale * (target @ column[:, 0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,17 +97,21 @@ def most_probable(
     mse = np.clip(_HOPED**2 * power if mse is None else mse, least, np.maximum(power, least))
     pull, held, x = information @ mean, np.zeros(len(mean), bool), start
     for _ in range(_ROUNDS):
-        H, b = information.copy(), pull.copy()
-        for joint, weight in zip(joints, worth / count / mse, strict=True):
-            if joint.has_gain:
-                joint.turn(x)
-            H[joint.at[:, None], joint.at] += weight * joint.factor**2 * joint.gram
-            b[joint.at] += weight * joint.factor**2 * joint.moments
+        H, b, squares = information.copy(), pull.copy(), [joint.normal(x) for joint in joints]
+        for joint, (A, moments, _), weight in zip(
+            joints, squares, worth / count / mse, strict=True
+        ):
+            H[joint.at[:, None], joint.at] += weight * A
+            b[joint.at] += weight * moments
         x = _bounded(H, b, lower, held)
         held = np.where(held, H @ x >= b, x < lower)
         x = np.maximum(x, lower)
         x[gains] = np.clip(x[gains], -_FURTHEST, _FURTHEST)
-        before, mse = mse, np.maximum(np.array([j.square(x) for j in joints]) / count, least)
+        left = [
+            own @ A @ own - 2.0 * moments @ own + c
+            for own, (A, moments, c) in zip([x[j.at] for j in joints], squares, strict=True)
+        ]
+        before, mse = mse, np.maximum(np.array(left) / count, least)
         if np.abs(np.log(mse / before)).max() < _SETTLED:
             break
     far, determinants = x - mean, [_log_determinant(A) for A in (information, H)]

@@ -17,10 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.optimize import minimize
 
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import SPREAD, WORTH
@@ -33,10 +35,10 @@ from geodrake.robot.reduction import triangular_factor
 
 Array = NDArray[np.float64]
 
-_STEPS, _CLOSE = 50, 1e-7  # Gauss–Newton steps at most, and a cost that falls by so little is least
-_LONGEST = 1.0  # of log |a| or a geodesic in one step
-_SHORTEST = 1e-4  # share of a step that is tried
-_ROUNDS = 3  # fits whose residuals say how many samples are independent
+_STEPS = 50  # of a fit at most
+_LEVEL = 1e-6  # slope of the posterior where a fit is done
+_LONGEST = 1.0  # of log |a| or a geodesic in the first step
+_FITS = 4  # all but the first with independent samples by the residuals of the one before
 _FIRST_SHARE = 0.05  # of the samples that are independent in the first one
 _NOTHING = 1e-12  # share of a signal's variance that no noise is below
 _TOTAL_MASS = 0.05  # share to which a model file knows all bodies together: robots are weighed
@@ -176,21 +178,63 @@ def signal_gains(
         same = np.array([each == kind for each in kinds]) & ~np.isfinite(known)
         count = int(np.count_nonzero(same))
         told[np.ix_(same, same)] += (np.eye(count) - 1.0 / max(1, count)) / _ALIKE**2
-    phi = model.total_phi.ravel()
+    phi, d = model.total_phi.ravel(), model.phi.size
     a = np.where(np.isfinite(known), 1.0, [each.least_squares_gain(phi) for each in rows])
+    bodies, signs = _GeodesicBodies.of(model), np.sign(a)
+    z = np.concatenate([np.zeros(d), np.log(np.abs(a))])
     worth = _FIRST_SHARE * np.array([each.samples for each in rows])
-    at = _GainPoint(rows, _GeodesicBodies.of(model), told, worth, np.zeros(model.phi.size), a)
-    for _ in range(_ROUNDS):
-        at = at.converged()
-        pairs = zip(rows, at.a.tolist(), strict=True)
-        at = replace(at, worth=np.array([each.effective(a, at.phi) for each, a in pairs]))
-    at = at.converged()
+    for fit in range(_FITS):
+        if fit:
+            phi, a = bodies.at(z[:d])[0], signs * np.exp(z[d:])
+            worth = np.array([each.effective(own, phi) for each, own in zip(rows, a, strict=True)])
+        system = partial(_system, rows=rows, bodies=bodies, told=told, signs=signs, worth=worth)
+        options = {"initial_trust_radius": _LONGEST, "gtol": _LEVEL, "maxiter": _STEPS}
+        z = minimize(
+            lambda z, system=system: system(z)[:2],
+            z,
+            jac=True,
+            hess=lambda z, system=system: system(z)[2],
+            method="trust-exact",
+            options=options,
+        ).x
     # What stays unexplained goes with the motion, as in `fit_model`: it is worth few samples.
-    information, _, grams = at.system()
+    _, _, information, grams = system(z)
     inverse = np.linalg.inv(information)
-    covariance = inverse + inverse @ np.tensordot(at.worth / WORTH, grams, 1) @ inverse
-    deviations = np.sqrt(np.diag(covariance)[len(at.x) :])
-    return SignalGains(1.0 / at.a, deviations, at.phi.reshape(-1, PARAMETERS_PER_BODY), at.worth)
+    covariance = inverse + inverse @ np.tensordot(worth / WORTH, grams, 1) @ inverse
+    deviations = np.sqrt(np.diag(covariance)[d:])
+    found = bodies.at(z[:d])[0].reshape(-1, PARAMETERS_PER_BODY)
+    return SignalGains(signs * np.exp(-z[d:]), deviations, found, worth)
+
+
+def _system(
+    z: Array,
+    *,
+    rows: Sequence[SignalRows],
+    bodies: _GeodesicBodies,
+    told: Array,
+    signs: Array,
+    worth: Array,
+) -> tuple[float, Array, Array, Array]:
+    """Return the negative log-posterior of z, its slope, information, and each joint's part of it.
+
+    z (d + nv,) are coordinates of the bodies and log |a|, noise is profiled out, and the
+    information (d + nv, d + nv) is that of Gauss and Newton.
+    """
+    d, size = len(z) - len(signs), len(z)
+    phi, slope = bodies.at(z[:d])
+    known, grams = block_diag(bodies.information, told), np.zeros((len(signs), size, size))
+    gradient = known @ z
+    cost = 0.5 * float(z @ gradient)
+    for j, (joint, a) in enumerate(zip(rows, (signs * np.exp(z[d:])).tolist(), strict=True)):
+        left, load = joint.left(a, phi), joint.load(phi)
+        J = np.zeros((len(load), size))
+        J[:, :d] = a * joint.factor[joint.free :, joint.free : -2] @ slope[joint.columns]
+        J[:, d + j] = a * load
+        noise = left @ left + joint.samples * joint.variance * _NOTHING
+        grams[j] = worth[j] / noise * J.T @ J
+        gradient += worth[j] / noise * J.T @ left
+        cost += 0.5 * joint.cost(a, phi, worth[j])
+    return cost, gradient, known + grams.sum(axis=0), grams
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,68 +287,3 @@ def _orthonormal_symmetric() -> Array:
 
 
 _SYMMETRIC = _orthonormal_symmetric()
-
-
-@dataclass(frozen=True, eq=False)
-class _GainPoint:
-    """Bodies and gains on the way to the likeliest ones."""
-
-    rows: Sequence[SignalRows]
-    bodies: _GeodesicBodies
-    told: Array  # (nv, nv) information of log |a|
-    worth: Array  # (nv,) independent samples of each joint's residual
-    x: Array  # (d,) coordinates of the bodies
-    a: Array  # (nv,) inverse gains
-
-    @cached_property
-    def _bodies(self) -> tuple[Array, Array]:
-        return self.bodies.at(self.x)
-
-    @property
-    def phi(self) -> Array:
-        """Return (d,) inertial parameters."""
-        return self._bodies[0]
-
-    @cached_property
-    def cost(self) -> float:
-        """Twice the negative log-likelihood, noise profiled out, with what is known before."""
-        joints = zip(self.rows, self.a.tolist(), self.worth.tolist(), strict=True)
-        gains = np.log(np.abs(self.a))
-        known = gains @ self.told @ gains + self.x @ self.bodies.information @ self.x
-        return float(sum(rows.cost(a, self.phi, worth) for rows, a, worth in joints) + known)
-
-    def system(self) -> tuple[Array, Array, Array]:
-        """Return Gauss–Newton information and slope of half the cost, and each joint's part."""
-        d, slope = len(self.x), self._bodies[1]
-        size = d + len(self.a)
-        information, grams = np.zeros((size, size)), np.zeros((len(self.a), size, size))
-        information[:d, :d] = self.bodies.information
-        information[d:, d:] = self.told
-        gradient = information @ np.concatenate([self.x, np.log(np.abs(self.a))])
-        for j, (rows, a) in enumerate(zip(self.rows, self.a.tolist(), strict=True)):
-            left, load = rows.left(a, self.phi), rows.load(self.phi)
-            J = np.zeros((len(load), size))
-            Y = rows.factor[rows.free :, rows.free : -2]
-            J[:, :d], J[:, d + j] = a * Y @ slope[rows.columns], a * load
-            noise = left @ left + rows.samples * rows.variance * _NOTHING
-            grams[j] = self.worth[j] / noise * J.T @ J
-            gradient += self.worth[j] / noise * J.T @ left
-        return information + grams.sum(axis=0), gradient, grams
-
-    def converged(self) -> _GainPoint:
-        """Return where Gauss–Newton steps lead, each as long as the cost falls."""
-        here, d = self, len(self.x)
-        for _ in range(_STEPS):
-            information, gradient, _ = here.system()
-            step = -np.linalg.solve(information, gradient)
-            share = min(1.0, _LONGEST / max(float(np.abs(step).max()), _NOTHING))
-            while True:
-                x, log_a = share * step[:d], share * step[d:]
-                there = replace(here, x=here.x + x, a=here.a * np.exp(log_a))
-                if there.cost < here.cost or share <= _SHORTEST:
-                    break
-                share *= 0.5
-            if not there.cost < here.cost - _CLOSE:
-                break
-            here = there
-        return here
