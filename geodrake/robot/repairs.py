@@ -73,11 +73,17 @@ def repair_inertias(
     lumps = lumped_bodies(plant)
     stated = [_stated_parameters(description, plant, body) for body in lumps]
     usable = [np.where(_counts(phi)[:, None], phi, 0.0).sum(0) for phi in stated]
-    spare_mass = _spare_mass(usable)
+    between = [
+        all(_scoped(plant, member.index) in description.between for member in body.members)
+        for body in lumps
+    ]
+    spare_mass = _spare_mass(
+        [phi for phi, is_between in zip(usable, between, strict=True) if not is_between]
+    )
     repairs, notes, changed = [], [], False
-    for body, members, phi in zip(lumps, stated, usable, strict=True):
+    for body, members, phi, is_between in zip(lumps, stated, usable, between, strict=True):
         after = phi
-        if all(_scoped(plant, member.index) in description.between for member in body.members):
+        if is_between:
             mass = max(2.0 * LEAST_MASS, MASS_BETWEEN * sum(own[0] for own in usable))
             after = nearest_physical(phi, points=np.zeros((1, 3)), spare_mass=mass)
         elif not (is_physical(phi, tolerance=TOLERANCE) and _counts(phi) and _has_size(phi)):
