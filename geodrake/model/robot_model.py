@@ -105,7 +105,8 @@ class RobotModel(Short):
             efforts, or efforts that motors are asked for, what makes efforts of them.
         known_joints: Names of the joints that logs may have: the model's, those that are held, and
             those that follow others.
-        repairs: Sentences on inertias that are not those of the file, as no body can have those.
+        repairs: Sentences on what of the file is not used as it stands: inertias that no body can
+            have, and what is left out.
         left_out: Sentences on what of the file bears on efforts, and is no part of the model.
     """
 
@@ -732,7 +733,7 @@ def from_loaded_plant(
         bare,
         effects=tuple(effects),
         notes=(*loaded.changes, *loaded.left_out, *loaded.notes, *notes),
-        repairs=loaded.changes,
+        repairs=(*loaded.changes, *loaded.left_out),
         left_out=loaded.left_out,
         known_joints=tuple(dict.fromkeys((*loaded.joints, *bare.joints))),
     )

@@ -41,6 +41,7 @@ class MjcfText(ModelText):
     geometry. What else the file states of joints, and what no model takes, is in the attributes.
 
     Attributes:
+        compiled: MuJoCo's model of all of the file; None without MuJoCo.
         reference: MuJoCo's model without what is left out, which robots are compared with; None
             without MuJoCo.
         degrees: Whether angles in the file are in degrees.
@@ -55,6 +56,7 @@ class MjcfText(ModelText):
         self, root: Element, path: Path, scope: str | None, folders: Mapping[str, Path]
     ) -> None:
         self.reference: Any = None
+        self.compiled: Any = None
         super().__init__(root, path, scope, folders)
 
     def _read(self) -> None:
@@ -92,7 +94,7 @@ class MjcfText(ModelText):
                 of_joints = {f"{scope}::{joint}": value for joint, value in values.items()}
                 setattr(self, quantity, of_joints)
         self.reference = None if source.lost else terms.reference
-        self.gravity = terms.gravity
+        self.compiled, self.gravity = source.model, terms.gravity
         self.followers, self.bent = terms.followers_in(scope), terms.bent_followers
         self.left_out += terms.left_out
         self.notes += [*terms.notes, *(f"MuJoCo: {' '.join(each.split())}" for each in source.said)]
