@@ -17,7 +17,7 @@ from geodrake.cli.session import own_effects
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import head, make_console, say, show_list, show_saved, show_table
 from geodrake.cli.targets import STDOUT, Targets
-from geodrake.model.dynamics_check import TOLERANCE, DynamicsCheck, check_dynamics
+from geodrake.model.dynamics_check import TOLERANCE, Agreement, DynamicsCheck, check_dynamics
 from geodrake.report.json_output import number_or, to_json
 from geodrake.report.tables import Table, cells
 
@@ -34,7 +34,7 @@ def run_check(options: CheckOptions) -> None:
         extra = own_effects(files)
         model = read_model(options.model, options, update, extra)
         targets.check([options.model, *files, model.path])
-        update("Comparing with MultibodyPlant")
+        update("Comparing with MultibodyPlant, and with a program that reads the file itself")
         found = check_dynamics(model, samples=options.samples, seed=options.seed)
         notes = tuple(dict.fromkeys((*found.repairs, *model.notes)))
         numbers = to_json({"version": version(), "command": "check", **check_dict(found, notes)})
@@ -56,26 +56,29 @@ def check_dict(found: DynamicsCheck, notes: Sequence[str]) -> dict[str, Any]:
         found: The check.
         notes: What is to be known of the model, repairs first.
     """
-    why = "a computed value is no number"
     return {
         "agrees": found.holds,
-        "repaired": bool(found.repairs),
+        "repaired": len(found.repairs) > len(found.left_out),
+        "left_out": list(found.left_out),
         "tolerance": TOLERANCE,
         "samples": found.samples,
         "seed": found.seed,
         "bodies": found.bodies,
         "joints": found.joints,
-        "quantities": {
-            each.quantity: {
-                "difference": number_or(each.difference, why),
-                "size": number_or(each.size, why),
-                "relative": number_or(each.relative, why),
-                "where": each.where,
-            }
-            for each in found.agreements
-        },
+        "quantities": {each.quantity: _numbers(each) for each in found.agreements},
+        "second_opinion": {"by": found.by} | (_numbers(found.second) if found.second else {}),
         "worst": found.worst.quantity,
         "notes": list(notes),
+    }
+
+
+def _numbers(each: Agreement) -> dict[str, Any]:
+    why = "a computed value is no number"
+    return {
+        "difference": number_or(each.difference, why),
+        "size": number_or(each.size, why),
+        "relative": number_or(each.relative, why),
+        "where": each.where,
     }
 
 
@@ -102,12 +105,16 @@ def show_check(console: Console, found: DynamicsCheck, notes: Sequence[str], *, 
             f"{each.size:.3g}",
             f"{each.relative:.1e}",
         )
-        for each in found.agreements
+        for each in (*found.agreements, *([found.second] if found.second else []))
     )
     titles = ("quantity", "largest at", "difference", "of", "relative")
     show_table(console, Table(titles, rows, words=2))
     show_list(console, "Notes", notes)
     say(console, "Verdict", check_verdict(found))
+
+
+def _words(each: Agreement) -> str:
+    return f"{each.relative:.0e} at {' & '.join(each.where)} ({each.quantity})"
 
 
 def check_verdict(found: DynamicsCheck) -> str:
@@ -117,15 +124,33 @@ def check_verdict(found: DynamicsCheck) -> str:
         found: The check.
     """
     worst = found.worst
-    most = f"{worst.relative:.0e} at {' & '.join(worst.where)} ({worst.quantity})"
+    most, second = _words(worst), found.second
+    file = ""
+    if second is not None:
+        file = f" {found.by}, which reads the file itself, differs by {_words(second)}."
+    inertias = len(found.repairs) > len(found.left_out)
     if found.repairs and found.is_rounding:
+        parts = ["has inertias that cannot be used"] if inertias else []
+        parts += ["states what no model of geodrake takes"] if found.left_out else []
         return (
-            "the file has inertias that cannot be used, so what was checked is not the file as it "
-            f"stands (see Notes). Of what is used instead, the largest relative difference is "
-            f"{most}. Correct the inertias in the file."
+            f"the file {' and '.join(parts)}, so what was checked is not the file as it stands "
+            f"(see Notes). Of what is used instead, the largest relative difference to "
+            f"MultibodyPlant is {most}.{file}"
+            + (" Correct the inertias in the file." if inertias else "")
+        )
+    if found.is_rounding and second is not None and not second.holds:
+        return (
+            f"geodrake and MultibodyPlant agree, but geodrake reads the file otherwise than "
+            f"{found.by}: efforts differ by {_words(second)}. Please report it with the file."
         )
     if found.holds:
-        return f"geodrake and MultibodyPlant agree; the largest relative difference is {most}."
+        others = f", as does {found.by}, which reads the file itself" if second is not None else ""
+        alone = f" There is no second opinion on the file: {found.by}." if second is None else ""
+        largest = max((worst, *([second] if second else [])), key=lambda each: each.relative)
+        return (
+            f"geodrake and MultibodyPlant agree{others}; the largest relative difference is "
+            f"{_words(largest)}.{alone}"
+        )
     return (
         f"geodrake and MultibodyPlant disagree: a relative difference is {most}, where rounding is "
         f"below {TOLERANCE:g}. This is a bug in geodrake; please report it with the model."

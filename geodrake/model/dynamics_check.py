@@ -1,4 +1,4 @@
-"""The recursion of geodrake against MultibodyPlant, on one model at random states.
+"""The recursion of geodrake against MultibodyPlant, and its file against another program.
 
 Drake supplies a model's tree, constants and simulation; efforts and regressors come from a compiled
 recursion over that tree (`geodrake.robot.recursion`). Here both compute the same.
@@ -16,6 +16,7 @@ from pydrake.multibody.tree import MultibodyForces
 from geodrake.boundary.arguments import instance, integer
 from geodrake.boundary.showing import Short
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.second_opinion import second_opinion
 from geodrake.robot.driven_tree import plant_jacobians
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.plant import set_inertial_parameters
@@ -65,7 +66,7 @@ class Agreement(Short):
 
 @dataclass(frozen=True, eq=False)
 class DynamicsCheck(Short):
-    """What a model's dynamics are by geodrake and by MultibodyPlant.
+    """What a model's dynamics are by geodrake, by MultibodyPlant and by a third program.
 
     Attributes:
         agreements: One for every quantity.
@@ -73,7 +74,10 @@ class DynamicsCheck(Short):
         bodies: Number of bodies.
         samples: Number of random states.
         seed: Of the random numbers.
-        repairs: What of the model's file was not compared, as no body can have it.
+        repairs: What of the model's file is not used as it stands.
+        left_out: What of that is no part of the model, other than inertias.
+        second: Of the efforts by another program, which reads the file itself; None for none.
+        by: That program; otherwise why there is none.
     """
 
     agreements: tuple[Agreement, ...]
@@ -82,6 +86,9 @@ class DynamicsCheck(Short):
     samples: int
     seed: int
     repairs: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    second: Agreement | None = None
+    by: str = ""
 
     @property
     def worst(self) -> Agreement:
@@ -96,7 +103,8 @@ class DynamicsCheck(Short):
     @property
     def holds(self) -> bool:
         """Return whether all differences are rounding, and the model is that of its file."""
-        return self.is_rounding and not self.repairs
+        second = self.second is None or self.second.holds
+        return self.is_rounding and second and not self.repairs
 
 
 def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> DynamicsCheck:
@@ -129,7 +137,37 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
         for name in ours
     )
     bodies = len(model.bodies)
-    return DynamicsCheck(agreements, model.joints, bodies, samples, seed, model.repairs)
+    second, by = _second(model, states)
+    return DynamicsCheck(
+        agreements,
+        model.joints,
+        bodies,
+        samples,
+        seed,
+        model.repairs,
+        model.left_out,
+        second,
+        by,
+    )
+
+
+def _second(model: RobotModel, states: States) -> tuple[Agreement | None, str]:
+    """Return how far another program's efforts differ, and which, or why there are none."""
+    plant_states, jacobians, _ = _of_plant(model, states)
+    found = second_opinion(model, states, plant_states, jacobians)
+    if isinstance(found, str):
+        return None, found
+    size = float(np.abs(found.efforts).max(initial=0.0))
+    error = found.ours - found.efforts
+    return _agreement(f"efforts by {found.by}", error, size, model.joints), found.by
+
+
+def _of_plant(model: RobotModel, states: States) -> tuple[States, Array, Array]:
+    """States (N, ·) of the plant, rates of its positions by the model's, and J̇ v."""
+    jacobians, rates = plant_jacobians(model.tree, model.coordinates, *states[:2])
+    along = times(rates, states[1])
+    q, v = model.plant_positions(states[0]), model.plant_velocities(*states[:2])
+    return (q, v, times(jacobians, states[2]) + along), jacobians, along
 
 
 def _random_states(model: RobotModel, count: int, rng: np.random.Generator) -> States:
@@ -178,10 +216,7 @@ def _by_recursion(model: RobotModel, states: States, phi: Array, others: Array) 
 def _by_drake(model: RobotModel, states: States, others: Array) -> Quantities:
     """Return the same by MultibodyPlant, whose joints move with their leaders and actuators."""
     plant = model.plant
-    jacobians, rates = plant_jacobians(model.tree, model.coordinates, *states[:2])
-    q, v = model.plant_positions(states[0]), model.plant_velocities(*states[:2])
-    along = times(rates, states[1])  # J̇ v
-    vd = times(jacobians, states[2]) + along
+    (q, v, vd), jacobians, along = _of_plant(model, states)
     context, other = model.create_context(), plant.CreateDefaultContext()
     none = MultibodyForces(plant)
     found: dict[str, list[Array]] = {name: [] for name in QUANTITIES}

@@ -105,7 +105,9 @@ class RobotModel(Short):
             efforts, or efforts that motors are asked for, what makes efforts of them.
         known_joints: Names of the joints that logs may have: the model's, those that are held, and
             those that follow others.
-        repairs: Sentences on inertias that are not those of the file, as no body can have those.
+        repairs: Sentences on what of the file is not used as it stands: inertias that no body can
+            have, and what is left out.
+        left_out: Sentences on what of the file bears on efforts, and is no part of the model.
     """
 
     plant: MultibodyPlant
@@ -126,6 +128,7 @@ class RobotModel(Short):
     transmission: tuple[Drive, ...] = ()
     effort_signals: tuple[EffortSignal, ...] = ()
     repairs: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     @cached_property
     def tree(self) -> RobotTree:
@@ -729,8 +732,9 @@ def from_loaded_plant(
     return replace(
         bare,
         effects=tuple(effects),
-        notes=(*loaded.changes, *loaded.notes, *notes),
-        repairs=loaded.changes,
+        notes=(*loaded.changes, *loaded.left_out, *loaded.notes, *notes),
+        repairs=(*loaded.changes, *loaded.left_out),
+        left_out=loaded.left_out,
         known_joints=tuple(dict.fromkeys((*loaded.joints, *bare.joints))),
     )
 

@@ -8,13 +8,14 @@ or the ratio changes, no effect at an actuator is the same: the term is left out
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from geodrake.effects import catalogue
 from geodrake.effects.fitted_effect import FittedEffect
 from geodrake.inertia import Array
-from geodrake.model.file_terms import Spring
+from geodrake.model.file_terms import Drag, Spring
 from geodrake.robot.plant import LoadedPlant
 from geodrake.robot.transmission.actuation import Actuation
 
@@ -45,7 +46,17 @@ def stated_effects(
         if found:
             listed = ", ".join(f"{name} {value:g}" for name, value in found)
             notes.append(f"The {kind.stated_as} in the file ({listed}) is kept as {kind.name}.")
-    stiffness, rest = loaded.file_springs
+    for exponent, stated in zip((2.0, 3.0), loaded.file_powers, strict=True):
+        what = f"damping of the power {exponent:g}"
+        weight = partial(_power, exponent=exponent + 1.0)
+        values, lost = _at_actuators(stated, actuation, weight)
+        notes += _lost_notes(what, [joints[at] for at in lost])
+        for name, value in zip(names, values.tolist(), strict=True):
+            if value:
+                drag = Drag(name, exponent=exponent)
+                effects.append(FittedEffect(drag, np.array([value])))
+                notes.append(f"The {what} in the file ({name} {value:g}) is kept as {drag.name}.")
+    stiffness, rest, cubic = loaded.file_springs
     values, lost = _at_actuators(stiffness, actuation, np.square)
     if actuation is not None:  # Σ J² k (q − c)² / 2 of several springs is one about their mean
         moments, _ = actuation.joined(stiffness * (rest - actuation.offsets), lambda J: J)
@@ -57,7 +68,18 @@ def stated_effects(
             spring = Spring(name, center=center)
             effects.append(FittedEffect(spring, np.array([value, 0.0])))
             notes.append(f"The spring in the file ({name} {value:g}) is kept as {spring.name}.")
+    values, lost = _at_actuators(cubic, actuation, lambda J: J**4)
+    notes += _lost_notes("cubic spring", [joints[at] for at in lost])
+    for name, value, center in zip(names, values.tolist(), rest.tolist(), strict=True):
+        if value:
+            spring = Spring(name, exponent=3, center=center)
+            effects.append(FittedEffect(spring, np.array([value, 0.0])))
+            notes.append(f"The cubic spring in the file ({name} {value:g}) is kept.")
     return effects, notes
+
+
+def _power(J: Array, exponent: float) -> Array:
+    return np.abs(J) ** exponent
 
 
 def _without_negligible(values: Array, what: str, names: Sequence[str], notes: list[str]) -> Array:

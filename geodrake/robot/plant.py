@@ -38,6 +38,7 @@ from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.followers import Follower, OwnCoordinates, resolved
 from geodrake.robot.holding import Arrangement, checked_held, poses_of, weld_joints, welds_of
+from geodrake.robot.mujoco_check import JointTerms, check_against_mujoco
 from geodrake.robot.repairs import Repair, repair_inertias
 from geodrake.robot.several_robots import chosen_robot, robots_of, scoped
 from geodrake.robot.transmission.statements import Followers, Gear
@@ -59,8 +60,10 @@ class LoadedPlant:
             followers, whose share is their leader's.
         file_friction: (nv,) dry friction of the file, N·m or N.
         file_rotor_inertia: (nv,) reflected inertia of the file, kg·m² or kg.
-        file_springs: (2, nv) stiffness of the file's springs, N·m/rad or N/m, and their rest
-            positions, rad or m.
+        file_powers: (2, nv) c of the file's damping c |v| v and c v³, SI.
+        file_springs: (3, nv) stiffness k of the file's springs, N·m/rad or N/m, their rest
+            positions q₀, rad or m, and k₃ of k (q − q₀) + k₃ (q − q₀)³, SI.
+        left_out: Sentences on what of the file bears on efforts, and is in none of these.
         held: Joint that does not move, though it does in the file -> where it is held, rad or m.
         given: How the file was to be read.
         followers: Joints of the plant that follow others.
@@ -78,6 +81,7 @@ class LoadedPlant:
     file_damping: Array
     file_friction: Array
     file_rotor_inertia: Array
+    file_powers: Array
     file_springs: Array
     held: Mapping[str, float]
     given: Given
@@ -85,6 +89,7 @@ class LoadedPlant:
     joints: tuple[str, ...] = ()
     bent: tuple[Followers, ...] = ()
     geared: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     @property
     def stated(self) -> Mapping[str, Array]:
@@ -145,7 +150,7 @@ def load_plant(
     notes = [*description.notes, *built.notes, *_follower_notes(description, arrangement)]
     changes = [*map(str, repairs), *left_out, *description.lost, *_relevant(messages)]
     coordinates = OwnCoordinates(built.plant, arrangement.followers)
-    stiffness, rest = built.springs
+    stiffness, rest, cubic = built.springs
     return LoadedPlant(
         built.plant,
         path,
@@ -155,13 +160,21 @@ def load_plant(
         coordinates.joined(built.damping, 2),
         coordinates.joined(built.friction, 1),
         coordinates.joined(built.rotor_inertia, 2),
-        np.array([coordinates.joined(stiffness, 2), rest[coordinates.own_velocities]]),
+        np.array([coordinates.joined(c, n) for c, n in zip(built.powers, (3, 4), strict=True)]),
+        np.array(
+            [
+                coordinates.joined(stiffness, 2),
+                rest[coordinates.own_velocities],
+                coordinates.joined(cubic, 4),
+            ]
+        ),
         held,
         given,
         arrangement.followers,
         arrangement.joints,
         description.bent,
         _geared(description),
+        tuple(dict.fromkeys(description.left_out)),
     )
 
 
@@ -188,6 +201,7 @@ def _draft(
     """Return the plant before repairs, of the robot asked for, with its joints held."""
     arrangement = Arrangement(floating)
     draft = _build(description, arrangement)
+    check_against_mujoco(description, draft)
     if given.robot is not None:
         robot = chosen_robot(draft.plant, given.robot, description.path)
         others = [joint for r in robots_of(draft.plant) if r != robot for joint in r.joints]
@@ -242,14 +256,11 @@ def _last(name: str) -> str:
     return name.rpartition("::")[2]
 
 
-@dataclass(frozen=True)
-class _Built:
-    plant: MultibodyPlant
+@dataclass(frozen=True, eq=False)
+class _Built(JointTerms):
+    """A plant, and notes on how it was read."""
+
     notes: tuple[str, ...]
-    damping: Array
-    friction: Array
-    rotor_inertia: Array
-    springs: Array
 
 
 def _build(
@@ -295,14 +306,18 @@ def _build(
         values = {j: stated.get(scoped(joint), 0.0) for j, joint in enumerate(_joints(plant))}
         return {j: np.full(count, values[j]) for j, count in counts.items() if count <= most}
 
-    friction, of_springs = of_text("friction"), [of_text(n, most=1) for n in ("stiffness", "rest")]
+    powers, springs = (
+        np.array([per_velocity(of_text(name, most=1)) for name in names])
+        for names in (("damping_2", "damping_3"), ("stiffness", "rest", "stiffness_3"))
+    )
     return _Built(
         plant,
-        tuple(notes),
+        notes=tuple(notes),
         damping=per_velocity(damping),
-        friction=per_velocity(friction),
+        friction=per_velocity(of_text("friction")),
         rotor_inertia=per_velocity(rotor),
-        springs=np.array([per_velocity(values) for values in of_springs]),
+        powers=powers,
+        springs=springs,
     )
 
 

@@ -26,6 +26,7 @@ LEAST_MASS = 1e-12  # kg, up to which a mass counts as none
 LEAST_SIZE = 1e-15  # m, up to which a body counts as a point
 LEAST_LENGTH = 0.01  # m, least radius of gyration given to a body
 LENGTH_PER_SIZE = 0.05  # the same, as a share of the body's size
+MASS_BETWEEN = 1e-12  # of a body between the joints of one body, as a share of the robot's
 MASS_PER_TOTAL = 1e-3  # mass of all bodies without one, as a share of the robot's
 
 
@@ -72,11 +73,20 @@ def repair_inertias(
     lumps = lumped_bodies(plant)
     stated = [_stated_parameters(description, plant, body) for body in lumps]
     usable = [np.where(_counts(phi)[:, None], phi, 0.0).sum(0) for phi in stated]
-    spare_mass = _spare_mass(usable)
+    between = [
+        all(_scoped(plant, member.index) in description.between for member in body.members)
+        for body in lumps
+    ]
+    spare_mass = _spare_mass(
+        [phi for phi, is_between in zip(usable, between, strict=True) if not is_between]
+    )
     repairs, notes, changed = [], [], False
-    for body, members, phi in zip(lumps, stated, usable, strict=True):
+    for body, members, phi, is_between in zip(lumps, stated, usable, between, strict=True):
         after = phi
-        if not (is_physical(phi, tolerance=TOLERANCE) and _counts(phi) and _has_size(phi)):
+        if is_between:
+            mass = max(2.0 * LEAST_MASS, MASS_BETWEEN * sum(own[0] for own in usable))
+            after = nearest_physical(phi, points=np.zeros((1, 3)), spare_mass=mass)
+        elif not (is_physical(phi, tolerance=TOLERANCE) and _counts(phi) and _has_size(phi)):
             after = nearest_physical(phi, points=_joint_points(plant, body), spare_mass=spare_mass)
             before = members.sum(0)
             problem = _problem(before if len(members) == 1 or not _counts(phi) else phi)

@@ -144,3 +144,35 @@ def test_what_code_of_users_prints_is_no_result(tmp_path):
     assert json.loads(done.stdout)["agrees"]
     said = {"printed", "written", "in C", "in a thread", "at the end", "by a child at the end"}
     assert said <= set(done.stderr.splitlines())
+
+
+MJCF = """<mujoco model="m"><option density="{}"/><worldbody><body name="a">
+<joint name="j" axis="0 1 0"/><geom type="capsule" size=".05 .2" pos=".1 0 0"/></body>
+</worldbody></mujoco>"""
+
+
+def test_what_is_left_out_fails_the_check_and_is_told_first(tmp_path):
+    path = tmp_path / "m.xml"
+    path.write_text(MJCF.format(1000), encoding="utf-8")
+    done = run("check", path, "--samples", 2, "--json", tmp_path / "c.json")
+    assert done.exit_code == 1
+    assert done.output.startswith("Warning: m.xml is not used as it stands. The medium of <option")
+    verdict = done.output.rpartition("Verdict")[2]
+    assert "states what no model of geodrake takes" in verdict and "MuJoCo" in verdict
+    numbers = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
+    assert not numbers["agrees"] and not numbers["repaired"]
+    assert numbers["left_out"] == numbers["notes"][:1]
+    assert numbers["second_opinion"]["by"].startswith("MuJoCo")
+    assert numbers["second_opinion"]["relative"] > 0.01
+
+
+@pytest.mark.parametrize(("name", "program"), [("m.xml", "MuJoCo"), ("two.urdf", "Pinocchio")])
+def test_a_program_that_reads_the_file_itself_agrees(tmp_path, monkeypatch, name, program):
+    model_of(tmp_path, '<mass value="2"/>')
+    (tmp_path / "m.xml").write_text(MJCF.format(0), encoding="utf-8")
+    done = run("check", tmp_path / name, "--samples", 2)
+    assert done.exit_code == 0 and f"as does {program}" in " ".join(done.output.split())
+    monkeypatch.setitem(sys.modules, program.lower(), None)
+    done = run("check", tmp_path / "two.urdf", "--samples", 2, "--json", tmp_path / "c.json")
+    by = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))["second_opinion"]["by"]
+    assert ("not installed" in by) == (program == "Pinocchio") and done.exit_code == 0

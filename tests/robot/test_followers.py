@@ -220,13 +220,8 @@ def test_equalities_that_hold_no_joint_to_another_are_left_out_and_said(tmp_path
     weld = '<weld body1="b" body2="c"/>'
     model = loaded(tmp_path, MJCF.format(weld), "m.xml")
     assert model.joints == ("j",)
-    assert any("<equality> is ignored" in note for note in model.notes)
-
-
-def test_bodies_that_only_mujoco_makes_are_said_to_be_missing(tmp_path):
-    text = MJCF.format("").replace("</worldbody>", '<replicate count="10"><body/></replicate>$')
-    model = loaded(tmp_path, text.replace("$", "</worldbody>"), "m.xml")
-    assert any("<replicate> is ignored" in note for note in model.notes)
+    (words,) = model.left_out
+    assert "<equality>: the constraint <weld> of b and c" in words and words in model.notes
 
 
 def test_efforts_of_followers_are_added_to_their_leaders(tmp_path):

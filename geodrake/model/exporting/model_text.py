@@ -20,7 +20,7 @@ from geodrake.model.exporting.mjcf_actuators import with_actuators
 from geodrake.model.file_terms import Tilt
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.joint_text import with_gravity, with_joint_numbers
-from geodrake.robot.files.mjcf import turns_in_degrees
+from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.reading import model_text_of
 from geodrake.robot.files.references import with_references
 from geodrake.robot.files.xacro_file import read_expanded
@@ -96,7 +96,7 @@ def model_text(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]
         name: changed_numbers(before[name], after) for name, after in joint_numbers(model).items()
     }
     text = model_text_of(read_expanded(path, model.given), path)
-    if text.kind == "xml" and turns_in_degrees(text.root):
+    if isinstance(text, MjcfText) and text.degrees:
         turning = {name for name, numbers in before.items() if numbers.turns}
         changes = {
             name: {**change, "rest": float(np.rad2deg(change["rest"]))}

@@ -30,16 +30,22 @@ class ModelText(abc.ABC):
     Attributes:
         kind: Drake's name of the format.
         notes: Sentences on what was taken out of the text and matters.
+        left_out: Sentences on what bears on efforts, and is not in the text or elsewhere here.
+        gravity: (3,) acceleration of gravity that the file states, m/s²; None for Drake's.
         lost: Sentences on inertias that the text does not state and nothing else tells.
         set_aside: Scoped link names with the (10,) inertial parameters that the file gives them
             and no body can have; these are not in the text.
         friction: Scoped joint names with their dry friction, N or N·m.
         armature: Scoped joint names with their reflected inertia, kg·m² or kg.
+        damping_2: Scoped joint names with c of their damping c |v| v, SI.
+        damping_3: Scoped joint names with c of their damping c v³, SI.
         stiffness: Scoped joint names with the stiffness of their spring, N·m/rad or N/m.
+        stiffness_3: Scoped joint names with k of its part k (q − q₀)³, SI.
         rest: Scoped joint names with the position at which that spring is at rest, rad or m.
         effort: Scoped joint names with their largest effort, N or N·m.
         followers: Joints that the file has follow others; whether they can is seen in the plant.
         bent: Joints that the file has follow others by a ratio that changes.
+        between: Scoped names of bodies between several joints of one, which weigh nothing.
         packages: Names of packages whose files are left for Drake to include.
         folders: Package -> folder, which come before those that are found.
     """
@@ -52,12 +58,18 @@ class ModelText(abc.ABC):
     ) -> None:
         self.root, self.path, self.scope, self.folders = root, path, scope, folders
         self.notes: list[str] = []
+        self.left_out: list[str] = []
+        self.gravity: Array | None = None
         self.lost: list[str] = []
         self.friction: dict[str, float] = {}
         self.armature: dict[str, float] = {}
+        self.damping_2: dict[str, float] = {}
+        self.damping_3: dict[str, float] = {}
         self.stiffness: dict[str, float] = {}
+        self.stiffness_3: dict[str, float] = {}
         self.rest: dict[str, float] = {}
         self.effort: dict[str, float] = {}
+        self.between: set[str] = set()
         self.packages: set[str] = set()
         self.followers: list[Follower] = []
         self.bent: list[Followers] = []

@@ -55,6 +55,14 @@ class Numbers:
         return f"{outside[0]:g} is {word} {bound:g}"
 
 
+class Words(Numbers):
+    """Words that are no numbers, and that stand where other elements have some."""
+
+    def problem(self, text: str) -> str:
+        """Nothing."""
+        return ""
+
+
 Numeric = Mapping[str, Mapping[str, Numbers]]
 """Tag -> attribute -> numbers; the attribute "" is the text, the tag "" stands for all."""
 
@@ -119,7 +127,8 @@ MJCF_NUMBERS: Numeric = {
         "stiffness": Numbers(range(1, 4)),
         "density": _POSITIVE,
         "mass": _POSITIVE,
-    }
+    },
+    "flag": {"gravity": Words()},
 }
 
 

@@ -63,6 +63,11 @@ class ModelDescription:
         return tuple(note for text in self.texts for note in text.notes)
 
     @property
+    def left_out(self) -> tuple[str, ...]:
+        """Return what of the texts bears on efforts and is not taken, in words."""
+        return tuple(words for text in self.texts for words in text.left_out)
+
+    @property
     def lost(self) -> tuple[str, ...]:
         """Inertias that the texts do not state and nothing else tells, in words."""
         return tuple(note for text in self.texts for note in text.lost)
@@ -71,6 +76,11 @@ class ModelDescription:
     def set_aside(self) -> Mapping[str, Array]:
         """Scoped link names with inertial parameters (10,) that no body can have."""
         return ChainMap(*(text.set_aside for text in self.texts))
+
+    @property
+    def between(self) -> frozenset[str]:
+        """Scoped names of bodies between several joints of one, which the files do not have."""
+        return frozenset(name for text in self.texts for name in text.between)
 
     @property
     def followers(self) -> tuple[Follower, ...]:
@@ -91,7 +101,7 @@ class ModelDescription:
         return tuple(part for text in self.texts for part in text.motors())
 
     def joint_values(self, name: str) -> Mapping[str, float]:
-        """`friction`, `armature` or `effort` of the file, by scoped joint name."""
+        """`friction`, `armature` or another quantity of `ModelText`, by scoped joint name."""
         return ChainMap(*(getattr(text, name) for text in self.texts))
 
     def named_packages(self) -> set[str]:
@@ -143,6 +153,8 @@ class ModelDescription:
             if self.directives is None:
                 for own, (text, _) in zip(self.texts, texts, strict=True):
                     parser.AddModelsFromString(text, own.kind)
+                    if own.gravity is not None:
+                        plant.mutable_gravity_field().set_gravity_vector(own.gravity)
                 return
             with TemporaryDirectory() as folder:
                 models = [d.add_model for d in self.directives.directives if d.add_model]

@@ -1,0 +1,354 @@
+"""Random MJCFs of many constructs, each as geodrake reads it and as MuJoCo itself does.
+
+A file mixes nested default classes, frames, replicates, attached models (which attach others),
+inertias of geoms and of numbers, total and least masses, joints of every kind with armature,
+damping and springs, powers of both, tendons of one and of more joints, motors, compensated gravity,
+media, equalities and flags. At random states the effort of `load_model(...).effort` is compared
+with `mj_inverse` and dry friction; what a note says is left out is left out of both, by hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import mujoco
+import numpy as np
+
+from geodrake import load_model
+from geodrake.logs.motion import Motion
+from geodrake.robot.files.mjcf_source import quiet_mujoco
+
+TOLERANCE = 1e-9
+_OFF = mujoco.mjtDisableBit
+
+
+class Writer:
+    """Writes one random file, and what it attaches, into a folder.
+
+    Attributes:
+        left_out: What of the file is no part of a model, by MuJoCo's names of tables.
+    """
+
+    def __init__(self, rng: np.random.Generator, folder: Path) -> None:
+        self.rng, self.folder, self.count = rng, folder, 0
+        self.left_out: set[str] = set()
+        self.classed = False
+
+    def numbers(self, size: int, low: float = -1.0, high: float = 1.0) -> str:
+        """Random numbers as words."""
+        return " ".join(f"{x:.4f}" for x in self.rng.uniform(low, high, size))
+
+    def chance(self, share: float) -> bool:
+        """Whether something happens that does in a share of the cases."""
+        return bool(self.rng.random() < share)
+
+    def name(self, kind: str) -> str:
+        """A name of its own, or none."""
+        self.count += 1
+        return f'name="{kind}{self.count}"'
+
+    def turn(self) -> str:
+        """An orientation in one of the ways that there are."""
+        ways = {"quat": 4, "euler": 3, "axisangle": 4, "xyaxes": 6, "zaxis": 3}
+        kind = self.rng.choice(list(ways))
+        high = 60.0 if kind == "euler" else 1.0
+        return f'{kind}="{self.numbers(ways[kind], 0.1, high)}"'
+
+    def classes(self, depth: int = 0) -> str:
+        """Nested default classes, some of which say nothing."""
+        joint = self.joint_numbers() if self.chance(0.6) else ""
+        parts = [f"<joint {joint}/>"] if joint else []
+        if self.chance(0.5):
+            parts.append(f'<geom density="{self.rng.uniform(300, 3000):.1f}"/>')
+        if self.chance(0.2):
+            parts.append(f'<motor gear="{self.rng.uniform(2, 9):.2f}"/>')
+        if depth < 3:
+            parts.append(self.classes(depth + 1))
+        head = "" if depth == 0 else f' class="c{depth}"'
+        return f"<default{head}>{''.join(parts)}</default>"
+
+    def joint_numbers(self) -> str:
+        """Armature, damping, springs and friction."""
+        own = []
+        if self.chance(0.5):
+            own.append(f'armature="{self.numbers(1, 0, 0.1)}"')
+        if self.chance(0.5):
+            own.append(f'damping="{self.numbers(int(self.rng.integers(1, 4)), 0, 0.5)}"')
+        if self.chance(0.4):
+            words = (f"{x:.3f}" for x in self.rng.uniform(0, 3, 3) * (1, 0, self.chance(0.3)))
+            own.append(f'stiffness="{" ".join(words)}" springref="{self.numbers(1, -20, 20)}"')
+        if self.chance(0.3):
+            own.append(f'frictionloss="{self.numbers(1, 0, 0.4)}"')
+        return " ".join(own)
+
+    def geom(self) -> str:
+        """A shape of a random kind, whose mass follows from its density or is given."""
+        kind = self.rng.choice(["sphere", "capsule", "cylinder", "box", "ellipsoid"])
+        mass = f'mass="{self.rng.uniform(0.1, 2):.3f}"' if self.chance(0.4) else ""
+        group = 'group="3"' if self.chance(0.1) else ""
+        if kind != "sphere" and self.chance(0.4):
+            ends = self.numbers(6, -0.2, 0.2)
+            return f'<geom type="{kind}" fromto="{ends}" size="0.04 0.03 0.1" {mass} {group}/>'
+        place = f'pos="{self.numbers(3, -0.2, 0.2)}" {self.turn()}'
+        size = self.numbers(3, 0.03, 0.1)
+        shell = 'shellinertia="true"' if kind in ("sphere", "box") and self.chance(0.1) else ""
+        return f'<geom type="{kind}" size="{size}" {place} {mass} {group} {shell}/>'
+
+    def inertial(self) -> str:
+        """An inertia by numbers."""
+        a, b = self.rng.uniform(0.01, 0.05, 2)
+        moments = f"{a:.5f} {b:.5f} {self.rng.uniform(abs(a - b) + 1e-4, a + b - 1e-4):.5f}"
+        place = f'pos="{self.numbers(3, -0.1, 0.1)}" mass="{self.rng.uniform(0.2, 2):.3f}"'
+        return f'<inertial {place} {self.turn()} diaginertia="{moments}"/>'
+
+    def joint(self, kind: str) -> str:
+        """A joint, perhaps drawn elsewhere than at zero."""
+        own = f'{self.name("j")} type="{kind}" pos="{self.numbers(3, -0.1, 0.1)}"'
+        if kind == "ball":
+            own += ' armature="0.02" damping="0.1 0 0" stiffness="0 0 0" frictionloss="0"'
+            return f"<joint {own}/>"
+        own += f' axis="{self.numbers(3, 0.1, 1)}" {self.joint_numbers()}'
+        if self.chance(0.3):
+            own += f' ref="{self.numbers(1, -10, 10)}"'
+        if self.chance(0.4):
+            own += ' range="-40 50"'
+        if self.classed and self.chance(0.3):
+            own += f' class="c{self.rng.integers(1, 4)}"'
+        return f"<joint {own}/>"
+
+    def body(self, depth: int) -> str:
+        """A body with what is in it, perhaps in frames within frames."""
+        joints = [self.joint("slide" if self.chance(0.25) else "hinge")]
+        if self.chance(0.2):
+            joints.append(self.joint("hinge"))
+        if self.chance(0.08):
+            joints = [self.joint("ball")]
+        inside = [*joints, self.geom(), self.inertial() if self.chance(0.4) else ""]
+        if self.chance(0.3):
+            inside.append(self.geom())
+        if depth < 3:
+            inside += [self.below(depth) for _ in range(int(self.rng.integers(1, 3)))]
+        if self.chance(0.25):
+            inside[: len(joints) + 1] = [
+                f'<frame pos="{self.numbers(3)}" {self.turn()}>'
+                f"<frame {self.turn()}>{''.join(inside[: len(joints) + 1])}</frame></frame>"
+            ]
+        child = f'childclass="c{self.rng.integers(1, 4)}"' if self.chance(0.4) else ""
+        lift = ""
+        if self.chance(0.05):
+            lift, _ = 'gravcomp="0.7"', self.left_out.add("body_gravcomp")
+        place = f'pos="{self.numbers(3, -0.3, 0.3)}" {self.turn()}'
+        return f"<body {self.name('b')} {place} {child} {lift}>{''.join(inside)}</body>"
+
+    def below(self, depth: int) -> str:
+        """What hangs on a body: another one, many of them, or one of another file."""
+        draw = self.rng.random()
+        if draw < 0.15:
+            return (
+                f'<replicate count="2" offset="{self.numbers(3)}" euler="10 20 30">'
+                f'<replicate count="2" sep="_r{self.count}_" offset="{self.numbers(3)}">'
+                f"{self.body(3)}</replicate></replicate>"
+            )
+        if draw < 0.3:
+            return f'<frame pos="{self.numbers(3)}" {self.turn()}>{self.body(depth + 1)}</frame>'
+        if draw < 0.4:
+            self.count += 1
+            return f'<attach model="part" body="root" prefix="p{self.count}_"/>'
+        return self.body(depth + 1)
+
+    def write(self) -> Path:
+        """Write the file and what it attaches."""
+        inner, outer, path = (self.folder / name for name in ("in.xml", "part.xml", "robot.xml"))
+        leaf = f'<body name="leaf" pos="0 0 0.1">{self.joint("hinge")}{self.geom()}</body>'
+        frame = f'<frame euler="5 6 7">{leaf}</frame>'
+        inner.write_text(
+            f'<mujoco model="in">{self.classes()}<worldbody>{leaf}</worldbody></mujoco>'
+        )
+        hangs = '<attach model="in" body="leaf" prefix="q_"/>'
+        root = f'<body name="root" pos="0.1 0 0">{self.geom()}{hangs}{frame}</body>'
+        outer.write_text(
+            '<mujoco model="part"><compiler angle="radian"/>'
+            f'<asset><model name="in" file="in.xml"/></asset><worldbody>{root}</worldbody></mujoco>'
+        )
+        self.classed = True
+        trees = "".join(self.body(0) for _ in range(int(self.rng.integers(1, 3))))
+        text = (
+            f'<mujoco model="robot">{self.settings()}{self.classes()}{self.second_defaults()}'
+            '<asset><model name="part" file="part.xml"/></asset>'
+            f"<worldbody>{self.geom()}{trees}</worldbody>"
+        )
+        joints = [
+            joint
+            for joint in mujoco.MjSpec.from_string(
+                f"{text}</mujoco>",
+                include={"part.xml": outer.read_bytes(), "in.xml": inner.read_bytes()},
+            ).joints
+            if joint.type != mujoco.mjtJoint.mjJNT_BALL
+        ]
+        names = [joint.name for joint in joints]
+        path.write_text(f"{text}{self.couplings(names)}</mujoco>")
+        return path
+
+    def second_defaults(self) -> str:
+        """A further section of the main class, as an included file would have."""
+        more = f'<default class="main"><joint armature="{self.numbers(1, 0, 0.1)}"/></default>'
+        return more if self.chance(0.3) else ""
+
+    def settings(self) -> str:
+        """Settings of the compiler, of the medium and of gravity."""
+        compiler, option = "", ""
+        if self.chance(0.2):
+            compiler += ' settotalmass="7"'
+        if self.chance(0.2):
+            compiler += ' boundmass="0.5" boundinertia="0.01"'
+        if self.chance(0.1):
+            compiler += ' inertiagrouprange="0 2"'
+        if self.chance(0.2):
+            compiler += ' inertiafromgeom="true"'
+        if self.chance(0.2):
+            compiler += ' eulerseq="ZYX"'
+        if self.chance(0.15):
+            option, _ = ' density="20" viscosity="0.1" wind="1 0 0"', self.left_out.add("medium")
+        if self.chance(0.4):
+            option += f' gravity="{self.numbers(3, -9, 9)}"'
+        off = [f for f in ("gravity", "spring", "damper") if self.chance(0.1)]
+        flags = " ".join(f'{flag}="disable"' for flag in off)
+        return f"<compiler{compiler}/><option{option}><flag {flags}/></option>"
+
+    def couplings(self, names: list[str]) -> str:
+        """Tendons, motors, and a joint that follows another."""
+        text = ""
+        names = [name for name in names if "_r" not in name]
+        one, *others = self.rng.permutation(names).tolist()
+        if self.chance(0.5):
+            text += (
+                f'<fixed name="single" stiffness="{self.numbers(1, 0, 3)}" '
+                f'springlength="{self.numbers(1, 0, 0.5)}" damping="{self.numbers(1, 0, 0.5)}" '
+                f'armature="0.02"><joint joint="{one}" coef="{self.numbers(1, -2, -0.3)}"/></fixed>'
+            )
+        if self.chance(0.3) and others:
+            text += (
+                f'<fixed name="pair" stiffness="3" damping="0.2"><joint joint="{one}" coef="1"/>'
+                f'<joint joint="{others[0]}" coef="-0.7"/></fixed>'
+            )
+            self.left_out.add("pair")
+        motors = "".join(
+            f'<motor name="m_{joint}" joint="{joint}"/>' for joint in names if self.chance(0.3)
+        )
+        if self.chance(0.4):
+            motors += f'<general joint="{one}" gear="3" armature="0.01" damping="0.1"/>'
+        return f"<tendon>{text}</tendon><actuator>{motors}</actuator>"
+
+
+def reference(path: Path, left_out: set[str]) -> mujoco.MjModel:
+    """MuJoCo's own reading of the file, without what no model of geodrake takes."""
+    with quiet_mujoco(mujoco):
+        model = mujoco.MjModel.from_xml_path(str(path))
+    for table in left_out:
+        if table == "medium":
+            model.opt.density = model.opt.viscosity = 0.0
+        elif table in ("single", "pair"):  # and those that MuJoCo makes of it for replicated joints
+            for at in range(model.ntendon):
+                if model.tendon(at).name.startswith(table):
+                    model.tendon_stiffness[at] = 0.0
+                    model.tendon_damping[at] *= table == "single"
+        else:
+            getattr(model, table)[:] = 0.0
+    model.opt.disableflags |= int(_OFF.mjDSBL_CONSTRAINT)
+    return model
+
+
+def difference(path: Path, left_out: set[str], rng: np.random.Generator) -> tuple[float, int]:
+    """Largest difference of efforts, as a share of the largest, and the number of joints."""
+    model, theirs = load_model(path), reference(path, left_out)
+    if any("The tendon single with stiffness" in words for words in model.left_out):
+        left_out = left_out | {"single"}  # beside a cubic spring of its joint
+        theirs = reference(path, left_out)
+    if model.left_out and not left_out:
+        raise RuntimeError(f"{path}: {model.left_out} is left out, and {left_out} should be.")
+    count = 6
+    q, v, vd = rng.uniform(-0.7, 0.7, (3, count, len(model.joints)))
+    data = mujoco.MjData(theirs)
+    at = [
+        mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, joint) for joint in model.single_joints
+    ]
+    own = list(model.single_places[0])
+    motion = Motion(_positions(model, q), _only(v, own), _only(vd, own))
+    ours, others = model.effort(motion)[:, own], np.zeros((count, len(own)))
+    friction = theirs.dof_frictionloss
+    for k in range(count):
+        data.qpos[:] = theirs.qpos0
+        data.qvel[:] = data.qacc[:] = 0.0
+        for joint, place in zip(at, own, strict=True):
+            data.qpos[theirs.jnt_qposadr[joint]] = q[k, place]
+            data.qvel[theirs.jnt_dofadr[joint]] = v[k, place]
+            data.qacc[theirs.jnt_dofadr[joint]] = vd[k, place]
+        mujoco.mj_inverse(theirs, data)
+        dofs = theirs.jnt_dofadr[at]
+        others[k] = data.qfrc_inverse[dofs] + friction[dofs] * np.sign(data.qvel[dofs])
+    errors = np.abs(ours - others).max(0) / np.abs(others).max()
+    return float(errors.max()), len(model.joints)
+
+
+def _only(values: np.ndarray, places: list[int]) -> np.ndarray:
+    kept = np.zeros_like(values)
+    kept[:, places] = values[:, places]
+    return kept
+
+
+def _positions(model, q: np.ndarray) -> np.ndarray:
+    """Positions in Drake's order; balls are at zero."""
+    found = np.zeros((len(q), model.tree.num_positions))
+    for velocity, position in model.position_places.items():
+        found[:, position] = q[:, velocity]
+    return found
+
+
+def run(count: int, seed: int) -> dict[str, object]:
+    """Compare that many random files."""
+    rng = np.random.default_rng(seed)
+    worst, joints, refused, left = 0.0, 0, 0, 0
+    for _ in range(count):
+        with TemporaryDirectory() as folder:
+            writer = Writer(rng, Path(folder))
+            path = writer.write()
+            try:
+                mujoco.MjSpec.from_file(str(path))
+                with quiet_mujoco(mujoco):
+                    mujoco.MjModel.from_xml_path(str(path))
+            except ValueError:
+                refused += 1  # MuJoCo's limits of inertias, mostly
+                continue
+            found, number = difference(path, writer.left_out, rng)
+            if not found <= TOLERANCE:
+                raise RuntimeError(f"{path.read_text()}\n{found:g} apart")
+            worst, joints, left = max(worst, found), joints + number, left + bool(writer.left_out)
+    return {
+        "files": count,
+        "refused by MuJoCo": refused,
+        "joints": joints,
+        "files with something left out": left,
+        "largest relative difference": worst,
+    }
+
+
+def main() -> None:
+    """Compare random files, and print how far the readings differ."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="20 files instead of 200")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", type=Path, help="write the table here")
+    parser.add_argument("--figures", type=Path, help="there are none")
+    options = parser.parse_args()
+    table = run(20 if options.quick else 200, options.seed)
+    for name, value in table.items():
+        print(f"{name}: {value:.1e}" if isinstance(value, float) else f"{name}: {value}")
+    if options.json:
+        options.json.write_text(json.dumps(table, indent=1))
+
+
+if __name__ == "__main__":
+    main()

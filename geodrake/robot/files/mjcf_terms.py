@@ -1,0 +1,361 @@
+"""What a compiled MJCF has beside rigid bodies: at joints, and what no model of geodrake takes.
+
+What is not taken is said with its value, and taken out of the copy of the compiled model that the
+robot is compared with (`geodrake.robot.mujoco_check`), so that what is said explains all of the
+difference. MuJoCo's forces are (its modeling and XML reference, joint, tendon and option)
+
+    spring   −(q − q₀) (k + k₁ (q − q₀) + k₂ (q − q₀)²)      damper   −v (d + d₁ |v| + d₂ v²)
+
+and those of a fixed tendon the same in its length Σ cᵢ qᵢ, so that one of a single joint is a
+spring of c² k there. Contacts and limits of joints are no part of any model.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from geodrake.inertia import Array
+from geodrake.robot.files.mjcf_source import CompiledMjcf
+from geodrake.robot.files.mjcf_tree import fixed_tendon, name_of
+from geodrake.robot.followers import Follower
+from geodrake.robot.transmission.statements import Followers
+
+_KINDS = ("free", "ball", "slide", "hinge")
+
+
+@dataclass(eq=False)
+class MjcfTerms:
+    """What a compiled MJCF states of joints, by their names, and the rest in words.
+
+    Attributes:
+        reference: The compiled model without what is left out.
+        gravity: (3,) gravity, less what compensates that of all bodies alike, m/s².
+        of_joints: Name of a quantity, as in `ModelText` -> joint -> its value, SI.
+        followers: Joint -> leader, ratio and offset.
+        bent: Leader -> joint -> coefficients of a polynomial.
+        left_out: Sentences on what bears on efforts and no model takes.
+        notes: Sentences on what was taken otherwise than it is stated.
+    """
+
+    reference: Any
+    gravity: Array
+    of_joints: dict[str, dict[str, float]]
+    followers: list[Follower] = field(default_factory=list)
+    bent: dict[str, dict[str, list[float]]] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def followers_in(self, scope: str) -> list[Follower]:
+        """Return the followers with names that have their model's.
+
+        Args:
+            scope: Name of the model.
+        """
+        return [
+            Follower(f"{scope}::{f.joint}", f"{scope}::{f.leader}", f.ratio, f.offset)
+            for f in self.followers
+        ]
+
+    @property
+    def bent_followers(self) -> list[Followers]:
+        """Return the joints that follow others by a ratio that changes."""
+        return [Followers(leader, own) for leader, own in self.bent.items()]
+
+
+QUANTITIES = (
+    "friction",
+    "armature",
+    "damping",
+    "damping_2",
+    "damping_3",
+    "stiffness",
+    "stiffness_3",
+    "rest",
+    "effort",
+)
+
+
+def terms_of(source: CompiledMjcf, mujoco: ModuleType) -> MjcfTerms:
+    """Return what a compiled file states of joints, and what is left out.
+
+    Args:
+        source: The compiled file.
+        mujoco: The package.
+    """
+    return _Terms(source, mujoco).found
+
+
+class _Terms:
+    def __init__(self, source: CompiledMjcf, mujoco: ModuleType) -> None:
+        self.mujoco, self.m = mujoco, source.model
+        self.found = MjcfTerms(
+            copy.copy(source.model), np.array(self.m.opt.gravity), {q: {} for q in QUANTITIES}
+        )
+        self.found.left_out += (f"{plugin} is left out." for plugin in source.plugins)
+        off = mujoco.mjtDisableBit
+        if self._disabled(off.mjDSBL_GRAVITY):
+            self.found.gravity = np.zeros(3)
+        self._take_joints(
+            springs=not self._disabled(off.mjDSBL_SPRING),
+            dampers=not self._disabled(off.mjDSBL_DAMPER),
+            friction=not self._disabled(off.mjDSBL_FRICTIONLOSS, off.mjDSBL_CONSTRAINT),
+        )
+        self._take_tendons()
+        self._take_actuators()
+        self._take_gravcomp()
+        self._take_medium()
+        if not self._disabled(off.mjDSBL_EQUALITY, off.mjDSBL_CONSTRAINT):
+            self._take_equalities()
+        if self.m.nflex:
+            self._leave(f"<flex> of {self.m.nflex} deformable bodies: their elasticity")
+        self.found.reference.opt.disableflags |= int(off.mjDSBL_CONSTRAINT)
+
+    def _disabled(self, *flags: Any) -> bool:
+        return any(self.m.opt.disableflags & int(flag) for flag in flags)
+
+    def _leave(self, what: str) -> None:
+        self.found.left_out.append(f"{what} is left out.")
+
+    def _name(self, kind: str, at: int) -> str:
+        return name_of(self.m, self.mujoco, kind, at) or f"{kind.lower()} {at}"
+
+    def _add(self, quantity: str, joint: int, value: float) -> None:
+        name, values = self._name("JOINT", joint), self.found.of_joints[quantity]
+        values[name] = values.get(name, 0.0) + float(value)
+
+    def _single(self, joint: int) -> bool:
+        return _KINDS[int(self.m.jnt_type[joint])] in ("slide", "hinge")
+
+    def _take_joints(self, *, springs: bool, dampers: bool, friction: bool) -> None:
+        m, reference = self.m, self.found.reference
+        for joint in range(m.njnt):
+            dof, name = int(m.jnt_dofadr[joint]), self._name("JOINT", joint)
+            count = {"free": 6, "ball": 3}.get(_KINDS[int(m.jnt_type[joint])], 1)
+            self._add("armature", joint, m.dof_armature[dof])
+            self._add("friction", joint, m.dof_frictionloss[dof] if friction else 0.0)
+            poly = _row(m, "dof_dampingpoly", dof)
+            if count == 6:
+                self._leave_of_free(dof, name)
+                continue
+            if dampers:
+                self._add("damping", joint, m.dof_damping[dof])
+                for power, value in zip((2, 3), poly if count == 1 else (), strict=False):
+                    self._add(f"damping_{power}", joint, value)
+                if count > 1 and poly.any():
+                    self._leave(f"The damping polynomial {_list(poly)} of the joint {name}")
+                    reference.dof_dampingpoly[dof : dof + count] = 0.0
+            if springs and m.jnt_stiffness[joint] + np.abs(self._poly(joint)).sum():
+                self._take_spring(joint, name, count)
+            self._take_limit(joint, count)
+
+    def _leave_of_free(self, dof: int, name: str) -> None:
+        m = self.m
+        has = {"damping": m.dof_damping, "armature": m.dof_armature}
+        has["frictionloss"] = m.dof_frictionloss
+        parts = [f"{what} {values[dof]:g}" for what, values in has.items() if values[dof]]
+        if parts:
+            self._leave(f"The free joint {name} with {', '.join(parts)}")
+
+    def _poly(self, joint: int) -> Array:
+        return _row(self.m, "jnt_stiffnesspoly", joint)
+
+    def _take_spring(self, joint: int, name: str, count: int) -> None:
+        m, reference, poly = self.m, self.found.reference, self._poly(joint)
+        if count > 1:
+            numbers = np.append(m.jnt_stiffness[joint], poly)
+            self._leave(f"The stiffness {_list(numbers)} of the joint {name}")
+            reference.jnt_stiffness[joint] = 0.0
+            if len(poly):
+                reference.jnt_stiffnesspoly[joint] = 0.0
+            return
+        self._add("stiffness", joint, m.jnt_stiffness[joint])
+        rest = float(m.qpos_spring[m.jnt_qposadr[joint]])
+        self.found.of_joints["rest"][self._name("JOINT", joint)] = rest
+        if poly.any():
+            self._add("stiffness_3", joint, poly[1])
+        if poly.any() and poly[0]:
+            self._leave(f"The quadratic stiffness {poly[0]:g} of the joint {name}")
+            reference.jnt_stiffnesspoly[joint][0] = 0.0
+        if np.any(_row(m, "jnt_springyield", joint)):
+            self._leave(f"The yield of the spring of the joint {name}")
+
+    def _take_limit(self, joint: int, count: int) -> None:
+        if count == 1 and self.m.jnt_actfrclimited[joint]:
+            self._limit(joint, float(np.abs(self.m.jnt_actfrcrange[joint]).max()))
+
+    def _limit(self, joint: int, most: float) -> None:
+        name, limits = self._name("JOINT", joint), self.found.of_joints["effort"]
+        limits[name] = min(most, limits.get(name, np.inf))
+
+    def _take_tendons(self) -> None:
+        """Those of one joint are terms of the joint; of others is said what they have."""
+        m, reference = self.m, self.found.reference
+        off = self.mujoco.mjtDisableBit
+        for at in range(m.ntendon):
+            has = {
+                "stiffness": 0.0 if self._disabled(off.mjDSBL_SPRING) else m.tendon_stiffness[at],
+                "damping": 0.0 if self._disabled(off.mjDSBL_DAMPER) else m.tendon_damping[at],
+                "frictionloss": m.tendon_frictionloss[at],
+                "armature": float(_row(m, "tendon_armature", at)[0]),
+            }
+            if self._disabled(off.mjDSBL_FRICTIONLOSS, off.mjDSBL_CONSTRAINT):
+                has["frictionloss"] = 0.0
+            polys = {
+                f"{what}poly": _row(m, f"tendon_{what}poly", at)
+                for what in ("stiffness", "damping")
+            }
+            joints = fixed_tendon(m, self.mujoco, at)
+            if len(joints) == 1 and self._single(next(iter(joints))):
+                ((joint, share),) = joints.items()
+                low, high = (float(x) for x in m.tendon_lengthspring[at])
+                if has["stiffness"] and low == high and share and not self._has_cubic(joint):
+                    self._add_spring(joint, share**2 * has.pop("stiffness"), low / share)
+                self._add("damping", joint, share**2 * has.pop("damping"))
+                self._add("friction", joint, abs(share) * has.pop("frictionloss"))
+                self._add("armature", joint, share**2 * has.pop("armature"))
+            parts = [f"{what} {value:g}" for what, value in has.items() if value]
+            parts += [f"{what} {_list(value)}" for what, value in polys.items() if value.any()]
+            if parts:
+                self._leave(f"The tendon {self._name('TENDON', at)} with {', '.join(parts)}")
+            for what, value in has.items():
+                if value and what != "frictionloss":
+                    getattr(reference, f"tendon_{what}")[at] = 0.0
+            for what, values in polys.items():
+                if values.any():
+                    getattr(reference, f"tendon_{what}")[at] = 0.0
+
+    def _has_cubic(self, joint: int) -> bool:
+        return bool(self.found.of_joints["stiffness_3"].get(self._name("JOINT", joint)))
+
+    def _add_spring(self, joint: int, stiffness: float, rest: float) -> None:
+        """Two linear springs of a joint are one about their mean."""
+        name, own = self._name("JOINT", joint), self.found.of_joints
+        before = own["stiffness"].get(name, 0.0)
+        total = before + stiffness
+        if total:
+            moments = before * own["rest"].get(name, 0.0) + stiffness * rest
+            own["stiffness"][name], own["rest"][name] = total, moments / total
+
+    def _take_actuators(self) -> None:
+        """Limits of efforts, and the armature and damping that motors add to joints."""
+        m, mujoco, reference = self.m, self.mujoco, self.found.reference
+        joints = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        for at in range(len(m.actuator_trntype)):
+            name, on = self._name("ACTUATOR", at), int(m.actuator_trnid[at][0])
+            armature, damping, poly = (
+                _row(m, f"actuator_{what}", at) for what in ("armature", "damping", "dampingpoly")
+            )
+            if self._disabled(mujoco.mjtDisableBit.mjDSBL_DAMPER):
+                damping, poly = np.zeros(1), np.zeros(2)
+            direct = int(m.actuator_trntype[at]) in joints and self._single(on)
+            gear = float(m.actuator_gear[at][0])
+            if direct:
+                self._limit_of_motor(at, on, gear)
+                self._add("armature", on, gear**2 * armature[0])
+                self._add("damping", on, gear**2 * damping[0])
+                for power, value in zip((2, 3), poly, strict=False):
+                    self._add(f"damping_{power}", on, gear**2 * value)
+                continue
+            parts = {"armature": armature, "damping": damping, "dampingpoly": poly}
+            has = [f"{what} {_list(value)}" for what, value in parts.items() if value.any()]
+            if has:
+                self._leave(f"The actuator {name} with {', '.join(has)}")
+                for what, value in parts.items():
+                    if value.any():
+                        getattr(reference, f"actuator_{what}")[at] = 0.0
+
+    def _limit_of_motor(self, at: int, joint: int, gear: float) -> None:
+        m, mujoco = self.m, self.mujoco
+        ranges = [m.actuator_forcerange[at]] if m.actuator_forcelimited[at] else []
+        fixed = int(m.actuator_gaintype[at]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+        plain = int(m.actuator_biastype[at]) == int(mujoco.mjtBias.mjBIAS_NONE)
+        still = int(m.actuator_dyntype[at]) == int(mujoco.mjtDyn.mjDYN_NONE)
+        limited = getattr(m, "actuator_ctrllimited")  # noqa: B009, as older versions have it, too
+        if fixed and plain and still and len(limited) > at and limited[at]:
+            ranges.append(float(m.actuator_gainprm[at][0]) * np.asarray(m.actuator_ctrlrange[at]))
+        if ranges and gear:
+            self._limit(joint, min(abs(gear) * float(np.abs(each).max()) for each in ranges))
+
+    def _take_gravcomp(self) -> None:
+        """Compensation of the weight of all moving bodies alike is less gravity."""
+        m, reference = self.m, self.found.reference
+        if not np.any(m.body_gravcomp) or not self.found.gravity.any():
+            return
+        moving = [b for b in range(m.nbody) if m.body_weldid[b] and m.body_mass[b] > 0.0]
+        shares = m.body_gravcomp[moving]
+        by_motors = np.asarray(m.jnt_actgravcomp).astype(bool)
+        if by_motors.all():
+            return  # as MuJoCo counts it among the efforts of the actuators
+        if len(shares) and np.ptp(shares) == 0.0 and not by_motors.any():
+            self.found.gravity = self.found.gravity * (1.0 - float(shares[0]))
+            self.found.notes.append(
+                f"gravcomp={shares[0]:g} of all bodies is kept as that much less gravity."
+            )
+            return
+        for body in moving:
+            if m.body_gravcomp[body]:
+                self._leave(f"gravcomp={m.body_gravcomp[body]:g} of {self._name('BODY', body)}")
+        reference.body_gravcomp[:] = 0.0
+
+    def _take_medium(self) -> None:
+        option, own = self.m.opt, self.found.reference.opt
+        if not (option.density or option.viscosity):
+            return
+        wind = f" wind={_list(option.wind)}" if np.any(option.wind) else ""
+        self._leave(
+            f"The medium of <option density={option.density:g} viscosity={option.viscosity:g}"
+            f"{wind}>, whose drag acts on all bodies,"
+        )
+        own.density = own.viscosity = 0.0
+
+    def _take_equalities(self) -> None:
+        m, kinds = self.m, self.mujoco.mjtEq
+        names = {
+            int(getattr(kinds, each)): each[5:].lower() for each in dir(kinds) if "EQ_" in each
+        }
+        for at in range(m.neq):
+            if not m.eq_active0[at]:
+                continue
+            first, second = int(m.eq_obj1id[at]), int(m.eq_obj2id[at])
+            kind = names[int(m.eq_type[at])]
+            if kind == "joint" and second >= 0:
+                self._follow(first, second, np.array(m.eq_data[at][:5]))
+            else:
+                sites = int(m.eq_objtype[at]) == int(self.mujoco.mjtObj.mjOBJ_SITE)
+                of = {"joint": "JOINT", "tendon": "TENDON", "flex": "FLEX"}.get(kind)
+                of = of or ("SITE" if sites else "BODY")
+                what = " and ".join(self._name(of, each) for each in (first, second) if each >= 0)
+                self._leave(
+                    f"<equality>: the constraint <{kind}> of {what}, which makes a closed loop or "
+                    "holds something (the robot is read as an open tree),"
+                )
+
+    def _follow(self, first: int, second: int, data: Array) -> None:
+        """Y − y₀ = p(x − x₀), y₀ and x₀ at the file's own pose."""
+        starts = [float(self.m.qpos0[self.m.jnt_qposadr[j]]) for j in (first, second)]
+        polynomial = np.polynomial.Polynomial(data)(np.polynomial.Polynomial([-starts[1], 1.0]))
+        coefficients = np.zeros(5)
+        coefficients[: len(polynomial.coef)] = polynomial.coef
+        coefficients[0] += starts[0]
+        own, leader = self._name("JOINT", first), self._name("JOINT", second)
+        if data[2:].any():
+            self.found.bent.setdefault(leader, {})[own] = coefficients.tolist()
+        else:
+            self.found.followers.append(
+                Follower(own, leader, float(coefficients[1]), float(coefficients[0]))
+            )
+
+
+def _row(m: Any, name: str, at: int) -> Array:
+    """A row of a compiled model's table, (k,); zeros in versions of MuJoCo without it."""
+    table = getattr(m, name, None)
+    return np.zeros(2) if table is None else np.atleast_1d(np.array(table[at], float))
+
+
+def _list(values: Array) -> str:
+    return " ".join(f"{value:g}" for value in np.atleast_1d(values))

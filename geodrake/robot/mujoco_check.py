@@ -1,0 +1,155 @@
+"""The robot of an MJCF against MuJoCo's own inverse dynamics, each time that a file is read.
+
+At a few random states, the effort of the plant with what the file states of its joints has to be
+that of MuJoCo without what is left out. Dry friction, limits and contacts, which are soft in
+MuJoCo, take no part. Free bodies rest where the file puts them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydrake.math import RollPitchYaw
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Joint, JointIndex, MultibodyForces
+
+from geodrake.errors import ModelError
+from geodrake.inertia import Array
+from geodrake.robot.files import ModelDescription
+from geodrake.robot.files.base import ModelText
+from geodrake.robot.files.mjcf_source import mujoco_or_none
+
+_STATES = 3
+_TOLERANCE = 1e-9  # of the largest effort
+_SPEED, _ACCELERATION = 2.0, 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class JointTerms:
+    """What a model file states of joints, beside a plant of rigid bodies.
+
+    Attributes:
+        plant: The plant.
+        damping: (nv,) c of c v, SI; nv of the plant.
+        friction: (nv,) dry friction, N·m or N.
+        rotor_inertia: (nv,) reflected inertia, kg·m² or kg.
+        powers: (2, nv) c of c |v| v and of c v³, SI.
+        springs: (3, nv) k, q₀ and k₃ of k (q − q₀) + k₃ (q − q₀)³, SI.
+    """
+
+    plant: MultibodyPlant
+    damping: Array
+    friction: Array
+    rotor_inertia: Array
+    powers: Array
+    springs: Array
+
+
+def check_against_mujoco(description: ModelDescription, built: JointTerms) -> None:
+    """Compare a plant with what MuJoCo compiled, where its file is an MJCF that it did.
+
+    Args:
+        description: The file.
+        built: Its plant, all of whose joints move, before repairs of inertias.
+
+    Raises:
+        ModelError: They differ; the message has the joint.
+    """
+    mujoco = mujoco_or_none()
+    (text, *others) = description.texts
+    reference = getattr(text, "reference", None)
+    if mujoco is None or reference is None or others or description.directives is not None:
+        return
+    if text.set_aside:  # a thin body, say, whose repair is told of
+        return
+    places = _places(text, reference, built.plant, mujoco)
+    rng = np.random.default_rng(0)
+    errors, largest = np.zeros(len(places)), 0.0
+    for _ in range(_STATES):
+        ours, theirs = _efforts(built, reference, places, rng, mujoco)
+        for k, (own, other) in enumerate(zip(ours, theirs, strict=True)):
+            errors[k] = max(errors[k], float(np.abs(own - other).max(initial=0.0)))
+            largest = max(largest, float(np.abs(other).max(initial=0.0)))
+    if len(errors) and not errors.max() <= _TOLERANCE * max(largest, 1e-12):
+        joint, _ = places[int(np.argmax(errors))]
+        body = joint.child_body().name()
+        raise ModelError(
+            f"{description.path}: geodrake does not read the joint {joint.name()} or the body "
+            f"{body} as MuJoCo does: efforts differ by up to {errors.max():.3g}, of {largest:.3g}.",
+            advice="This is a bug in geodrake; please report it with the file.",
+            path=description.path,
+            body=body,
+        )
+
+
+def _places(
+    text: ModelText, reference: Any, plant: MultibodyPlant, mujoco: Any
+) -> list[tuple[Joint, int]]:
+    """Moving joints of the plant, but free ones, and their numbers in MuJoCo's model."""
+    found, free = [], int(mujoco.mjtJoint.mjJNT_FREE)
+    for joint in (plant.get_joint(JointIndex(i)) for i in plant.GetJointIndices()):
+        if joint.num_velocities() in (1, 3):
+            at = mujoco.mj_name2id(reference, mujoco.mjtObj.mjOBJ_JOINT, joint.name())
+            if at >= 0 and int(reference.jnt_type[at]) != free:
+                found.append((joint, at))
+    count = sum(int(kind) != free for kind in reference.jnt_type)
+    if len(found) != count:
+        raise ModelError(
+            f"{text.path}: MuJoCo has {count} joints there, and geodrake {len(found)}.",
+            advice="This is a bug in geodrake; please report it with the file.",
+            path=text.path,
+        )
+    return found
+
+
+def _efforts(
+    built: JointTerms,
+    m: Any,
+    places: list[tuple[Joint, int]],
+    rng: np.random.Generator,
+    mujoco: Any,
+) -> tuple[list[Array], list[Array]]:
+    """Efforts of every joint at a random state, the plant's and MuJoCo's, in its coordinates."""
+    plant, data = built.plant, mujoco.MjData(m)
+    context = plant.CreateDefaultContext()
+    q, v, vd = plant.GetPositions(context), *np.zeros((2, plant.num_velocities()))
+    turns = []
+    for joint, at in places:
+        start, first = joint.position_start(), joint.velocity_start()
+        to, dof = int(m.jnt_qposadr[at]), int(m.jnt_dofadr[at])
+        count = joint.num_velocities()
+        speed, rate = _SPEED * rng.uniform(-1, 1, count), _ACCELERATION * rng.uniform(-1, 1, count)
+        data.qvel[dof : dof + count], data.qacc[dof : dof + count] = speed, rate
+        turn = np.eye(count)
+        if count == 1:
+            low, high = m.jnt_range[at] if m.jnt_limited[at] else (-1.5, 1.5)
+            q[start] = data.qpos[to] = rng.uniform(max(low, -3.0), max(min(high, 3.0), low))
+        else:  # a ball, turned by roll, pitch and yaw; rates are in the body, and here outside
+            angles = rng.uniform(-1.0, 1.0, 3)
+            q[start : start + 3] = angles
+            rpy = RollPitchYaw(angles)
+            data.qpos[to : to + 4] = rpy.ToQuaternion().wxyz()
+            turn = rpy.ToRotationMatrix().matrix()
+        v[first : first + count] = turn @ speed
+        vd[first : first + count] = turn @ rate
+        turns.append(turn)
+    plant.SetPositions(context, q)
+    plant.SetVelocities(context, v)
+    mujoco.mj_inverse(m, data)
+    effort = plant.CalcInverseDynamics(context, vd, MultibodyForces(plant))
+    effort -= plant.CalcGravityGeneralizedForces(context)
+    stiffness, rest, cubic = built.springs
+    effort += v * (built.damping + np.abs(v) * built.powers[0] + v**2 * built.powers[1])
+    effort += built.rotor_inertia * vd
+    ours, theirs = [], []
+    for (joint, at), turn in zip(places, turns, strict=True):
+        first, count, dof = joint.velocity_start(), joint.num_velocities(), int(m.jnt_dofadr[at])
+        own = turn.T @ effort[first : first + count]
+        if count == 1:
+            x = q[joint.position_start()] - rest[first]
+            own = own + stiffness[first] * x + cubic[first] * x**3
+        ours.append(own)
+        theirs.append(np.array(data.qfrc_inverse[dof : dof + count]))
+    return ours, theirs

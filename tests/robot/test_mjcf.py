@@ -1,0 +1,353 @@
+"""MJCF means what MuJoCo makes of it: each construct against MuJoCo's own inverse dynamics."""
+
+import sys
+import time
+
+import mujoco
+import numpy as np
+import pytest
+
+from geodrake import load_model
+from geodrake.errors import ModelError
+from geodrake.logs.motion import Motion
+from geodrake.robot import mujoco_check
+from geodrake.robot.plant import load_plant
+
+HEAD = '<mujoco model="r">{head}<worldbody>{world}</worldbody>{tail}</mujoco>'
+TIP = '<body name="t" pos=".1 0 .2"><joint name="t" axis="0 1 0"/>{}</body>'
+GEOM = '<geom type="box" size=".05 .04 .1" pos=".1 0 .05"/>'
+ARM = '<body name="a" pos="0 0 .3"><joint name="a" axis="0 1 .2" pos=".02 0 0"/>{}{}</body>'
+CORNERS = [(x, y, z) for x in (0, 0.1) for y in (0, 0.2) for z in (0, 0.3)]
+FACES = "124 143 578 586 156 162 348 387 137 175 268 284"
+CUBE = "".join(f"v {x} {y} {z}\n" for x, y, z in CORNERS) + "".join(
+    f"f {' '.join(face)}\n" for face in FACES.split()
+)
+SUB = """<mujoco model="g"><compiler angle="radian"/><default><joint damping=".2"/></default>
+<asset><model name="i" file="inner.xml"/></asset><worldbody><body name="g"><joint name="g"/>
+<geom size=".1" pos="0 .1 0"/><attach model="i" body="i" prefix="i_"/></body></worldbody>
+</mujoco>"""
+INNER = """<mujoco model="i"><default><joint armature=".1"/></default><worldbody>
+<body name="i" pos="0 0 .2"><joint name="i" axis="1 0 0"/>
+<geom type="capsule" size=".02 .1"/></body>
+</worldbody></mujoco>"""
+
+
+def mjcf(inside="", *, head="", tail="", arm=GEOM):
+    return HEAD.format(head=head, world=ARM.format(arm, inside), tail=tail)
+
+
+def tip(joint="", geom=GEOM):
+    return f'<body name="t" pos=".1 0 .2"><joint name="t" axis="0 1 0" {joint}/>{geom}</body>'
+
+
+def write(folder, text, **others):
+    for name, data in {"sub": SUB, "inner": INNER, **others}.items():
+        (folder / f"{name}.xml").write_text(data, encoding="utf-8")
+    (folder / "cube.obj").write_text(CUBE, encoding="utf-8")
+    path = folder / "robot.xml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def efforts(model, path, change=lambda theirs: None):
+    """Efforts (N, n) at the joints of one degree of freedom, the model's and MuJoCo's."""
+    theirs = mujoco.MjModel.from_xml_path(str(path))
+    change(theirs)
+    theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    data, (q, v, vd) = mujoco.MjData(theirs), np.random.default_rng(0).uniform(-1, 1, (3, 4, 9))
+    q, v, vd = (x[:, : len(model.joints)] for x in (q, v, vd))
+    at = [theirs.joint(joint).id for joint in model.joints]
+    found = []
+    for k in range(len(q)):
+        data.qpos[theirs.jnt_qposadr[at]] = q[k]
+        data.qvel[theirs.jnt_dofadr[at]], data.qacc[theirs.jnt_dofadr[at]] = v[k], vd[k]
+        mujoco.mj_inverse(theirs, data)
+        dry = theirs.dof_frictionloss * np.sign(data.qvel)
+        found.append((data.qfrc_inverse + dry)[theirs.jnt_dofadr[at]])
+    return model.effort(Motion(q, v, vd)), np.array(found)
+
+
+def assert_as_mujoco(folder, text, joints, change=lambda theirs: None):
+    path = write(folder, text)
+    model = load_model(path)
+    assert set(model.joints) == set(joints.split())
+    ours, theirs = efforts(model, path, change)
+    assert np.abs(ours - theirs).max() <= 1e-9 * np.abs(theirs).max()
+    return model
+
+
+TAKEN = {
+    "frames": (
+        mjcf(f'<frame pos="1 0 0" euler="9 8 7"><frame euler="4 5 6">{tip()}</frame></frame>'),
+        "a t",
+    ),
+    "a joint in a frame": (
+        mjcf(
+            '<body name="t"><frame pos=".1 0 0"><frame euler="9 8 7"><joint name="t"/>'
+            f"{GEOM}</frame></frame></body>"
+        ),
+        "a t",
+    ),
+    "all in a frame": (
+        mjcf(tip())
+        .replace('<body name="a"', '<frame pos="1 2 3"><body name="a"')
+        .replace("</worldbody>", "</frame></worldbody>"),
+        "a t",
+    ),
+    "replicates": (
+        mjcf(
+            '<replicate count="2" offset="0 .2 0" euler="0 0 30"><replicate count="2" sep="_" '
+            f'offset=".3 0 0">{tip()}</replicate></replicate>'
+        ),
+        "a t_00 t_01 t_10 t_11",
+    ),
+    "attached models": (
+        mjcf(
+            '<attach model="s" body="g" prefix="s_"/>',
+            head='<asset><model name="s" file="sub.xml"/></asset>',
+        ),
+        "a s_g s_i_i",
+    ),
+    "two sections of defaults": (
+        mjcf(
+            tip(),
+            head='<default><joint damping=".4"/></default>'
+            '<default class="main"><joint armature=".03"/></default>',
+        ),
+        "a t",
+    ),
+    "classes through an empty one": (
+        mjcf(
+            tip(geom='<geom class="z" type="box" size=".1 .1 .1"/>'),
+            head='<default><default class="x"><geom density="2500"/><default class="y">'
+            '<default class="z"><geom rgba="1 0 0 1"/></default></default></default></default>',
+        ),
+        "a t",
+    ),
+    "no gravity": (mjcf(tip(), head='<option><flag gravity="disable"/></option>'), "a t"),
+    "gravity": (mjcf(tip(), head='<option gravity="1 2 -3"/>'), "a t"),
+    "no springs": (
+        mjcf(
+            tip('stiffness="3" damping="1"'),
+            head='<option><flag spring="disable" damper="disable"/></option>',
+        ),
+        "a t",
+    ),
+    "total mass": (mjcf(tip(), head='<compiler settotalmass="9"/>'), "a t"),
+    "least mass": (mjcf(tip(), head='<compiler boundmass="9" boundinertia="2"/>'), "a t"),
+    "balanced inertia": (
+        mjcf(
+            tip(geom='<inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .5"/>'),
+            head='<compiler balanceinertia="true"/>',
+        ),
+        "a t",
+    ),
+    "inertia of a group": (
+        mjcf(
+            tip(geom=GEOM + '<geom size=".1" group="4"/>'),
+            head='<compiler inertiagrouprange="0 2"/>',
+        ),
+        "a t",
+    ),
+    "inertia of geoms": (
+        mjcf(
+            tip(geom=GEOM + '<inertial pos="0 0 0" mass="9" diaginertia="1 1 1"/>'),
+            head='<compiler inertiafromgeom="true"/>',
+        ),
+        "a t",
+    ),
+    "a box from end to end": (
+        mjcf(tip(geom='<geom type="box" fromto="0 0 0 .2 .1 .3" size=".02 .03 .01"/>')),
+        "a t",
+    ),
+    "mass of a mesh": (
+        mjcf(
+            tip(geom='<geom type="mesh" mesh="cube" mass="2"/>'),
+            head='<asset><mesh file="cube.obj"/></asset>',
+        ),
+        "a t",
+    ),
+    "joints at other places": (mjcf(tip('ref="40" range="-20 70" stiffness="2"')), "a t"),
+    "several joints of a body": (
+        mjcf(
+            f'<body name="t"><joint name="s" type="slide" axis="1 0 0" ref=".1"/>'
+            f'<joint name="t" pos=".1 0 0" ref="20"/><joint name="u" axis="1 1 0"/>{GEOM}</body>'
+        ),
+        "a s t u",
+    ),
+    "a cubic spring": (mjcf(tip('stiffness="3 0 2" springref="20"')), "a t"),
+    "powers of damping": (mjcf(tip('damping=".3 .2 .1"')), "a t"),
+    "dry friction": (mjcf(tip('frictionloss=".3"')), "a t"),
+    "a tendon of one joint": (
+        mjcf(
+            tip('stiffness="1" springref="10"'),
+            tail='<tendon><fixed stiffness="5" springlength=".2"'
+            ' damping=".3" frictionloss=".2" armature=".1"><joint joint="t" coef="-1.5"/></fixed>'
+            "</tendon>",
+        ),
+        "a t",
+    ),
+    "armature of a motor": (
+        mjcf(
+            tip(),
+            tail='<actuator><general joint="t" gear="3" armature=".01" damping=".2"/></actuator>',
+        ),
+        "a t",
+    ),
+    "compensated gravity of all": (
+        mjcf(tip())
+        .replace('<body name="a"', '<body name="a" gravcomp=".8"')
+        .replace('<body name="t"', '<body name="t" gravcomp=".8"'),
+        "a t",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", TAKEN)
+def test_a_construct_is_taken_as_mujoco_means_it(tmp_path, what):
+    text, joints = TAKEN[what]
+    if what == "a tendon of one joint":
+        text = text.replace(' frictionloss=".2"', "")
+    model = assert_as_mujoco(tmp_path, text, joints)
+    assert not model.left_out and not model.repairs
+
+
+def test_friction_of_a_tendon_is_that_of_its_joint(tmp_path):
+    text, _ = TAKEN["a tendon of one joint"]
+    loaded = load_plant(write(tmp_path, text))
+    assert loaded.file_friction == pytest.approx([0.0, 0.3])
+
+
+def zero(**tables):
+    def change(theirs):
+        for table, at in tables.items():
+            getattr(theirs, table)[at] = 0.0
+
+    return change
+
+
+def no_medium(theirs):
+    theirs.opt.density = theirs.opt.viscosity = 0.0
+
+
+PAIR = '<joint joint="a" coef="1"/><joint joint="t" coef="2"/>'
+LEFT_OUT = {
+    "tendon p with stiffness 5, damping 0.3, armature 0.1 is": (
+        mjcf(
+            tip(),
+            tail='<tendon><fixed name="p" stiffness="5" damping=".3" armature=".1">'
+            f"{PAIR}</fixed></tendon>",
+        ),
+        zero(tendon_stiffness=0, tendon_damping=0, tendon_armature=0),
+    ),
+    "tendon p with stiffness 40": (
+        mjcf(
+            tip(geom=GEOM + '<site name="u" pos="0 0 .1"/>'),
+            head="",
+            arm=GEOM + '<site name="s" pos="1 0 0"/>',
+            tail='<tendon><spatial name="p" stiffness="40"><site site="s"/><site site="u"/>'
+            "</spatial></tendon>",
+        ),
+        zero(tendon_stiffness=0),
+    ),
+    "quadratic stiffness 1 of the joint t": (
+        mjcf(tip('stiffness="4 1 2"')),
+        zero(jnt_stiffnesspoly=(1, 0)),
+    ),
+    "gravcomp=0.5 of t": (
+        mjcf(tip()).replace('<body name="t"', '<body name="t" gravcomp=".5"'),
+        zero(body_gravcomp=2),
+    ),
+    "<option density=1000 viscosity=0.5 wind=1 0 0>": (
+        mjcf(tip(), head='<option density="1000" viscosity=".5" wind="1 0 0"/>'),
+        no_medium,
+    ),
+    "constraint <connect> of a and t": (
+        mjcf(tip(), tail='<equality><connect body1="a" body2="t" anchor="0 0 0"/></equality>'),
+        lambda theirs: None,
+    ),
+}
+
+
+@pytest.mark.parametrize("words", LEFT_OUT)
+def test_what_is_left_out_is_said_with_its_value(tmp_path, words):
+    text, change = LEFT_OUT[words]
+    model = assert_as_mujoco(tmp_path, text, "a t", change)
+    (said,) = model.left_out
+    assert words in said and said in model.notes and said.endswith("is left out.")
+
+
+def test_a_joint_that_follows_is_drawn_elsewhere_too(tmp_path):
+    text = mjcf(
+        tip('ref="20"'),
+        tail='<equality><joint joint1="t" joint2="a" polycoef=".1 2 0 0 0"/></equality>',
+    )
+    loaded = load_plant(write(tmp_path, text))
+    (follower,) = loaded.followers
+    assert (follower.ratio, follower.offset) == pytest.approx((2.0, 0.1 + np.deg2rad(20)))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("<mujoco>\n<worldbody>\n<bode/></worldbody></mujoco>", "xml, line 3: Schema violation"),
+        (mjcf(tip(geom='<inertial pos="0 0 0" mass="1" diaginertia="1 1 5"/>')), "A \\+ B >= C"),
+        (mjcf('<attach model="x" prefix="y"/>'), "could not find model 'x'"),
+        (mjcf('<replicate count="99999999"><geom size="1"/></replicate>'), "more than 200000 elem"),
+        (mjcf(f'<replicate count="3000">{tip()}</replicate>'), "more than 2000 links"),
+        (mjcf(head='<asset><model name="s" file="robot.xml"/></asset>'), "attaches itself"),
+        (mjcf(head='<asset><model name="s" file="/dev/zero"/></asset>'), "is a device"),
+        (mjcf(head='<asset><model name="s" file="part.xml"/></asset>'), "root element is <robot>"),
+        (mjcf('<flexcomp name="f" type="grid" count="99 99 99"/>'), "makes 970299 bodies"),
+    ],
+)
+def test_what_mujoco_refuses_is_said_in_its_words(tmp_path, text, words):
+    path = write(tmp_path, text, part='<robot name="r"/>')
+    with pytest.raises(ModelError, match=words):
+        load_model(path)
+
+
+def test_a_plant_that_is_not_mujocos_is_refused(tmp_path, monkeypatch):
+    path = write(tmp_path, mjcf(tip()))
+    own = mujoco_check._efforts
+
+    def other(*args):
+        ours, theirs = own(*args)
+        return [ours[0], ours[1] + 1e-6], theirs
+
+    monkeypatch.setattr(mujoco_check, "_efforts", other)
+    with pytest.raises(ModelError, match="does not read the joint t or the body t as MuJoCo does"):
+        load_model(path)
+
+
+def test_without_mujoco_simple_files_are_read_and_others_refused(tmp_path, monkeypatch):
+    simple = mjcf(tip('damping=".2" armature=".1" stiffness="2" springref="9" range="-50 50"'))
+    path = write(tmp_path, simple)
+    with_mujoco = load_model(path)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    without = load_model(path)
+    assert without.joints == with_mujoco.joints and without.bodies == with_mujoco.bodies
+    np.testing.assert_allclose(without.phi, with_mujoco.phi, atol=1e-12)
+    assert [e.effect for e in without.effects] == [e.effect for e in with_mujoco.effects]
+    for what in sorted(TAKEN.keys() - {"gravity", "dry friction"}):
+        with pytest.raises(ModelError, match="MuJoCo, which is not installed") as refused:
+            load_model(write(tmp_path, TAKEN[what][0]))
+        assert 'pip install "geodrake[mjcf]"' in str(refused.value), what
+    for text, _ in LEFT_OUT.values():
+        with pytest.raises(ModelError, match="not installed"):
+            load_model(write(tmp_path, text))
+
+
+def test_seven_joints_are_read_in_a_moment(tmp_path):
+    inside = ""
+    for k in range(7):
+        inertial = '<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .05"/>'
+        inside = f'<body name="l{k}" pos="0 0 .2"><joint name="j{k}"/>{inertial}{inside}</body>'
+    path = write(tmp_path, HEAD.format(head="", world=inside, tail=""))
+    load_model(path)
+    seconds = []
+    for _ in range(3):
+        start = time.perf_counter()
+        load_model(path)
+        seconds.append(time.perf_counter() - start)
+    assert min(seconds) < 0.3
