@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import or_
 from typing import Any
 
 import numpy as np
@@ -196,27 +198,23 @@ class Compatibility:
 
     def __init__(self, terms: Terms, known: frozenset[Key]) -> None:
         self._bit = {term: 1 << k for k, term in enumerate(terms)}
-        at, containing, bodies, says = (dict[Any, int]() for _ in range(4))
+        at, containing, bodies, says = (defaultdict[Any, int](int) for _ in range(4))
         for term, bit in self._bit.items():
-            at[term.key] = at.get(term.key, 0) | bit
+            at[term.key] |= bit
             for key in term.contains:
-                containing[key] = containing.get(key, 0) | bit
+                containing[key] |= bit
             for key in term.says:
-                says[key] = says.get(key, 0) | bit
+                says[key] |= bit
             if term.is_body:
-                bodies[term.where] = bodies.get(term.where, 0) | bit
-        self._against = dict[Term, int]()
-        self._needs = dict[Term, Ways]()
+                bodies[term.where] |= bit
+        self._against, self._needs = dict[Term, int](), dict[Term, Ways]()
         for term in terms:
-            against = at[term.key] | containing.get(term.key, 0)
-            for key in term.contains:
-                against |= at.get(key, 0)
-            if term.is_body:
-                against |= bodies[term.where]
+            against = at[term.key] | containing[term.key]
+            against |= reduce(or_, (at[key] for key in term.contains), 0)
+            against |= bodies[term.where] if term.is_body else 0
             self._against[term] = -1 if term.key in known else against
             if term.needs:
-                ways = [[says.get(key, 0) for key in way - known] for way in term.needs]
-                self._needs[term] = ways
+                self._needs[term] = [[says[key] for key in way - known] for way in term.needs]
 
     def holds(self, terms: Iterable[Term]) -> bool:
         """Return whether terms may stand together."""
@@ -224,23 +222,21 @@ class Compatibility:
 
     def beside(self, rest: Iterable[Term], packages: Iterable[Terms]) -> list[Terms]:
         """Return the packages of terms that may stand beside the rest."""
-        present, against, needing = 0, 0, list[Ways]()
+        present, needing = 0, list[Ways]()
         for term in rest:
             if self._against[term] < 0 or self._against[term] & present:
                 return []
             present |= self._bit[term]
-            against |= self._against[term]
             needing += [self._needs[term]] if term in self._needs else []
         needing = [ways for ways in needing if not _is_met(ways, present)]
-        return [each for each in packages if self._may_come(each, present, against, needing)]
+        return [each for each in packages if self._may_come(each, present, needing)]
 
-    def _may_come(self, come: Terms, present: int, against: int, needing: list[Ways]) -> bool:
+    def _may_come(self, come: Terms, present: int, needing: list[Ways]) -> bool:
         needs = needing
         for term in come:
-            own, bit = self._against[term], self._bit[term]
-            if own < 0 or own & present or against & bit:
+            if self._against[term] < 0 or self._against[term] & present:
                 return False
-            present |= bit
+            present |= self._bit[term]
             if term in self._needs:
                 needs = [*needs, self._needs[term]]
         return not needs or all(_is_met(ways, present) for ways in needs)

@@ -352,3 +352,20 @@ def test_gains_of_efforts_that_are_wrong_make_no_sample_dependent():
     right = replace(log, effort=log.effort / 1.03)
     sure = searched(open_case(PENDULUM, [right], candidates=True)).model
     np.testing.assert_allclose(model.shares(fit), sure.shares(sure.bare(np.ones(2))), rtol=0.1)
+
+
+def test_what_may_stand_together_is_what_pairs_say(problem):
+    """One place is taken once, whatever the order in which terms come."""
+    model = problem[0]
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        chosen = [model.terms[k] for k in rng.permutation(len(model.terms))[:4]]
+        keys = [term.key for term in chosen]
+        bodies = [term.where for term in chosen if term.is_body]
+        clash = any(set(term.contains) & set(keys) for term in chosen)
+        alone = len({*keys}) == 4 and len({*bodies}) == len(bodies) and not clash
+        met = all(any(way <= {*keys} for way in term.needs) for term in chosen if term.needs)
+        assert model.are_compatible(tuple(chosen)) == (alone and met)
+        assert model.compatibility.beside(chosen[:2], [tuple(chosen[2:])]) == (
+            [tuple(chosen[2:])] if alone and met else []
+        )
