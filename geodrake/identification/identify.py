@@ -134,7 +134,7 @@ def identify(  # noqa: PLR0913 - the stable interface
     try:
         weight = 1.0 if gamma is None else float(gamma)
         certify = instance(certify, "certify", bool) and solver is None
-        fit = kind.solve(problem, prior, weight, solver, certify=certify)
+        fit = kind.solve(problem, prior, weight, solver, certify)
     except np.linalg.LinAlgError as error:
         raise _rounded(str(error)) from error
     phi, extra = fit.x[: prior.size].reshape(prior.shape), fit.x[prior.size :]
