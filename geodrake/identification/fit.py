@@ -117,7 +117,8 @@ class FitResult(Short):
     solver: str  # "closed form", "bounded least squares", "newton", or the conic solver
     solve_time: float  # of the whole solution, s
     note: str = ""  # why another solver than usual gave the answer; empty if it was the usual one
-    certificate: Certificate | None = None  # None if it was not asked for
+    # None if it was not asked for, and of point masses, which a MathematicalProgram solves.
+    certificate: Certificate | None = None
     minima: LocalMinima | None = None  # what the starts led to, if several minima are possible
     masses: Array | None = None  # (N,) point masses of all bodies in a row, kg, if that they are
 

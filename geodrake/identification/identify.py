@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import instance, number, one_of, real_array, typed
-from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.constraints import BodyConstraints, checked_bounds
-from geodrake.identification.fit import Certificate, FitResult, LocalMinima
+from geodrake.identification.fit import FitResult
 from geodrake.identification.problem import FitProblem, whitened_factor
 from geodrake.identification.regularizer import Entropic, Euclidean, Pullback, Regularizer
 from geodrake.identification.riemannian import Riemannian
@@ -29,44 +28,19 @@ _MARGIN = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class IdentificationResult(Short):
-    """Identified parameters."""
+class IdentificationResult(FitResult):
+    """Identified parameters, with all that a fit has, such as residual and certificate."""
 
     phi: Array  # (nb, 10) inertial parameters, all physical
     extra: Array  # (extra,) further linear parameters, such as friction coefficients
-    residual: float  # ‖A x − b‖²_{Σ⁻¹} at the solution, dimensionless when sigma was given
     divergence: float  # d(Φ, Φ⁰)² of the regularizer, without γ, extra parameters included
     regularizer: str  # its name
     gamma: float  # the weight γ given, or in the point-to-set form the γ of the same solution
-    fit: FitResult  # the solution's details: information, standard deviations, active constraints
 
     @property
-    def solver(self) -> str:
-        """Return what solved it: "closed form", "newton", … or a conic solver's name."""
-        return self.fit.solver
-
-    @property
-    def note(self) -> str:
-        """Return why another solver than usual gave the answer; empty if it was the usual one."""
-        return self.fit.note
-
-    @property
-    def certificate(self) -> Certificate | None:
-        """Return what the MathematicalProgram of the fit says; None if it was not asked.
-
-        Point masses have none: their solution is that of a MathematicalProgram itself.
-        """
-        return self.fit.certificate
-
-    @property
-    def minima(self) -> LocalMinima | None:
-        """Return what the starts of a regularizer led to that is not convex; None for others."""
-        return self.fit.minima
-
-    @property
-    def solve_time(self) -> float:
-        """Return the time of the solution, s."""
-        return self.fit.solve_time
+    def fit(self) -> FitResult:
+        """Return the same, as a fit like others."""
+        return self
 
 
 @typed
@@ -160,7 +134,7 @@ def identify(  # noqa: PLR0913 - the stable interface
     try:
         weight = 1.0 if gamma is None else float(gamma)
         certify = instance(certify, "certify", bool) and solver is None
-        fit = kind.solve(problem, prior, weight, solver, certify=certify)
+        fit = kind.solve(problem, prior, weight, solver, certify)
     except np.linalg.LinAlgError as error:
         raise _rounded(str(error)) from error
     phi, extra = fit.x[: prior.size].reshape(prior.shape), fit.x[prior.size :]
@@ -173,13 +147,12 @@ def identify(  # noqa: PLR0913 - the stable interface
     if columns:
         divergence += float(weights @ kind.scalar_divergence(fit.x[columns], values))
     return IdentificationResult(
+        **vars(fit),
         phi=phi,
         extra=extra,
-        residual=fit.residual,
         divergence=divergence,
         regularizer=kind.name,
         gamma=fit.prior_weight if gamma is None else weight,
-        fit=fit,
     )
 
 

@@ -32,7 +32,7 @@ from geodrake.identification.problem import (
     out_of_reach,
 )
 from geodrake.identification.program import build_fit
-from geodrake.identification.regularizer import Regularizer
+from geodrake.identification.regularizer import Regularizer, Solver
 from geodrake.identification.solvers import ROUGHLY, Accuracies, run_solver, solved_apart
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
@@ -211,13 +211,7 @@ class PointMassRegularizer(Regularizer):
         return self._informed(problem, gamma, self.points.prior)
 
     def solve(
-        self,
-        problem: FitProblem,
-        prior: Array,
-        gamma: float,
-        solver: str | None,
-        *,
-        certify: bool = False,
+        self, problem: FitProblem, prior: Array, gamma: float, solver: Solver, certify: bool = False
     ) -> FitResult:
         """Return the masses that fit best, by Drake's conic solver of that name, Clarabel if None.
 

@@ -15,6 +15,9 @@ from geodrake.identification.newton import solve_newton
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array, entropic_divergence, pullback_metric
 
+Solver = str | None
+"""Name of a solver; None for the usual one."""
+
 _WIDE = 5e-5
 
 
@@ -48,13 +51,7 @@ class Regularizer(ABC):
         return self.divergence(fit.x[: prior.size].reshape(prior.shape), prior)
 
     def solve(
-        self,
-        problem: FitProblem,
-        prior: Array,
-        gamma: float,
-        solver: str | None,
-        *,
-        certify: bool = False,
+        self, problem: FitProblem, prior: Array, gamma: float, solver: Solver, certify: bool = False
     ) -> FitResult:
         """Return the fit with γ d(Φ, Φ⁰)² added.
 

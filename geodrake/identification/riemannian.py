@@ -27,7 +27,7 @@ from geodrake.identification.fit import SAME_COST, FitResult, LocalMinima, fit_r
 from geodrake.identification.newton import bounded
 from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.problem import FitProblem
-from geodrake.identification.regularizer import Entropic, Pullback, Regularizer
+from geodrake.identification.regularizer import Entropic, Pullback, Regularizer, Solver
 from geodrake.inertia import Array, riemannian_distance
 
 STARTS = ("entropic", "pullback", "prior", "data")
@@ -89,13 +89,7 @@ class Riemannian(Regularizer):
         return Entropic().regularize(problem, prior, gamma)
 
     def solve(
-        self,
-        problem: FitProblem,
-        prior: Array,
-        gamma: float,
-        solver: str | None,
-        *,
-        certify: bool = False,
+        self, problem: FitProblem, prior: Array, gamma: float, solver: Solver, certify: bool = False
     ) -> FitResult:
         """Return the best local minimum of all starts; the solver finds the first start.
 

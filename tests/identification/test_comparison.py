@@ -184,10 +184,10 @@ def test_a_regularizer_without_a_solution_is_told_beside_the_others(monkeypatch)
     A, b = data(2)
     solve = Riemannian.solve
 
-    def failing(self, problem, *rest, **options):
+    def failing(self, problem, *rest):
         if problem.residual_bound is not None:
             raise IdentificationError("It jumps from one minimum to another.", advice="Lower it.")
-        return solve(self, problem, *rest, **options)
+        return solve(self, problem, *rest)
 
     expected = compare_regularizers(A, b, PRIOR, gamma=1.0)
     monkeypatch.setattr(Riemannian, "solve", failing)
