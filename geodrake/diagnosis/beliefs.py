@@ -28,7 +28,8 @@ class Beliefs:
         wrong: Widths above this one mean that the file is wrong.
         fitted: Odds against a body of a model that was fitted before being another one since.
         free: Width of one body that is wrong while the others are right.
-        payloads: Masses of light, usual and heavy payloads, in tenths of the robot's mass.
+        payloads: Masses of payloads, from light to heavy, in tenths of the robot's mass; what a
+            body carries that carries others is thought to be the last but one.
         load: How well each of these is known, as a geometric distance.
         inner: Odds against a payload on a body that carries others.
         unknown: As `size`, for each term of a function of the motion that no effect describes.
@@ -54,7 +55,7 @@ class Beliefs:
     wrong: float = 0.3
     fitted: float = 100.0
     free: float = 3.0
-    payloads: tuple[float, ...] = (0.2, 0.7, 2.4)
+    payloads: tuple[float, ...] = (0.05, 0.2, 0.7, 2.4)
     load: float = 0.7
     inner: float = 30.0
     unknown: float = 0.3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
@@ -82,6 +83,12 @@ class _Finder:
         for term in model.terms:
             if term.joint is not None:
                 self.by_joint.setdefault(term.joint, []).append(term)
+        kinds = dict[str, list[Term]]()
+        for here in self.by_joint.values():
+            for name, count in Counter(term.name for term in here).items():
+                if count == 1:  # it has no shape, or one
+                    kinds.setdefault(name, []).extend(t for t in here if t.name == name)
+        self.everywhere = [*kinds.values()]
 
     def moves(self) -> Iterator[Move]:
         """Return all moves that promise a gain."""
@@ -191,15 +198,18 @@ class _Finder:
         return [*unique.values()]
 
     def _replaced(self, term: Term) -> Iterator[Move]:
-        """Drop one term, or replace it by one that does not belong to a single joint."""
+        """Drop one term, or replace it by others, one of which does not belong to one joint."""
         present, dropped = self.fit.terms, self.around.dropped([term])
         rest = tuple(other for other in present if other is not term)
         yield from self._without(rest, dropped)
-        others = [
+        others: list[Terms] = [
             (other,)
             for other in self.model.terms
             if other not in present and (term.joint is None or other.joint is None)
         ]
+        if term.joint is None:  # what it does together may be of one kind at every joint
+            alone = [tuple(t for t in kind if t not in rest) for kind in self.everywhere]
+            others += [kind for kind in alone if len(kind) > 1]
         yield from (move for move in self._moves(rest, others, dropped) if move.gain > _HOPE)
 
     def _without(self, rest: Terms, dropped: Dropped) -> Iterator[Move]:

@@ -29,6 +29,9 @@ Key = tuple[str, tuple[str, ...]]
 """Name and place of an effect; one of an episode in a log is not one of another log."""
 
 _REACH = 3.0  # of a tool, over that of a dataset's payload: as large as a link
+_USUAL = (
+    -2
+)  # of the payloads, in order of their mass: what else a body may carry that carries others
 _PHYSICAL = 0.1
 """Share of the prior of a payload that is physical, by the geometric metric: of any mass."""
 
@@ -114,11 +117,14 @@ def terms_of(
         if body := is_body(effect):
             held_by = places[type(effect)]
             usual = sum(where[0] in model.last_bodies for where in held_by)
-            odds = len(loads) * (usual + (len(held_by) - usual) / beliefs.inner)
-            odds *= 1.0 if effect.where[0] in model.last_bodies else beliefs.inner
+            last = effect.where[0] in model.last_bodies
             held = any(fitted.effect == effect for fitted in model.effects)
             positive = [] if held else [0]  # what is held may have been put down
-            priors = changed if held else carried
+            priors = (
+                changed if held else carried if last else [carried[max(len(carried) + _USUAL, 0)]]
+            )
+            odds = len(priors) * (usual + (len(held_by) - usual) / beliefs.inner)
+            odds *= 1.0 if last else beliefs.inner
         else:
             priors = [(np.zeros(len(columns)), _slab(effect, sizes[columns], beliefs))]
             positive = [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
