@@ -154,13 +154,11 @@ def probable(
         start, stages = staged(found, findings)
         hypotheses = [start, *(stage.validated for stage in stages)]
         tables = [error_table(case.dataset, each.held_out) for each in hypotheses]
-        chances = [
-            1.0 - unknown_probability(found, stage.finding, [*pair, tables[-1]])
-            for pair, stage in zip(pairwise(tables), stages, strict=True)
-        ]
-        if min(chances, default=1.0) >= found.model.beliefs.least:
+        findings = [stage.finding for stage in stages]
+        unknown = unknown_probabilities(found, findings, tables)
+        if 1.0 - max(unknown, default=0.0) >= found.model.beliefs.least:
             return found, start, stages
-        found, findings = without_finding(found, findings, stages[int(np.argmin(chances))].finding)
+        found, findings = without_finding(found, findings, findings[int(np.argmax(unknown))])
 
 
 def without_finding(
@@ -170,15 +168,7 @@ def without_finding(
 
     Where none is left, bodies that come closer to the logs than those of the file are one.
     """
-    model, was = found.model, found.fit
-    left, kept, terms = [f for f in findings if f is not gone], list[Finding](), tuple[Term, ...]()
-    while left:
-        able = [f for f in left if model.are_compatible((*terms, *f.terms))]
-        if not able:
-            break
-        left.remove(able[0])
-        kept.append(able[0])
-        terms = (*terms, *able[0].terms)
+    model, was, kept = found.model, found.fit, _left(found, findings, gone)
     if gone.name == INERTIA and not gone.terms:  # bodies go back to the file
         choice = model.choice(was.terms, model.widths[0], was.choice.delay)
         found = replace(found, fit=model.unbounded(choice, model.shares(was), was.variance))
@@ -186,6 +176,32 @@ def without_finding(
         return replace(found, fit=staged(found, kept)[1][-1].fit), kept
     found = replace(found, fit=found.start)
     return found, [] if gone.name == INERTIA else findings_of(found)
+
+
+def _left(found: Found, findings: Sequence[Finding], gone: Finding) -> list[Finding]:
+    """Return the findings that may be without one of them."""
+    left, kept, terms = [f for f in findings if f is not gone], list[Finding](), tuple[Term, ...]()
+    while able := [f for f in left if found.model.are_compatible((*terms, *f.terms))]:
+        left.remove(able[0])
+        kept.append(able[0])
+        terms = (*terms, *able[0].terms)
+    return kept
+
+
+def unknown_probabilities(
+    found: Found, findings: Sequence[Finding], tables: Sequence[ErrorTable]
+) -> list[float]:
+    """Return how probable it is that each finding is a part of something unknown.
+
+    What others cannot be without is as likely as they are. `tables` are the errors before the first
+    finding and after each.
+    """
+    pairs = zip(pairwise(tables), findings, strict=True)
+    own = [unknown_probability(found, f, [*pair, tables[-1]]) for pair, f in pairs]
+    left = [_left(found, findings, each) for each in findings]
+    return [
+        min(u for f, u in zip(findings, own, strict=True) if f not in others) for others in left
+    ]
 
 
 def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTable]) -> float:

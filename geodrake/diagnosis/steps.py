@@ -17,7 +17,7 @@ from geodrake.diagnosis.findings import (
     felt,
     late_joints,
     moved_bodies,
-    unknown_probability,
+    unknown_probabilities,
     where_of,
 )
 from geodrake.diagnosis.posterior import Certainty, nrms_of
@@ -57,6 +57,7 @@ def steps_of(
     hypotheses = [start, *(stage.validated for stage in stages)]
     errors = [*(h.held_out for h in hypotheses[:-1]), fit.held_out]
     tables = [*(error_table(case.dataset, held_out) for held_out in errors[:-1]), end]
+    parts = unknown_probabilities(found, [stage.finding for stage in stages], tables)
     steps = []
     for i, stage in enumerate(stages):
         finding, before, after = stage.finding, tables[i], tables[i + 1]
@@ -64,7 +65,7 @@ def steps_of(
         weight = felt(found, finding) / np.maximum(errors[i].mse, np.finfo(float).tiny)
         values, deviations = _values(found, finding, fit)
         rivals = _rivals(certainty, finding, found)
-        unknown = unknown_probability(found, finding, [before, after, tables[-1]])
+        unknown = parts[i]
         steps.append(
             Step(
                 finding.name,

@@ -11,7 +11,13 @@ from effort_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.diagnosis import Beliefs
-from geodrake.diagnosis.findings import INERTIA, findings_of, unknown_probability, without_finding
+from geodrake.diagnosis.findings import (
+    INERTIA,
+    findings_of,
+    unknown_probabilities,
+    unknown_probability,
+    without_finding,
+)
 from geodrake.diagnosis.search import searched
 from geodrake.effects import StribeckFriction
 from geodrake.errors import ArgumentError
@@ -123,3 +129,15 @@ def test_every_payload_is_a_finding_of_its_own(found):
 def test_beliefs_that_are_none(wrong):
     with pytest.raises(ArgumentError, match=next(iter(wrong))):
         Beliefs(**wrong)
+
+
+def test_what_others_cannot_be_without_is_as_likely_as_they_are(found):
+    """Dry friction takes little of the error away itself; friction that falls with speed does."""
+    whole = with_terms(found, "coulomb_friction", "viscous_friction", StribeckFriction.name)
+    whole = replace(whole, fit=replace(whole.fit, variance=np.full(2, 0.1**2)))
+    names = ["viscous_friction", "coulomb_friction", StribeckFriction.name]
+    findings = [named(findings_of(whole), name) for name in names]
+    tables = [table(rms, 0.01) for rms in (0.9, 0.5, 0.49, 0.1)]
+    viscous, dry, falling = unknown_probabilities(whole, findings, tables)
+    assert dry == falling < unknown_probability(whole, findings[1], [*tables[1:3], tables[-1]])
+    assert viscous == unknown_probability(whole, findings[0], [*tables[:2], tables[-1]])
