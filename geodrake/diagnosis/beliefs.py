@@ -51,7 +51,7 @@ class Beliefs:
     shape: float = 4.0
     order: float = 100.0
     delays: float = 20.0
-    widths: tuple[float, ...] = (0.003, 0.03, 0.1, 0.3, 1.0)
+    widths: tuple[float, ...] = (0.003, 0.03, 0.07, 0.15, 0.3, 1.0)
     wrong: float = 0.3
     fitted: float = 100.0
     free: float = 3.0

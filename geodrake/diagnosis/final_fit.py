@@ -43,8 +43,10 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
     # Weights of maximum likelihood, so that the information is that of the parameters.
     held_out = settled.held_out
     weights = settled.effective / held_out.samples.sum(0) / held_out.mse
-    width = found.model.likely_width(found.fit) / found.fit.choice.width
-    freed = settled.loosened(width)
+    width, unknowns = found.model.likely_width(found.fit), settled.unknowns
+    for effect, mean, information in found.model.likely_loads(found.fit, width):
+        unknowns = unknowns.released(effect, information, mean)
+    freed = replace(settled, unknowns=unknowns).loosened(width / found.fit.choice.width)
     fit = fit_model(
         base,
         reopened.dataset,

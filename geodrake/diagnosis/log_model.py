@@ -13,7 +13,7 @@ columns are formed once.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -329,6 +329,28 @@ class LogModel:
         fits = [self.unbounded(choice, shares, fit.variance) for choice in choices]
         scores = [each.score + self.odds_against(each.choice) for each in fits]
         return float(widths[int(np.argmax(scores))])
+
+    def likely_loads(self, fit: Fit, width: float) -> Iterator[tuple[Effect, Array, Array]]:
+        """Find the payloads of a fit, with the mean and information of what is believed of each.
+
+        A payload is believed to have one of several masses: what is told of it is their mixture, by
+        how probable each is with bodies that are as far from the file as a width says.
+        """
+        shares = self.shares(fit)
+        for term in fit.terms:
+            if not term.is_whole or term.effect is None:
+                continue
+            rest = [other for other in fit.terms if other is not term]
+            same = [other for other in self.terms if other.effect == term.effect]
+            choices = [self.choice([*rest, other], width, fit.choice.delay) for other in same]
+            scores = np.array([self.unbounded(c, shares, fit.variance).score for c in choices])
+            weights = np.exp(0.5 * (scores - scores.max()))
+            weights /= weights.sum()
+            means = np.array([other.mean for other in same])
+            spread = means - weights @ means
+            covariances = [np.linalg.inv(other.information) for other in same]
+            covariance = np.tensordot(weights, covariances, 1) + (weights * spread.T) @ spread
+            yield term.effect, weights @ means, np.linalg.inv(covariance)
 
     def refitted(self, fit: Fit) -> Fit:
         """Fit another model's terms to the columns of this one, without regard to bounds."""

@@ -28,7 +28,7 @@ Indices = NDArray[np.intp]
 Key = tuple[str, tuple[str, ...]]
 """Name and place of an effect; one of an episode in a log is not one of another log."""
 
-_REACH = 3.0  # of a tool, over that of a dataset's payload: as large as a link
+_REACH = 2.0  # of a tool, over that of a dataset's payload: two thirds of the size of a link
 _USUAL = (
     -2
 )  # of the payloads, in order of their mass: what else a body may carry that carries others

@@ -65,10 +65,10 @@ class Unknowns:
             (*self.starts, start),
         )
 
-    def released(self, effect: Effect, information: Array) -> Unknowns:
+    def released(self, effect: Effect, information: Array, mean: Array | None = None) -> Unknowns:
         """Return these unknowns with what was known about one effect forgotten.
 
-        `information` (k, k) is what is known about it instead, around zero.
+        `information` (k, k) is what is known about it instead, around a mean (k,) or zero.
         """
         span = self.span(effect)
         inside = np.zeros(len(self.columns), bool)
@@ -80,7 +80,9 @@ class Unknowns:
             cross @ np.linalg.solve(self.information[span, span], cross.T)
         )
         known[span, span] = information
-        return replace(self, mean=np.where(inside, 0.0, self.mean), information=known)
+        means = self.mean.copy()
+        means[span] = 0.0 if mean is None else mean
+        return replace(self, mean=means, information=known)
 
     def loosened(self, factor: float, inertial: int) -> Unknowns:
         """Return these unknowns with the prior of the first `inertial` ones so much wider."""
