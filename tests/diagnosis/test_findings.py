@@ -141,3 +141,17 @@ def test_what_others_cannot_be_without_is_as_likely_as_they_are(found):
     viscous, dry, falling = unknown_probabilities(whole, findings, tables)
     assert dry == falling < unknown_probability(whole, findings[1], [*tables[1:3], tables[-1]])
     assert viscous == unknown_probability(whole, findings[0], [*tables[:2], tables[-1]])
+
+
+def test_what_is_believed_of_a_payload_is_a_mixture(found):
+    """Of the masses that it may have, by how probable each is."""
+    model, was = found.model, found.fit
+    same = [term for term in model.terms if term.is_whole and term.where == ("lower_link",)]
+    choice = model.choice(same[:1], was.choice.width, was.choice.delay)
+    fit = model.unbounded(choice, model.shares(was), was.variance)
+    ((effect, mean, information),) = model.likely_loads(fit, was.choice.width)
+    masses, deviation = [term.mean[0] for term in same], np.linalg.inv(information)[0, 0] ** 0.5
+    assert effect == same[0].effect
+    assert len(masses) > 2 and min(masses) < mean[0] < max(masses)
+    alone = [np.linalg.inv(term.information)[0, 0] ** 0.5 for term in same]
+    assert min(alone) < deviation < np.hypot(max(alone), max(masses))

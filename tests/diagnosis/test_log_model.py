@@ -369,16 +369,3 @@ def test_what_may_stand_together_is_what_pairs_say(problem):
         assert model.compatibility.beside(chosen[:2], [tuple(chosen[2:])]) == (
             [tuple(chosen[2:])] if alone and met else []
         )
-
-
-def test_what_is_believed_of_a_payload_is_a_mixture():
-    """Of the masses that it may have, by how probable each is."""
-    problem = random_problem(ball=1.0)
-    model = problem[0]
-    fit = settled(model, PAYLOAD)
-    same = [term for term in model.terms if term.effect == PAYLOAD]
-    ((effect, mean, information),) = model.likely_loads(fit, WIDTH)
-    masses, deviation = [term.mean[0] for term in same], np.linalg.inv(information)[0, 0] ** 0.5
-    assert effect == PAYLOAD and min(masses) <= mean[0] <= max(masses)
-    alone = [np.linalg.inv(term.information)[0, 0] ** 0.5 for term in same]
-    assert min(alone) <= deviation <= np.hypot(max(alone), max(masses))
