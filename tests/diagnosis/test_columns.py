@@ -170,6 +170,25 @@ def test_a_base_on_a_slope_is_no_mistake_in_columns(robot, motion, log, seed):
     assert check_columns(model, [made]) == ()
 
 
+def test_bodies_far_from_those_of_the_file_are_no_gain():
+    """Of bodies 60 % off, one number for all efforts makes up for the total mass."""
+    drawn = WrongLog("bodies far off", "arm6", "pinocchio", "slow", 1, 61, DURATION)
+    model, log, _ = make_log(drawn)
+    assert check_columns(model, [log]) == ()
+
+
+@pytest.mark.parametrize("gain", [0.29, 3.18])
+def test_a_gain_is_told_where_its_fit_has_converged(gain):
+    """Its value is that of the answer, and no other gains are told beside it."""
+    drawn = WrongLog("gain of a joint", "panda", "pinocchio", "point to point", 14, 9, DURATION)
+    model, log, (secret,) = make_log(drawn)
+    (j,) = secret.joints
+    log = times(log, "effort", j, secret.value / gain)
+    (found,) = check_columns(model, [log])
+    assert (found.kind, found.joints) == ("effort_gain", (model.joints[j],))
+    assert found.values[0] == pytest.approx(gain, rel=0.1)
+
+
 def test_designs_of_a_leaning_base_are_efforts_under_its_gravity(pendulum, right):
     """Those of an engine whose gravity is turned the other way."""
     samples = column_samples(pendulum, *prepared_as_measured(pendulum, [right]))

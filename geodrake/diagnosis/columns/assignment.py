@@ -36,6 +36,7 @@ class Assignment:
     gravity: tuple[float, ...] | None = None
     without: frozenset[str] = frozenset()  # what is taken out of efforts, by `taken_out_as`
     carrying: frozenset[int] = frozenset()  # bodies that hold a payload
+    is_far: bool = False  # whether all bodies may be far from those of the model
     unknown: frozenset[int] = frozenset()  # joints with an unknown function of their motion
     apart: frozenset[int] = frozenset()  # joints whose efforts are not those of the bodies
     # By columns of efforts that are magnitudes, the signs (N,) of their samples.

@@ -96,6 +96,8 @@ def _rival_words(model: RobotModel, before: ColumnFit, rival: Judged) -> str:
     if mistake.joints:
         joint = model.joints[mistake.joints[0]]
         return f"the efforts of {joint} have something unknown in them"
+    if after.is_far and not before.assignment.is_far:
+        return "bodies far from those of the model"
     tilted = after.gravity is not None and before.assignment.gravity is None
     return "a base on a slope" if tilted else "a payload that the model lacks"
 

@@ -38,6 +38,9 @@ Indices = NDArray[np.intp]
 USUAL_TILT, USUAL_ZERO = 0.03, 0.02
 """Deviations of the angles by which bases are off the level, rad, and of zeros, rad or m."""
 
+USUAL_MASS = 0.3
+"""Share to which all bodies together are known, however far each is from the model."""
+
 USUAL_REST = 0.1
 """Of friction and rotors that drives take out, so much may be left, or be taken out twice."""
 
@@ -211,7 +214,7 @@ class ColumnModel:
     ) -> tuple[Array, Array, Array]:
         """Return the prior mean (p,), information (p, p) and lower bounds (p,)."""
         mean, information, lower = self.mean.copy(), self.information.copy(), self.lower.copy()
-        unknown = list[Array]()
+        unknown, first = list[Array](), self.samples.model.phi.size
         for j, joint in enumerate(joints):
             design, size = joint.design, self._size(assignment, j)
             new = np.flatnonzero(design.columns >= self.lacking.start)
@@ -222,7 +225,12 @@ class ColumnModel:
                 power = np.diag(design.gram)[design.unknown] / len(design.rows)
                 unknown.append(power / (share * size) ** 2)
         self._widen(information, assignment, wide)
-        gone, first = list[int](), self.samples.model.phi.size
+        if assignment.is_far:
+            masses = np.arange(0, self.samples.model.phi.size, PARAMETERS_PER_BODY)
+            information[:first] *= SPREAD / self.beliefs.widths[-1]
+            information[:, :first] *= SPREAD / self.beliefs.widths[-1]
+            information[np.ix_(masses, masses)] += (USUAL_MASS * mean[masses].sum()) ** -2.0
+        gone = list[int]()
         for effect in self.effects:
             here = range(first, first := first + len(effect.parameters))
             gone += here if effect.taken_out_as in assignment.without else ()

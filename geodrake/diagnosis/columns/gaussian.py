@@ -67,7 +67,7 @@ class JointEquations:
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior:
+class JointFit:
     """The most probable parameters and noise."""
 
     x: Array  # (p,) parameters
@@ -83,7 +83,7 @@ def most_probable(
     start: Array,
     gains: Indices,
     mse: Array | None = None,
-) -> Posterior:
+) -> JointFit:
     """Fit joints whose errors are worth (J,) independent samples.
 
     The prior has a mean (p,), an information (p, p) and lower bounds (p,); gains act near `start`
@@ -116,7 +116,7 @@ def most_probable(
             break
     far, determinants = x - mean, [_log_determinant(A) for A in (information, H)]
     score = determinants[0] - determinants[1] - far @ information @ far
-    return Posterior(x, mse, float(score))
+    return JointFit(x, mse, float(score))
 
 
 def _bounded(A: Array, b: Array, lower: Array, held: NDArray[np.bool_]) -> Array:

@@ -31,6 +31,7 @@ _KNOWN = 0.5  # deviation of the logarithm of a gain that something is known of
 _LEAST_FACTOR = 1e-100  # of measured velocities: less is none, of which there is no reciprocal
 _LEAST_PRODUCT = 1e-9  # correlation of efforts with what is needed that says something of a gain
 _MOST_SUSPECTS = 20  # joints, those that err most, of which motions and pairs are looked at
+_WRONG = 3  # such steps of rarity is a model file whose bodies are all wrong away
 _CLOSE = 1e-3  # rad or share: a step that ends it
 _OTHER = 1.1  # factor by which times, or velocities, are to differ for a hypothesis of its own
 
@@ -52,7 +53,7 @@ class Mistake:
         own = self.assignment
         if self.kind:
             return self.kind, self.joints
-        return own.carrying, own.gravity is not None, own.unknown, own.apart
+        return own.carrying, own.is_far, own.gravity is not None, own.unknown, own.apart
 
     @property
     def is_seen(self) -> bool:
@@ -109,15 +110,16 @@ class Mistakes:
         errors = (base.mse / np.maximum(model.noise, 1e-300) ** 2)[self._start.effort]
         self._suspects = tuple(np.sort(np.argsort(-errors)[:_MOST_SUSPECTS]).tolist())
 
-    def priced(self) -> dict[Mistake, float]:
-        """Return all of them with −2 log prior odds, by `Beliefs`.
+    def priced(self, *, others: bool = False) -> dict[Mistake, float]:
+        """Return all of them, or those that are none of columns, with −2 log prior odds.
 
         All kinds are equally likely, and so are the places of each. A payload or a slope is as
         likely as not; unknown efforts have odds of their own.
         """
         own = self._factors, self._magnitudes, self._gains, self._parts, self._limits
         every = (*own, self._swaps, self._zeros, self._velocities, self._others)
-        mistakes = [mistake for each in every for mistake in each()]
+        used = (self._others,) if others else every
+        mistakes = [mistake for each in used for mistake in each()]
         places, beliefs = dict[str, set[Joints]](), self._model.beliefs
         for mistake in mistakes:
             places.setdefault(mistake.kind, set()).add(mistake.joints)
@@ -182,7 +184,8 @@ class Mistakes:
                 common = float(np.exp(mean))
             each = np.where(positive, gains, common)
             own, ends = replace(start, gain=start.gain * each), tuple(at.tolist())
-            yield Mistake("effort_gains", (), own, ends, self._moved(ends, -np.log(each)))
+            moved, rarer = self._moved(ends, -np.log(each)), self._model.beliefs.rarer
+            yield Mistake("effort_gains", (), own, ends, moved, rarer ** (self._n - 1))
             own = replace(start, gain=start.gain * common)
             yield Mistake("effort_gain", (), own, sizes=SIZES)
 
@@ -251,14 +254,17 @@ class Mistakes:
     def _others(self) -> Iterator[Mistake]:
         """Yield what is no mistake in columns but looks like one.
 
-        A payload that the model lacks, a base on a slope, something unknown at a joint beside the
-        bodies, or in their place.
+        A payload that the model lacks, bodies far from the model's, a base on a slope, something
+        unknown at a joint beside the bodies, or in their place.
         """
         start, every = self._start, tuple(range(self._n))
         for body in self._robot.last_bodies:
             held = start.carrying | {self._robot.bodies.index(body)}
             if held != start.carrying:
                 yield Mistake("", (), replace(start, carrying=held))
+        if not start.is_far:
+            rarer = self._model.beliefs.rarer**_WRONG
+            yield Mistake("", (), replace(start, is_far=True), sizes=rarer)
         if start.gravity is None:
             down = tuple(self._robot.tree.gravity.tolist())
             yield Mistake("", (), replace(start, gravity=down), tuple(self._model.tilt.tolist()))

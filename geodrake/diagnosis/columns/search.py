@@ -93,6 +93,7 @@ class ColumnSearch:
             return None
         # With few independent samples, what is no mistake may be likelier than it looks at first.
         last += [self._refined(each, worth) for each in places.values() if not each.mistake.kind]
+        last += self._together(max((j for j in last if not j.mistake.kind), key=_score), worth)
         # Probabilities are told by the samples that the residuals of the answer are worth.
         best, of_base = max(last, key=_score), model.worth(base)
         for _ in range(2):
@@ -113,9 +114,26 @@ class ColumnSearch:
         others = tuple(c for c in chances if c[0].mistake.place != place)
         return MistakeFound(base, best, best.score - plain.score, same, others)
 
-    def _mistakes(self, base: ColumnFit) -> dict[Mistake, float]:
-        """Return everything that may be wrong beside a fit, with what its rarity costs."""
-        return Mistakes(self.model, base, self._look).priced()
+    def _together(self, first: Judged, worth: Array) -> list[Judged]:
+        """Return more and more of what the model lacks together, as long as it is likelier."""
+        found, best = list[Judged](), first
+        while True:
+            prices = self._mistakes(best.fit, others=True).items()
+            tried = [
+                self._judged(mistake, best.fit, worth, best.price + price)
+                for mistake, price in prices
+                if not mistake.joints  # functions of all joints together explain any log
+            ]
+            refined = [self._refined(each, worth, 1) for each in tried]
+            more = max(refined, key=_score, default=best)
+            if more.score <= best.score + _TIE:
+                return found
+            best = self._refined(more, worth)
+            found.append(best)
+
+    def _mistakes(self, base: ColumnFit, *, others: bool = False) -> dict[Mistake, float]:
+        """Return everything that may be wrong beside a fit, or but columns, with its price."""
+        return Mistakes(self.model, base, self._look).priced(others=others)
 
     def _promising(self, mistakes: Mapping[Mistake, float], base: ColumnFit) -> list[Mistake]:
         """Return the mistakes that are worth a fit."""
@@ -163,14 +181,16 @@ class ColumnSearch:
 
     def _refined(self, judged: Judged, worth: Array, steps: int = _STEPS) -> Judged:
         """Return a mistake of the sizes that fit best, after some steps at most."""
-        best, share = judged, 1.0
+        best, last, share = judged, judged, 1.0
         for _ in range(steps):
-            mistake = best.mistake.nearer(self.model, best.fit, share)
+            mistake = last.mistake.nearer(self.model, last.fit, share)
             if mistake is None:
                 break
-            tried = self._judged(mistake, best.fit, worth, best.price)
-            if tried.score > best.score - _LEVEL:
-                best, share = tried, 1.0
+            tried = self._judged(mistake, last.fit, worth, last.price)
+            # Signs and limits may be likelier only some steps later.
+            if tried.score > last.score - _LEVEL or not mistake.free:
+                last, share = tried, 1.0
+                best = last if mistake.free else max(best, last, key=_score)
             else:
                 share *= 0.5
         return best
