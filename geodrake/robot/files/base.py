@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import ClassVar
 from xml.etree.ElementTree import Element, SubElement
 
+import numpy as np
+
 from geodrake.inertia import Array, is_physical
 from geodrake.robot.files.checks import (
     Numeric,
@@ -17,7 +19,7 @@ from geodrake.robot.files.checks import (
     check_numbers,
 )
 from geodrake.robot.files.values import drop, numbers
-from geodrake.robot.files.xml_text import numbered_text
+from geodrake.robot.files.xml_text import numbered_text, place_of
 from geodrake.robot.followers import Follower
 from geodrake.robot.transmission.statements import Followers, Statement
 
@@ -130,7 +132,25 @@ class ModelText(abc.ABC):
         tags = {f"{prefix}{tag}" for tag in _LOOPS for prefix in ("drake:", "")}
         for tag in sorted({e.tag for e in self.root.iter() if e.tag in tags}):
             drop(self.root, tag)
-            self.notes.append(f"<{tag}> is ignored: the robot is read as an open tree.")
+            self.left_out.append(f"<{tag}> is ignored: the robot is read as an open tree.")
+
+    def _take_weightless(self, off: Mapping[str, Element]) -> None:
+        """Links on which gravity does not act: if those are all, there is none; else it is said.
+
+        Args:
+            off: Scoped link name -> the element that says so.
+        """
+        if not off:
+            return
+        heavy = {name for name, link in self._links.items() if link.find("inertial") is not None}
+        if heavy <= off.keys():
+            self.gravity = np.zeros(3)
+            return
+        for name, element in off.items():
+            self.left_out.append(
+                f"{place_of(element) or self.path}: that gravity does not act on "
+                f"{name.rpartition('::')[2]} is left out."
+            )
 
     def _take_mimic(self, scope: str, joint: Element) -> None:
         """Takes the <mimic> of a joint out of the text, and what it says in."""

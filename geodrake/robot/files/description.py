@@ -153,8 +153,7 @@ class ModelDescription:
             if self.directives is None:
                 for own, (text, _) in zip(self.texts, texts, strict=True):
                     parser.AddModelsFromString(text, own.kind)
-                    if own.gravity is not None:
-                        plant.mutable_gravity_field().set_gravity_vector(own.gravity)
+                self._set_gravity(plant)
                 return
             with TemporaryDirectory() as folder:
                 models = [d.add_model for d in self.directives.directives if d.add_model]
@@ -163,6 +162,12 @@ class ModelDescription:
                     file.write_text(texts[k][0], encoding="utf-8")
                     model.file = file.as_uri()
                 ProcessModelDirectives(self.directives, parser)
+                self._set_gravity(plant)
+
+    def _set_gravity(self, plant: MultibodyPlant) -> None:
+        for text in self.texts:
+            if text.gravity is not None:
+                plant.mutable_gravity_field().set_gravity_vector(text.gravity)
 
 
 @typed
