@@ -6,12 +6,16 @@ import time
 import mujoco
 import numpy as np
 import pytest
+from pydrake.geometry import Capsule, Mesh
 
 from geodrake import load_model
 from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
 from geodrake.robot import mujoco_check
+from geodrake.robot.files.given import Given
+from geodrake.robot.mjcf_shapes import mjcf_geoms
 from geodrake.robot.plant import load_plant
+from geodrake.robot.shapes import robot_shapes
 
 HEAD = '<mujoco model="r">{head}<worldbody>{world}</worldbody>{tail}</mujoco>'
 TIP = '<body name="t" pos=".1 0 .2"><joint name="t" axis="0 1 0"/>{}</body>'
@@ -351,3 +355,30 @@ def test_seven_joints_are_read_in_a_moment(tmp_path):
         load_model(path)
         seconds.append(time.perf_counter() - start)
     assert min(seconds) < 0.3
+
+
+LOOKS = """<mujoco model="r"><asset><mesh name="m" file="cube.obj" scale="2 2 2"/>
+<material name="red" rgba="1 0 0 1"/><texture name="x" type="2d" file="nowhere.png"/></asset>
+<default><default class="visual"><geom contype="0" conaffinity="0" material="red"/></default>
+</default><worldbody><geom type="plane" size="1 1 1"/><frame pos="0 0 1"><body name="a">
+<joint name="j"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/>
+<geom class="visual" type="mesh" mesh="m"/><geom type="mesh" mesh="gone" class="visual"/>
+<frame euler="90 0 0"><geom type="capsule" size=".1 .2" pos="0 1 0" group="3"/></frame></body>
+</frame></worldbody></mujoco>"""
+
+
+def test_shapes_are_those_that_mujoco_compiles(tmp_path):
+    gone = '<asset><mesh name="gone" file="gone.stl"/></asset>'
+    path = write(tmp_path, LOOKS.replace("<asset>", f"{gone}<asset>", 1))
+    assert load_model(path).notes == ()
+    (shown,) = robot_shapes(path, Given()).links["r::a"]
+    assert isinstance(shown.shape, Mesh) and shown.color.rgba == pytest.approx([1, 0, 0, 1])
+    touching = [geom for geom in mjcf_geoms(path, Given(), hulls=True)["r::a"] if geom.collides]
+    (capsule,) = touching
+    assert isinstance(capsule.shape, Capsule) and capsule.shape.length() == 0.4
+    np.testing.assert_allclose(capsule.X_BG.translation(), [0, 0, 1], atol=1e-12)
+    hull, _ = mjcf_geoms(path, Given(), hulls=True)["r::a"]
+    surface = hull.shape.GetConvexHull()
+    points = np.array([hull.X_BG @ surface.vertex(k) for k in range(surface.num_vertices())])
+    np.testing.assert_allclose(points.min(0), [0, 0, 0], atol=1e-7)
+    np.testing.assert_allclose(points.max(0), [0.2, 0.4, 0.6], atol=1e-7)

@@ -71,9 +71,9 @@ class SdfText(ModelText):
                     path=self.path,
                 )
             self.gravity = vector
-        stated = {name: link.find("gravity") for name, link in self._links.items()}
+        of_links = {name: link.find("gravity") for name, link in self._links.items()}
         self._take_weightless(
-            {name: e for name, e in stated.items() if e is not None and is_nothing(e.text or "")}
+            {name: e for name, e in of_links.items() if e is not None and is_nothing(e.text or "")}
         )
 
     def _models(self, parent: Element, scope: str) -> Iterator[tuple[str, Element]]:
