@@ -382,3 +382,21 @@ def test_shapes_are_those_that_mujoco_compiles(tmp_path):
     points = np.array([hull.X_BG @ surface.vertex(k) for k in range(surface.num_vertices())])
     np.testing.assert_allclose(points.min(0), [0, 0, 0], atol=1e-7)
     np.testing.assert_allclose(points.max(0), [0.2, 0.4, 0.6], atol=1e-7)
+
+
+def test_springs_of_a_finger_that_follows_are_at_its_leader(tmp_path):
+    text = mjcf(
+        tip('stiffness="3 0 2" springref="30" damping=".3 .2 .1" frictionloss=".2" armature=".1"'),
+        tail='<equality><joint joint1="t" joint2="a" polycoef=".1 -2 0 0 0"/></equality>',
+    ).replace('pos=".02 0 0"/>', 'pos=".02 0 0" stiffness="1" springref="10"/>')
+    model = load_model(write(tmp_path, text))
+    theirs = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
+    theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    data = mujoco.MjData(theirs)
+    for q, v, vd in np.random.default_rng(0).uniform(-1, 1, (5, 3)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = (q, 0.1 - 2 * q), (v, -2 * v), (vd, -2 * vd)
+        mujoco.mj_inverse(theirs, data)
+        effort = data.qfrc_inverse + theirs.dof_frictionloss * np.sign(data.qvel)
+        ours = model.effort(Motion(np.array([[q]]), np.array([[v]]), np.array([[vd]])))
+        assert ours[0, 0] == pytest.approx(effort[0] - 2 * effort[1], rel=1e-9)
+    assert model.joints == ("a",) and not model.left_out

@@ -42,7 +42,8 @@ class ModelText(abc.ABC):
         damping_2: Scoped joint names with c of their damping c |v| v, SI.
         damping_3: Scoped joint names with c of their damping c v³, SI.
         stiffness: Scoped joint names with the stiffness of their spring, N·m/rad or N/m.
-        stiffness_3: Scoped joint names with k of its part k (q − q₀)³, SI.
+        stiffness_3: Scoped joint names with k of a spring k (q − q₀)³, SI.
+        rest_3: Scoped joint names with q₀ of that spring, rad or m.
         rest: Scoped joint names with the position at which that spring is at rest, rad or m.
         effort: Scoped joint names with their largest effort, N or N·m.
         followers: Joints that the file has follow others; whether they can is seen in the plant.
@@ -69,6 +70,7 @@ class ModelText(abc.ABC):
         self.damping_3: dict[str, float] = {}
         self.stiffness: dict[str, float] = {}
         self.stiffness_3: dict[str, float] = {}
+        self.rest_3: dict[str, float] = {}
         self.rest: dict[str, float] = {}
         self.effort: dict[str, float] = {}
         self.between: set[str] = set()

@@ -76,6 +76,7 @@ QUANTITIES = (
     "stiffness",
     "stiffness_3",
     "rest",
+    "rest_3",
     "effort",
 )
 
@@ -176,8 +177,9 @@ class _Terms:
         self._add("stiffness", joint, m.jnt_stiffness[joint])
         rest = float(m.qpos_spring[m.jnt_qposadr[joint]])
         self.found.of_joints["rest"][self._name("JOINT", joint)] = rest
-        if poly.any():
+        if poly[1]:
             self._add("stiffness_3", joint, poly[1])
+            self._add("rest_3", joint, rest)
         if poly.any() and poly[0]:
             self._leave(f"The quadratic stiffness {poly[0]:g} of the joint {name}")
             reference.jnt_stiffnesspoly[joint][0] = 0.0
@@ -213,7 +215,7 @@ class _Terms:
             if len(joints) == 1 and self._single(next(iter(joints))):
                 ((joint, share),) = joints.items()
                 low, high = (float(x) for x in m.tendon_lengthspring[at])
-                if has["stiffness"] and low == high and share and not self._has_cubic(joint):
+                if has["stiffness"] and low == high and share:
                     self._add_spring(joint, share**2 * has.pop("stiffness"), low / share)
                 self._add("damping", joint, share**2 * has.pop("damping"))
                 self._add("friction", joint, abs(share) * has.pop("frictionloss"))
@@ -228,9 +230,6 @@ class _Terms:
             for what, values in polys.items():
                 if values.any():
                     getattr(reference, f"tendon_{what}")[at] = 0.0
-
-    def _has_cubic(self, joint: int) -> bool:
-        return bool(self.found.of_joints["stiffness_3"].get(self._name("JOINT", joint)))
 
     def _add_spring(self, joint: int, stiffness: float, rest: float) -> None:
         """Two linear springs of a joint are one about their mean."""
