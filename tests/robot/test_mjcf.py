@@ -400,3 +400,28 @@ def test_springs_of_a_finger_that_follows_are_at_its_leader(tmp_path):
         ours = model.effort(Motion(np.array([[q]]), np.array([[v]]), np.array([[vd]])))
         assert ours[0, 0] == pytest.approx(effort[0] - 2 * effort[1], rel=1e-9)
     assert model.joints == ("a",) and not model.left_out
+
+
+@pytest.mark.parametrize(
+    ("tendons", "equality"),
+    [
+        (f'<fixed name="p">{PAIR}</fixed>', '<tendon tendon1="p" polycoef=".3 0 0 0 0"/>'),
+        (
+            '<fixed name="p"><joint joint="a" coef="2"/></fixed>'
+            '<fixed name="q"><joint joint="t" coef="3"/></fixed>',
+            '<tendon tendon1="p" tendon2="q" polycoef=".1 -.7 0 0 0"/>',
+        ),
+    ],
+)
+def test_tendons_that_tie_two_joints_have_one_follow_the_other(tmp_path, tendons, equality):
+    motor = '<actuator><motor joint="t"/></actuator>'
+    tail = f"<tendon>{tendons}</tendon><equality>{equality}</equality>{motor}"
+    path = write(tmp_path, mjcf(tip('ref="20"'), tail=tail))
+    model, theirs = load_model(path), mujoco.MjModel.from_xml_path(str(path))
+    assert model.joints == ("t",) and not model.left_out
+    (follower,) = model.followers
+    data = mujoco.MjData(theirs)
+    for q in (-0.4, 0.0, 0.9):
+        data.qpos[:] = (follower.ratio * q + follower.offset, q)
+        mujoco.mj_forward(theirs, data)
+        assert data.efc_pos[: data.ne] == pytest.approx([0.0], abs=1e-12)

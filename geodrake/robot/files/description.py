@@ -65,7 +65,12 @@ class ModelDescription:
     @property
     def left_out(self) -> tuple[str, ...]:
         """Return what of the texts bears on efforts and is not taken, in words."""
-        return tuple(words for text in self.texts for words in text.left_out)
+        words = [words for text in self.texts for words in text.left_out]
+        stated = [(0.0, 0.0, -9.81) if t.gravity is None else tuple(t.gravity) for t in self.texts]
+        if len(set(stated)) > 1:
+            each = ", ".join(" ".join(f"{x:g}" for x in gravity) for gravity in set(stated))
+            words.append(f"The models have several gravities ({each}); all but one is left out.")
+        return tuple(words)
 
     @property
     def lost(self) -> tuple[str, ...]:

@@ -324,7 +324,7 @@ class _Terms:
             kind = names[int(m.eq_type[at])]
             if kind == "joint" and second >= 0:
                 self._follow(first, second, np.array(m.eq_data[at][:5]))
-            else:
+            elif kind != "tendon" or not self._follow_tendon(first, second, m.eq_data[at][:5]):
                 sites = int(m.eq_objtype[at]) == int(self.mujoco.mjtObj.mjOBJ_SITE)
                 of = {"joint": "JOINT", "tendon": "TENDON", "flex": "FLEX"}.get(kind)
                 of = of or ("SITE" if sites else "BODY")
@@ -333,6 +333,34 @@ class _Terms:
                     f"<equality>: the constraint <{kind}> of {what}, which makes a closed loop or "
                     "holds something (the robot is read as an open tree),"
                 )
+
+    def _follow_tendon(self, first: int, second: int, data: Array) -> bool:
+        """Whether L − L₀ = a₀ + a₁ (M − M₀) of fixed tendons has a joint follow another one."""
+        m, known = self.m, self.found.followers
+        shares = dict(fixed_tendon(m, self.mujoco, first))
+        length = float(m.tendon_length0[first]) + float(data[0])
+        if second >= 0:
+            other = fixed_tendon(m, self.mujoco, second)
+            length -= float(data[1]) * float(m.tendon_length0[second])
+            shares = shares if other else {}
+            for joint, share in other.items():
+                shares[joint] = shares.get(joint, 0.0) - float(data[1]) * share
+        shares = {joint: share for joint, share in shares.items() if share}
+        if len(shares) != 2 or np.any(data[2:]) or not all(map(self._single, shares)):
+            return False
+        # A joint that a motor drives leads; otherwise the first.
+        joints = (int(self.mujoco.mjtTrn.mjTRN_JOINT), int(self.mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        driven = {
+            int(on[0])
+            for on, kind in zip(m.actuator_trnid, m.actuator_trntype, strict=True)
+            if int(kind) in joints
+        }
+        leader, own = sorted(shares, key=lambda joint: joint not in driven)
+        names = self._name("JOINT", own), self._name("JOINT", leader)
+        if any(follower.joint == names[0] for follower in known):
+            return False
+        known.append(Follower(*names, -shares[leader] / shares[own], length / shares[own]))
+        return True
 
     def _follow(self, first: int, second: int, data: Array) -> None:
         """Y − y₀ = p(x − x₀), y₀ and x₀ at the file's own pose."""
