@@ -425,3 +425,14 @@ def test_tendons_that_tie_two_joints_have_one_follow_the_other(tmp_path, tendons
         data.qpos[:] = (follower.ratio * q + follower.offset, q)
         mujoco.mj_forward(theirs, data)
         assert data.efc_pos[: data.ne] == pytest.approx([0.0], abs=1e-12)
+
+
+def test_bodies_within_bodies_without_end_are_read_or_refused(tmp_path):
+    for tag, depth, joints in (("frame", 390, 2), ("body", 380, 381), ("replicate", 300, 2)):
+        body = f'<body><joint axis="0 1 0"/>{GEOM}'
+        opens = {"frame": '<frame pos="0 0 0.001">', "body": body}.get(tag, '<replicate count="1">')
+        inside = opens * depth + ("" if tag == "body" else tip()) + f"</{tag}>" * depth
+        assert len(load_model(write(tmp_path, mjcf(inside))).joints) == joints
+    path = write(tmp_path, mjcf("<frame>" * 500 + "</frame>" * 500))
+    with pytest.raises(ModelError, match="more than 400 elements within each other"):
+        load_model(path)

@@ -372,12 +372,12 @@ def _check_size(root: Element, sizes: Sizes, path: Path) -> None:
 
 def _size(element: Element, sizes: Sizes) -> tuple[int, int]:
     """How many elements MuJoCo makes of one, and how many of them are bodies, at most."""
-    inner = [_size(child, sizes) for child in element]
-    elements, bodies = 1 + sum(e for e, _ in inner), sum(b for _, b in inner)
-    if element.tag == "body":
-        bodies += 1
+    elements, bodies = 1, int(element.tag == "body")
     if element.tag == "attach":
         more = sizes.get(element.get("model", ""), (0, 0))
+        elements, bodies = elements + more[0], bodies + more[1]
+    for child in element:
+        more = _size(child, sizes)
         elements, bodies = elements + more[0], bodies + more[1]
     count = max(1, _whole(element.get("count") or "1")) if element.tag == "replicate" else 1
     return min(count * elements, 10 * _MOST_ELEMENTS), min(count * bodies, 10 * _MOST_ELEMENTS)
