@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -222,6 +223,8 @@ class Writer:
         """Tendons, motors, and a joint that follows another."""
         text = ""
         names = [name for name in names if "_r" not in name]
+        if not names:
+            return ""
         one, *others = self.rng.permutation(names).tolist()
         if self.chance(0.5):
             text += (
@@ -250,11 +253,12 @@ def reference(path: Path, left_out: set[str]) -> mujoco.MjModel:
     for table in left_out:
         if table == "medium":
             model.opt.density = model.opt.viscosity = 0.0
-        elif table in ("single", "pair"):  # and those that MuJoCo makes of it for replicated joints
+        elif table == "pair":  # and those that MuJoCo makes of it for replicated joints
             for at in range(model.ntendon):
                 if model.tendon(at).name.startswith(table):
-                    model.tendon_stiffness[at] = 0.0
-                    model.tendon_damping[at] *= table == "single"
+                    model.tendon_stiffness[at] = model.tendon_damping[at] = 0.0
+        elif table.startswith("single"):
+            model.tendon_stiffness[model.tendon(table).id] = 0.0
         else:
             getattr(model, table)[:] = 0.0
     model.opt.disableflags |= int(_OFF.mjDSBL_CONSTRAINT)
@@ -263,10 +267,10 @@ def reference(path: Path, left_out: set[str]) -> mujoco.MjModel:
 
 def difference(path: Path, left_out: set[str], rng: np.random.Generator) -> tuple[float, int]:
     """Largest difference of efforts, as a share of the largest, and the number of joints."""
-    model, theirs = load_model(path), reference(path, left_out)
-    if any("The tendon single with stiffness" in words for words in model.left_out):
-        left_out = left_out | {"single"}  # beside a cubic spring of its joint
-        theirs = reference(path, left_out)
+    model = load_model(path)
+    singles = re.findall(r"The tendon (single\d*) with stiffness", " ".join(model.left_out))
+    left_out = left_out.union(singles)  # beside a cubic spring, or with a dead band
+    theirs = reference(path, left_out)
     if model.left_out and not left_out:
         raise RuntimeError(f"{path}: {model.left_out} is left out, and {left_out} should be.")
     count = 6
@@ -341,7 +345,6 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="20 files instead of 200")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path, help="write the table here")
-    parser.add_argument("--figures", type=Path, help="there are none")
     options = parser.parse_args()
     table = run(20 if options.quick else 200, options.seed)
     for name, value in table.items():

@@ -163,5 +163,5 @@ def repairs_in_short(repairs: Sequence[str]) -> tuple[str, ...]:
         repairs: What they say.
     """
     more = len(repairs) - _MOST_REPAIRS
-    rest = [f"{more} more of its inertias were replaced or left out."] if more > 0 else []
+    rest = [f"{more} more of its parts were replaced or left out."] if more > 0 else []
     return (*repairs[:_MOST_REPAIRS], *rest)

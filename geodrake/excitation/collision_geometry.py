@@ -25,6 +25,7 @@ from geodrake.robot.files.meshes import check_geometry
 from geodrake.robot.files.values import drop
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
+from geodrake.robot.mjcf_shapes import mjcf_geoms
 from geodrake.robot.plant import arrange_as
 
 _CONTACT = CoulombFriction(0.5, 0.5)  # which nothing here uses, but Drake asks for
@@ -101,6 +102,12 @@ def _register(plant: MultibodyPlant, body: object, solid: Solid) -> None:
 
 def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
     """Collision geometry of a file by scoped link name, as Drake reads it."""
+    geoms = mjcf_geoms(model.path, model.given, hulls=True)
+    if geoms is not None:
+        return {
+            link: [Solid(f"{k}_{g.name}", g.shape, g.X_BG) for k, g in enumerate(own) if g.collides]
+            for link, own in geoms.items()
+        }
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
     parser = Parser(plant)
     read_description(model.path, model.given).add_every_package(parser.package_map())

@@ -27,7 +27,7 @@ from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.model.exporting.held import reasons
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_messages, read_description
-from geodrake.robot.files.inertia_text import link_names, with_inertias
+from geodrake.robot.files.inertia_text import link_names, with_inertias, without_mass_settings
 from geodrake.robot.files.reading import model_text_of
 from geodrake.robot.files.source_text import with_comments
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded
@@ -124,6 +124,9 @@ def export_bodies(model: RobotModel) -> Export:
     """
     kind, data = file_kind(model), read_expanded(model.path, model.given)
     stated, here = _stated_inertias(model), link_names(data, model.path)
+    # Settings that change masses change what is written, too: all is written, without them.
+    settled = without_mass_settings(data, model.path) if kind == "xml" else data
+    anew = settled != data
     written: dict[str, Array] = {}
     shared, absent = [], []
     for body, phi in zip(lumped_bodies(model.plant), model.total_phi, strict=True):
@@ -133,15 +136,15 @@ def export_bodies(model: RobotModel) -> Export:
         changed = {
             name: new
             for name, old, new in zip(names, before, after, strict=True)
-            if _differ(old, new)
+            if _differ(old, new) or (anew and name in here and new[0] > 0.0)
         }
         if not here.issuperset(changed) and kind == "xml":
-            absent.append(body.name)  # between several joints of one MJCF body
+            absent.append(body.name)  # between several joints of one body, or made by MuJoCo
             continue
         written |= changed
         if how and changed:
             shared.append(how)
-    content = with_inertias(data, model.path, written)
+    content = with_inertias(settled, model.path, written)
     content = with_comments(content, model.path, repair_comments(model))
     _check(content, model.path, written)
     links = tuple(name.rpartition("::")[2] for name in written)
@@ -272,8 +275,8 @@ def _body_notes(model: RobotModel, absent: Sequence[str]) -> list[str]:
         notes.append(f"the payload is part of {', '.join(carried)} in the exported file")
     if absent:
         notes.append(
-            f"{', '.join(absent)} is between several joints of one body, so the exported file has "
-            "no place for its inertia"
+            f"{', '.join(absent)} is between several joints of one body, or of a copy or a model "
+            "that MuJoCo puts there, so the exported file has no place for its inertia"
         )
     return notes
 
@@ -290,11 +293,11 @@ def _relative_note(data: bytes, path: Path) -> list[str]:
 def _file_notes(data: bytes, model: RobotModel) -> list[str]:
     if is_xacro(model.path):
         return [f"the exported file is what {model.path.name} expands to, without its macros"]
-    if not re.search(rb"""inertiafromgeom\s*=\s*["']true""", data):
+    if data == without_mass_settings(data, model.path):
         return []
     return [
-        f'{model.path.name} has inertiafromgeom="true", with which MuJoCo ignores all inertias; '
-        "take it out of the exported file"
+        f"settings of {model.path.name} by which MuJoCo changes masses are not in the exported "
+        "file, which states all inertias"
     ]
 
 

@@ -18,6 +18,7 @@ from pydrake.multibody.tree import Joint
 from geodrake.errors import ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
+from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files import read_description
 from geodrake.robot.files.description import drake_messages
@@ -77,7 +78,7 @@ def second_opinion(
     if isinstance(text, MjcfText):
         found = _by_mujoco(model, text, joints)
         motion = Motion(*states)
-        still = [f for f in model.effects if f.effect.name != "coulomb_friction"]
+        still = [f for f in model.effects if not isinstance(f.effect, DryFriction)]
         ours = replace(model, effects=tuple(still)).effort(motion)
     elif text.kind == "urdf":
         found = _by_pinocchio(model, joints)

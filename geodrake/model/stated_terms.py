@@ -56,7 +56,7 @@ def stated_effects(
                 drag = Drag(name, exponent=exponent)
                 effects.append(FittedEffect(drag, np.array([value])))
                 notes.append(f"The {what} in the file ({name} {value:g}) is kept as {drag.name}.")
-    stiffness, rest, cubic = loaded.file_springs
+    stiffness, rest, cubic, rest_3 = loaded.file_springs
     values, lost = _at_actuators(stiffness, actuation, np.square)
     if actuation is not None:  # Σ J² k (q − c)² / 2 of several springs is one about their mean
         moments, _ = actuation.joined(stiffness * (rest - actuation.offsets), lambda J: J)
@@ -69,8 +69,11 @@ def stated_effects(
             effects.append(FittedEffect(spring, np.array([value, 0.0])))
             notes.append(f"The spring in the file ({name} {value:g}) is kept as {spring.name}.")
     values, lost = _at_actuators(cubic, actuation, lambda J: J**4)
+    if actuation is not None:
+        moments, _ = actuation.joined(cubic * (rest_3 - actuation.offsets), lambda J: J**3)
+        rest_3 = moments / np.where(values != 0.0, values, 1.0)
     notes += _lost_notes("cubic spring", [joints[at] for at in lost])
-    for name, value, center in zip(names, values.tolist(), rest.tolist(), strict=True):
+    for name, value, center in zip(names, values.tolist(), rest_3.tolist(), strict=True):
         if value:
             spring = Spring(name, exponent=3, center=center)
             effects.append(FittedEffect(spring, np.array([value, 0.0])))

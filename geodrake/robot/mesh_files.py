@@ -46,11 +46,21 @@ def wavefront(path: Path, most: int = MOST_TRIANGLES) -> str:
         ModelError: The file cannot be read, or has no triangles.
     """
     try:
-        vertices, faces = simplified(READERS[path.suffix.lower()](path), most)
+        return wavefront_text(READERS[path.suffix.lower()](path), most)
     except GeodrakeError:
         raise
     except (OSError, ValueError, LookupError, AttributeError, TypeError) as error:
         raise _unreadable(path, str(error)) from error
+
+
+def wavefront_text(surface: Surface, most: int = MOST_TRIANGLES) -> str:
+    """Return a surface as Wavefront's text, with no more triangles than asked for.
+
+    Args:
+        surface: Its vertices and triangles.
+        most: Most triangles; a finer surface is drawn more coarsely.
+    """
+    vertices, faces = simplified(surface, most)
     normals, of_corners = _normals(vertices, faces)
     corners = 1 + np.stack([faces, of_corners], -1).reshape(-1, 6)
     text = io.StringIO()

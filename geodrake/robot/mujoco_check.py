@@ -36,7 +36,7 @@ class JointTerms:
         friction: (nv,) dry friction, N·m or N.
         rotor_inertia: (nv,) reflected inertia, kg·m² or kg.
         powers: (2, nv) c of c |v| v and of c v³, SI.
-        springs: (3, nv) k, q₀ and k₃ of k (q − q₀) + k₃ (q − q₀)³, SI.
+        springs: (4, nv) k, q₀, k₃ and q₃ of k (q − q₀) + k₃ (q − q₃)³, SI.
     """
 
     plant: MultibodyPlant
@@ -140,7 +140,7 @@ def _efforts(
     mujoco.mj_inverse(m, data)
     effort = plant.CalcInverseDynamics(context, vd, MultibodyForces(plant))
     effort -= plant.CalcGravityGeneralizedForces(context)
-    stiffness, rest, cubic = built.springs
+    k, rest, k3, rest3 = built.springs
     effort += v * (built.damping + np.abs(v) * built.powers[0] + v**2 * built.powers[1])
     effort += built.rotor_inertia * vd
     ours, theirs = [], []
@@ -148,8 +148,8 @@ def _efforts(
         first, count, dof = joint.velocity_start(), joint.num_velocities(), int(m.jnt_dofadr[at])
         own = turn.T @ effort[first : first + count]
         if count == 1:
-            x = q[joint.position_start()] - rest[first]
-            own = own + stiffness[first] * x + cubic[first] * x**3
+            x = q[joint.position_start()]
+            own = own + k[first] * (x - rest[first]) + k3[first] * (x - rest3[first]) ** 3
         ours.append(own)
         theirs.append(np.array(data.qfrc_inverse[dof : dof + count]))
     return ours, theirs

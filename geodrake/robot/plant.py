@@ -61,8 +61,7 @@ class LoadedPlant:
         file_friction: (nv,) dry friction of the file, N·m or N.
         file_rotor_inertia: (nv,) reflected inertia of the file, kg·m² or kg.
         file_powers: (2, nv) c of the file's damping c |v| v and c v³, SI.
-        file_springs: (3, nv) stiffness k of the file's springs, N·m/rad or N/m, their rest
-            positions q₀, rad or m, and k₃ of k (q − q₀) + k₃ (q − q₀)³, SI.
+        file_springs: (4, nv) k, q₀, k₃ and q₃ of the file's springs k (q − q₀) + k₃ (q − q₃)³, SI.
         left_out: Sentences on what of the file bears on efforts, and is in none of these.
         held: Joint that does not move, though it does in the file -> where it is held, rad or m.
         given: How the file was to be read.
@@ -150,7 +149,7 @@ def load_plant(
     notes = [*description.notes, *built.notes, *_follower_notes(description, arrangement)]
     changes = [*map(str, repairs), *left_out, *description.lost, *_relevant(messages)]
     coordinates = OwnCoordinates(built.plant, arrangement.followers)
-    stiffness, rest, cubic = built.springs
+    springs, lost = _joined_springs(built, coordinates)
     return LoadedPlant(
         built.plant,
         path,
@@ -161,21 +160,36 @@ def load_plant(
         coordinates.joined(built.friction, 1),
         coordinates.joined(built.rotor_inertia, 2),
         np.array([coordinates.joined(c, n) for c, n in zip(built.powers, (3, 4), strict=True)]),
-        np.array(
-            [
-                coordinates.joined(stiffness, 2),
-                rest[coordinates.own_velocities],
-                coordinates.joined(cubic, 4),
-            ]
-        ),
+        springs,
         held,
         given,
         arrangement.followers,
         arrangement.joints,
         description.bent,
         _geared(description),
-        tuple(dict.fromkeys(description.left_out)),
+        tuple(dict.fromkeys([*description.left_out, *lost])),
     )
+
+
+def _joined_springs(built: _Built, coordinates: OwnCoordinates) -> tuple[Array, list[str]]:
+    """Springs (4, nv) of the robot's own joints with those of their followers, and what is lost.
+
+    A spring k (θ − θ₀) of a follower θ = r q + o is k r² (q − (θ₀ − o)/r) at its leader, and two of
+    them are one about their mean.
+    """
+    k, rest, k3, rest3 = (np.array(row) for row in built.springs)
+    moments, lost = k * rest, list[str]()
+    offsets = [follower.offset for follower in coordinates.followers]
+    for (to, of, ratio), offset in zip(coordinates.followed, offsets, strict=True):
+        moments[of] += ratio * k[to] * (rest[to] - offset)
+        k[of] += ratio**2 * k[to]
+        if k3[to] and not k3[of]:
+            k3[of], rest3[of] = ratio**4 * k3[to], (rest3[to] - offset) / ratio
+        elif k3[to]:
+            name = joint_names(built.plant)[to]
+            lost.append(f"The cubic spring of {name}, which follows another joint, is left out.")
+    rest = np.where(k != 0.0, moments / np.where(k != 0.0, k, 1.0), rest)
+    return np.array([k, rest, k3, rest3])[:, coordinates.own_velocities], lost
 
 
 def _geared(description: ModelDescription) -> tuple[str, ...]:
@@ -308,7 +322,7 @@ def _build(
 
     powers, springs = (
         np.array([per_velocity(of_text(name, most=1)) for name in names])
-        for names in (("damping_2", "damping_3"), ("stiffness", "rest", "stiffness_3"))
+        for names in (("damping_2", "damping_3"), ("stiffness", "rest", "stiffness_3", "rest_3"))
     )
     return _Built(
         plant,

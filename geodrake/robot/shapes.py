@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,6 +24,7 @@ from geodrake.robot.files.values import drop
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.mesh_files import READERS, check_mesh, wavefront
+from geodrake.robot.mjcf_shapes import MjcfGeom, mjcf_geoms
 
 GRAY = Rgba(0.82, 0.84, 0.87, 1.0)
 _DRAKE_READS = (".obj", ".gltf", ".vtk")
@@ -100,6 +101,9 @@ def robot_shapes(path: Path, given: Given) -> RobotShapes:
 
 
 def _read(path: Path, given: Given, folder: Path, lost: _Lost) -> dict[str, tuple[LinkShape, ...]]:
+    geoms = mjcf_geoms(path, given)
+    if geoms is not None:
+        return {link: _visible(own) for link, own in geoms.items()}
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
     parser = Parser(plant)
     description = read_description(path, given)
@@ -133,6 +137,12 @@ def _read(path: Path, given: Given, folder: Path, lost: _Lost) -> dict[str, tupl
             if shapes:
                 links[body.scoped_name().get_full()] = tuple(shapes)
     return links
+
+
+def _visible(geoms: Sequence[MjcfGeom]) -> tuple[LinkShape, ...]:
+    """Geoms that MuJoCo shows; of bodies that have none such, all."""
+    seen = [geom for geom in geoms if geom.shown] or geoms
+    return tuple(LinkShape(geom.shape, geom.X_BG, geom.color) for geom in seen)
 
 
 def _prepare(root: Element, packages: PackageMap, model: Path, folder: Path, lost: _Lost) -> None:

@@ -47,6 +47,7 @@ ELSEWHERE = {  # run by tests of their own, with --quick, too
     "column_errors",
     "human_identification",
     "identification_speed",
+    "random_mjcf",
     "run_scenario",
 }
 SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in ELSEWHERE)

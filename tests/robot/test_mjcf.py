@@ -6,12 +6,16 @@ import time
 import mujoco
 import numpy as np
 import pytest
+from pydrake.geometry import Capsule, Mesh
 
 from geodrake import load_model
 from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
 from geodrake.robot import mujoco_check
+from geodrake.robot.files.given import Given
+from geodrake.robot.mjcf_shapes import mjcf_geoms
 from geodrake.robot.plant import load_plant
+from geodrake.robot.shapes import robot_shapes
 
 HEAD = '<mujoco model="r">{head}<worldbody>{world}</worldbody>{tail}</mujoco>'
 TIP = '<body name="t" pos=".1 0 .2"><joint name="t" axis="0 1 0"/>{}</body>'
@@ -351,3 +355,84 @@ def test_seven_joints_are_read_in_a_moment(tmp_path):
         load_model(path)
         seconds.append(time.perf_counter() - start)
     assert min(seconds) < 0.3
+
+
+LOOKS = """<mujoco model="r"><asset><mesh name="m" file="cube.obj" scale="2 2 2"/>
+<material name="red" rgba="1 0 0 1"/><texture name="x" type="2d" file="nowhere.png"/></asset>
+<default><default class="visual"><geom contype="0" conaffinity="0" material="red"/></default>
+</default><worldbody><geom type="plane" size="1 1 1"/><frame pos="0 0 1"><body name="a">
+<joint name="j"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/>
+<geom class="visual" type="mesh" mesh="m"/><geom type="mesh" mesh="gone" class="visual"/>
+<frame euler="90 0 0"><geom type="capsule" size=".1 .2" pos="0 1 0" group="3"/></frame></body>
+</frame></worldbody></mujoco>"""
+
+
+def test_shapes_are_those_that_mujoco_compiles(tmp_path):
+    gone = '<asset><mesh name="gone" file="gone.stl"/></asset>'
+    path = write(tmp_path, LOOKS.replace("<asset>", f"{gone}<asset>", 1))
+    assert load_model(path).notes == ()
+    (shown,) = robot_shapes(path, Given()).links["r::a"]
+    assert isinstance(shown.shape, Mesh) and shown.color.rgba == pytest.approx([1, 0, 0, 1])
+    touching = [geom for geom in mjcf_geoms(path, Given(), hulls=True)["r::a"] if geom.collides]
+    (capsule,) = touching
+    assert isinstance(capsule.shape, Capsule) and capsule.shape.length() == 0.4
+    np.testing.assert_allclose(capsule.X_BG.translation(), [0, 0, 1], atol=1e-12)
+    hull, _ = mjcf_geoms(path, Given(), hulls=True)["r::a"]
+    surface = hull.shape.GetConvexHull()
+    points = np.array([hull.X_BG @ surface.vertex(k) for k in range(surface.num_vertices())])
+    np.testing.assert_allclose(points.min(0), [0, 0, 0], atol=1e-7)
+    np.testing.assert_allclose(points.max(0), [0.2, 0.4, 0.6], atol=1e-7)
+
+
+def test_springs_of_a_finger_that_follows_are_at_its_leader(tmp_path):
+    text = mjcf(
+        tip('stiffness="3 0 2" springref="30" damping=".3 .2 .1" frictionloss=".2" armature=".1"'),
+        tail='<equality><joint joint1="t" joint2="a" polycoef=".1 -2 0 0 0"/></equality>',
+    ).replace('pos=".02 0 0"/>', 'pos=".02 0 0" stiffness="1" springref="10"/>')
+    model = load_model(write(tmp_path, text))
+    theirs = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
+    theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    data = mujoco.MjData(theirs)
+    for q, v, vd in np.random.default_rng(0).uniform(-1, 1, (5, 3)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = (q, 0.1 - 2 * q), (v, -2 * v), (vd, -2 * vd)
+        mujoco.mj_inverse(theirs, data)
+        effort = data.qfrc_inverse + theirs.dof_frictionloss * np.sign(data.qvel)
+        ours = model.effort(Motion(np.array([[q]]), np.array([[v]]), np.array([[vd]])))
+        assert ours[0, 0] == pytest.approx(effort[0] - 2 * effort[1], rel=1e-9)
+    assert model.joints == ("a",) and not model.left_out
+
+
+@pytest.mark.parametrize(
+    ("tendons", "equality"),
+    [
+        (f'<fixed name="p">{PAIR}</fixed>', '<tendon tendon1="p" polycoef=".3 0 0 0 0"/>'),
+        (
+            '<fixed name="p"><joint joint="a" coef="2"/></fixed>'
+            '<fixed name="q"><joint joint="t" coef="3"/></fixed>',
+            '<tendon tendon1="p" tendon2="q" polycoef=".1 -.7 0 0 0"/>',
+        ),
+    ],
+)
+def test_tendons_that_tie_two_joints_have_one_follow_the_other(tmp_path, tendons, equality):
+    motor = '<actuator><motor joint="t"/></actuator>'
+    tail = f"<tendon>{tendons}</tendon><equality>{equality}</equality>{motor}"
+    path = write(tmp_path, mjcf(tip('ref="20"'), tail=tail))
+    model, theirs = load_model(path), mujoco.MjModel.from_xml_path(str(path))
+    assert model.joints == ("t",) and not model.left_out
+    (follower,) = model.followers
+    data = mujoco.MjData(theirs)
+    for q in (-0.4, 0.0, 0.9):
+        data.qpos[:] = (follower.ratio * q + follower.offset, q)
+        mujoco.mj_forward(theirs, data)
+        assert data.efc_pos[: data.ne] == pytest.approx([0.0], abs=1e-12)
+
+
+def test_bodies_within_bodies_without_end_are_read_or_refused(tmp_path):
+    for tag, depth, joints in (("frame", 390, 2), ("body", 380, 381), ("replicate", 300, 2)):
+        body = f'<body><joint axis="0 1 0"/>{GEOM}'
+        opens = {"frame": '<frame pos="0 0 0.001">', "body": body}.get(tag, '<replicate count="1">')
+        inside = opens * depth + ("" if tag == "body" else tip()) + f"</{tag}>" * depth
+        assert len(load_model(write(tmp_path, mjcf(inside))).joints) == joints
+    path = write(tmp_path, mjcf("<frame>" * 500 + "</frame>" * 500))
+    with pytest.raises(ModelError, match="more than 400 elements within each other"):
+        load_model(path)

@@ -184,7 +184,7 @@ def test_sdf(load):
     assert loaded.file_damping == pytest.approx([0.2])
     assert loaded.file_friction == pytest.approx([0.3])
     assert effort_limits(loaded.plant) == pytest.approx([7.0])
-    assert loaded.file_springs[:, 0] == pytest.approx([3.0, 0.0, 0.0])
+    assert loaded.file_springs[:, 0] == pytest.approx([3.0, 0.0, 0.0, 0.0])
     assert loaded.plant.num_force_elements() == 1
 
 

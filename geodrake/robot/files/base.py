@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import ClassVar
 from xml.etree.ElementTree import Element, SubElement
 
+import numpy as np
+
 from geodrake.inertia import Array, is_physical
 from geodrake.robot.files.checks import (
     Numeric,
@@ -17,7 +19,7 @@ from geodrake.robot.files.checks import (
     check_numbers,
 )
 from geodrake.robot.files.values import drop, numbers
-from geodrake.robot.files.xml_text import numbered_text
+from geodrake.robot.files.xml_text import numbered_text, place_of
 from geodrake.robot.followers import Follower
 from geodrake.robot.transmission.statements import Followers, Statement
 
@@ -40,7 +42,8 @@ class ModelText(abc.ABC):
         damping_2: Scoped joint names with c of their damping c |v| v, SI.
         damping_3: Scoped joint names with c of their damping c v³, SI.
         stiffness: Scoped joint names with the stiffness of their spring, N·m/rad or N/m.
-        stiffness_3: Scoped joint names with k of its part k (q − q₀)³, SI.
+        stiffness_3: Scoped joint names with k of a spring k (q − q₀)³, SI.
+        rest_3: Scoped joint names with q₀ of that spring, rad or m.
         rest: Scoped joint names with the position at which that spring is at rest, rad or m.
         effort: Scoped joint names with their largest effort, N or N·m.
         followers: Joints that the file has follow others; whether they can is seen in the plant.
@@ -67,6 +70,7 @@ class ModelText(abc.ABC):
         self.damping_3: dict[str, float] = {}
         self.stiffness: dict[str, float] = {}
         self.stiffness_3: dict[str, float] = {}
+        self.rest_3: dict[str, float] = {}
         self.rest: dict[str, float] = {}
         self.effort: dict[str, float] = {}
         self.between: set[str] = set()
@@ -130,7 +134,25 @@ class ModelText(abc.ABC):
         tags = {f"{prefix}{tag}" for tag in _LOOPS for prefix in ("drake:", "")}
         for tag in sorted({e.tag for e in self.root.iter() if e.tag in tags}):
             drop(self.root, tag)
-            self.notes.append(f"<{tag}> is ignored: the robot is read as an open tree.")
+            self.left_out.append(f"<{tag}> is ignored: the robot is read as an open tree.")
+
+    def _take_weightless(self, off: Mapping[str, Element]) -> None:
+        """Links on which gravity does not act: if those are all, there is none; else it is said.
+
+        Args:
+            off: Scoped link name -> the element that says so.
+        """
+        if not off:
+            return
+        heavy = {name for name, link in self._links.items() if link.find("inertial") is not None}
+        if heavy <= off.keys():
+            self.gravity = np.zeros(3)
+            return
+        for name, element in off.items():
+            self.left_out.append(
+                f"{place_of(element) or self.path}: that gravity does not act on "
+                f"{name.rpartition('::')[2]} is left out."
+            )
 
     def _take_mimic(self, scope: str, joint: Element) -> None:
         """Takes the <mimic> of a joint out of the text, and what it says in."""

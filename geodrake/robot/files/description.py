@@ -65,7 +65,12 @@ class ModelDescription:
     @property
     def left_out(self) -> tuple[str, ...]:
         """Return what of the texts bears on efforts and is not taken, in words."""
-        return tuple(words for text in self.texts for words in text.left_out)
+        words = [words for text in self.texts for words in text.left_out]
+        stated = [(0.0, 0.0, -9.81) if t.gravity is None else tuple(t.gravity) for t in self.texts]
+        if len(set(stated)) > 1:
+            each = ", ".join(" ".join(f"{x:g}" for x in gravity) for gravity in set(stated))
+            words.append(f"The models have several gravities ({each}); all but one is left out.")
+        return tuple(words)
 
     @property
     def lost(self) -> tuple[str, ...]:
@@ -153,8 +158,7 @@ class ModelDescription:
             if self.directives is None:
                 for own, (text, _) in zip(self.texts, texts, strict=True):
                     parser.AddModelsFromString(text, own.kind)
-                    if own.gravity is not None:
-                        plant.mutable_gravity_field().set_gravity_vector(own.gravity)
+                self._set_gravity(plant)
                 return
             with TemporaryDirectory() as folder:
                 models = [d.add_model for d in self.directives.directives if d.add_model]
@@ -163,6 +167,12 @@ class ModelDescription:
                     file.write_text(texts[k][0], encoding="utf-8")
                     model.file = file.as_uri()
                 ProcessModelDirectives(self.directives, parser)
+                self._set_gravity(plant)
+
+    def _set_gravity(self, plant: MultibodyPlant) -> None:
+        for text in self.texts:
+            if text.gravity is not None:
+                plant.mutable_gravity_field().set_gravity_vector(text.gravity)
 
 
 @typed

@@ -12,7 +12,7 @@ from pydrake.multibody.parsing import PackageMap
 from geodrake.boundary.input_files import regular_file
 from geodrake.errors import ModelError
 from geodrake.robot.files.packages import PACKAGE_ADVICE, add_packages, named_packages
-from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml
+from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml, place_of
 from geodrake.robot.mesh_files import check_mesh
 
 _DEEPEST = 30  # files that include each other in a row
@@ -29,11 +29,13 @@ class Includes:
 
     Attributes:
         packages: The packages that were named on the way.
+        absent: Sentences on what a world includes, and leads nowhere: suns and grounds, mostly.
     """
 
     def __init__(self, path: Path, folders: Mapping[str, Path]) -> None:
         self.path, self.packages, self.names = path, PackageMap(), set[str]()
         self._folders = folders
+        self.absent: list[str] = []
         self._count = self._elements = 0
 
     def resolve(self, url: str, folder: Path) -> Path:
@@ -109,6 +111,13 @@ class Includes:
         for parent in list(root.iter()):
             for include in parent.findall("include"):
                 url = include.findtext("uri", "").strip()
+                if parent.tag == "world" and self._leads_nowhere(url, folder):
+                    parent.remove(include)
+                    where = place_of(include) or self.path
+                    self.absent.append(
+                        f"{where}: {url} is not found, and is left out of the world."
+                    )
+                    continue
                 for file in _models_of(self.resolve(url, folder), "://" in url):
                     below = self.enter(chain, file)
                     included = parse_xml(file)
@@ -116,6 +125,13 @@ class Includes:
                     model = included.find("model")
                     if "://" not in url and included.tag == "sdf" and model is not None:
                         _replace(parent, include, model)
+
+    def _leads_nowhere(self, url: str, folder: Path) -> bool:
+        try:
+            self.resolve(url, folder)
+        except ModelError:
+            return True
+        return False
 
     def insert_elements(self, root: Element, chain: tuple[Path, ...] = ()) -> None:
         """Puts what the files hold that an MJCF includes in the place of the includes.

@@ -14,6 +14,14 @@ from geodrake.robot.files.values import TENSOR, UPPER, numbers, rotation, tensor
 from geodrake.robot.files.xml_text import SUPPORTED_FORMATS
 
 _TURNS = ("quat", "euler", "axisangle", "xyaxes", "zaxis")
+_OF_MASSES = (
+    "settotalmass",
+    "boundmass",
+    "boundinertia",
+    "balanceinertia",
+    "inertiafromgeom",
+    "inertiagrouprange",
+)
 _Writer = Callable[[SourceText, SourceElement, Array], None]
 
 
@@ -46,6 +54,21 @@ def with_inertias(data: bytes, path: Path, inertias: Mapping[str, Array]) -> byt
     check_in_itself(inertias, links, path)
     for name, phi in inertias.items():
         write(text, links[name], phi)
+    return text.edited()
+
+
+def without_mass_settings(data: bytes, path: Path) -> bytes:
+    """An MJCF file without the settings by which MuJoCo changes masses; other files as they are.
+
+    Args:
+        data: Bytes of the file.
+        path: Where they are from, for messages.
+    """
+    text = SourceText(data, path)
+    for compiler in text.root.all("compiler") if text.root.tag == "mujoco" else ():
+        for key in _OF_MASSES:
+            if key in compiler.attributes:
+                text.remove_attribute(compiler, key)
     return text.edited()
 
 

@@ -100,24 +100,26 @@ class CompiledMjcf:
     said: tuple[str, ...] = ()
 
 
-def compiled(root: Element, path: Path, mujoco: ModuleType) -> CompiledMjcf:
+def compiled(root: Element, path: Path, mujoco: ModuleType, *, geoms: bool = False) -> CompiledMjcf:
     """Return what MuJoCo makes of a file whose includes are in their places.
 
     Args:
         root: Its root element, which is changed.
         path: The file.
         mujoco: The package.
+        geoms: Keep geoms that have no part in inertias, for pictures.
 
     Raises:
         ModelError: MuJoCo refuses it, in MuJoCo's words, or a file that it names is none.
     """
-    return _Compiler(path, mujoco).read(root)
+    return _Compiler(path, mujoco, geoms).read(root)
 
 
 @dataclass
 class _Compiler:
     path: Path
     mujoco: ModuleType
+    geoms: bool
     models: dict[str, bytes] = field(default_factory=dict)
     meshes: dict[str, Path] = field(default_factory=dict)
     plugins: list[str] = field(default_factory=list)
@@ -141,7 +143,8 @@ class _Compiler:
         drop(root, *_NO_DYNAMICS)
         self._take_plugins(root)
         folders = _take_folders(root)
-        _drop_idle_geoms(root)
+        if not self.geoms:
+            _drop_idle_geoms(root)
         _name_bodies(root, prefix)
         sizes: Sizes = {}
         for element in [e for e in root.iter() if e.get("file") or e.tag == "hfield"]:
@@ -149,6 +152,7 @@ class _Compiler:
                 name, size = self._attach(element, path, chain)
                 sizes[name] = size
             elif element.tag == "hfield":
+                element.set("name", element.get("name") or Path(element.get("file", "")).stem)
                 for key in ("file", "elevation", "content_type"):
                     element.attrib.pop(key, None)
                 element.attrib.update(nrow="2", ncol="2")
@@ -222,7 +226,12 @@ class _Compiler:
                 spec.delete(geom)
             if gone:
                 told.append(body.name)
-            if gone and not any(geom.mass != 0.0 and geom.density != 0.0 for geom in body.geoms):
+            heavy = body.explicitinertial or body.name == "world"
+            if (
+                gone
+                and not heavy
+                and not any(geom.mass != 0.0 and geom.density != 0.0 for geom in body.geoms)
+            ):
                 unknown.add(body.name)
                 body.explicitinertial = True
                 body.mass, body.inertia, body.ipos = 1.0, [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]
@@ -363,12 +372,12 @@ def _check_size(root: Element, sizes: Sizes, path: Path) -> None:
 
 def _size(element: Element, sizes: Sizes) -> tuple[int, int]:
     """How many elements MuJoCo makes of one, and how many of them are bodies, at most."""
-    inner = [_size(child, sizes) for child in element]
-    elements, bodies = 1 + sum(e for e, _ in inner), sum(b for _, b in inner)
-    if element.tag == "body":
-        bodies += 1
+    elements, bodies = 1, int(element.tag == "body")
     if element.tag == "attach":
         more = sizes.get(element.get("model", ""), (0, 0))
+        elements, bodies = elements + more[0], bodies + more[1]
+    for child in element:
+        more = _size(child, sizes)
         elements, bodies = elements + more[0], bodies + more[1]
     count = max(1, _whole(element.get("count") or "1")) if element.tag == "replicate" else 1
     return min(count * elements, 10 * _MOST_ELEMENTS), min(count * bodies, 10 * _MOST_ELEMENTS)

@@ -76,6 +76,7 @@ QUANTITIES = (
     "stiffness",
     "stiffness_3",
     "rest",
+    "rest_3",
     "effort",
 )
 
@@ -176,8 +177,9 @@ class _Terms:
         self._add("stiffness", joint, m.jnt_stiffness[joint])
         rest = float(m.qpos_spring[m.jnt_qposadr[joint]])
         self.found.of_joints["rest"][self._name("JOINT", joint)] = rest
-        if poly.any():
+        if poly[1]:
             self._add("stiffness_3", joint, poly[1])
+            self._add("rest_3", joint, rest)
         if poly.any() and poly[0]:
             self._leave(f"The quadratic stiffness {poly[0]:g} of the joint {name}")
             reference.jnt_stiffnesspoly[joint][0] = 0.0
@@ -213,7 +215,7 @@ class _Terms:
             if len(joints) == 1 and self._single(next(iter(joints))):
                 ((joint, share),) = joints.items()
                 low, high = (float(x) for x in m.tendon_lengthspring[at])
-                if has["stiffness"] and low == high and share and not self._has_cubic(joint):
+                if has["stiffness"] and low == high and share:
                     self._add_spring(joint, share**2 * has.pop("stiffness"), low / share)
                 self._add("damping", joint, share**2 * has.pop("damping"))
                 self._add("friction", joint, abs(share) * has.pop("frictionloss"))
@@ -228,9 +230,6 @@ class _Terms:
             for what, values in polys.items():
                 if values.any():
                     getattr(reference, f"tendon_{what}")[at] = 0.0
-
-    def _has_cubic(self, joint: int) -> bool:
-        return bool(self.found.of_joints["stiffness_3"].get(self._name("JOINT", joint)))
 
     def _add_spring(self, joint: int, stiffness: float, rest: float) -> None:
         """Two linear springs of a joint are one about their mean."""
@@ -325,7 +324,7 @@ class _Terms:
             kind = names[int(m.eq_type[at])]
             if kind == "joint" and second >= 0:
                 self._follow(first, second, np.array(m.eq_data[at][:5]))
-            else:
+            elif kind != "tendon" or not self._follow_tendon(first, second, m.eq_data[at][:5]):
                 sites = int(m.eq_objtype[at]) == int(self.mujoco.mjtObj.mjOBJ_SITE)
                 of = {"joint": "JOINT", "tendon": "TENDON", "flex": "FLEX"}.get(kind)
                 of = of or ("SITE" if sites else "BODY")
@@ -334,6 +333,34 @@ class _Terms:
                     f"<equality>: the constraint <{kind}> of {what}, which makes a closed loop or "
                     "holds something (the robot is read as an open tree),"
                 )
+
+    def _follow_tendon(self, first: int, second: int, data: Array) -> bool:
+        """Whether L − L₀ = a₀ + a₁ (M − M₀) of fixed tendons has a joint follow another one."""
+        m, known = self.m, self.found.followers
+        shares = dict(fixed_tendon(m, self.mujoco, first))
+        length = float(m.tendon_length0[first]) + float(data[0])
+        if second >= 0:
+            other = fixed_tendon(m, self.mujoco, second)
+            length -= float(data[1]) * float(m.tendon_length0[second])
+            shares = shares if other else {}
+            for joint, share in other.items():
+                shares[joint] = shares.get(joint, 0.0) - float(data[1]) * share
+        shares = {joint: share for joint, share in shares.items() if share}
+        if len(shares) != 2 or np.any(data[2:]) or not all(map(self._single, shares)):
+            return False
+        # A joint that a motor drives leads; otherwise the first.
+        joints = (int(self.mujoco.mjtTrn.mjTRN_JOINT), int(self.mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        driven = {
+            int(on[0])
+            for on, kind in zip(m.actuator_trnid, m.actuator_trntype, strict=True)
+            if int(kind) in joints
+        }
+        leader, own = sorted(shares, key=lambda joint: joint not in driven)
+        names = self._name("JOINT", own), self._name("JOINT", leader)
+        if any(follower.joint == names[0] for follower in known):
+            return False
+        known.append(Follower(*names, -shares[leader] / shares[own], length / shares[own]))
+        return True
 
     def _follow(self, first: int, second: int, data: Array) -> None:
         """Y − y₀ = p(x − x₀), y₀ and x₀ at the file's own pose."""

@@ -58,7 +58,7 @@ def _mjcf_references(root: SourceElement) -> Iterator[tuple[SourceElement, str]]
         yield from ((compiler, name) for name in sorted(folders) if name in compiler.attributes)
     for element in root.walk():
         inside = _MJCF_ASSETS.get(element.tag)
-        if element.tag == "include" or (inside and not folders & {inside, "assetdir"}):
+        if element.tag in ("include", "model") or (inside and not folders & {inside, "assetdir"}):
             yield from (
                 (element, name)
                 for name in ("file", "fileright", "fileleft", "fileup", "filedown", "fileback")

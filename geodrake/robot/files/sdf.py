@@ -7,10 +7,13 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from geodrake.errors import ModelError
 from geodrake.inertia import Array, to_mass_com_inertia
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import SDF_NUMBERS
 from geodrake.robot.files.includes import Includes
+from geodrake.robot.files.packages import PACKAGE_ADVICE
+from geodrake.robot.files.unread import SDF_UNREAD, is_nothing, unread
 from geodrake.robot.files.values import (
     TENSOR,
     drop,
@@ -21,6 +24,7 @@ from geodrake.robot.files.values import (
     tensor_words,
     words,
 )
+from geodrake.robot.files.xml_text import place_of
 
 _SPRING = ("stiffness", "reference")
 
@@ -35,6 +39,8 @@ class SdfText(ModelText):
         includes = Includes(self.path, self.folders)
         includes.insert(self.root, self.path.parent)
         self.packages = includes.names
+        self.notes += includes.absent
+        self.left_out += unread(self.root, SDF_UNREAD, self.path)
         for link in self.root.iter("link"):
             inertial = link.find("inertial")
             if inertial is None or inertial.get("auto") != "true":
@@ -46,6 +52,29 @@ class SdfText(ModelText):
             for joint in model.findall("joint"):
                 self._take_mimic(name, joint)
                 self._read_joint(f"{name}::{joint.get('name')}", joint)
+        if includes.absent and not self._links:
+            raise ModelError(
+                f"{self.path} has no model but such as lead nowhere: {includes.absent[0]}",
+                advice=PACKAGE_ADVICE,
+                path=self.path,
+            )
+        self._take_gravity()
+
+    def _take_gravity(self) -> None:
+        for stated in self.root.findall("world/gravity"):
+            vector = numbers(stated.text or "", 3)
+            if not (stated.text or "").strip() or not np.isfinite(vector).all():
+                raise ModelError(
+                    f"{place_of(stated)}: <gravity> has {(stated.text or '')[:50]!r} instead of "
+                    "three numbers.",
+                    advice="Correct the file there.",
+                    path=self.path,
+                )
+            self.gravity = vector
+        of_links = {name: link.find("gravity") for name, link in self._links.items()}
+        self._take_weightless(
+            {name: e for name, e in of_links.items() if e is not None and is_nothing(e.text or "")}
+        )
 
     def _models(self, parent: Element, scope: str) -> Iterator[tuple[str, Element]]:
         for model in [*parent.findall("model"), *parent.findall("world/model")]:

@@ -9,6 +9,7 @@ from geodrake.inertia import Array, to_mass_com_inertia
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import URDF_NUMBERS
 from geodrake.robot.files.motors import urdf_motors
+from geodrake.robot.files.unread import URDF_UNREAD, is_nothing, unread
 from geodrake.robot.files.values import (
     TENSOR,
     drop,
@@ -30,7 +31,9 @@ class UrdfText(ModelText):
     numeric = URDF_NUMBERS
 
     def _read(self) -> None:
-        drop(self.root, "visual", "collision", "gazebo", "drake:collision_filter_group")
+        self.left_out += unread(self.root, URDF_UNREAD, self.path)
+        gazebo = [e for e in self.root.findall("gazebo") if e.get("reference")]
+        drop(self.root, "visual", "collision", "gazebo", "material", "drake:collision_filter_group")
         self._transmissions = [deepcopy(e) for e in self.root.iter("transmission")]
         for transmission in self.root.findall("transmission"):
             # Only Drake's own rotor inertia and gear ratio matter; joints state their efforts.
@@ -43,6 +46,7 @@ class UrdfText(ModelText):
         scope = self.scope or self.root.get("name") or self.path.stem
         self.root.set("name", self.root.get("name") or scope)
         self._links = {f"{scope}::{e.get('name')}": e for e in self.root.findall("link")}
+        self._take_gazebo(scope, gazebo)
         for joint in [*self.root.findall("joint"), *self.root.findall("drake:joint")]:
             name = f"{scope}::{joint.get('name')}"
             self._take_mimic(scope, joint)
@@ -50,6 +54,22 @@ class UrdfText(ModelText):
             self.effort[name] = number(joint, "limit", "effort")
             if (limit := joint.find("limit")) is not None and self.effort[name] == 0.0:
                 limit.attrib.pop("effort", None)  # with 0, Drake ignores the rotor, too
+
+    def _take_gazebo(self, scope: str, elements: list[Element]) -> None:
+        """Springs of joints, and links without gravity."""
+        off = dict[str, Element]()
+        for element in elements:
+            name = f"{scope}::{element.get('reference')}"
+            if element.find("springStiffness") is not None:
+                self.stiffness[name], self.rest[name] = (
+                    float(numbers(element.findtext(tag, "0"), 1)[0])
+                    for tag in ("springStiffness", "springReference")
+                )
+            falls = [is_nothing(each.text or "") for each in element.findall("gravity")]
+            falls += [not is_nothing(each.text or "") for each in element.findall("turnGravityOff")]
+            if any(falls) and name in self._links:
+                off[name] = element
+        self._take_weightless(off)
 
     def motors(self) -> tuple[Statement, ...]:
         """The transmissions of ros_control."""

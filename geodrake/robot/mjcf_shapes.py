@@ -1,0 +1,123 @@
+"""The shapes of an MJCF's bodies, as MuJoCo compiles them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from pydrake.common import MemoryFile
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.geometry import (
+    Box,
+    Capsule,
+    Convex,
+    Cylinder,
+    Ellipsoid,
+    InMemoryMesh,
+    Mesh,
+    Rgba,
+    Shape,
+    Sphere,
+)
+from pydrake.math import RigidTransform, RotationMatrix
+
+from geodrake.robot.files.given import Given
+from geodrake.robot.files.includes import Includes
+from geodrake.robot.files.mjcf_source import compiled, mujoco_or_none
+from geodrake.robot.files.mjcf_tree import name_of
+from geodrake.robot.files.xacro_file import read_expanded
+from geodrake.robot.files.xml_text import parse_xml_bytes
+from geodrake.robot.mesh_files import wavefront_text
+
+_LAST_GROUP = 2  # of geoms that MuJoCo shows unasked
+
+
+@dataclass(frozen=True, eq=False)
+class MjcfGeom:
+    """A geom of a body.
+
+    Attributes:
+        name: Its name, or its number.
+        shape: Drake's shape; meshes are in memory.
+        X_BG: Its pose in the body's frame.
+        color: Its colour, that of its material included.
+        shown: Whether MuJoCo shows its group unasked.
+        collides: Whether it touches others.
+    """
+
+    name: str
+    shape: Shape
+    X_BG: RigidTransform
+    color: Rgba
+    shown: bool
+    collides: bool
+
+
+def mjcf_geoms(
+    path: Path, given: Given, *, hulls: bool = False
+) -> Mapping[str, tuple[MjcfGeom, ...]] | None:
+    """Return the geoms of each body by its scoped name; None of other files, or without MuJoCo.
+
+    Args:
+        path: The model file.
+        given: How it is read.
+        hulls: Meshes are convex hulls of all of their points, and not for pictures.
+
+    Raises:
+        ModelError: MuJoCo refuses it, or a mesh.
+    """
+    mujoco = mujoco_or_none()
+    if mujoco is None or path.suffix.lower() in (".yaml", ".yml"):
+        return None
+    root = parse_xml_bytes(read_expanded(path, given), path)
+    if root.tag != "mujoco":
+        return None
+    Includes(path, given.packages).insert_elements(root)
+    scope = root.get("model") or path.stem
+    m = compiled(root, path, mujoco, geoms=True).model
+    found = dict[str, list[MjcfGeom]]()
+    for at in range(m.ngeom):
+        shape = _shape(m, at, hulls, mujoco)
+        body = name_of(m, mujoco, "BODY", int(m.geom_bodyid[at]))
+        if shape is None or not m.geom_bodyid[at]:
+            continue  # the ground is none of the robot's
+        turn = RotationMatrix(Quaternion(np.array(m.geom_quat[at])))
+        material = int(m.geom_matid[at])
+        color = m.geom_rgba[at] if material < 0 else m.mat_rgba[material]
+        geom = MjcfGeom(
+            name_of(m, mujoco, "GEOM", at) or str(at),
+            shape,
+            RigidTransform(turn, np.array(m.geom_pos[at])),
+            Rgba(*np.clip(color, 0.0, 1.0)),
+            bool(m.geom_group[at] <= _LAST_GROUP),
+            bool(m.geom_contype[at] or m.geom_conaffinity[at]),
+        )
+        found.setdefault(f"{scope}::{body}", []).append(geom)
+    return {link: tuple(geoms) for link, geoms in found.items()}
+
+
+def _shape(m: Any, at: int, hulls: bool, mujoco: ModuleType) -> Shape | None:
+    kinds, kind = mujoco.mjtGeom, int(m.geom_type[at])
+    a, b, c = (float(x) for x in m.geom_size[at])
+    if kind == int(kinds.mjGEOM_MESH):
+        mesh = int(m.geom_dataid[at])
+        first, count = int(m.mesh_vertadr[mesh]), int(m.mesh_vertnum[mesh])
+        face, faces = int(m.mesh_faceadr[mesh]), int(m.mesh_facenum[mesh])
+        vertices = np.array(m.mesh_vert[first : first + count], float)
+        name = name_of(m, mujoco, "MESH", mesh) or str(mesh)
+        if hulls:
+            return Convex(points=vertices.T, label=name)
+        text = wavefront_text((vertices, np.array(m.mesh_face[face : face + faces], np.int64)))
+        return Mesh(InMemoryMesh(mesh_file=MemoryFile(text, ".obj", name)))
+    shapes: dict[int, Callable[[], Shape]] = {
+        int(kinds.mjGEOM_SPHERE): lambda: Sphere(a),
+        int(kinds.mjGEOM_CAPSULE): lambda: Capsule(a, 2.0 * b),
+        int(kinds.mjGEOM_CYLINDER): lambda: Cylinder(a, 2.0 * b),
+        int(kinds.mjGEOM_ELLIPSOID): lambda: Ellipsoid(a, b, c),
+        int(kinds.mjGEOM_BOX): lambda: Box(2.0 * a, 2.0 * b, 2.0 * c),
+    }
+    return shapes[kind]() if kind in shapes else None

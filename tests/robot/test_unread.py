@@ -1,0 +1,123 @@
+"""What URDF and SDF state of forces is used, or said with its line and value."""
+
+import numpy as np
+import pytest
+
+from geodrake import load_model
+from geodrake.errors import ModelError
+from geodrake.logs.motion import Motion
+
+SDF = """<sdf version="1.9"><world name="w">{world}
+<model name="r">{model}
+<link name="l1">{one}<inertial><pose>0.1 0 0 0 0 0</pose><mass>2</mass>{inertial}
+</inertial></link>
+<joint name="a" type="revolute"><parent>world</parent><child>l1</child>
+<axis><xyz>0 1 0</xyz></axis></joint>
+<link name="l2"><pose>0.3 0 0 0 0 0</pose>{two}
+<inertial><pose>0.1 0 0 0 0 0</pose><mass>1</mass></inertial></link>
+<joint name="b" type="revolute"><parent>l1</parent><child>l2</child>
+<axis><xyz>0 1 0</xyz>{axis}</axis></joint></model></world></sdf>"""
+URDF = """<robot name="r"><link name="base"/>{robot}
+<link name="l1"><inertial><origin xyz=".1 0 0"/><mass value="2"/>
+<inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>{link}</link>
+<joint name="a" type="continuous"><parent link="base"/><child link="l1"/><axis xyz="0 1 0"/>
+{joint}</joint></robot>"""
+
+
+def load(folder, text, **parts):
+    names = ("world", "model", "one", "two", "inertial", "axis", "robot", "link", "joint")
+    path = folder / ("r.urdf" if "robot" in text[:10] else "r.sdf")
+    path.write_text(text.format(**{**dict.fromkeys(names, ""), **parts}), encoding="utf-8")
+    return load_model(path)
+
+
+def held(model):
+    zero = np.zeros((1, len(model.joints)))
+    return model.effort(Motion(zero, zero, zero))[0]
+
+
+def test_gravity_of_a_world(tmp_path):
+    earth, moon = load(tmp_path, SDF), load(tmp_path, SDF, world="<gravity>0 0 -1.62</gravity>")
+    np.testing.assert_allclose(held(moon), held(earth) * 1.62 / 9.81)
+    with pytest.raises(ModelError, match=r"line 1: <gravity> has '9 81' instead of three numbers"):
+        load(tmp_path, SDF, world="<gravity>9 81</gravity>")
+
+
+@pytest.mark.parametrize("word", ["0", "false"])
+def test_gravity_that_is_off(tmp_path, word):
+    off = f"<gravity>{word}</gravity>"
+    model = load(tmp_path, SDF, one=off, two=off)
+    assert not held(model).any() and not model.repairs
+    model = load(tmp_path, SDF, two=off)
+    np.testing.assert_allclose(held(model), held(load(tmp_path, SDF)))
+    (said,) = model.left_out
+    assert said.endswith("line 7: that gravity does not act on l2 is left out.")
+    assert said in model.repairs and said in model.notes
+    assert not load(tmp_path, SDF, two="<gravity>true</gravity>").left_out
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        ({"one": "<enable_wind>true</enable_wind>"}, "line 3: <enable_wind> true is"),
+        ({"one": "<velocity_decay><linear>0.1</linear></velocity_decay>"}, "<velocity_decay> 0.1"),
+        ({"inertial": "<fluid_added_mass><xx>3</xx></fluid_added_mass>"}, "<fluid_added_mass> 3"),
+        ({"model": '<plugin name="b" filename="gz-sim-buoyancy-system"/>'}, "plugin b gz-sim-buoy"),
+    ],
+)
+def test_what_an_sdf_states_and_nothing_reads(tmp_path, parts, words):
+    (said,) = load(tmp_path, SDF, **parts).left_out
+    assert words in said and said.endswith("is left out.")
+
+
+def test_what_says_nothing_is_not_said(tmp_path):
+    one = "<enable_wind>0</enable_wind><velocity_decay><linear>0</linear></velocity_decay>"
+    plugin = '<plugin name="p" filename="libgazebo_ros_joint_state_publisher.so"/>'
+    model = load(
+        tmp_path, SDF, one=one, model=plugin, axis="<dynamics><damping>1</damping></dynamics>"
+    )
+    assert model.repairs == () and len(model.effects) == 1
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        ({"joint": '<dynamics damping="1" spring_stiffness="3"/>'}, "spring_stiffness=3 of <dyn"),
+        (
+            {"robot": '<gazebo reference="l1"><dampingFactor>.1</dampingFactor></gazebo>'},
+            "Factor> .1",
+        ),
+        ({"link": '<contact><inertia_scaling value="3"/></contact>'}, "<inertia_scaling> 3"),
+        ({"robot": '<gazebo><plugin name="LiftDragPlugin"/></gazebo>'}, "plugin LiftDragPlugin"),
+    ],
+)
+def test_what_a_urdf_states_and_nothing_reads(tmp_path, parts, words):
+    (said,) = load(tmp_path, URDF, **parts).left_out
+    assert words in said and ", line " in said
+
+
+def test_a_spring_and_no_weight_of_gazebo(tmp_path):
+    spring = "<springStiffness>4</springStiffness><springReference>0.5</springReference>"
+    gazebo = f'<gazebo reference="a">{spring}</gazebo>'
+    model = load(tmp_path, URDF, robot=gazebo)
+    np.testing.assert_allclose(held(model) - held(load(tmp_path, URDF)), [-2.0])
+    off = '<gazebo reference="l1"><turnGravityOff>true</turnGravityOff></gazebo>'
+    assert not held(load(tmp_path, URDF, robot=off)).any()
+
+
+def test_what_a_world_includes_and_is_not_there_refuses_no_robot(tmp_path):
+    includes = "".join(
+        f"<include><uri>{uri}</uri></include>"
+        for uri in ("model://sun", "https://fuel.gazebosim.org/1.0/OpenRobotics/models/Sun")
+    )
+    model = load(tmp_path, SDF, world=includes)
+    assert model.joints == ("a", "b") and not model.repairs
+    assert [note.endswith("is left out of the world.") for note in model.notes] == [True, True]
+    (tmp_path / "w.sdf").write_text(f'<sdf version="1.9"><world name="w">{includes}</world></sdf>')
+    with pytest.raises(ModelError, match="no model but such as lead nowhere"):
+        load_model(tmp_path / "w.sdf")
+
+
+def test_textures_of_a_package_that_is_not_there_refuse_no_robot(tmp_path):
+    material = '<material name="m"><texture filename="package://nowhere/m.png"/></material>'
+    assert load(tmp_path, URDF, robot=material).joints == ("a",)
