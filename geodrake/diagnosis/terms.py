@@ -113,7 +113,8 @@ def terms_of(
     carried = [(each, pullback_information(each[None], beliefs.load)) for each in loads]
     changed = [(0.0 * each, pullback_information(each[None], 1.0)) for each in loads]
     for effect in effects:
-        columns, odds = dataset.effect_columns(effect), float(len(places[type(effect)]))
+        name, columns = effect.name, dataset.effect_columns(effect)
+        odds = float(len(places[type(effect)]))
         if body := is_body(effect):
             held_by = places[type(effect)]
             usual = sum(where[0] in model.last_bodies for where in held_by)
@@ -131,9 +132,10 @@ def terms_of(
         first, again = _prices(effect, odds, beliefs, body=body)
         says = frozenset(key_of(effect, kind) for kind in (None, *effect.contains))
         needs = tuple(frozenset((e.name, effect.where) for e in bases) for bases in effect.refines)
-        rest = first, again, np.array(positive, np.intp), says, needs
+        least = np.array(positive, np.intp)
         terms += [
-            Term(effect.name, effect.where, effect, columns, *prior, *rest) for prior in priors
+            Term(name, effect.where, effect, columns, *prior, first, again, least, says, needs)
+            for prior in priors
         ]
     return (*terms, *_wrong_bodies(model, dataset, beliefs))
 
