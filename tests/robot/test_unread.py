@@ -62,7 +62,10 @@ def test_gravity_that_is_off(tmp_path, word):
         ({"one": "<enable_wind>true</enable_wind>"}, "line 3: <enable_wind> true is"),
         ({"one": "<velocity_decay><linear>0.1</linear></velocity_decay>"}, "<velocity_decay> 0.1"),
         ({"inertial": "<fluid_added_mass><xx>3</xx></fluid_added_mass>"}, "<fluid_added_mass> 3"),
-        ({"model": '<plugin name="b" filename="gz-sim-buoyancy-system"/>'}, "plugin b gz-sim-buoy"),
+        (
+            {"model": '<plugin name="b" filename="gz-sim-buoyancy-system"/>'},
+            "plugin gz-sim-buoyancy",
+        ),
     ],
 )
 def test_what_an_sdf_states_and_nothing_reads(tmp_path, parts, words):
@@ -72,7 +75,7 @@ def test_what_an_sdf_states_and_nothing_reads(tmp_path, parts, words):
 
 def test_what_says_nothing_is_not_said(tmp_path):
     one = "<enable_wind>0</enable_wind><velocity_decay><linear>0</linear></velocity_decay>"
-    plugin = '<plugin name="p" filename="libgazebo_ros_joint_state_publisher.so"/>'
+    plugin = '<plugin name="torso_lift_spring" filename="libgazebo_ros_joint_state.so"/>'
     model = load(
         tmp_path, SDF, one=one, model=plugin, axis="<dynamics><damping>1</damping></dynamics>"
     )

@@ -62,8 +62,10 @@ class SdfText(ModelText):
 
     def _take_gravity(self) -> None:
         for stated in self.root.findall("world/gravity"):
+            if not (stated.text or "").strip():
+                continue
             vector = numbers(stated.text or "", 3)
-            if not (stated.text or "").strip() or not np.isfinite(vector).all():
+            if not np.isfinite(vector).all():
                 raise ModelError(
                     f"{place_of(stated)}: <gravity> has {(stated.text or '')[:50]!r} instead of "
                     "three numbers.",

@@ -31,7 +31,9 @@ SDF_UNREAD: Mapping[str, Collection[str]] = {
 DYNAMICS_READ = frozenset({"damping", "friction"})
 """Attributes of <dynamics> in a URDF that are read; others are a simulator's own."""
 
-_FORCES = re.compile(r"buoyan|lift|drag|hydrodyn|wind|spring|apply.?(force|wrench)|thruster", re.I)
+_FORCES = re.compile(
+    r"buoyan|lift.?drag|hydrodyn|wind(?!ow)|spring|apply.?(force|wrench)|thruster", re.I
+)
 _NOTHING = frozenset({"", "false"})
 
 
@@ -47,9 +49,9 @@ def unread(root: Element, table: Mapping[str, Collection[str]], path: Path) -> I
         for child in element if element.tag in table else ():
             yield from _of(child, table[element.tag], path)
         if element.tag == "plugin":
-            names = " ".join(element.get(key, "") for key in ("name", "filename"))
-            if _FORCES.search(names):
-                yield f"{place_of(element) or path}: the plugin {names.strip()} is left out."
+            name = element.get("filename") or element.get("name", "")
+            if _FORCES.search(name):
+                yield f"{place_of(element) or path}: the plugin {name.strip()} is left out."
         if element.tag == "dynamics" and root.tag == "robot":
             for key in sorted(set(element.attrib) - DYNAMICS_READ):
                 value = element.get(key, "").strip()
