@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from geodrake.boundary.arguments import number, positive
+from geodrake.errors import ArgumentError
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,12 @@ class Beliefs:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if name in ("widths", "payloads"):
-                for width in value:
-                    positive(width, name)
+                if not value:
+                    raise ArgumentError(f"{name} holds nothing.", advice="Give one at least.")
+                for each in value:
+                    positive(each, name)
+            elif name in ("size", "free", "load"):
+                positive(value, name)
             else:
                 number(value, name, lower=0.0)
         positive(self.part, "part")

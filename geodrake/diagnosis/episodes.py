@@ -109,7 +109,7 @@ def _contacts(
     cut = [(w[0], _cut_out(case, scale, motion, w)) for w in windows]
     names = [trajectory.name for trajectory in case.trajectories]
     tried = [_contact(case, names[k], w, len(windows)) for k, w in cut if w is not None]
-    found = tuple(contact for contact, _ in tried if contact is not None)
+    found = tuple(contact for contacts, _ in tried for contact in contacts)
     return found, any(share >= 0.5 * _LEAST_SHARE for _, share in tried)
 
 
@@ -180,8 +180,11 @@ def _cut_out(
 
 def _contact(
     case: Case, log: str, window: ResidualWindow, tried: int
-) -> tuple[PointEpisode | None, float]:
-    """The contact that explains a window, if one does, and the share that the best one does."""
+) -> tuple[list[PointEpisode], float]:
+    """Return the contacts that explain a window, likeliest first, and the share that the best does.
+
+    They are of one body, one whose wrench turns with it and one whose wrench does not.
+    """
     bodies = sorted(case.model.bodies, key=lambda name: len(window.bodies.motion(name).dofs))
     kinds = [kind for kind in case.effect_classes if issubclass(kind, PointEpisode)]
     window_of = {"rise": _RISE, "log": log_number(log)}
@@ -195,23 +198,29 @@ def _contact(
     shares = [evidence(window, guess).share for guess in rough]
     best = max(shares)
     if best < _HOPELESS:
-        return None, best
+        return [], best
     order = sorted(range(len(rough)), key=lambda k: -shares[k])[:_REFINED]
     shapes = [refined(window, rough[k], tries=FEW) for k in sorted(order)]
     tried_shapes = [(shape, evidence(window, shape)) for shape in shapes]
     best = max(found.share for _, found in tried_shapes)
     if best < 0.5 * _LEAST_SHARE:
-        return None, best
+        return [], best
     good = [(s, found) for s, found in tried_shapes if found.share >= _AS_GOOD * best]
     nearest = next((shape for shape, found in good if _explains_all(found)), good[0][0])
     same = [(_explains_all(f), f.share, s) for s, f in good if s.body == nearest.body]
-    contact = refined(window, max(same, key=lambda each: each[:2])[2])
-    found = evidence(window, contact)
-    # Times, rise and point were looked for too, the body, and whether it turns.
-    chance = chi2_tail(found.gain, found.felt + contact.free_shapes)
-    chance = min(1.0, tried * len(guesses) * chance)
-    convinces = found.share >= _LEAST_SHARE and chance <= ALARM and _explains_all(found)
-    return (contact if convinces else None), best
+    convincing, turning = list[PointEpisode](), set[bool]()
+    for *_, shape in sorted(same, key=lambda each: each[:2], reverse=True):
+        if shape.turning in turning:
+            continue
+        turning.add(shape.turning)
+        contact = refined(window, shape)
+        found = evidence(window, contact)
+        # Times, rise and point were looked for too, the body, and whether it turns.
+        chance = chi2_tail(found.gain, found.felt + contact.free_shapes)
+        chance = min(1.0, tried * len(guesses) * chance)
+        if found.share >= _LEAST_SHARE and chance <= ALARM and _explains_all(found):
+            convincing.append(contact)
+    return convincing, best
 
 
 def _explains_all(found: Predicted) -> bool:

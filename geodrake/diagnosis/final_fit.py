@@ -26,7 +26,10 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
 
     Returned with the fit is the case with its columns.
     """
-    end = found.model.validated(found.fit)
+    search, was = found.model, found.fit
+    width = search.likely_width(was)
+    near = search.unbounded(replace(was.choice, width=width), search.shares(was), was.variance)
+    end = search.validated(near)
     delays = found.case.model.delays + delays_of(found.model, found.fit)[0]
     lags = fitted_delays(delays, case.model.joints)
     # With load-dependent columns by the fitted inertias.
@@ -35,22 +38,20 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
     beside = [FittedEffect(effect, np.zeros(1)) for effect in more]
     reopened = reopen(found.case, replace(model, effects=(*model.effects, *beside, *lags)))
     settled = end.moved(reopened.dataset, delay=0, iterations=_MOST_ITERATIONS)
-    settled = replace(settled, unknowns=_with_companions(settled.unknowns, reopened.dataset))
-    settled = settle(settled, iterations=_MOST_ITERATIONS)
+    unknowns = _with_companions(settled.unknowns, reopened.dataset)
+    for effect, mean, information in search.likely_loads(was, width):
+        unknowns = unknowns.released(effect, information, mean)
+    settled = settle(replace(settled, unknowns=unknowns), iterations=_MOST_ITERATIONS)
     seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
     base = replace(reopened.model, effects=case.model.effects, information=case.model.information)
     base = replace(base, phi=case.model.phi, fitted_to=seen, bandwidths=case.bandwidths)
     # Weights of maximum likelihood, so that the information is that of the parameters.
     held_out = settled.held_out
     weights = settled.effective / held_out.samples.sum(0) / held_out.mse
-    width, unknowns = found.model.likely_width(found.fit), settled.unknowns
-    for effect, mean, information in found.model.likely_loads(found.fit, width):
-        unknowns = unknowns.released(effect, information, mean)
-    freed = replace(settled, unknowns=unknowns).loosened(width / found.fit.choice.width)
     fit = fit_model(
         base,
         reopened.dataset,
-        freed.unknowns,
+        settled.unknowns,
         weights,
         effective=settled.effective,
         of_motion=share_of_motion(reopened, settled),

@@ -238,7 +238,7 @@ class LogModel:
     def alike(self, terms: Terms, moved: Mapping[Effect, Effect] | None = None) -> list[Term]:
         """Return the terms that stand for those of another model, effects moved, as far as any.
 
-        A payload is light or heavy: of terms of one effect it is the one with the nearest prior.
+        A payload has one of several masses: of its terms it is the one with the nearest prior.
         """
         own, found, others = dict[object, list[Term]](), list[Term](), moved or {}
         for term in self.terms:
@@ -318,7 +318,7 @@ class LogModel:
         return Fit(choice, columns, x, variance, weights, hessian, score)
 
     def likely_width(self, fit: Fit) -> float:
-        """Return the most probable width of the prior of all bodies, between those of a search.
+        """Return the most probable width of the prior of all bodies, from 0.01 to the widest.
 
         A model that was fitted before is known as well as that fit says.
         """
@@ -331,7 +331,7 @@ class LogModel:
         return float(widths[int(np.argmax(scores))])
 
     def likely_loads(self, fit: Fit, width: float) -> Iterator[tuple[Effect, Array, Array]]:
-        """Find the payloads of a fit, with the mean and information of what is believed of each.
+        """Yield the payloads of a fit, with the mean (10,) and information (10, 10) of each.
 
         A payload is believed to have one of several masses: what is told of it is their mixture, by
         how probable each is with bodies that are as far from the file as a width says.

@@ -196,7 +196,13 @@ class Search:
         contacts = find_episodes(self.case, self.model.hypothesis(self._without_short_loads()))
         if contacts:
             numbers = [log_number(trajectory.name) for trajectory in self.case.trajectories]
-            windows = [(numbers.index(c.log), c.start, c.end) for c in contacts]
+            windows = list[tuple[int, float, float]]()
+            for c in contacts:  # two may be of one window
+                log = numbers.index(c.log)
+                if not any(
+                    log == k and c.start < end and start < c.end for k, start, end in windows
+                ):
+                    windows.append((log, c.start, c.end))
             folds = dealt_out(self.case.folds, self.case.trajectories, windows, pieces=PIECES)
             self.case = replace(self.case, folds=folds)
         return [e for e in (*found, *contacts) if e not in self._effects]

@@ -29,9 +29,8 @@ Key = tuple[str, tuple[str, ...]]
 """Name and place of an effect; one of an episode in a log is not one of another log."""
 
 _REACH = 2.0  # of a tool, over that of a dataset's payload: two thirds of the size of a link
-_USUAL = (
-    -2
-)  # of the payloads, in order of their mass: what else a body may carry that carries others
+_USUAL = -2
+"""Which of the payloads, in order of their mass, a body may carry that carries others."""
 _PHYSICAL = 0.1
 """Share of the prior of a payload that is physical, by the geometric metric: of any mass."""
 
@@ -154,7 +153,7 @@ _ODD_SHAPE = 4.0
 
 
 def _prices(effect: Effect, odds: float, beliefs: Beliefs, *, body: bool) -> tuple[float, float]:
-    """Prices of an effect that is nowhere else, by the odds against its place, and of one more."""
+    """Return the price of an effect that is nowhere else, by the odds of its place, and of more."""
     exponent = effect.shape.get("exponent")
     odd = isinstance(exponent, float) and not (2.0 * exponent).is_integer()
     shape = beliefs.order if effect.proposer in _IN_MANY else beliefs.shape
@@ -201,7 +200,8 @@ class Compatibility:
     """Which terms may stand together, beside what a model has: sets of terms as bits.
 
     Each place may be taken once, by an effect or by one that contains it, and what an effect needs
-    must be there. `known` are the keys of what the model has.
+    must be there. What a body holds for a while and what it pushes against meanwhile are
+    alternatives. `known` are the keys of what the model has.
     """
 
     def __init__(self, terms: Terms, known: frozenset[Key]) -> None:
@@ -215,11 +215,13 @@ class Compatibility:
                 says[key] |= bit
             if term.is_body:
                 bodies[term.where] |= bit
+        episodes = [term for term in terms if isinstance(term.effect, Episode)]
         self._against, self._needs = dict[Term, int](), dict[Term, Ways]()
         for term in terms:
             against = at[term.key] | containing[term.key]
             against |= reduce(or_, (at[key] for key in term.contains), 0)
             against |= bodies[term.where] if term.is_body else 0
+            against |= reduce(or_, (self._bit[o] for o in episodes if _is_alike(term, o)), 0)
             self._against[term] = -1 if term.key in known else against
             if term.needs:
                 self._needs[term] = [[says[key] for key in way - known] for way in term.needs]
@@ -248,6 +250,20 @@ class Compatibility:
             if term in self._needs:
                 needs = [*needs, self._needs[term]]
         return not needs or all(_is_met(ways, present) for ways in needs)
+
+
+def _is_alike(one: Term, other: Term) -> bool:
+    """Return whether two episodes of a body are there at about the same time of a log."""
+    a, b = one.effect, other.effect
+    if not isinstance(a, Episode) or not isinstance(b, Episode) or one.where[0] != other.where[0]:
+        return False
+    if type(a) is type(b) or not a.is_of(b.window[3]):
+        return False
+    (start, end), (other_start, other_end) = a.window[:2], b.window[:2]
+    if start is None or end is None or other_start is None or other_end is None:
+        return False
+    shared = min(end, other_end) - max(start, other_start)
+    return 2.0 * shared > max(end, other_end) - min(start, other_start)
 
 
 def _is_met(ways: Ways, present: int) -> bool:

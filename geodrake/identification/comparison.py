@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import instances, positive, typed
@@ -21,6 +22,9 @@ from geodrake.identification.regularizer import Regularizer
 
 EQUAL = 1e-5
 """Greatest relative difference of two residuals that counts as none."""
+
+_EXACT = 1e-20
+"""Share of the squared data below which a residual is rounding."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,7 +66,7 @@ def compare_regularizers(
     an `extra_prior` of their own, as weights of a Euclidean distance have a unit.
 
     Raises:
-        IdentificationError: The reference has no solution.
+        IdentificationError: The reference has no solution, or fits the data to rounding.
     """
     positive(gamma, "gamma")
     given = instances(regularizers, "regularizers", object)
@@ -84,6 +88,12 @@ def compare_regularizers(
         return identify(A, b, prior, regularizer=kind, **form, **own)
 
     first = solve(first_kind, gamma=gamma)
+    if first.residual <= _EXACT * float(np.square(np.asarray(b, float)).sum()):
+        raise IdentificationError(
+            f"The data are fitted exactly: the residual of {first_kind.name} is "
+            f"{first.residual:.3g}, and no other can be compared at it.",
+            advice="Raise gamma, or give measured data.",
+        )
     results, failures = dict[str, IdentificationResult](), dict[str, str]()
     for name, kind in kinds.items():
         if name == first_kind.name:

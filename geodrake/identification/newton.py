@@ -111,7 +111,7 @@ class Minimum:
 
 
 class Solution(Protocol):
-    """Has coordinates."""
+    """State what a solution has: coordinates."""
 
     @property
     def z(self) -> Array:

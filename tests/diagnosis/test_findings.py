@@ -125,7 +125,17 @@ def test_every_payload_is_a_finding_of_its_own(found):
     assert all(len(f.terms) == 1 for f in payloads)
 
 
-@pytest.mark.parametrize("wrong", [{"part": 0.0}, {"least": 2.0}, {"sharpness": -1.0}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"part": 0.0},
+        {"least": 2.0},
+        {"sharpness": -1.0},
+        {"payloads": ()},
+        {"widths": ()},
+        {"load": 0},
+    ],
+)
 def test_beliefs_that_are_none(wrong):
     with pytest.raises(ArgumentError, match=next(iter(wrong))):
         Beliefs(**wrong)

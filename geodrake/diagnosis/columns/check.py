@@ -94,8 +94,9 @@ def _rival_words(model: RobotModel, before: ColumnFit, rival: Judged) -> str:
     if mistake.kind:
         return words_of(*_told(model, before, rival), all_joints=not mistake.joints)[0]
     if mistake.joints:
-        joint = model.joints[mistake.joints[0]]
-        return f"the efforts of {joint} have something unknown in them"
+        every = len(mistake.joints) == len(model.joints) > 1
+        where = "all joints" if every else model.joints[mistake.joints[0]]
+        return f"the efforts of {where} have something unknown in them"
     if after.is_far and not before.assignment.is_far:
         return "bodies far from those of the model"
     tilted = after.gravity is not None and before.assignment.gravity is None

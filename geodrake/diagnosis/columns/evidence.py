@@ -320,7 +320,7 @@ def _is_seen(effect: Effect) -> bool:
 
 
 def _information(samples: ColumnSamples) -> Array:
-    """Prior information of the bodies and of the model's effects whose columns are seen."""
+    """Return the prior information of bodies and of the model's effects whose columns are seen."""
     model = samples.model
     fitted, d = [f for f in model.effects if len(f.effect.parameters)], model.phi.size
     seen = [np.ones(d, bool), *(np.full(len(f.parameters), _is_seen(f.effect)) for f in fitted)]

@@ -116,7 +116,7 @@ def words_of(
     said = {
         "where": "all joints" if all_joints else " and ".join(joints),
         "value": value,
-        "inverse": 1.0 / value,
+        "inverse": 1.0 / value if value else math.inf,
         "number": f"one number, {value:.3g}" if all_joints else f"{value:.3g}",
         "numbers": ", ".join(f"{each:.3g}" for each in values) + side,
         "gains": " ".join(f"--gain {j}={v:.4g}" for j, v in zip(joints, values, strict=False)),

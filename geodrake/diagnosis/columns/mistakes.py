@@ -288,7 +288,7 @@ def _price(mistake: Mistake, places: dict[str, set[Joints]], beliefs: Beliefs) -
 
 
 def _asked(model: ColumnModel, assignment: Assignment, joint: int) -> tuple[Array, Array]:
-    """Efforts (K,) of the log at a joint, and velocities (K,)."""
+    """Return the efforts (K,) of the log at a joint, and velocities (K,)."""
     rows, source = model.designs(assignment)[joint].rows, int(assignment.effort[joint])
     effort = model.samples.effort[rows, source]
     if source in assignment.signs:
