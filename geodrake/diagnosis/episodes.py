@@ -208,7 +208,7 @@ def _contact(
     good = [(s, found) for s, found in tried_shapes if found.share >= _AS_GOOD * best]
     nearest = next((shape for shape, found in good if _explains_all(found)), good[0][0])
     same = [(_explains_all(f), f.share, s) for s, f in good if s.body == nearest.body]
-    convincing, turning = list[PointEpisode](), set[bool]()
+    convincing, turning = list[PointEpisode](), set[int]()
     for *_, shape in sorted(same, key=lambda each: each[:2], reverse=True):
         if shape.turning in turning:
             continue
