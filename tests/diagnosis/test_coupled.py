@@ -96,7 +96,6 @@ class TestCandidates:
         expected = own | {"coupled_friction": SECOND_AND_LAST}
         assert {step.effect: step.where for step in found.steps} == expected
 
-    @pytest.mark.xfail(reason="bodies take in what the other joint does not feel")
     def test_not_at_one_joint_alone(self):
         """Friction that follows another joint's speed too, but is not felt there."""
         belt = shared(1, 3, 1, lambda w, _: 0.3 * sign(w))
