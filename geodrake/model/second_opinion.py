@@ -15,15 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.tree import Joint
 
+from geodrake.effects.base import Effect
 from geodrake.errors import ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.model.file_terms import DryFriction
-from geodrake.model.robot_model import RobotModel
+from geodrake.model.robot_model import RobotModel, load_description
 from geodrake.robot.files import read_description
 from geodrake.robot.files.description import drake_messages
 from geodrake.robot.files.mjcf import MjcfText
-from geodrake.robot.files.mjcf_source import mujoco_or_none
+from geodrake.robot.files.mjcf_source import mujoco_or_none, quiet_mujoco
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.holding import moving_joints
@@ -68,13 +69,20 @@ def second_opinion(
     """
     if model.path.suffix.lower() in (".yaml", ".yml") or model.given.robot is not None:
         return "no program but Drake reads the model's file"
-    if not np.array_equal(model.phi, inertial_parameters(model.plant)) or model.fitted_to:
-        return "the model is no longer that of its file"
     joints = moving_joints(model.plant)
     if any(joint.num_velocities() != 1 or joint.num_positions() != 1 for joint in joints):
         return "the model has joints of several degrees of freedom"
-    with drake_messages():
-        (text, *_) = read_description(model.path, model.given).texts
+    try:
+        with drake_messages():
+            (text, *_) = read_description(model.path, model.given).texts
+        own = isinstance(text, MjcfText) and _stated(model) != _stated(_read_again(model))
+    except ModelError as error:
+        return f"the model's file cannot be read again: {error.problem.rstrip('.')}"
+    bodies_differ = not np.array_equal(model.total_phi, inertial_parameters(model.plant))
+    if own or bodies_differ or model.fitted_to:
+        return "the model is no longer that of its file"
+    found: tuple[str, Efforts] | str = "no program but Drake reads SDF"
+    ours = inverse_dynamics(model.tree, *states, model.total_phi)
     if isinstance(text, MjcfText):
         found = _by_mujoco(model, text, joints)
         motion = Motion(*states)
@@ -82,13 +90,24 @@ def second_opinion(
         ours = replace(model, effects=tuple(still)).effort(motion)
     elif text.kind == "urdf":
         found = _by_pinocchio(model, joints)
-        ours = inverse_dynamics(model.tree, *states, model.total_phi)
-    else:
-        return "no program but Drake reads SDF"
     if isinstance(found, str):
         return found
     by, efforts = found
     return SecondOpinion(by, times(np.swapaxes(jacobians, 1, 2), efforts(*plant_states)), ours)
+
+
+def _read_again(model: RobotModel) -> RobotModel:
+    return load_description(
+        model.path,
+        floating=model.floating,
+        held=model.held,
+        given=model.given,
+        transmission=model.transmission,
+    )
+
+
+def _stated(model: RobotModel) -> list[tuple[Effect, list[float]]]:
+    return [(fitted.effect, fitted.parameters.tolist()) for fitted in model.effects]
 
 
 def _by_mujoco(model: RobotModel, text: MjcfText, joints: list[Joint]) -> tuple[str, Efforts] | str:
@@ -115,7 +134,8 @@ def _by_mujoco(model: RobotModel, text: MjcfText, joints: list[Joint]) -> tuple[
         for k in range(len(q)):
             data.qpos[positions], data.qvel[dofs] = q[k, q_at], v[k, v_at]
             data.qacc[dofs] = vd[k, v_at]
-            mujoco.mj_inverse(theirs, data)
+            with quiet_mujoco(mujoco):
+                mujoco.mj_inverse(theirs, data)
             found[k, v_at] = data.qfrc_inverse[dofs]
         return found
 
@@ -147,6 +167,7 @@ def _by_pinocchio(model: RobotModel, joints: list[Joint]) -> tuple[str, Efforts]
         raise
     except Exception as error:  # of any kind, by an extension module
         return f"Pinocchio does not read the file: {' '.join(str(error).split())[:200]}"
+    theirs.gravity.linear = np.array(model.tree.gravity)
     names = [*model.held, *(joint.name() for joint in joints)]
     if not all(theirs.existJointName(name) for name in names):
         return "Pinocchio has other joints"
@@ -174,6 +195,6 @@ def _by_pinocchio(model: RobotModel, joints: list[Joint]) -> tuple[str, Efforts]
 
 
 def _put(position: Array, joint: Any, place: float) -> None:
-    """Sets the position of a joint; one without limits has its cosine and sine."""
+    """Set the position of a joint; one without limits has its cosine and sine."""
     at = joint.idx_q
     position[at : at + joint.nq] = [place] if joint.nq == 1 else [np.cos(place), np.sin(place)]

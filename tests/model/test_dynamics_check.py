@@ -1,6 +1,7 @@
 """`geodrake check`: what agrees with MultibodyPlant is said to, and what does not is found."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,9 @@ from typer.testing import CliRunner
 
 from geodrake import load_model
 from geodrake.cli.app import app
+from geodrake.effects.fitted_effect import FittedEffect
+from geodrake.effects.payload import Payload
+from geodrake.effects.viscous_friction import ViscousFriction
 from geodrake.errors import ArgumentError
 from geodrake.model import check_dynamics, dynamics_check
 from geodrake.model.dynamics_check import QUANTITIES
@@ -96,3 +100,43 @@ def test_the_command_prints_and_writes_and_its_exit_code_tells(tmp_path, monkeyp
 def test_wrong_numbers_are_refused(arm, wrong):
     with pytest.raises(ArgumentError, match=next(iter(wrong))):
         check_dynamics(arm, **wrong)
+
+
+MJCF = """<mujoco model="m"><worldbody><body name="a"><joint name="j" axis="0 1 0" damping=".3"/>
+<geom type="capsule" size=".05 .2" pos=".1 0 0"/></body></worldbody></mujoco>"""
+URDF = """<robot name="r"><link name="base"/><link name="a">
+<inertial><origin xyz=".1 0 0"/><mass value="2"/>
+<inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/></joint>
+<gazebo reference="a"><turnGravityOff>true</turnGravityOff></gazebo></robot>"""
+
+
+def written(path, text):
+    path.write_text(text, encoding="utf-8")
+    return load_model(path)
+
+
+def with_effects(model, *more):
+    return replace(model, effects=(*model.effects, *more))
+
+
+@pytest.mark.parametrize("name", ["m.xml", "r.urdf"])
+def test_a_model_with_something_added_has_no_second_opinion(tmp_path, name):
+    model = written(tmp_path / name, MJCF if name == "m.xml" else URDF)
+    found = check_dynamics(model, samples=3)
+    assert found.holds and found.second is not None
+    payload = FittedEffect(
+        Payload("a"), np.array([1.0, 0.1, *np.zeros(2), *[0.1] * 3, *np.zeros(3)])
+    )
+    damping = FittedEffect(ViscousFriction("j"), np.array([0.5]))
+    for more in (payload, *([damping] if name == "m.xml" else [])):
+        found = check_dynamics(with_effects(model, more), samples=3)
+        assert found.holds and found.second is None
+        assert found.by == "the model is no longer that of its file"
+
+
+def test_a_model_whose_file_is_gone_has_no_second_opinion(tmp_path):
+    model = written(tmp_path / "m.xml", MJCF)
+    (tmp_path / "m.xml").unlink()
+    found = check_dynamics(model, samples=3)
+    assert found.is_rounding and found.by.startswith("the model's file cannot be read again: ")
