@@ -131,12 +131,12 @@ def _by_mujoco(model: RobotModel, text: MjcfText, joints: list[Joint]) -> tuple[
         positions, dofs = theirs.jnt_qposadr[at], theirs.jnt_dofadr[at]
         q_at = [joint.position_start() for joint in joints]
         v_at = [joint.velocity_start() for joint in joints]
-        for k in range(len(q)):
-            data.qpos[positions], data.qvel[dofs] = q[k, q_at], v[k, v_at]
-            data.qacc[dofs] = vd[k, v_at]
-            with quiet_mujoco(mujoco):
+        with quiet_mujoco(mujoco):
+            for k in range(len(q)):
+                data.qpos[positions], data.qvel[dofs] = q[k, q_at], v[k, v_at]
+                data.qacc[dofs] = vd[k, v_at]
                 mujoco.mj_inverse(theirs, data)
-            found[k, v_at] = data.qfrc_inverse[dofs]
+                found[k, v_at] = data.qfrc_inverse[dofs]
         return found
 
     return f"MuJoCo {mujoco.__version__}", efforts

@@ -17,7 +17,6 @@ from pydrake.geometry import (
     Convex,
     Cylinder,
     Ellipsoid,
-    HalfSpace,
     InMemoryMesh,
     Mesh,
     Rgba,
@@ -36,6 +35,8 @@ from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.mesh_files import wavefront_text
 
 _LAST_GROUP = 2  # of geoms that MuJoCo shows unasked
+_WIDE, _DEEP = 100.0, 1.0
+"""Sides of the box below a plane, m: Drake has no distances of half-spaces to most shapes."""
 _WORLD = "WorldModelInstance::world"  # Drake's scoped name
 SHAPES_ADVICE = (
     "Give the links shapes of their own with `links` and leave out those of the file "
@@ -104,12 +105,13 @@ def mjcf_geoms(
             continue  # the ground is none of the robot's
         body = name_of(m, mujoco, "BODY", int(m.geom_bodyid[at]))
         turn = RotationMatrix(Quaternion(np.array(m.geom_quat[at])))
+        below = 0.5 * _DEEP * (m.geom_type[at] == int(mujoco.mjtGeom.mjGEOM_PLANE))
         material = int(m.geom_matid[at])
         color = m.geom_rgba[at] if material < 0 else m.mat_rgba[material]
         geom = MjcfGeom(
             name_of(m, mujoco, "GEOM", at) or str(at),
             shape,
-            RigidTransform(turn, np.array(m.geom_pos[at])),
+            RigidTransform(turn, m.geom_pos[at] - below * turn.matrix()[:, 2]),
             Rgba(*np.clip(color, 0.0, 1.0)),
             bool(m.geom_group[at] <= _LAST_GROUP),
             bool(m.geom_contype[at] or m.geom_conaffinity[at]),
@@ -139,5 +141,5 @@ def _shape(m: Any, at: int, hulls: bool, mujoco: ModuleType) -> Shape | None:
         int(kinds.mjGEOM_BOX): lambda: Box(2.0 * a, 2.0 * b, 2.0 * c),
     }
     if hulls:
-        shapes[int(kinds.mjGEOM_PLANE)] = HalfSpace
+        shapes[int(kinds.mjGEOM_PLANE)] = lambda: Box(_WIDE, _WIDE, _DEEP)
     return shapes[kind]() if kind in shapes else None

@@ -218,3 +218,8 @@ def test_a_table_of_an_mjcf_stands_in_the_way(tmp_path):
     assert distances[0] == pytest.approx(0.03, abs=1e-6)
     assert set(names[0].split(" and ")) == {"arm", "0_table"}
     assert distances[1] == np.inf
+    ground = '<worldbody><geom name="ground" type="plane" size="1 1 1" pos="0 0 -.07"/>'
+    text = path.read_text(encoding="utf-8").replace("<worldbody>", ground)
+    path.write_text(text, encoding="utf-8")
+    distances, names = CollisionWorld(load_description(path)).distances(np.array([[np.pi, 0.0]]))
+    assert distances[0] == pytest.approx(0.02, abs=1e-6) and "0_ground" in names[0]

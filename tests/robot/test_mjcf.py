@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from pydrake.geometry import Box, Capsule, HalfSpace, Mesh
+from pydrake.geometry import Box, Capsule, Mesh
 
 from geodrake import load_model
 from geodrake.errors import ModelError
@@ -408,8 +408,9 @@ def test_what_stands_in_the_world_is_there_for_collisions_alone(tmp_path):
     text = LOOKS.replace(gone, "").replace("<frame", f"{table}<frame", 1)
     path = write(tmp_path, text)
     geoms, _ = mjcf_geoms(path, Given(), hulls=True)
-    shapes = [type(geom.shape) for geom in geoms["WorldModelInstance::world"]]
-    assert shapes == [HalfSpace, Box]
+    ground, box = geoms["WorldModelInstance::world"]
+    assert box.name == "table" and isinstance(ground.shape, Box)
+    assert (ground.X_BG @ [0, 0, 0.5 * ground.shape.height()])[2] == pytest.approx(0.0)
     assert set(robot_shapes(path, Given()).links) == {"r::a"}
 
 

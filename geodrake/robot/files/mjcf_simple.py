@@ -152,8 +152,8 @@ class _Simple:
                 coefficients = [offset, ratio, *higher]
                 bent.setdefault(leader, {})[own] = coefficients
             elif equality.tag == "joint" and all(joints):
-                names = (f"{scope}::{joint}" for joint in joints)
-                self.text.followers.append(Follower(*names, ratio, offset))
+                follower = Follower(f"{scope}::{own}", f"{scope}::{leader}", ratio, offset)
+                self.text.followers.append(follower)
             else:
                 self._refuse(equality, "a joint held by <equality>")
         self.text.bent = [Followers(leader, own) for leader, own in bent.items()]

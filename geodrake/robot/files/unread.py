@@ -49,7 +49,7 @@ def unread(root: Element, table: Mapping[str, Collection[str]], path: Path) -> I
         for child in element if element.tag in table else ():
             yield from _of(child, table[element.tag], path)
         if element.tag == "plugin":
-            name = element.get("filename") or element.get("name", "")
+            name = element.get("filename") or element.get("name") or ""
             if _FORCES.search(name):
                 yield f"{place_of(element) or path}: the plugin {name.strip()} is left out."
         if element.tag == "dynamics" and root.tag == "robot":
