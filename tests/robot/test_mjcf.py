@@ -1,6 +1,7 @@
 """MJCF means what MuJoCo makes of it: each construct against MuJoCo's own inverse dynamics."""
 
 import sys
+import threading
 import time
 from types import SimpleNamespace
 
@@ -444,7 +445,7 @@ def test_a_second_constraint_of_a_joint_is_left_out(tmp_path, monkeypatch, both)
         load_model(path)
 
 
-def test_a_constraint_on_a_ball_fails_the_check(tmp_path):
+def test_a_joint_that_cannot_follow_is_left_out(tmp_path):
     text = mjcf(
         tip() + f'<body><joint name="b" type="hinge"/>{GEOM}</body>',
         tail='<equality><joint joint1="t" joint2="b" polycoef="0 0 0 0 0"/></equality>',
@@ -492,6 +493,21 @@ def test_what_is_switched_off_of_a_tendon_is_not_told(tmp_path):
     tendon = '<fixed name="p" stiffness="4 1 2" damping=".3 .2 .1">' + PAIR + "</fixed>"
     text = mjcf(tip(), head=off, tail=f"<tendon>{tendon}</tendon>")
     assert not assert_as_mujoco(tmp_path, text, "a t").left_out
+
+
+def test_one_thread_at_a_time_takes_mujocos_warnings():
+    there = threading.Event()
+
+    def enter():
+        with mjcf_source.quiet_mujoco(mujoco):
+            there.set()
+
+    other = threading.Thread(target=enter)
+    with mjcf_source.quiet_mujoco(mujoco):
+        other.start()
+        assert not there.wait(0.2)
+    other.join(10.0)
+    assert there.is_set()
 
 
 def test_a_mujoco_that_is_too_old_is_none(monkeypatch):
