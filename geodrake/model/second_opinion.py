@@ -6,7 +6,7 @@ lost on the way. MuJoCo compiles an MJCF whole, with what no model takes; Pinocc
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any
@@ -22,6 +22,7 @@ from geodrake.logs.motion import Motion
 from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel, load_description
 from geodrake.robot.files import read_description
+from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.description import drake_messages
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.mjcf_source import mujoco_or_none, quiet_mujoco
@@ -33,6 +34,9 @@ from geodrake.robot.transmission.base import times
 
 Array = NDArray[np.float64]
 _ENDS = ("parent", "child")
+Places = Mapping[str, float]
+"""Joint -> where it is held, rad or m."""
+
 Efforts = Callable[[Array, Array, Array], Array]
 """Efforts (N, nv of the plant) of its positions, velocities and accelerations, (N, ·) each."""
 
@@ -84,12 +88,12 @@ def second_opinion(
     found: tuple[str, Efforts] | str = "no program but Drake reads SDF"
     ours = inverse_dynamics(model.tree, *states, model.total_phi)
     if isinstance(text, MjcfText):
-        found = _by_mujoco(model, text, joints)
+        found = _by_mujoco(text, _held(model, text), joints)
         motion = Motion(*states)
         still = [f for f in model.effects if not isinstance(f.effect, DryFriction)]
         ours = replace(model, effects=tuple(still)).effort(motion)
     elif text.kind == "urdf":
-        found = _by_pinocchio(model, joints)
+        found = _by_pinocchio(model, _held(model, text), joints)
     if isinstance(found, str):
         return found
     by, efforts = found
@@ -110,7 +114,18 @@ def _stated(model: RobotModel) -> list[tuple[Effect, list[float]]]:
     return [(fitted.effect, fitted.parameters.tolist()) for fitted in model.effects]
 
 
-def _by_mujoco(model: RobotModel, text: MjcfText, joints: list[Joint]) -> tuple[str, Efforts] | str:
+def _held(model: RobotModel, text: ModelText) -> Places:
+    """Return where joints are held, those included that follow held ones."""
+    places = dict(model.held)
+    followers = [(f, f.joint.split("::")[-1], f.leader.split("::")[-1]) for f in text.followers]
+    for _ in followers:  # which may follow each other
+        for follower, joint, leader in followers:
+            if leader in places:
+                places.setdefault(joint, follower.ratio * places[leader] + follower.offset)
+    return places
+
+
+def _by_mujoco(text: MjcfText, held: Places, joints: list[Joint]) -> tuple[str, Efforts] | str:
     mujoco = mujoco_or_none()
     if mujoco is None or text.compiled is None:
         return 'MuJoCo, which defines MJCF, is not installed: pip install "geodrake[mjcf]"'
@@ -118,14 +133,14 @@ def _by_mujoco(model: RobotModel, text: MjcfText, joints: list[Joint]) -> tuple[
     theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     numbers = {
         joint: mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, joint)
-        for joint in (*model.held, *(joint.name() for joint in joints))
+        for joint in (*held, *(joint.name() for joint in joints))
     }
     if min(numbers.values()) < 0:
         return "MuJoCo has other joints"
 
     def efforts(q: Array, v: Array, vd: Array) -> Array:
         data, found = mujoco.MjData(theirs), np.zeros_like(v)
-        for name, place in model.held.items():
+        for name, place in held.items():
             data.qpos[theirs.jnt_qposadr[numbers[name]]] = place
         at = [numbers[joint.name()] for joint in joints]
         positions, dofs = theirs.jnt_qposadr[at], theirs.jnt_dofadr[at]
@@ -151,7 +166,9 @@ def pinocchio_or_none() -> ModuleType | None:
     return pinocchio if hasattr(pinocchio, "buildModelFromXML") else None
 
 
-def _by_pinocchio(model: RobotModel, joints: list[Joint]) -> tuple[str, Efforts] | str:
+def _by_pinocchio(
+    model: RobotModel, held: Places, joints: list[Joint]
+) -> tuple[str, Efforts] | str:
     pinocchio = pinocchio_or_none()
     if pinocchio is None:
         return 'Pinocchio, which reads URDF, is not installed: pip install "geodrake[proof]"'
@@ -168,7 +185,7 @@ def _by_pinocchio(model: RobotModel, joints: list[Joint]) -> tuple[str, Efforts]
     except Exception as error:  # of any kind, by an extension module
         return f"Pinocchio does not read the file: {' '.join(str(error).split())[:200]}"
     theirs.gravity.linear = np.array(model.tree.gravity)
-    names = [*model.held, *(joint.name() for joint in joints)]
+    names = [*held, *(joint.name() for joint in joints)]
     if not all(theirs.existJointName(name) for name in names):
         return "Pinocchio has other joints"
     own = {name: theirs.joints[theirs.getJointId(name)] for name in names}
@@ -179,7 +196,7 @@ def _by_pinocchio(model: RobotModel, joints: list[Joint]) -> tuple[str, Efforts]
         data, found = theirs.createData(), np.zeros_like(v)
         position = pinocchio.neutral(theirs)
         rates, accelerations = np.zeros((2, theirs.nv))
-        for name, place in model.held.items():
+        for name, place in held.items():
             _put(position, own[name], place)
         for k in range(len(q)):
             for joint in joints:

@@ -16,6 +16,7 @@ from geodrake.effects.viscous_friction import ViscousFriction
 from geodrake.errors import ArgumentError
 from geodrake.model import check_dynamics, dynamics_check
 from geodrake.model.dynamics_check import QUANTITIES
+from geodrake.model.robot_model import load_description
 
 MODELS = Path(__file__).parents[2] / "models"
 ARM = MODELS / "arm6.urdf"
@@ -140,3 +141,14 @@ def test_a_model_whose_file_is_gone_has_no_second_opinion(tmp_path):
     (tmp_path / "m.xml").unlink()
     found = check_dynamics(model, samples=3)
     assert found.is_rounding and found.by.startswith("the model's file cannot be read again: ")
+
+
+def test_what_follows_a_held_joint_is_held_in_the_second_opinion(tmp_path):
+    inner = """<body name="b" pos=".1 0 .2"><joint name="b" axis="0 1 0"/>
+    <geom type="box" size=".1 .1 .2"/><body name="c" pos=".1 0 .2"><joint name="c"/>
+    <geom size=".1" pos=".1 0 0"/></body></body></body>"""
+    follow = '<equality><joint joint1="b" joint2="j" polycoef=".1 1 0 0 0"/></equality></mujoco>'
+    text = MJCF.replace("</body>", inner).replace("</mujoco>", follow)
+    (tmp_path / "m.xml").write_text(text, encoding="utf-8")
+    found = check_dynamics(load_description(tmp_path / "m.xml", held={"j": 0.3}), samples=3)
+    assert found.joints == ("c",) and found.holds and found.second is not None
