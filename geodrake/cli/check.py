@@ -131,7 +131,7 @@ def check_verdict(found: DynamicsCheck) -> str:
     inertias = len(found.repairs) > len(found.left_out)
     if found.repairs and found.is_rounding:
         parts = ["has inertias that cannot be used"] if inertias else []
-        parts += ["states what no model of geodrake takes"] if found.left_out else []
+        parts += ["states forces or parts that geodrake does not model"] if found.left_out else []
         return (
             f"the file {' and '.join(parts)}, so what was checked is not the file as it stands "
             f"(see Notes). Of what is used instead, the largest relative difference to "
@@ -140,7 +140,7 @@ def check_verdict(found: DynamicsCheck) -> str:
         )
     if found.is_rounding and second is not None and not second.holds:
         return (
-            f"geodrake and MultibodyPlant agree, but geodrake reads the file otherwise than "
+            f"geodrake and MultibodyPlant agree, but geodrake reads the file differently from "
             f"{found.by}: efforts differ by {_words(second)}. Please report it with the file."
         )
     if found.holds:

@@ -25,7 +25,7 @@ from geodrake.robot.files.meshes import check_geometry
 from geodrake.robot.files.values import drop
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
-from geodrake.robot.mjcf_shapes import mjcf_geoms
+from geodrake.robot.mjcf_shapes import SHAPES_ADVICE, mjcf_geoms
 from geodrake.robot.plant import arrange_as
 
 _CONTACT = CoulombFriction(0.5, 0.5)  # which nothing here uses, but Drake asks for
@@ -101,9 +101,10 @@ def _register(plant: MultibodyPlant, body: object, solid: Solid) -> None:
 
 
 def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
-    """Collision geometry of a file by scoped link name, as Drake reads it."""
-    geoms = mjcf_geoms(model.path, model.given, hulls=True)
-    if geoms is not None:
+    """Return collision geometry by scoped link name: of MJCF by MuJoCo, otherwise by Drake."""
+    of_mjcf = mjcf_geoms(model.path, model.given, hulls=True)
+    if of_mjcf is not None:
+        geoms, _ = of_mjcf
         return {
             link: [Solid(f"{k}_{g.name}", g.shape, g.X_BG) for k, g in enumerate(own) if g.collides]
             for link, own in geoms.items()
@@ -115,8 +116,7 @@ def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
     errors = drake_errors(
         model.path,
         how=" with its collision geometry",
-        advice="Give the links shapes of their own with `links` and leave out those of the file "
-        "(use_file=False).",
+        advice=SHAPES_ADVICE,
     )
     with drake_messages(), errors, TemporaryDirectory() as folder:
         _parse(parser, model, Path(folder))

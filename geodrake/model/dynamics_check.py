@@ -115,6 +115,9 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
     with their leaders in the plant, those behind a transmission with their actuators, and their
     efforts count there. Effects take no part.
 
+    The second opinion, by MuJoCo or Pinocchio, is on the file: it is given of models that are still
+    those of their files, so not of ones with payloads, fits or, of MJCF, other effects.
+
     Args:
         model: The model.
         samples: Number of random states.

@@ -706,8 +706,9 @@ def from_loaded_plant(
         ModelError: The transmission does not fit.
     """
     drives = instances(transmission, "transmission", Drive)
-    bent, notes = _bent_drives(loaded, drives)
-    drives = (*drives, *bent)
+    bent, apart = _bent_drives(loaded, drives)
+    drives, notes = (*drives, *bent), list[str]()
+    left_out = (*loaded.left_out, *apart)
     bare = RobotModel(
         loaded.plant,
         loaded.path,
@@ -732,9 +733,9 @@ def from_loaded_plant(
     return replace(
         bare,
         effects=tuple(effects),
-        notes=(*loaded.changes, *loaded.left_out, *loaded.notes, *notes),
-        repairs=(*loaded.changes, *loaded.left_out),
-        left_out=loaded.left_out,
+        notes=(*loaded.changes, *left_out, *loaded.notes, *notes),
+        repairs=(*loaded.changes, *left_out),
+        left_out=left_out,
         known_joints=tuple(dict.fromkeys((*loaded.joints, *bare.joints))),
     )
 
@@ -742,7 +743,7 @@ def from_loaded_plant(
 def _bent_drives(
     loaded: LoadedPlant, given: Sequence[Drive]
 ) -> tuple[tuple[Drive, ...], list[str]]:
-    """Drives of joints that the file has follow others by a ratio that changes, and notes."""
+    """Return drives of joints that follow by a ratio that changes, and what of them is lost."""
     known = [drive.statement for drive in given]
     moving = [name for name in joint_names(loaded.plant) if name in loaded.joints]
     following = {f.joint.rpartition("::")[2] for f in loaded.followers}

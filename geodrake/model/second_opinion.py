@@ -6,7 +6,7 @@ lost on the way. MuJoCo compiles an MJCF whole, with what no model takes; Pinocc
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any
@@ -15,15 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.tree import Joint
 
+from geodrake.effects.base import Effect
 from geodrake.errors import ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.model.file_terms import DryFriction
-from geodrake.model.robot_model import RobotModel
+from geodrake.model.robot_model import RobotModel, load_description
 from geodrake.robot.files import read_description
+from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.description import drake_messages
 from geodrake.robot.files.mjcf import MjcfText
-from geodrake.robot.files.mjcf_source import mujoco_or_none
+from geodrake.robot.files.mjcf_source import mujoco_or_none, quiet_mujoco
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.holding import moving_joints
@@ -32,6 +34,9 @@ from geodrake.robot.transmission.base import times
 
 Array = NDArray[np.float64]
 _ENDS = ("parent", "child")
+Places = Mapping[str, float]
+"""Joint -> where it is held, rad or m."""
+
 Efforts = Callable[[Array, Array, Array], Array]
 """Efforts (N, nv of the plant) of its positions, velocities and accelerations, (N, ·) each."""
 
@@ -68,30 +73,59 @@ def second_opinion(
     """
     if model.path.suffix.lower() in (".yaml", ".yml") or model.given.robot is not None:
         return "no program but Drake reads the model's file"
-    if not np.array_equal(model.phi, inertial_parameters(model.plant)) or model.fitted_to:
-        return "the model is no longer that of its file"
     joints = moving_joints(model.plant)
     if any(joint.num_velocities() != 1 or joint.num_positions() != 1 for joint in joints):
         return "the model has joints of several degrees of freedom"
-    with drake_messages():
-        (text, *_) = read_description(model.path, model.given).texts
+    try:
+        with drake_messages():
+            (text, *_) = read_description(model.path, model.given).texts
+        own = isinstance(text, MjcfText) and _stated(model) != _stated(_read_again(model))
+    except ModelError as error:
+        return f"the model's file cannot be read again: {error.problem.rstrip('.')}"
+    bodies_differ = not np.array_equal(model.total_phi, inertial_parameters(model.plant))
+    if own or bodies_differ or model.fitted_to:
+        return "the model is no longer that of its file"
+    found: tuple[str, Efforts] | str = "no program but Drake reads SDF"
+    ours = inverse_dynamics(model.tree, *states, model.total_phi)
     if isinstance(text, MjcfText):
-        found = _by_mujoco(model, text, joints)
+        found = _by_mujoco(text, _held(model, text), joints)
         motion = Motion(*states)
         still = [f for f in model.effects if not isinstance(f.effect, DryFriction)]
         ours = replace(model, effects=tuple(still)).effort(motion)
     elif text.kind == "urdf":
-        found = _by_pinocchio(model, joints)
-        ours = inverse_dynamics(model.tree, *states, model.total_phi)
-    else:
-        return "no program but Drake reads SDF"
+        found = _by_pinocchio(model, _held(model, text), joints)
     if isinstance(found, str):
         return found
     by, efforts = found
     return SecondOpinion(by, times(np.swapaxes(jacobians, 1, 2), efforts(*plant_states)), ours)
 
 
-def _by_mujoco(model: RobotModel, text: MjcfText, joints: list[Joint]) -> tuple[str, Efforts] | str:
+def _read_again(model: RobotModel) -> RobotModel:
+    return load_description(
+        model.path,
+        floating=model.floating,
+        held=model.held,
+        given=model.given,
+        transmission=model.transmission,
+    )
+
+
+def _stated(model: RobotModel) -> list[tuple[Effect, list[float]]]:
+    return [(fitted.effect, fitted.parameters.tolist()) for fitted in model.effects]
+
+
+def _held(model: RobotModel, text: ModelText) -> Places:
+    """Return where joints are held, those included that follow held ones."""
+    places = dict(model.held)
+    followers = [(f, f.joint.split("::")[-1], f.leader.split("::")[-1]) for f in text.followers]
+    for _ in followers:  # which may follow each other
+        for follower, joint, leader in followers:
+            if leader in places:
+                places.setdefault(joint, follower.ratio * places[leader] + follower.offset)
+    return places
+
+
+def _by_mujoco(text: MjcfText, held: Places, joints: list[Joint]) -> tuple[str, Efforts] | str:
     mujoco = mujoco_or_none()
     if mujoco is None or text.compiled is None:
         return 'MuJoCo, which defines MJCF, is not installed: pip install "geodrake[mjcf]"'
@@ -99,24 +133,25 @@ def _by_mujoco(model: RobotModel, text: MjcfText, joints: list[Joint]) -> tuple[
     theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     numbers = {
         joint: mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, joint)
-        for joint in (*model.held, *(joint.name() for joint in joints))
+        for joint in (*held, *(joint.name() for joint in joints))
     }
     if min(numbers.values()) < 0:
         return "MuJoCo has other joints"
 
     def efforts(q: Array, v: Array, vd: Array) -> Array:
         data, found = mujoco.MjData(theirs), np.zeros_like(v)
-        for name, place in model.held.items():
+        for name, place in held.items():
             data.qpos[theirs.jnt_qposadr[numbers[name]]] = place
         at = [numbers[joint.name()] for joint in joints]
         positions, dofs = theirs.jnt_qposadr[at], theirs.jnt_dofadr[at]
         q_at = [joint.position_start() for joint in joints]
         v_at = [joint.velocity_start() for joint in joints]
-        for k in range(len(q)):
-            data.qpos[positions], data.qvel[dofs] = q[k, q_at], v[k, v_at]
-            data.qacc[dofs] = vd[k, v_at]
-            mujoco.mj_inverse(theirs, data)
-            found[k, v_at] = data.qfrc_inverse[dofs]
+        with quiet_mujoco(mujoco):
+            for k in range(len(q)):
+                data.qpos[positions], data.qvel[dofs] = q[k, q_at], v[k, v_at]
+                data.qacc[dofs] = vd[k, v_at]
+                mujoco.mj_inverse(theirs, data)
+                found[k, v_at] = data.qfrc_inverse[dofs]
         return found
 
     return f"MuJoCo {mujoco.__version__}", efforts
@@ -131,7 +166,9 @@ def pinocchio_or_none() -> ModuleType | None:
     return pinocchio if hasattr(pinocchio, "buildModelFromXML") else None
 
 
-def _by_pinocchio(model: RobotModel, joints: list[Joint]) -> tuple[str, Efforts] | str:
+def _by_pinocchio(
+    model: RobotModel, held: Places, joints: list[Joint]
+) -> tuple[str, Efforts] | str:
     pinocchio = pinocchio_or_none()
     if pinocchio is None:
         return 'Pinocchio, which reads URDF, is not installed: pip install "geodrake[proof]"'
@@ -147,7 +184,8 @@ def _by_pinocchio(model: RobotModel, joints: list[Joint]) -> tuple[str, Efforts]
         raise
     except Exception as error:  # of any kind, by an extension module
         return f"Pinocchio does not read the file: {' '.join(str(error).split())[:200]}"
-    names = [*model.held, *(joint.name() for joint in joints)]
+    theirs.gravity.linear = np.array(model.tree.gravity)
+    names = [*held, *(joint.name() for joint in joints)]
     if not all(theirs.existJointName(name) for name in names):
         return "Pinocchio has other joints"
     own = {name: theirs.joints[theirs.getJointId(name)] for name in names}
@@ -158,7 +196,7 @@ def _by_pinocchio(model: RobotModel, joints: list[Joint]) -> tuple[str, Efforts]
         data, found = theirs.createData(), np.zeros_like(v)
         position = pinocchio.neutral(theirs)
         rates, accelerations = np.zeros((2, theirs.nv))
-        for name, place in model.held.items():
+        for name, place in held.items():
             _put(position, own[name], place)
         for k in range(len(q)):
             for joint in joints:
@@ -174,6 +212,6 @@ def _by_pinocchio(model: RobotModel, joints: list[Joint]) -> tuple[str, Efforts]
 
 
 def _put(position: Array, joint: Any, place: float) -> None:
-    """Sets the position of a joint; one without limits has its cosine and sine."""
+    """Set the position of a joint; one without limits has its cosine and sine."""
     at = joint.idx_q
     position[at : at + joint.nq] = [place] if joint.nq == 1 else [np.cos(place), np.sin(place)]

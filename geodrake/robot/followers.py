@@ -69,6 +69,19 @@ def resolved(stated: Sequence[Follower], joints: Sequence[str]) -> tuple[Followe
     return tuple(found)
 
 
+def leads_back(joint: str, leader: str, leaders: Mapping[str, str]) -> bool:
+    """Return whether a joint would follow itself by following another one.
+
+    Args:
+        joint: Its name.
+        leader: Name of the other one.
+        leaders: Joint -> the one that it follows, which lead nowhere back.
+    """
+    while leader != joint and leader in leaders:
+        leader = leaders[leader]
+    return leader == joint
+
+
 @dataclass(frozen=True, eq=False)
 class OwnCoordinates:
     """Which positions and velocities of a plant are a robot's own, and how the others follow.

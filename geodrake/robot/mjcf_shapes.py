@@ -25,6 +25,7 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform, RotationMatrix
 
+from geodrake.errors import ModelError
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.mjcf_source import compiled, mujoco_or_none
@@ -34,6 +35,13 @@ from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.mesh_files import wavefront_text
 
 _LAST_GROUP = 2  # of geoms that MuJoCo shows unasked
+_WIDE, _DEEP = 100.0, 1.0
+"""Sides of the box below a plane, m: Drake has no distances of half-spaces to most shapes."""
+_WORLD = "WorldModelInstance::world"  # Drake's scoped name
+SHAPES_ADVICE = (
+    "Give the links shapes of their own with `links` and leave out those of the file "
+    "(use_file=False)."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,16 +67,19 @@ class MjcfGeom:
 
 def mjcf_geoms(
     path: Path, given: Given, *, hulls: bool = False
-) -> Mapping[str, tuple[MjcfGeom, ...]] | None:
-    """Return the geoms of each body by its scoped name; None of other files, or without MuJoCo.
+) -> tuple[Mapping[str, tuple[MjcfGeom, ...]], tuple[str, ...]] | None:
+    """Return the geoms of each body by its scoped name, and sentences on meshes that are lost.
+
+    Of other files, and without MuJoCo, that is None.
 
     Args:
         path: The model file.
         given: How it is read.
-        hulls: Meshes are convex hulls of all of their points, and not for pictures.
+        hulls: For collisions and not for pictures: meshes are convex hulls of all of their points,
+            and what the file puts into the world is there, planes included.
 
     Raises:
-        ModelError: MuJoCo refuses it, or a mesh.
+        ModelError: MuJoCo refuses it, or a mesh; or a mesh for collisions is not there.
     """
     mujoco = mujoco_or_none()
     if mujoco is None or path.suffix.lower() in (".yaml", ".yml"):
@@ -78,26 +89,35 @@ def mjcf_geoms(
         return None
     Includes(path, given.packages).insert_elements(root)
     scope = root.get("model") or path.stem
-    m = compiled(root, path, mujoco, geoms=True).model
+    source = compiled(root, path, mujoco, geoms=True)
+    if hulls and source.touching:
+        raise ModelError(
+            f"{path} cannot be read with its collision geometry: {' '.join(source.lost)}",
+            advice=SHAPES_ADVICE,
+            path=path,
+        )
+    m = source.model
     found = dict[str, list[MjcfGeom]]()
     for at in range(m.ngeom):
         shape = _shape(m, at, hulls, mujoco)
-        body = name_of(m, mujoco, "BODY", int(m.geom_bodyid[at]))
-        if shape is None or not m.geom_bodyid[at]:
+        world = not m.geom_bodyid[at]
+        if shape is None or (world and not hulls):
             continue  # the ground is none of the robot's
+        body = name_of(m, mujoco, "BODY", int(m.geom_bodyid[at]))
         turn = RotationMatrix(Quaternion(np.array(m.geom_quat[at])))
+        below = 0.5 * _DEEP * (m.geom_type[at] == int(mujoco.mjtGeom.mjGEOM_PLANE))
         material = int(m.geom_matid[at])
         color = m.geom_rgba[at] if material < 0 else m.mat_rgba[material]
         geom = MjcfGeom(
             name_of(m, mujoco, "GEOM", at) or str(at),
             shape,
-            RigidTransform(turn, np.array(m.geom_pos[at])),
+            RigidTransform(turn, m.geom_pos[at] - below * turn.matrix()[:, 2]),
             Rgba(*np.clip(color, 0.0, 1.0)),
             bool(m.geom_group[at] <= _LAST_GROUP),
             bool(m.geom_contype[at] or m.geom_conaffinity[at]),
         )
-        found.setdefault(f"{scope}::{body}", []).append(geom)
-    return {link: tuple(geoms) for link, geoms in found.items()}
+        found.setdefault(_WORLD if world else f"{scope}::{body}", []).append(geom)
+    return {link: tuple(geoms) for link, geoms in found.items()}, source.lost
 
 
 def _shape(m: Any, at: int, hulls: bool, mujoco: ModuleType) -> Shape | None:
@@ -120,4 +140,6 @@ def _shape(m: Any, at: int, hulls: bool, mujoco: ModuleType) -> Shape | None:
         int(kinds.mjGEOM_ELLIPSOID): lambda: Ellipsoid(a, b, c),
         int(kinds.mjGEOM_BOX): lambda: Box(2.0 * a, 2.0 * b, 2.0 * c),
     }
+    if hulls:
+        shapes[int(kinds.mjGEOM_PLANE)] = lambda: Box(_WIDE, _WIDE, _DEEP)
     return shapes[kind]() if kind in shapes else None

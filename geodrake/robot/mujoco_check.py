@@ -19,11 +19,12 @@ from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.files import ModelDescription
 from geodrake.robot.files.base import ModelText
-from geodrake.robot.files.mjcf_source import mujoco_or_none
+from geodrake.robot.files.mjcf_source import mujoco_or_none, quiet_mujoco
 
 _STATES = 3
 _TOLERANCE = 1e-9  # of the largest effort
 _SPEED, _ACCELERATION = 2.0, 5.0
+_FAR = 3.0  # rad or m, where limits leave a choice
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,7 @@ def check_against_mujoco(description: ModelDescription, built: JointTerms) -> No
 def _places(
     text: ModelText, reference: Any, plant: MultibodyPlant, mujoco: Any
 ) -> list[tuple[Joint, int]]:
-    """Moving joints of the plant, but free ones, and their numbers in MuJoCo's model."""
+    """Return the plant's moving joints, but free ones, and their numbers in MuJoCo's model."""
     found, free = [], int(mujoco.mjtJoint.mjJNT_FREE)
     for joint in (plant.get_joint(JointIndex(i)) for i in plant.GetJointIndices()):
         if joint.num_velocities() in (1, 3):
@@ -111,7 +112,10 @@ def _efforts(
     rng: np.random.Generator,
     mujoco: Any,
 ) -> tuple[list[Array], list[Array]]:
-    """Efforts of every joint at a random state, the plant's and MuJoCo's, in its coordinates."""
+    """Return efforts at a random state, the plant's and MuJoCo's, N·m or N.
+
+    Both have one (1,) or, of a ball, (3,) for each of `places`, along MuJoCo's velocities.
+    """
     plant, data = built.plant, mujoco.MjData(m)
     context = plant.CreateDefaultContext()
     q, v, vd = plant.GetPositions(context), *np.zeros((2, plant.num_velocities()))
@@ -125,7 +129,9 @@ def _efforts(
         turn = np.eye(count)
         if count == 1:
             low, high = m.jnt_range[at] if m.jnt_limited[at] else (-1.5, 1.5)
-            q[start] = data.qpos[to] = rng.uniform(max(low, -3.0), max(min(high, 3.0), low))
+            if low < _FAR and high > -_FAR:
+                low, high = max(low, -_FAR), min(high, _FAR)
+            q[start] = data.qpos[to] = rng.uniform(low, high)
         else:  # a ball, turned by roll, pitch and yaw; rates are in the body, and here outside
             angles = rng.uniform(-1.0, 1.0, 3)
             q[start : start + 3] = angles
@@ -137,7 +143,8 @@ def _efforts(
         turns.append(turn)
     plant.SetPositions(context, q)
     plant.SetVelocities(context, v)
-    mujoco.mj_inverse(m, data)
+    with quiet_mujoco(mujoco):
+        mujoco.mj_inverse(m, data)
     effort = plant.CalcInverseDynamics(context, vd, MultibodyForces(plant))
     effort -= plant.CalcGravityGeneralizedForces(context)
     k, rest, k3, rest3 = built.springs

@@ -146,7 +146,9 @@ def load_plant(
             built = _build(description, arrangement, into)
         if phi is not None:
             _check_inertias(built.plant, phi, path)
-    notes = [*description.notes, *built.notes, *_follower_notes(description, arrangement)]
+    notes = [*description.notes, *built.notes, *_follower_notes(arrangement)]
+    ignored, apart = _ignored(description, arrangement), list[str]()
+    (apart if any(text.kind == "xml" for text in description.texts) else notes).extend(ignored)
     changes = [*map(str, repairs), *left_out, *description.lost, *_relevant(messages)]
     coordinates = OwnCoordinates(built.plant, arrangement.followers)
     springs, lost = _joined_springs(built, coordinates)
@@ -167,7 +169,7 @@ def load_plant(
         arrangement.joints,
         description.bent,
         _geared(description),
-        tuple(dict.fromkeys([*description.left_out, *lost])),
+        tuple(dict.fromkeys([*description.left_out, *apart, *lost])),
     )
 
 
@@ -250,20 +252,24 @@ def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:
     return {names[joint.velocity_start()]: joint for joint in single}
 
 
-def _follower_notes(description: ModelDescription, arrangement: Arrangement) -> list[str]:
-    """Return which joints follow others, and which cannot, in words."""
+def _follower_notes(arrangement: Arrangement) -> list[str]:
+    """Return which joints follow others, in words."""
     following = {f.joint: f.leader for f in arrangement.followers}
     pairs = ", ".join(f"{_last(a)} follows {_last(b)}" for a, b in following.items())
-    notes = [f"{pairs}, and is no joint of its own."] if pairs else []
-    there = set(following).union(arrangement.held, arrangement.aside)
+    return [f"{pairs}, and is no joint of its own."] if pairs else []
+
+
+def _ignored(description: ModelDescription, arrangement: Arrangement) -> list[str]:
+    """Return which joints cannot follow, though the file says so, in words."""
+    there = {f.joint for f in arrangement.followers}.union(arrangement.held, arrangement.aside)
     apart = [_last(f.joint) for f in description.followers if f.joint not in there]
-    if apart:
-        what = "<equality>" if description.texts[0].kind == "xml" else "<mimic>"
-        notes.append(
-            f"{what} is ignored, as there is no joint to follow: {', '.join(apart)} count as "
-            "joints of their own."
-        )
-    return notes
+    if not apart:
+        return []
+    what = "<equality>" if description.texts[0].kind == "xml" else "<mimic>"
+    return [
+        f"{what} is ignored, as there is no joint to follow: {', '.join(apart)} count as "
+        "joints of their own."
+    ]
 
 
 def _last(name: str) -> str:

@@ -94,16 +94,19 @@ def robot_shapes(path: Path, given: Given) -> RobotShapes:
     lost = _Lost()
     try:
         with drake_messages(), TemporaryDirectory() as folder, drake_errors(path):
-            links = _read(path, given, Path(folder), lost)
+            links, notes = _read(path, given, Path(folder), lost)
     except ModelError as error:
         return RobotShapes({}, (f"the shapes of {path.name} are not shown: {error.problem}",))
-    return RobotShapes(links, lost.words)
+    return RobotShapes(links, (*lost.words, *notes))
 
 
-def _read(path: Path, given: Given, folder: Path, lost: _Lost) -> dict[str, tuple[LinkShape, ...]]:
-    geoms = mjcf_geoms(path, given)
-    if geoms is not None:
-        return {link: _visible(own) for link, own in geoms.items()}
+def _read(
+    path: Path, given: Given, folder: Path, lost: _Lost
+) -> tuple[dict[str, tuple[LinkShape, ...]], tuple[str, ...]]:
+    found = mjcf_geoms(path, given)
+    if found is not None:
+        geoms, notes = found
+        return {link: _visible(own) for link, own in geoms.items()}, notes
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
     parser = Parser(plant)
     description = read_description(path, given)
@@ -136,7 +139,7 @@ def _read(path: Path, given: Given, folder: Path, lost: _Lost) -> dict[str, tupl
                 shapes.append(LinkShape(_in_memory(shape, folder), pose, color))
             if shapes:
                 links[body.scoped_name().get_full()] = tuple(shapes)
-    return links
+    return links, ()
 
 
 def _visible(geoms: Sequence[MjcfGeom]) -> tuple[LinkShape, ...]:

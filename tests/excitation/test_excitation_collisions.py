@@ -200,3 +200,26 @@ def test_a_public_robot_does_not_hit_itself(solver):
     assert result.use.is_within and result.use.distance >= 0.005 - 1e-6
     assert result.value < 0.7 * result.outcomes[0].random_value
     assert "link" in result.use.nearest
+
+
+def test_a_table_of_an_mjcf_stands_in_the_way(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        """<mujoco model="m"><worldbody>
+        <geom name="table" type="box" size=".1 .1 .1" pos=".88 0 0"/>
+        <body name="hub"><joint name="i" axis="0 0 1" range="-180 180"/><geom size=".05"/>
+        <body name="arm"><joint name="j" axis="0 0 1" range="-180 180"/>
+        <geom type="capsule" fromto=".4 0 0 .7 0 0" size=".05"/></body></body>
+        </worldbody></mujoco>""",
+        encoding="utf-8",
+    )
+    world = CollisionWorld(load_description(path))
+    distances, names = world.distances(np.array([[0.0, 0.0], [np.pi, 0.0]]))
+    assert distances[0] == pytest.approx(0.03, abs=1e-6)
+    assert set(names[0].split(" and ")) == {"arm", "0_table"}
+    assert distances[1] == np.inf
+    ground = '<worldbody><geom name="ground" type="plane" size="1 1 1" pos="0 0 -.07"/>'
+    text = path.read_text(encoding="utf-8").replace("<worldbody>", ground)
+    path.write_text(text, encoding="utf-8")
+    distances, names = CollisionWorld(load_description(path)).distances(np.array([[np.pi, 0.0]]))
+    assert distances[0] == pytest.approx(0.02, abs=1e-6) and "0_ground" in names[0]

@@ -1,6 +1,7 @@
 """`geodrake check`: what agrees with MultibodyPlant is said to, and what does not is found."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,13 @@ from typer.testing import CliRunner
 
 from geodrake import load_model
 from geodrake.cli.app import app
+from geodrake.effects.fitted_effect import FittedEffect
+from geodrake.effects.payload import Payload
+from geodrake.effects.viscous_friction import ViscousFriction
 from geodrake.errors import ArgumentError
 from geodrake.model import check_dynamics, dynamics_check
 from geodrake.model.dynamics_check import QUANTITIES
+from geodrake.model.robot_model import load_description
 
 MODELS = Path(__file__).parents[2] / "models"
 ARM = MODELS / "arm6.urdf"
@@ -96,3 +101,54 @@ def test_the_command_prints_and_writes_and_its_exit_code_tells(tmp_path, monkeyp
 def test_wrong_numbers_are_refused(arm, wrong):
     with pytest.raises(ArgumentError, match=next(iter(wrong))):
         check_dynamics(arm, **wrong)
+
+
+MJCF = """<mujoco model="m"><worldbody><body name="a"><joint name="j" axis="0 1 0" damping=".3"/>
+<geom type="capsule" size=".05 .2" pos=".1 0 0"/></body></worldbody></mujoco>"""
+URDF = """<robot name="r"><link name="base"/><link name="a">
+<inertial><origin xyz=".1 0 0"/><mass value="2"/>
+<inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/></joint>
+<gazebo reference="a"><turnGravityOff>true</turnGravityOff></gazebo></robot>"""
+
+
+def written(path, text):
+    path.write_text(text, encoding="utf-8")
+    return load_model(path)
+
+
+def with_effects(model, *more):
+    return replace(model, effects=(*model.effects, *more))
+
+
+@pytest.mark.parametrize("name", ["m.xml", "r.urdf"])
+def test_a_model_with_something_added_has_no_second_opinion(tmp_path, name):
+    model = written(tmp_path / name, MJCF if name == "m.xml" else URDF)
+    found = check_dynamics(model, samples=3)
+    assert found.holds and found.second is not None
+    payload = FittedEffect(
+        Payload("a"), np.array([1.0, 0.1, *np.zeros(2), *[0.1] * 3, *np.zeros(3)])
+    )
+    damping = FittedEffect(ViscousFriction("j"), np.array([0.5]))
+    for more in (payload, *([damping] if name == "m.xml" else [])):
+        found = check_dynamics(with_effects(model, more), samples=3)
+        assert found.holds and found.second is None
+        assert found.by == "the model is no longer that of its file"
+
+
+def test_a_model_whose_file_is_gone_has_no_second_opinion(tmp_path):
+    model = written(tmp_path / "m.xml", MJCF)
+    (tmp_path / "m.xml").unlink()
+    found = check_dynamics(model, samples=3)
+    assert found.is_rounding and found.by.startswith("the model's file cannot be read again: ")
+
+
+def test_what_follows_a_held_joint_is_held_in_the_second_opinion(tmp_path):
+    inner = """<body name="b" pos=".1 0 .2"><joint name="b" axis="0 1 0"/>
+    <geom type="box" size=".1 .1 .2"/><body name="c" pos=".1 0 .2"><joint name="c"/>
+    <geom size=".1" pos=".1 0 0"/></body></body></body>"""
+    follow = '<equality><joint joint1="b" joint2="j" polycoef=".1 1 0 0 0"/></equality></mujoco>'
+    text = MJCF.replace("</body>", inner).replace("</mujoco>", follow)
+    (tmp_path / "m.xml").write_text(text, encoding="utf-8")
+    found = check_dynamics(load_description(tmp_path / "m.xml", held={"j": 0.3}), samples=3)
+    assert found.joints == ("c",) and found.holds and found.second is not None

@@ -1,17 +1,20 @@
 """MJCF means what MuJoCo makes of it: each construct against MuJoCo's own inverse dynamics."""
 
 import sys
+import threading
 import time
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
-from pydrake.geometry import Capsule, Mesh
+from pydrake.geometry import Box, Capsule, Mesh
 
 from geodrake import load_model
 from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
 from geodrake.robot import mujoco_check
+from geodrake.robot.files import mjcf_source
 from geodrake.robot.files.given import Given
 from geodrake.robot.mjcf_shapes import mjcf_geoms
 from geodrake.robot.plant import load_plant
@@ -373,15 +376,145 @@ def test_shapes_are_those_that_mujoco_compiles(tmp_path):
     assert load_model(path).notes == ()
     (shown,) = robot_shapes(path, Given()).links["r::a"]
     assert isinstance(shown.shape, Mesh) and shown.color.rgba == pytest.approx([1, 0, 0, 1])
-    touching = [geom for geom in mjcf_geoms(path, Given(), hulls=True)["r::a"] if geom.collides]
-    (capsule,) = touching
+    geoms, _ = mjcf_geoms(path, Given(), hulls=True)
+    (capsule,) = [geom for geom in geoms["r::a"] if geom.collides]
     assert isinstance(capsule.shape, Capsule) and capsule.shape.length() == 0.4
     np.testing.assert_allclose(capsule.X_BG.translation(), [0, 0, 1], atol=1e-12)
-    hull, _ = mjcf_geoms(path, Given(), hulls=True)["r::a"]
+    hull, _ = geoms["r::a"]
     surface = hull.shape.GetConvexHull()
     points = np.array([hull.X_BG @ surface.vertex(k) for k in range(surface.num_vertices())])
     np.testing.assert_allclose(points.min(0), [0, 0, 0], atol=1e-7)
     np.testing.assert_allclose(points.max(0), [0.2, 0.4, 0.6], atol=1e-7)
+
+
+def test_meshes_that_are_not_there_are_told_of(tmp_path):
+    gone = '<asset><mesh name="gone" file="gone.stl"/></asset>'
+    path = write(tmp_path, LOOKS.replace("<asset>", f"{gone}<asset>", 1))
+    (note,) = robot_shapes(path, Given()).notes
+    assert note.startswith("The shapes of a are, in part, meshes that are not there")
+    text = path.read_text(encoding="utf-8").replace('mesh="gone" class="visual"', 'mesh="gone"')
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ModelError, match="meshes that are not there") as refused:
+        mjcf_geoms(path, Given(), hulls=True)
+    assert "use_file=False" in str(refused.value)
+    heavy = mjcf(arm='<geom type="mesh" mesh="gone"/>', head=gone)
+    assert "inertia of a follows from meshes" in " ".join(
+        load_model(write(tmp_path, heavy)).repairs
+    )
+
+
+def test_what_stands_in_the_world_is_there_for_collisions_alone(tmp_path):
+    table = '<geom name="table" type="box" size="1 1 1"/>'
+    gone = '<geom type="mesh" mesh="gone" class="visual"/>'
+    text = LOOKS.replace(gone, "").replace("<frame", f"{table}<frame", 1)
+    path = write(tmp_path, text)
+    geoms, _ = mjcf_geoms(path, Given(), hulls=True)
+    ground, box = geoms["WorldModelInstance::world"]
+    assert box.name == "table" and isinstance(ground.shape, Box)
+    assert (ground.X_BG @ [0, 0, 0.5 * ground.shape.height()])[2] == pytest.approx(0.0)
+    assert set(robot_shapes(path, Given()).links) == {"r::a"}
+
+
+@pytest.mark.parametrize("limits", ["-240 -200", "200 240", "-400 400"])
+def test_limits_may_be_far_from_zero(tmp_path, limits):
+    text = mjcf(tip(f'range="{limits}"'))
+    assert load_model(write(tmp_path, text)).joints == ("a", "t")
+
+
+FOLLOW = '<joint joint1="t" joint2="a" polycoef="0 {} {} 0 0"/>'
+BACK = '<joint joint1="a" joint2="t" polycoef="0 1 {} 0 0"/>'
+
+
+@pytest.mark.parametrize(
+    "both",
+    [
+        FOLLOW.format(1, 0) + FOLLOW.format(2, 0),
+        FOLLOW.format(1, 0) + BACK.format(0),
+        FOLLOW.format(1, 0.2) + FOLLOW.format(2, 0),
+        FOLLOW.format(1, 0) + BACK.format(0.2),
+    ],
+)
+def test_a_second_constraint_of_a_joint_is_left_out(tmp_path, monkeypatch, both):
+    path = write(tmp_path, mjcf(tip(), tail=f"<equality>{both}</equality>"))
+    model = load_model(path)
+    (said,) = model.left_out
+    assert said.startswith("<equality>: the constraint <joint> of ") and said in model.repairs
+    assert len(model.joints) == 1
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ModelError, match="<equality> has follow several, or itself"):
+        load_model(path)
+
+
+def test_a_joint_that_cannot_follow_is_left_out(tmp_path):
+    text = mjcf(
+        tip() + f'<body><joint name="b" type="hinge"/>{GEOM}</body>',
+        tail='<equality><joint joint1="t" joint2="b" polycoef="0 0 0 0 0"/></equality>',
+    )
+    (said,) = load_model(write(tmp_path, text)).left_out
+    assert said.startswith("<equality> is ignored, as there is no joint to follow: t")
+
+
+def test_deformable_bodies_are_read_and_their_elasticity_is_told(tmp_path):
+    flex = """<flexcomp name="f" type="grid" count="2 2 1" spacing=".1 .1 .1" mass="1" dim="2"
+    radius=".01"/>"""
+    text = mjcf().replace("</worldbody>", f"{flex}</worldbody>")
+    model = load_model(write(tmp_path, text))
+    assert len(model.joints) == 13
+    (said,) = model.left_out
+    assert said.startswith("<flex> of 1 deformable bodies")
+
+
+def test_names_between_joints_are_those_of_no_body(tmp_path, monkeypatch):
+    text = mjcf(
+        f'<body name="b"><joint name="x"/><joint name="y" axis="0 1 0"/>{GEOM}'
+        f'<body name="b_x"><joint name="z"/>{GEOM}</body></body>'
+    )
+    model = assert_as_mujoco(tmp_path, text, "a x y z")
+    assert len(set(model.bodies)) == len(model.bodies)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    assert load_model(write(tmp_path, text)).joints == model.joints
+
+
+def test_a_yield_of_a_spring_is_told(tmp_path, monkeypatch):
+    tendon = '<tendon><fixed name="p" {}>' + PAIR + "</fixed></tendon>"
+    of_tendon = mjcf(tip(), tail=tendon.format('stiffness="4" springyield=".1"'))
+    of_joint = mjcf(tip('stiffness="4" springyield=".1"'))
+    for text in (of_tendon, of_joint):
+        (said,) = load_model(write(tmp_path, text)).left_out
+        assert "yield" in said
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    for text in (of_joint, mjcf(tip(), tail=tendon.format('springyield=".1"'))):
+        with pytest.raises(ModelError, match="springyield of <"):
+            load_model(write(tmp_path, text))
+
+
+def test_what_is_switched_off_of_a_tendon_is_not_told(tmp_path):
+    off = '<option><flag spring="disable" damper="disable"/></option>'
+    tendon = '<fixed name="p" stiffness="4 1 2" damping=".3 .2 .1">' + PAIR + "</fixed>"
+    text = mjcf(tip(), head=off, tail=f"<tendon>{tendon}</tendon>")
+    assert not assert_as_mujoco(tmp_path, text, "a t").left_out
+
+
+def test_one_thread_at_a_time_takes_mujocos_warnings():
+    there = threading.Event()
+
+    def enter():
+        with mjcf_source.quiet_mujoco(mujoco):
+            there.set()
+
+    other = threading.Thread(target=enter)
+    with mjcf_source.quiet_mujoco(mujoco):
+        other.start()
+        assert not there.wait(0.2)
+    other.join(10.0)
+    assert there.is_set()
+
+
+def test_a_mujoco_that_is_too_old_is_none(monkeypatch):
+    assert mjcf_source.mujoco_or_none() is mujoco
+    old = SimpleNamespace(MjSpec=object, mjtDisableBit=SimpleNamespace(mjDSBL_PASSIVE=32))
+    monkeypatch.setitem(sys.modules, "mujoco", old)
+    assert mjcf_source.mujoco_or_none() is None
 
 
 def test_springs_of_a_finger_that_follows_are_at_its_leader(tmp_path):

@@ -51,7 +51,7 @@ def test_gravity_that_is_off(tmp_path, word):
     model = load(tmp_path, SDF, two=off)
     np.testing.assert_allclose(held(model), held(load(tmp_path, SDF)))
     (said,) = model.left_out
-    assert said.endswith("line 7: that gravity does not act on l2 is left out.")
+    assert said.endswith("line 7: gravity is switched off for l2 there, and acts on it here.")
     assert said in model.repairs and said in model.notes
     assert not load(tmp_path, SDF, two="<gravity>true</gravity>").left_out
 
@@ -106,6 +106,44 @@ def test_a_spring_and_no_weight_of_gazebo(tmp_path):
     np.testing.assert_allclose(held(model) - held(load(tmp_path, URDF)), [-2.0])
     off = '<gazebo reference="l1"><turnGravityOff>true</turnGravityOff></gazebo>'
     assert not held(load(tmp_path, URDF, robot=off)).any()
+
+
+@pytest.mark.parametrize(
+    ("spring", "words"),
+    [
+        ("<springStiffness>abc</springStiffness>", "<springStiffness> has 'abc' instead of a num"),
+        ("<springStiffness>inf</springStiffness>", "<springStiffness> has 'inf' instead of a num"),
+        (
+            "<springStiffness>4</springStiffness><springReference>0.2 0.3</springReference>",
+            "<springReference> has '0.2 0.3' instead of a number",
+        ),
+    ],
+)
+def test_a_spring_of_gazebo_that_is_no_number(tmp_path, spring, words):
+    with pytest.raises(ModelError, match=f"line 1: {words}"):
+        load(tmp_path, URDF, robot=f'<gazebo reference="a">{spring}</gazebo>')
+    (said,) = load(
+        tmp_path, URDF, robot=f'<gazebo reference="l1">{spring.replace("inf", "3")}</gazebo>'
+    ).left_out
+    assert "line 1: <springStiffness>" in said and "of l1, which is no joint, is left" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "scenery"),
+    [
+        ("Ground%20Plane/2", True),
+        ("my_ground_plane", True),
+        ("SunLight", True),
+        ("my_robot_gripper", False),
+        ("lightweight_arm", False),
+    ],
+)
+def test_a_part_that_is_not_there_is_left_out_of_the_robot(tmp_path, name, scenery):
+    include = f"<include><uri>model://nowhere/{name}</uri></include>"
+    model = load(tmp_path, SDF, world=include)
+    (said,) = model.notes
+    assert name in said and (said in model.left_out) != scenery
+    assert bool(model.repairs) != scenery
 
 
 def test_what_a_world_includes_and_is_not_there_refuses_no_robot(tmp_path):

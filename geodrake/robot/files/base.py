@@ -137,7 +137,7 @@ class ModelText(abc.ABC):
             self.left_out.append(f"<{tag}> is ignored: the robot is read as an open tree.")
 
     def _take_weightless(self, off: Mapping[str, Element]) -> None:
-        """Links on which gravity does not act: if those are all, there is none; else it is said.
+        """Take links on which gravity does not act: if those are all, there is none; else say so.
 
         Args:
             off: Scoped link name -> the element that says so.
@@ -150,8 +150,8 @@ class ModelText(abc.ABC):
             return
         for name, element in off.items():
             self.left_out.append(
-                f"{place_of(element) or self.path}: that gravity does not act on "
-                f"{name.rpartition('::')[2]} is left out."
+                f"{place_of(element) or self.path}: gravity is switched off for "
+                f"{name.rpartition('::')[2]} there, and acts on it here."
             )
 
     def _take_mimic(self, scope: str, joint: Element) -> None:

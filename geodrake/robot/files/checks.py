@@ -59,7 +59,7 @@ class Words(Numbers):
     """Words that are no numbers, and that stand where other elements have some."""
 
     def problem(self, text: str) -> str:
-        """Nothing."""
+        """Return nothing, as any word will do."""
         return ""
 
 

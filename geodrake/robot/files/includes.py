@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -15,6 +16,7 @@ from geodrake.robot.files.packages import PACKAGE_ADVICE, add_packages, named_pa
 from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml, place_of
 from geodrake.robot.mesh_files import check_mesh
 
+_SCENERY = re.compile(r"(?<![a-z])(sun|ground|light|plane)+s?(?![a-z])", re.I)
 _DEEPEST = 30  # files that include each other in a row
 _MOST = 500  # inclusions altogether
 _MOST_ELEMENTS = 1_000_000
@@ -29,13 +31,14 @@ class Includes:
 
     Attributes:
         packages: The packages that were named on the way.
-        absent: Sentences on what a world includes, and leads nowhere: suns and grounds, mostly.
+        absent: Sentences on suns and grounds that a world includes, and that lead nowhere.
+        missing: Sentences on what else it includes, and leads nowhere: perhaps a part of a robot.
     """
 
     def __init__(self, path: Path, folders: Mapping[str, Path]) -> None:
         self.path, self.packages, self.names = path, PackageMap(), set[str]()
         self._folders = folders
-        self.absent: list[str] = []
+        self.absent, self.missing = list[str](), list[str]()
         self._count = self._elements = 0
 
     def resolve(self, url: str, folder: Path) -> Path:
@@ -114,9 +117,8 @@ class Includes:
                 if parent.tag == "world" and self._leads_nowhere(url, folder):
                     parent.remove(include)
                     where = place_of(include) or self.path
-                    self.absent.append(
-                        f"{where}: {url} is not found, and is left out of the world."
-                    )
+                    said = self.absent if _SCENERY.search(_last_name(url)) else self.missing
+                    said.append(f"{where}: {url} is not found, and is left out of the world.")
                     continue
                 for file in _models_of(self.resolve(url, folder), "://" in url):
                     below = self.enter(chain, file)
@@ -172,6 +174,12 @@ class Includes:
         return ModelError(
             f"{self.path} cannot be read: {reason}.", advice="Break the circle.", path=self.path
         )
+
+
+def _last_name(url: str) -> str:
+    """Return the last part of a URL that is not a version of a model."""
+    parts = [part for part in url.split("/") if part and not part.isdecimal()]
+    return parts[-1] if parts else ""
 
 
 def _models_of(place: Path, by_url: bool) -> list[Path]:

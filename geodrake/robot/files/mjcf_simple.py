@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from geodrake.errors import ModelError
 from geodrake.robot.files.base import ModelText
+from geodrake.robot.files.mjcf_source import unused
 from geodrake.robot.files.values import drop, numbers
 from geodrake.robot.files.xml_text import place_of
-from geodrake.robot.followers import Follower
+from geodrake.robot.followers import Follower, leads_back
 from geodrake.robot.transmission.statements import Followers
 
 _POSE = ("pos", "quat", "euler", "axisangle", "xyaxes", "zaxis")
@@ -52,10 +53,10 @@ _MORE = {
         "coordinate",
     ),
     "body": ("gravcomp", "mocap"),
-    "joint": ("ref", "springdamper", "actuatorfrcrange", "actuatorgravcomp"),
+    "joint": ("ref", "springyield", "springdamper", "actuatorfrcrange", "actuatorgravcomp"),
     "geom": ("mesh", "hfield", "shellinertia", "fluidshape"),
     **dict.fromkeys(_MOTORS, ("armature", "damping")),
-    "fixed": ("stiffness", "damping", "frictionloss", "armature"),
+    "fixed": ("springyield", "stiffness", "damping", "frictionloss", "armature"),
 }
 """Tag -> attributes that only MuJoCo reads, or reads as it means them."""
 
@@ -136,19 +137,23 @@ class _Simple:
 
     def _take_equalities(self, scope: str) -> None:
         """Joints that follow others by polynomials; other constraints are left out."""
-        bent = dict[str, dict[str, list[float]]]()
+        bent, leaders = dict[str, dict[str, list[float]]](), dict[str, str]()
         for equality in (e for group in self.root.findall("equality") for e in group):
             if equality.get("active", "true") == "false":
                 continue
             joints = [equality.get(key) for key in ("joint1", "joint2")]
             factors = [*equality.get("polycoef", "0 1").split(), *"0000"]
             offset, ratio, *higher = numbers(" ".join(factors[:5]), 5).tolist()
+            own, leader = (str(joint) for joint in joints)
+            if own in leaders or leads_back(own, leader, leaders):
+                self._refuse(equality, "a joint that <equality> has follow several, or itself,")
+            leaders[own] = leader
             if equality.tag == "joint" and all(joints) and any(higher):
                 coefficients = [offset, ratio, *higher]
-                bent.setdefault(str(joints[1]), {})[str(joints[0])] = coefficients
+                bent.setdefault(leader, {})[own] = coefficients
             elif equality.tag == "joint" and all(joints):
-                own, leader = (f"{scope}::{joint}" for joint in joints)
-                self.text.followers.append(Follower(own, leader, ratio, offset))
+                follower = Follower(f"{scope}::{own}", f"{scope}::{leader}", ratio, offset)
+                self.text.followers.append(follower)
             else:
                 self._refuse(equality, "a joint held by <equality>")
         self.text.bent = [Followers(leader, own) for leader, own in bent.items()]
@@ -162,14 +167,15 @@ class _Simple:
 
     def _split_joints(self) -> None:
         # Drake makes nameless bodies between several joints of one body; these have names.
+        free = unused({body.get("name") for body in self.root.iter("body")})
         for parent in list(self.root.iter()):
             for body in parent.findall("body"):
-                self._nest(parent, body)
+                self._nest(parent, body, free)
 
     @staticmethod
-    def _nest(parent: Element, body: Element) -> None:
+    def _nest(parent: Element, body: Element, free: Callable[[str], str]) -> None:
         for joint in body.findall("joint")[:-1]:
-            name = f"{body.get('name')}_{joint.get('name')}"
+            name = free(f"{body.get('name')}_{joint.get('name')}")
             outer = Element("body", name=name, between="true")
             for key in ("childclass", *(key for key in _POSE if key in body.attrib)):
                 if key in body.attrib:

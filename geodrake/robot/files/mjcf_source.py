@@ -7,6 +7,7 @@ file itself: includes are put in their places, and meshes and attached models ar
 from __future__ import annotations
 
 import re
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -52,30 +53,33 @@ _DEEPEST = 30  # models attached to models
 Sizes = dict[str, tuple[int, int]]
 """Name of a model that is attached -> how many elements and how many bodies it has."""
 
+_ONE_AT_A_TIME = threading.RLock()  # as where warnings go is one place of the whole process
 _LINE = re.compile(r",? *line (\d+)")
 
 
 def mujoco_or_none() -> ModuleType | None:
-    """Return MuJoCo, where it is installed."""
+    """Return MuJoCo, where it is installed and new enough."""
     try:
         import mujoco
     except ImportError:
         return None
-    return mujoco if hasattr(mujoco, "MjSpec") else None
+    flags = getattr(mujoco, "mjtDisableBit", None)  # without springs' before 3.5
+    return mujoco if hasattr(mujoco, "MjSpec") and hasattr(flags, "mjDSBL_SPRING") else None
 
 
 @contextmanager
 def quiet_mujoco(mujoco: ModuleType) -> Iterator[list[str]]:
     """Collect MuJoCo's warnings, which it would print, and write into a file where it runs."""
     said: list[str] = []
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(said.append)
-    try:
-        with warnings.catch_warnings(record=True) as raised:
-            warnings.simplefilter("always")
-            yield said
-    finally:
-        mujoco.set_mju_user_warning(before)
+    with _ONE_AT_A_TIME:
+        before = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(said.append)
+        try:
+            with warnings.catch_warnings(record=True) as raised:
+                warnings.simplefilter("always")
+                yield said
+        finally:
+            mujoco.set_mju_user_warning(before)
     said += (str(each.message) for each in raised)
 
 
@@ -88,6 +92,7 @@ class CompiledMjcf:
         elements: Names of bodies -> their elements in the file; without those made by MuJoCo.
         unknown: Names of bodies whose inertia follows from meshes that are not there alone.
         lost: Sentences on meshes that are not there.
+        touching: Names of bodies of whose meshes that are not there some touch others.
         plugins: Places of plugins, which are left out.
         said: What MuJoCo warned of.
     """
@@ -96,6 +101,7 @@ class CompiledMjcf:
     elements: dict[str, Element] = field(default_factory=dict)
     unknown: frozenset[str] = frozenset()
     lost: tuple[str, ...] = ()
+    touching: tuple[str, ...] = ()
     plugins: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
 
@@ -107,12 +113,45 @@ def compiled(root: Element, path: Path, mujoco: ModuleType, *, geoms: bool = Fal
         root: Its root element, which is changed.
         path: The file.
         mujoco: The package.
-        geoms: Keep geoms that have no part in inertias, for pictures.
+        geoms: Keep geoms that have no part in inertias, for pictures and collisions.
 
     Raises:
         ModelError: MuJoCo refuses it, in MuJoCo's words, or a file that it names is none.
     """
     return _Compiler(path, mujoco, geoms).read(root)
+
+
+@dataclass
+class _Absent:
+    """Meshes that are not there: bodies that have such, by what follows from that.
+
+    Attributes:
+        where: Folders in which they are not.
+        unknown: Bodies of whose inertia nothing else tells.
+        heavy: Bodies whose inertia follows from them, alone or in part.
+        seen: Bodies whose inertia does not.
+        touching: Bodies of which some touch others.
+    """
+
+    where: str = ""
+    unknown: set[str] = field(default_factory=set)
+    heavy: list[str] = field(default_factory=list)
+    seen: list[str] = field(default_factory=list)
+    touching: list[str] = field(default_factory=list)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Return what is said of them."""
+        gone = f"meshes that are not there or not .obj, .stl or .msh (in {self.where})"
+        found = list[str]()
+        if self.heavy:
+            found.append(
+                f"The inertia of {', '.join(self.heavy)} follows from {gone}; these meshes do not "
+                "count."
+            )
+        if self.seen:
+            found.append(f"The shapes of {', '.join(self.seen)} are, in part, {gone}.")
+        return tuple(found)
 
 
 @dataclass
@@ -131,11 +170,18 @@ class _Compiler:
         with self._refusals(places), quiet_mujoco(self.mujoco) as said:
             spec = self.mujoco.MjSpec.from_string(text, include=self.models or None)
             spec.compiler.usethread = False
-            unknown, lost = self._take_meshes(spec)
+            _name_joints(spec)
+            absent = self._take_meshes(spec)
             model = spec.compile()
         self._check_finite(model)
         return CompiledMjcf(
-            model, bodies, frozenset(unknown), tuple(lost), tuple(self.plugins), tuple(said)
+            model,
+            bodies,
+            frozenset(absent.unknown),
+            absent.sentences,
+            tuple(absent.touching),
+            tuple(self.plugins),
+            tuple(said),
         )
 
     def _prepare(self, root: Element, path: Path, prefix: str, chain: tuple[Path, ...]) -> Sizes:
@@ -203,8 +249,8 @@ class _Compiler:
         self.meshes[key] = path.parent / folders[0] / place
         element.set("file", key)
 
-    def _take_meshes(self, spec: Any) -> tuple[set[str], list[str]]:
-        """Gives the meshes that count, and return bodies of which only absent ones tell."""
+    def _take_meshes(self, spec: Any) -> _Absent:
+        """Gives the meshes that are there, and return what is said of the others."""
         used = {geom.meshname for geom in spec.geoms if geom.meshname}
         assets, absent = dict[str, bytes](), dict[str, Path]()
         for mesh in list(spec.meshes):
@@ -216,35 +262,36 @@ class _Compiler:
                     absent[mesh.name] = file
                 else:
                     assets[mesh.file] = read_regular(file, "mesh", ModelError, largest=LARGEST_FILE)
-        if not absent:
-            spec.assets = assets
-            return set(), []
-        unknown, told = set[str](), list[str]()
+        spec.assets = assets
+        return self._without(spec, absent) if absent else _Absent()
+
+    def _without(self, spec: Any, absent: dict[str, Path]) -> _Absent:
+        """Take geoms out whose meshes are not there, and return what follows from that."""
+        where = ", ".join(dict.fromkeys(str(file.parent) for file in absent.values()))
+        found, always = _Absent(where), int(self.mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE)
+        by_geoms = int(spec.compiler.inertiafromgeom) == always
         for body in spec.bodies:
             gone = [geom for geom in body.geoms if geom.meshname in absent]
+            if any(geom.contype or geom.conaffinity for geom in gone):
+                found.touching.append(body.name)
             for geom in gone:
                 spec.delete(geom)
-            if gone:
-                told.append(body.name)
             heavy = body.explicitinertial or body.name == "world"
+            if gone:
+                follows = body.name != "world" and (by_geoms or not heavy)
+                (found.heavy if follows else found.seen).append(body.name)
             if (
                 gone
                 and not heavy
                 and not any(geom.mass != 0.0 and geom.density != 0.0 for geom in body.geoms)
             ):
-                unknown.add(body.name)
+                found.unknown.add(body.name)
                 body.explicitinertial = True
                 body.mass, body.inertia, body.ipos = 1.0, [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]
         for mesh in list(spec.meshes):
             if mesh.name in absent:
                 spec.delete(mesh)
-        spec.assets = assets
-        where = ", ".join(dict.fromkeys(str(file.parent) for file in absent.values()))
-        lost = (
-            f"The inertia of {', '.join(told)} follows from meshes that are not there "
-            f"or not .obj, .stl or .msh (in {where}); these meshes do not count."
-        )
-        return unknown, [lost]
+        return found
 
     def _check_finite(self, model: Any) -> None:
         for at in range(model.nbody):
@@ -279,7 +326,7 @@ def _wrong(words: str, path: Path) -> ModelError:
 
 
 def _take_folders(root: Element) -> tuple[str, str]:
-    """Folder of meshes, and whether folders in the names of files count; and settles the rest."""
+    """Return the folder of meshes, and whether names of files keep theirs; settles the rest."""
     found = dict.fromkeys(_FOLDERS, "")
     for compiler in root.findall("compiler"):
         for key in _FOLDERS:
@@ -315,8 +362,8 @@ def _name_bodies(root: Element, prefix: str) -> None:
     """Gives bodies and joints names where they have none."""
     every = [body for body in root.iter("body") if body.get("name") or len(body)]
     taken = {body.get("name") for body in every}
-    free = _unused(taken)
-    joints = _unused({joint.get("name") for body in every for joint in body.iter("joint")})
+    free = unused(taken)
+    joints = unused({joint.get("name") for body in every for joint in body.iter("joint")})
     worlds = [body for world in root.findall("worldbody") for body in world.iter("body")]
     numbers = {id(body): k for k, body in enumerate(root.iter("body"))}
     for body in worlds:
@@ -327,6 +374,14 @@ def _name_bodies(root: Element, prefix: str) -> None:
                 joint.set("name", joints(f"{body.get('name')}_joint_{i}"))
 
 
+def _name_joints(spec: Any) -> None:
+    """Give names to joints that MuJoCo made."""
+    free = unused({joint.name for joint in spec.joints})
+    for body in spec.bodies:
+        for i, joint in enumerate(body.joints):
+            joint.name = joint.name or free(f"{body.name}_joint_{i}")
+
+
 def _own_joints(body: Element) -> Iterator[Element]:
     for child in body:
         if child.tag == "joint":
@@ -335,7 +390,13 @@ def _own_joints(body: Element) -> Iterator[Element]:
             yield from _own_joints(child)
 
 
-def _unused(taken: set[str | None]) -> Callable[[str], str]:
+def unused(taken: set[str | None]) -> Callable[[str], str]:
+    """Return what makes a name that is not taken out of one, and takes it.
+
+    Args:
+        taken: Names; changed.
+    """
+
     def name(wanted: str) -> str:
         while wanted in taken:
             wanted += "_"
@@ -371,7 +432,7 @@ def _check_size(root: Element, sizes: Sizes, path: Path) -> None:
 
 
 def _size(element: Element, sizes: Sizes) -> tuple[int, int]:
-    """How many elements MuJoCo makes of one, and how many of them are bodies, at most."""
+    """Return how many elements MuJoCo makes of one, and how many bodies of them, at most."""
     elements, bodies = 1, int(element.tag == "body")
     if element.tag == "attach":
         more = sizes.get(element.get("model", ""), (0, 0))

@@ -22,7 +22,7 @@ import numpy as np
 from geodrake.inertia import Array
 from geodrake.robot.files.mjcf_source import CompiledMjcf
 from geodrake.robot.files.mjcf_tree import fixed_tendon, name_of
-from geodrake.robot.followers import Follower
+from geodrake.robot.followers import Follower, leads_back
 from geodrake.robot.transmission.statements import Followers
 
 _KINDS = ("free", "ball", "slide", "hinge")
@@ -180,11 +180,12 @@ class _Terms:
         if poly[1]:
             self._add("stiffness_3", joint, poly[1])
             self._add("rest_3", joint, rest)
-        if poly.any() and poly[0]:
+        if poly[0]:
             self._leave(f"The quadratic stiffness {poly[0]:g} of the joint {name}")
             reference.jnt_stiffnesspoly[joint][0] = 0.0
         if np.any(_row(m, "jnt_springyield", joint)):
             self._leave(f"The yield of the spring of the joint {name}")
+            reference.jnt_springyield[joint] = 0.0
 
     def _take_limit(self, joint: int, count: int) -> None:
         if count == 1 and self.m.jnt_actfrclimited[joint]:
@@ -205,12 +206,17 @@ class _Terms:
                 "frictionloss": m.tendon_frictionloss[at],
                 "armature": float(_row(m, "tendon_armature", at)[0]),
             }
-            if self._disabled(off.mjDSBL_FRICTIONLOSS, off.mjDSBL_CONSTRAINT):
-                has["frictionloss"] = 0.0
             polys = {
                 f"{what}poly": _row(m, f"tendon_{what}poly", at)
                 for what in ("stiffness", "damping")
             }
+            polys["springyield"] = _row(m, "tendon_springyield", at)
+            if self._disabled(off.mjDSBL_SPRING):
+                del polys["stiffnesspoly"], polys["springyield"]
+            if self._disabled(off.mjDSBL_DAMPER):
+                del polys["dampingpoly"]
+            if self._disabled(off.mjDSBL_FRICTIONLOSS, off.mjDSBL_CONSTRAINT):
+                has["frictionloss"] = 0.0
             joints = fixed_tendon(m, self.mujoco, at)
             if len(joints) == 1 and self._single(next(iter(joints))):
                 ((joint, share),) = joints.items()
@@ -335,7 +341,7 @@ class _Terms:
                 )
 
     def _follow_tendon(self, first: int, second: int, data: Array) -> bool:
-        """Whether L − L₀ = a₀ + a₁ (M − M₀) of fixed tendons has a joint follow another one."""
+        """Return whether L − L₀ = a₀ + a₁ (M − M₀) of fixed tendons has a joint follow another."""
         m, known = self.m, self.found.followers
         shares = dict(fixed_tendon(m, self.mujoco, first))
         length = float(m.tendon_length0[first]) + float(data[0])
@@ -357,25 +363,37 @@ class _Terms:
         }
         leader, own = sorted(shares, key=lambda joint: joint not in driven)
         names = self._name("JOINT", own), self._name("JOINT", leader)
-        if any(follower.joint == names[0] for follower in known):
+        if self._follows_already(*names):
             return False
         known.append(Follower(*names, -shares[leader] / shares[own], length / shares[own]))
         return True
 
     def _follow(self, first: int, second: int, data: Array) -> None:
-        """Y − y₀ = p(x − x₀), y₀ and x₀ at the file's own pose."""
+        """Take that Y − y₀ = p(x − x₀), y₀ and x₀ at the file's own pose."""
+        own, leader = self._name("JOINT", first), self._name("JOINT", second)
+        if self._follows_already(own, leader):
+            self._leave(
+                f"<equality>: the constraint <joint> of {own} and {leader}, as {own} follows a "
+                f"joint already, or is followed by {leader},"
+            )
+            return
         starts = [float(self.m.qpos0[self.m.jnt_qposadr[j]]) for j in (first, second)]
         polynomial = np.polynomial.Polynomial(data)(np.polynomial.Polynomial([-starts[1], 1.0]))
         coefficients = np.zeros(5)
         coefficients[: len(polynomial.coef)] = polynomial.coef
         coefficients[0] += starts[0]
-        own, leader = self._name("JOINT", first), self._name("JOINT", second)
         if data[2:].any():
             self.found.bent.setdefault(leader, {})[own] = coefficients.tolist()
         else:
             self.found.followers.append(
                 Follower(own, leader, float(coefficients[1]), float(coefficients[0]))
             )
+
+    def _follows_already(self, own: str, leader: str) -> bool:
+        """Return whether a joint follows another one, or is followed by what it would follow."""
+        leaders = {follower.joint: follower.leader for follower in self.found.followers}
+        leaders |= {joint: first for first, bent in self.found.bent.items() for joint in bent}
+        return own in leaders or leads_back(own, leader, leaders)
 
 
 def _row(m: Any, name: str, at: int) -> Array:

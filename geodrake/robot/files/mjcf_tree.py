@@ -12,7 +12,7 @@ from pydrake.common.eigen_geometry import AngleAxis, Quaternion
 from pydrake.math import RigidTransform, RotationMatrix
 
 from geodrake.inertia import Array
-from geodrake.robot.files.mjcf_source import CompiledMjcf, located
+from geodrake.robot.files.mjcf_source import CompiledMjcf, located, unused
 from geodrake.robot.files.values import UPPER, words
 
 
@@ -55,6 +55,8 @@ class _Tree:
     ) -> None:
         self.source, self.model, self.mujoco = source, source.model, mujoco
         self.damping = damping
+        bodies = range(self.model.nbody)
+        self.free = unused({name_of(self.model, mujoco, "BODY", at) for at in bodies})
         self.kinds = {
             int(getattr(mujoco.mjtJoint, f"mjJNT_{kind.upper()}")): kind
             for kind in ("hinge", "slide", "ball", "free")
@@ -74,7 +76,7 @@ class _Tree:
             own = name_of(m, self.mujoco, "JOINT", joint)
             last = joint == joints[-1]
             pose = pose @ self._back(joint)
-            where = {"name": name if last else f"{name}_{own}", **_pose_words(pose)}
+            where = {"name": name if last else self.free(f"{name}_{own}"), **_pose_words(pose)}
             if not last:
                 where["between"] = "true"
             parent = _append(parent, located("body", where, like))
@@ -109,7 +111,7 @@ class _Tree:
         SubElement(body, "joint", {**stated, "damping": words(self.damping.get(name, 0.0))})
 
     def _back(self, joint: int) -> RigidTransform:
-        """What turns a body back from where the file draws it to where its joint is at zero."""
+        """Return what turns a body back from where it is drawn to where its joint is at zero."""
         m, kind = self.model, self.kinds[int(self.model.jnt_type[joint])]
         if kind not in ("hinge", "slide"):
             return RigidTransform()
@@ -167,7 +169,7 @@ def _write_motors(root: Element, m: Any, mujoco: ModuleType) -> None:
 
 
 def fixed_tendon(m: Any, mujoco: ModuleType, at: int) -> dict[int, float]:
-    """Joint -> coefficient of a fixed tendon; nothing of a spatial one."""
+    """Return joint -> coefficient of a fixed tendon; nothing of a spatial one."""
     found = dict[int, float]()
     for k in range(m.tendon_adr[at], m.tendon_adr[at] + m.tendon_num[at]):
         if int(m.wrap_type[k]) != int(mujoco.mjtWrap.mjWRAP_JOINT):

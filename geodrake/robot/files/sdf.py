@@ -40,6 +40,7 @@ class SdfText(ModelText):
         includes.insert(self.root, self.path.parent)
         self.packages = includes.names
         self.notes += includes.absent
+        self.left_out += includes.missing
         self.left_out += unread(self.root, SDF_UNREAD, self.path)
         for link in self.root.iter("link"):
             inertial = link.find("inertial")
@@ -52,9 +53,10 @@ class SdfText(ModelText):
             for joint in model.findall("joint"):
                 self._take_mimic(name, joint)
                 self._read_joint(f"{name}::{joint.get('name')}", joint)
-        if includes.absent and not self._links:
+        nowhere = [*includes.missing, *includes.absent]
+        if nowhere and not self._links:
             raise ModelError(
-                f"{self.path} has no model but such as lead nowhere: {includes.absent[0]}",
+                f"{self.path} has no model but such as lead nowhere: {nowhere[0]}",
                 advice=PACKAGE_ADVICE,
                 path=self.path,
             )

@@ -5,6 +5,9 @@ from __future__ import annotations
 from copy import deepcopy
 from xml.etree.ElementTree import Element, SubElement
 
+import numpy as np
+
+from geodrake.errors import ModelError
 from geodrake.inertia import Array, to_mass_com_inertia
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import URDF_NUMBERS
@@ -21,6 +24,7 @@ from geodrake.robot.files.values import (
     tensor_words,
     words,
 )
+from geodrake.robot.files.xml_text import place_of
 from geodrake.robot.transmission.statements import Statement
 
 
@@ -56,20 +60,42 @@ class UrdfText(ModelText):
                 limit.attrib.pop("effort", None)  # with 0, Drake ignores the rotor, too
 
     def _take_gazebo(self, scope: str, elements: list[Element]) -> None:
-        """Springs of joints, and links without gravity."""
+        """Take springs of joints, and links without gravity.
+
+        Raises:
+            ModelError: A number of a spring is none.
+        """
         off = dict[str, Element]()
+        joints = {e.get("name") for tag in ("joint", "drake:joint") for e in self.root.iter(tag)}
         for element in elements:
             name = f"{scope}::{element.get('reference')}"
-            if element.find("springStiffness") is not None:
+            stated = element.findtext("springStiffness", "")
+            if element.get("reference") in joints and stated.strip():
                 self.stiffness[name], self.rest[name] = (
-                    float(numbers(element.findtext(tag, "0"), 1)[0])
-                    for tag in ("springStiffness", "springReference")
+                    self._of_spring(element, tag) for tag in ("springStiffness", "springReference")
+                )
+            elif not is_nothing(stated):
+                self.left_out.append(
+                    f"{place_of(element) or self.path}: <springStiffness> {stated.strip()[:50]} of "
+                    f"{element.get('reference')}, which is no joint, is left out."
                 )
             falls = [is_nothing(each.text or "") for each in element.findall("gravity")]
             falls += [not is_nothing(each.text or "") for each in element.findall("turnGravityOff")]
             if any(falls) and name in self._links:
                 off[name] = element
         self._take_weightless(off)
+
+    def _of_spring(self, element: Element, tag: str) -> float:
+        stated = element.findtext(tag, "0")
+        value = float(numbers(stated, 1)[0])
+        if not np.isfinite(value):
+            raise ModelError(
+                f"{place_of(element) or self.path}: <{tag}> has {stated.strip()[:50]!r} instead of "
+                "a number.",
+                advice="Correct the file there.",
+                path=self.path,
+            )
+        return value
 
     def motors(self) -> tuple[Statement, ...]:
         """The transmissions of ros_control."""
