@@ -13,7 +13,7 @@ from geodrake.cli.rollout import other_model
 from geodrake.cli.serving import page_server, serve_page
 from geodrake.cli.session import Command, Input, run
 from geodrake.cli.tables import head, say, show_list
-from geodrake.model.robot_model import RobotModel, load_description
+from geodrake.model.robot_model import RobotModel, read_again
 from geodrake.model.saved_model import is_saved_model
 from geodrake.report.numbers import Units, number, percent
 
@@ -89,14 +89,7 @@ def _before(options: PlayOptions, given: Input) -> RobotModel | None:
     if options.before is not None:
         return other_model(options.before, given)
     if is_saved_model(options.model):
-        model = given.model
-        return load_description(
-            model.path,
-            floating=model.floating,
-            held=model.held,
-            given=model.given,
-            transmission=model.transmission,
-        )
+        return read_again(given.model)
     return None
 
 

@@ -762,6 +762,17 @@ def _bent_drives(
     return tuple(drives), notes
 
 
+def read_again(model: RobotModel) -> RobotModel:
+    """Return the model as its file says, without what was fitted or added since."""
+    return load_description(
+        model.path,
+        floating=model.floating,
+        held=model.held,
+        given=model.given,
+        transmission=model.transmission,
+    )
+
+
 def load_description(
     path: str | Path,
     *,
