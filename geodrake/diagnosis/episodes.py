@@ -65,7 +65,7 @@ class _Scale:
 
 
 def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[PointEpisode, ...]:
-    """Contacts that stand out of the held-out residuals of a hypothesis."""
+    """Return contacts that stand out of the held-out residuals of a hypothesis."""
     scale, windows = _seen(case, hypothesis)
     noise = error_table(case.dataset, hypothesis.held_out).is_noise
     if not windows and not noise:
@@ -104,7 +104,7 @@ def _seen(case: Case, hypothesis: Hypothesis) -> tuple[_Scale, list[Window]]:
 def _contacts(
     case: Case, scale: _Scale, windows: Sequence[Window]
 ) -> tuple[tuple[PointEpisode, ...], bool]:
-    """The contacts that explain windows, and whether one explains at least a good part of one."""
+    """Return contacts that explain windows, and whether one explains a good part of one."""
     motion = full_motion(case) if windows else []
     cut = [(w[0], _cut_out(case, scale, motion, w)) for w in windows]
     names = [trajectory.name for trajectory in case.trajectories]

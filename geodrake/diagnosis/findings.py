@@ -211,7 +211,7 @@ def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTa
     many times of what is left in the end is likely to be there itself. What reversals leave that
     logs do not resolve is known, and not counted.
 
-    `errors` are those before and after it, and in the end.
+    `errors` are those before and after it, and in the end, whose noise floor counts.
     """
     if not errors[2].shows_noise:
         return 0.0
@@ -286,7 +286,7 @@ def where_of(found: Found, finding: Finding, phi: Array) -> tuple[str, ...]:
 
 
 def late_joints(found: Found) -> tuple[str, ...]:
-    """Joints that are late alone; none where all are alike."""
+    """Return the joints that are late alone; empty where all are alike."""
     late = found.model.lateness(found.fit.choice)
     if np.ptp(late) < 1e-9:
         return ()

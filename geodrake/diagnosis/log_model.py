@@ -144,7 +144,7 @@ class LogModel:
         for k, (term, at) in enumerate(self.at.items()):
             self.information[at[:, None], at] = term.information
             self.mean[at] = term.mean
-            self.prior_scores[at[0]] = term.log_information - term.way
+            self.prior_scores[at[0]] = term.log_information - term.prior_distance
             self.owner[at], self.positive[at[term.positive]] = k, True
         self.grams, self.places, self._loads = [], [], list[Array]()
         for j, joint in enumerate(data.data):

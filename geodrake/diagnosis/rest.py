@@ -36,7 +36,7 @@ _MOST = 4_000  # samples that are looked at
 
 
 def share_of_motion(case: Case, hypothesis: Hypothesis) -> Array:
-    """(nv,) share of each joint's squared error that a smooth function of the motion could remove.
+    """Return (nv,) shares of squared errors that a smooth function of the motion could remove.
 
     Functions of all positions, and of position, velocity and direction of the joint itself and one
     other, are fitted without each fold and predict it: sums of waves of random frequencies with a
@@ -70,7 +70,7 @@ def _predictable(
     folds: Indices,
     speeds: Array,
 ) -> float:
-    """Share of the squared residual of a joint that the best function of the motion predicts.
+    """Return the share of a joint's squared residual that the best function of motion predicts.
 
     `motion` is `full_motion` of the case, `folds` (K,) has the fold of each row, and `speeds` (nv,)
     are peak speeds, rad/s or m/s; 0 for a joint that does not move.
@@ -135,7 +135,7 @@ class _Folds:
         return cls(features, b, parts, features.T @ features)
 
     def held_out(self, ridge: float) -> Array:
-        """(F,) squared error of the residual in each fold by a ridge regression on all others.
+        """Return (F,) squared errors in each fold by a ridge regression on all others.
 
         With the smoother WᵀW of all folds, that of a fold is (I − W_fᵀW_f)⁻¹ times the residual.
         """

@@ -62,8 +62,8 @@ class Term:
         return float(np.linalg.slogdet(self.information)[1]) - 2.0 * float(np.log(share))
 
     @cached_property
-    def way(self) -> float:
-        """Return mᵀ Λ m, the squared distance of no effect at all from the prior mean."""
+    def prior_distance(self) -> float:
+        """Return mᵀ Λ m, the squared distance of zero from the prior mean."""
         return float(self.mean @ self.information @ self.mean)
 
     @cached_property
@@ -78,7 +78,7 @@ class Term:
 
     @cached_property
     def is_whole(self) -> bool:
-        """Whether it is a body that must be physical: a payload that the model does not have."""
+        """Return whether it is a payload that the model lacks, which must be physical."""
         return self.effect is not None and is_body(self.effect) and len(self.positive) > 0
 
     @cached_property

@@ -19,7 +19,7 @@ from geodrake.model.file_terms import Drag, Spring
 from geodrake.robot.plant import LoadedPlant
 from geodrake.robot.transmission.actuation import Actuation
 
-_LEAST = 1e-100  # SI units: less is none, as its square has no inverse
+_LEAST = 1e-100  # SI units: less counts as zero, as its square has no inverse
 _WEIGHTS: dict[str, Callable[[Array], Array]] = {"dry friction": np.abs}
 
 

@@ -102,7 +102,7 @@ def mjcf_geoms(
         shape = _shape(m, at, hulls, mujoco)
         world = not m.geom_bodyid[at]
         if shape is None or (world and not hulls):
-            continue  # the ground is none of the robot's
+            continue  # the ground is no part of the robot
         body = name_of(m, mujoco, "BODY", int(m.geom_bodyid[at]))
         turn = RotationMatrix(Quaternion(np.array(m.geom_quat[at])))
         below = 0.5 * _DEEP * (m.geom_type[at] == int(mujoco.mjtGeom.mjGEOM_PLANE))

@@ -132,7 +132,7 @@ def _read(
             ):
                 shape = inspector.GetShape(geometry)
                 if isinstance(shape, HalfSpace):
-                    continue  # the ground is none of the robot's
+                    continue  # the ground is no part of the robot
                 properties = inspector.GetProperties(geometry, role)
                 color = properties.GetPropertyOrDefault("phong", "diffuse", GRAY)
                 pose = inspector.GetPoseInFrame(geometry)

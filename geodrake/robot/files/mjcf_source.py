@@ -116,7 +116,7 @@ def compiled(root: Element, path: Path, mujoco: ModuleType, *, geoms: bool = Fal
         geoms: Keep geoms that have no part in inertias, for pictures and collisions.
 
     Raises:
-        ModelError: MuJoCo refuses it, in MuJoCo's words, or a file that it names is none.
+        ModelError: MuJoCo refuses it, in MuJoCo's words, or a file that it names is missing.
     """
     return _Compiler(path, mujoco, geoms).read(root)
 

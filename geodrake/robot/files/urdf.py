@@ -63,7 +63,7 @@ class UrdfText(ModelText):
         """Take springs of joints, and links without gravity.
 
         Raises:
-            ModelError: A number of a spring is none.
+            ModelError: A spring's number is invalid.
         """
         off = dict[str, Element]()
         joints = {e.get("name") for tag in ("joint", "drake:joint") for e in self.root.iter(tag)}
