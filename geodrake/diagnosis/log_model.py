@@ -34,8 +34,7 @@ from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import LEAST_NOISE, NOISE_MARGIN, SPREAD
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut, hold_out
 from geodrake.identification.logs.dataset import Dataset, is_payload
-from geodrake.identification.logs.evidence import effective_samples_of_each
-from geodrake.identification.logs.hypothesis import Hypothesis
+from geodrake.identification.logs.hypothesis import Hypothesis, effective_of_rows
 from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.identification.normal_equations import scaled_cholesky, solved
@@ -203,11 +202,11 @@ class LogModel:
         """Return twice the logarithm of the prior odds against an explanation."""
         key = choice.width, choice.delay
         if key not in self._other_odds:
-            self._other_odds[key] = self._odds_against(choice)
+            self._other_odds[key] = self._odds_of_coordinates(choice)
         return odds_against(choice.terms) + self._other_odds[key]
 
-    def _odds_against(self, choice: Choice) -> float:
-        """Return the same of its width and delays alone."""
+    def _odds_of_coordinates(self, choice: Choice) -> float:
+        """Return twice the logarithm of the odds against its width and delays alone."""
         beliefs, total, late = self.beliefs, 0.0, np.not_equal(choice.delay, self.on_time)
         if late.any():
             alike = late.all() and len(np.unique(np.round(self.lateness(choice), 9))) == 1
@@ -394,8 +393,7 @@ class LogModel:
         key = fit.choice.key
         if key not in self._shares:
             blocks = [self._residuals(fit, j) for j in range(len(self.rows))]
-            kept = [max(1, sum(map(len, joint))) for joint in blocks]
-            found = effective_samples_of_each(blocks) * (self.rows / kept)
+            found = effective_of_rows(blocks, self.rows)
             worth = np.minimum(found, self.beliefs.discrepancy)
             # What is more than sensor noise goes with the motion, however often that repeats.
             noise = np.square(NOISE_MARGIN * self.dataset.noise_floor) / fit.variance

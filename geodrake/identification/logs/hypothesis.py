@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,8 +88,13 @@ def residual_blocks(
 def effective_per_joint(dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0) -> Array:
     """Return (nv,) effective samples of the held-out residuals, as in `residual_blocks`."""
     blocks = residual_blocks(dataset, columns, x, delay=delay)
+    return effective_of_rows(blocks, dataset.samples.sum(axis=0))
+
+
+def effective_of_rows(blocks: Sequence[Sequence[Array]], rows: Array) -> Array:
+    """Return (nv,) effective samples of rows (nv,), by the residuals of those that are kept."""
     kept = np.array([max(1, sum(map(len, joint))) for joint in blocks])
-    return effective_samples_of_each(blocks) * (dataset.samples.sum(axis=0) / kept)
+    return effective_samples_of_each(blocks) * (rows / kept)
 
 
 def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
