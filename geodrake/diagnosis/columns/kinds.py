@@ -59,7 +59,8 @@ KINDS: Mapping[str, Kind] = {
     "effort_magnitude": Kind(
         "the efforts of {where} never change their sign, though the motion needs both: they are "
         "magnitudes",
-        "Log them with their sign: no other column can give it back.",
+        "Log them with their sign; or, where servos' commands are logged too, use these in their "
+        "place: --kind command.",
     ),
     "swapped_efforts": Kind("the efforts of {where} are swapped", _BY_SWAP, _EFFORTS, ("effort",)),
     "swapped_positions": Kind(

@@ -34,19 +34,21 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
         The table, with a note of what was left out.
     """
     columns: dict[str, Array] = {}
-    origins, silent = {}, {}
+    origins, silent, words = {}, {}, {}
     for name, values in arrays.items():
         found, origin = numbers(values)
         if found is None or found.ndim not in (1, 2) or len(found) != rows:
             silent[name] = _what_else(values, rows)
+            if rows and np.shape(values) == (rows,) and isinstance(values[0], str):
+                words[name] = np.array([str(value) for value in values], object)
             continue
         columns.update(spread(name, found))
         if origin is not None:
             origins[name] = origin
     more = " …" if len(silent) > _MOST_NAMES else ""
-    words = f"columns without numbers: {', '.join([*silent][:_MOST_NAMES])}{more}"
-    notes = (words,) if silent else ()
-    return LogTable(path, columns, notes=notes, origins=origins, silent=silent)
+    note = f"columns without numbers: {', '.join([*silent][:_MOST_NAMES])}{more}"
+    notes = (note,) if silent else ()
+    return LogTable(path, columns, notes=notes, origins=origins, silent=silent, words=words)
 
 
 def _what_else(values: Any, rows: int) -> str:

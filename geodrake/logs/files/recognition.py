@@ -22,15 +22,15 @@ OF_JOINTS = (*QUANTITIES, *SIGNAL_KINDS)
 
 QUANTITY_WORDS: Mapping[str, str] = {
     **dict.fromkeys(["position", "positions", "pos", "q", "angle", "angles", "theta"], "position"),
-    **dict.fromkeys(["qm", "qg", "qj"], "position"),
+    **dict.fromkeys(["qm", "qg", "qj", "qpos"], "position"),
     **dict.fromkeys(["velocity", "velocities", "vel", "qd", "dq", "qdot", "speed"], "velocity"),
-    **dict.fromkeys(["omega", "dtheta", "v"], "velocity"),
+    **dict.fromkeys(["omega", "dtheta", "v", "qvel"], "velocity"),
     **dict.fromkeys(
         ["acceleration", "accelerations", "acc", "qdd", "ddq", "qddot"], "acceleration"
     ),
     **dict.fromkeys(["effort", "efforts", "eff", "torque", "torques", "tau", "moment"], "effort"),
     **dict.fromkeys(["trq", "tq", "force", "load"], "effort"),
-    **dict.fromkeys(["current", "currents", "cur", "curr", "i"], "current"),
+    **dict.fromkeys(["current", "currents", "cur", "curr", "i", "iq"], "current"),
     **dict.fromkeys(["voltage", "voltages", "volt", "volts"], "voltage"),
     **dict.fromkeys(["pwm", "pwms", "duty"], "pwm"),
     **dict.fromkeys(["temperature", "temperatures", "temp", "temps"], "temperature"),
@@ -69,7 +69,7 @@ ROLE_WORDS: Mapping[str, int] = {
 ROLES = ("measured", "", "of motors", "desired", "of something else")
 _FILLERS = frozenset(
     ["joint", "joints", "jnt", "axis", "axes", "link", "robot", "side", "states", "field"]
-) | {"msg", "data", "value", "actual", "estimated", "est", "filtered", "filt", "cycle"}
+) | {"msg", "data", "value", "actual", "estimated", "est", "filtered", "filt", "cycle", "estimate"}
 _NO_SIGNAL = frozenset(["limit", "limits", "min", "max", "error", "err", "errors"])
 _SUPPLY = frozenset(["supply", "bus", "battery", "main", "input"])  # which no joint has of its own
 _TIMES = frozenset(("time", "timestamp", "timestamps", "stamp", "t", "clock", "sec", "secs"))
@@ -77,6 +77,7 @@ _TIMES |= {"datetime"}
 _NANOSECONDS = frozenset(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"))
 _BESIDE_TIME = _TIMES | _NANOSECONDS | {"header", "ros", "rostime", "elapsed", "controller"}
 _BESIDE_TIME |= {"joint", "states", "state", "robot", "system", "log", "msg", "field", "seconds"}
+_TURNS = {"pos_estimate": "rev", "vel_estimate": "rev/s", "input_pos": "rev"}  # of ODrive
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
@@ -137,6 +138,17 @@ def is_time(name: str) -> bool:
 def quantity_of(text: str) -> str | None:
     """The quantity that a text names, such as the name of a file."""
     return _quantity(_split(text))
+
+
+def plain_words(text: str) -> frozenset[str]:
+    """The words in a text, in small letters."""
+    return frozenset(word for word in _split(text) if isinstance(word, str))
+
+
+def number_of(text: str) -> int | None:
+    """The number that a text ends in."""
+    last = _split(text)[-1:]
+    return last[0] if last and isinstance(last[0], int) else None
 
 
 def words_of(text: str) -> Words:
@@ -218,6 +230,8 @@ def _joint(column: str) -> Meaning | None:
     plain, unit = _without_unit(parts[place], quantity)
     if unit is None and quantity in SIGNAL_KINDS:  # of another kind: see `understanding`
         plain, unit = _without_unit(parts[place], "effort")
+    vendor = parts[place].rpartition(".")[2]
+    unit = find_unit(_TURNS[vendor], quantity) if unit is None and vendor in _TURNS else unit
     used = _used(_split(plain))
     joint = _rest(plain, used)
     counted = plain if place + 1 == len(parts) else f"{plain}/{parts[-1]}"  # as in command/data[2]

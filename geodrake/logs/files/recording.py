@@ -12,13 +12,12 @@ from geodrake.logs.files.column_names import Columns, Source
 from geodrake.logs.files.room import check_room
 from geodrake.logs.files.torn_rows import TornRows
 from geodrake.logs.motion import JointLog
+from geodrake.logs.time_stamps import time_unit, with_clock_set_back
 
 Array = NDArray[np.float64]
 
 LEAST_ROWS = 10
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
-_UNITS = {"ns": 1e-9, "µs": 1e-6, "ms": 1e-3}
-_EPOCH = 9e8, 4.2e9  # s since 1970 at which a robot may have been logged: from 1998 to 2103
 
 
 class Recording:
@@ -93,6 +92,7 @@ class Recording:
         if self.columns.rate is not None:
             self.time[:rows] = np.arange(rows) / self.columns.rate
         time, notes = self._seconds(self.time[:rows])
+        time, more = with_clock_set_back(time)
         kept, torn = self.torn.settle(time)
         values = {quantity: numbers[:rows] for quantity, numbers in self.values.items()}
         if kept is not None:
@@ -106,7 +106,7 @@ class Recording:
             values["effort"],
             values.get("velocity"),
             values.get("acceleration"),
-            (*self.columns.notes, *notes, *torn),
+            (*self.columns.notes, *notes, *more, *torn),
             effort_uncertainty=self.columns.reading.effort_uncertainty(self.columns.joints),
             standing={joint: self._place(joint, rows) for joint in self._standing},
             command=values.get("command"),
@@ -124,13 +124,9 @@ class Recording:
         return float(numbers[0] + (numbers - numbers[0]).mean())
 
     def _seconds(self, time: Array) -> tuple[Array, tuple[str, ...]]:
-        """Time stamps in s, where they are of an epoch in ms, µs or ns, and a note of that."""
+        """Time stamps in s, where nobody said their unit, and a note of it."""
         source = self.columns.sources.get("time")
         if source is None or source.unit is not None or source.nanoseconds is not None:
             return time, ()
-        known = np.sort(time[np.isfinite(time)])
-        typical = known[len(known) // 2] if len(known) else 0.0
-        for name, factor in _UNITS.items():
-            if _EPOCH[0] < factor * typical < _EPOCH[1]:
-                return factor * time, (f"time is in {name} since 1970, by its size: converted",)
-        return time, ()
+        found = time_unit(source.column, time)
+        return (time, ()) if found is None else (found[0] * time, (found[1],))

@@ -22,7 +22,7 @@ from geodrake.logs.files.dates import date_words
 from geodrake.logs.files.joint_matching import matched
 from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
 from geodrake.logs.files.reading import ColumnMapping, Reading
-from geodrake.logs.files.recognition import OF_JOINTS, Meaning, meaning_of
+from geodrake.logs.files.recognition import OF_JOINTS, Meaning, meaning_of, words_of
 from geodrake.logs.files.signal_columns import candidates, check_kind, effort_source
 from geodrake.logs.files.units import Unit, find_unit, unit_of
 from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, QUANTITIES, check_joints
@@ -60,14 +60,14 @@ def columns_of(
     if reading.mapping is not None:
         understood = _Understood.by_mapping(path, names, reading, reading.mapping)
         understood = understood.dated(origins or {})
-        return understood.columns(*understood.joints(joints, partial=partial))
+        return understood.columns(*understood.joints(joints, partial=partial), joints)
     understood = _Understood.by_names(path, names, joints, reading, units or {})
     understood = understood.dated(origins or {})
     try:
         own, standing = understood.joints(joints, partial=partial)
     except LogError as error:
         raise with_proposal(error, path, proposed_mapping(path, names, joints)) from error
-    return understood.columns(own, standing)
+    return understood.columns(own, standing, joints)
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,8 @@ class _Understood:
                 advice=(f"Is it {close[0]!r}? " if close else "")
                 + f"{HEADER_ADVICE} Without time, give the rows a second by --rate.",
             )
-        moved, heard = self._having("position"), {*self._having("effort", "command")}
+        moved = self._of_model(self._having("position"), wanted)
+        heard = {*self._having("effort", "command")}
         silent = [joint for joint in moved if joint not in heard]
         if len(silent) == len(moved):
             raise LogError(
@@ -221,12 +222,31 @@ class _Understood:
         check_joints(self.path.stem, [*own, *standing], wanted, partial=partial)
         return tuple(joint for joint in wanted if joint in own), standing
 
-    def columns(self, joints: Sequence[str], standing: Sequence[str]) -> Columns:
+    def _of_model(self, joints: Sequence[str], wanted: Sequence[str] | None) -> tuple[str, ...]:
+        """Joints without those that the model lacks, if it has some of the log's.
+
+        A joint that is called like one that the log lacks stays: it is that one, misspelled.
+        """
+        if wanted is None or not set(wanted).intersection(self._having("position")):
+            return tuple(joints)
+        lacking = set(wanted).difference(self._having("position"))
+        missing = ["".join(map(str, words_of(joint))) for joint in lacking]
+        names = {joint: "".join(map(str, words_of(joint))) for joint in joints}
+        return tuple(
+            joint
+            for joint in joints
+            if joint in wanted or difflib.get_close_matches(names[joint], missing, 1)
+        )
+
+    def columns(
+        self, joints: Sequence[str], standing: Sequence[str], model: Sequence[str] | None
+    ) -> Columns:
         """What is read for these joints.
 
         Args:
             joints: Joints with position and effort, or what stands for it.
             standing: Joints with positions alone.
+            model: The model's joints, if there is a model.
 
         Raises:
             LogError: A column that is needed is there twice, or a gain is of no joint.
@@ -249,6 +269,9 @@ class _Understood:
             or (joint in joints and quantity in quantities)
             or (joint in standing and quantity == "position")
         }
+        beside = [j for j in self._having("position") if j not in (*joints, *standing)]
+        if beside and model is not None:
+            notes.append(f"left out, as the model has no such joint: {listed(beside)}")
         notes += unit_words(sources, self.reading)
         kept = {
             c
