@@ -24,7 +24,7 @@ from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.logs.files import log_content, parts_of
 from geodrake.logs.inspection import LogInspection, inspect_log
 from geodrake.logs.motion import JointLog
-from geodrake.model.logged_joints import model_of_logs
+from geodrake.model.logged_joints import model_of_logs, reading_for
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.json_output import to_json
 from geodrake.report.log_preview import (
@@ -65,9 +65,9 @@ def _run(options: LogCommandOptions) -> None:
     with progress(f"Reading {options.logs[0].name}", quiet=options.quiet) as update:
         model = None if options.model is None else read_model(options.model, options, update)
         joints = None if model is None else model.known_joints
+        reading = options.reading if model is None else reading_for(model, options.reading)
         found = [
-            inspect_log(log, joints=joints, partial=True, reading=options.reading)
-            for log in options.logs
+            inspect_log(log, joints=joints, partial=True, reading=reading) for log in options.logs
         ]
         numbers: dict[str, Any] = {"logs": [inspection_dict(each) for each in found]}
         columns = () if model is None else _columns(model, [each.log for each in found])

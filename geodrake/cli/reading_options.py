@@ -73,6 +73,15 @@ class ReadingOptions:
             rich_help_panel=_PANEL,
         ),
     ] = None
+    passive: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="JOINT",
+            help="A joint without a motor: its bodies and friction need no effort together. "
+            "Repeatable.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
     topic: Annotated[
         list[str] | None,
         typer.Option(
@@ -144,7 +153,9 @@ class ReadingOptions:
                 f"--kind is {' and '.join(of_all)} of all joints.", advice="Write JOINT=KIND."
             )
         named = _pairs("--kind", [part for part in parts if "=" in part], "elbow_joint=current")
-        return dict([*(("", kind) for kind in of_all), *named])
+        passive = [part.strip() for part in ",".join(self.passive or ()).split(",")]
+        without = [(joint, "passive") for joint in passive if joint]
+        return dict([*(("", kind) for kind in of_all), *named, *without])
 
 
 def _pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, str]]:
@@ -162,7 +173,7 @@ def _pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, s
 
 @contextmanager
 def proposing(logs: Sequence[Path]) -> Iterator[None]:
-    """Write a proposed mapping beside a log whose columns are not understood, and say so.
+    """Write a proposed mapping for a log whose columns are not understood, and say so.
 
     Args:
         logs: The logs of the command.
@@ -181,9 +192,9 @@ def proposing(logs: Sequence[Path]) -> Iterator[None]:
 
 
 def _beside(path: Path, logs: Sequence[Path]) -> Path:
-    """Where the proposal for a log goes: files that were joined share one, beside the first."""
+    """Where the proposal for a log goes: the working folder; files that were joined share one."""
     first = Path(str(next((log for log in logs if log.name == path.name), path)).split("+")[0])
-    return first.with_name(f"{first.stem}.mapping.yaml")
+    return Path(f"{first.stem}.mapping.yaml")
 
 
 def _written(target: Path, proposal: str) -> str:

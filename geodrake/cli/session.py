@@ -41,7 +41,7 @@ from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
 from geodrake.logs.files import check_log, parts_of, read_log
 from geodrake.logs.motion import JointLog
-from geodrake.model.logged_joints import holding_resting, model_of_logs
+from geodrake.model.logged_joints import holding_resting, model_of_logs, reading_for
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.json_output import to_json
 from geodrake.report.numbers import Units
@@ -186,7 +186,7 @@ def _read(
     model = read_model(options.model, options, update, extra)
     targets.check([*inputs, model.path])  # a saved model reads another one
     update("Reading the logs")
-    known, reading = model.known_joints, options.reading
+    known, reading = model.known_joints, reading_for(model, options.reading)
     logs = [read_log(log, joints=known, partial=True, reading=reading) for log in options.logs]
     model = model_of_logs(model, logs, hold_resting=_holds_resting(options))
     command.check(model)

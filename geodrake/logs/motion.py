@@ -35,8 +35,11 @@ PARTIAL = ("command", "temperature")
 SIGNAL_KINDS = ("current", "voltage", "pwm")
 """What may be measured of a motor in the place of an effort."""
 
-EFFORT_KINDS = ("effort", *SIGNAL_KINDS)
-"""What efforts may be measured as: N·m or N, A, V, or a share of the supply's voltage."""
+PASSIVE = "passive"
+"""The kind of the efforts of a joint without a motor: they are zero, and nobody measured them."""
+
+EFFORT_KINDS = ("effort", *SIGNAL_KINDS, PASSIVE)
+"""What efforts may be: N·m or N, A, V, a share of the supply's voltage, or none of a motor."""
 
 USUAL_GAIN_DEVIATION = 0.05
 """How well gains of efforts are known where nobody says it, as a share: as torque constants are."""
@@ -135,6 +138,11 @@ class JointLog(Short):
                     f"Log {self.name!r} has {kind!r} as the kind of efforts of {joint!r}.",
                     advice=f"Joints are {', '.join(self.joints)}; kinds {', '.join(EFFORT_KINDS)}.",
                 )
+
+    @property
+    def passive(self) -> tuple[str, ...]:
+        """Joints without a motor, whose bodies and friction need no effort together."""
+        return tuple(j for j in self.joints if self.effort_kinds.get(j) == PASSIVE)
 
     @property
     def gain_deviations(self) -> Array:
@@ -273,6 +281,7 @@ class Trajectory:
         gain_deviations: (n,) how well the gains of the efforts are known.
         bandwidths: Those asked for of efforts and regressors, and of the motion, Hz.
         temperatures: Courses of the joints' temperatures, if there are any.
+        passive: Joints without a motor.
     """
 
     name: str
@@ -287,6 +296,7 @@ class Trajectory:
     gain_deviations: Array | float = 0.0
     bandwidths: tuple[float, float] = (0.0, 0.0)
     temperatures: Temperatures | None = None
+    passive: tuple[str, ...] = ()
 
     @property
     def output_counts(self) -> tuple[int, ...]:

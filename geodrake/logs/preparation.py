@@ -130,6 +130,7 @@ def _prepare(
         log.gain_deviations,
         (bandwidth, motion_bandwidth),
         temperatures,
+        log.passive,
     )
     _check_outputs(uniform, low_pass, sum(trajectory.output_counts))
     dropped = len(uniform.pieces) - len(stretches)

@@ -18,6 +18,7 @@ _RATES = 5.0, 5000.0  # rows a second of a log
 _SLOWEST = 2.0  # s between rows: no log has more
 _MOST_SETS = 5  # of a clock, in a log
 _EVEN = 0.02  # share of the rows before and after, at least, and ten of them
+_REPEATED = 0.05  # share of rows that may have the stamp of the row before
 _GAP = 1.0  # s that are taken to lie between rows before and after a clock was set back
 
 
@@ -68,6 +69,12 @@ def with_clock_set_back(time: Array) -> tuple[Array, tuple[str, ...]]:
         )
         found[rows[k + 1] :] += gap - steps[k]
     return found, tuple(notes)
+
+
+def repeats(time: Array) -> NDArray[np.bool_]:
+    """Return which of the time stamps (N,) are that of the row before; none if many are."""
+    same = np.concatenate([[False], np.diff(time) == 0.0])
+    return same & (np.count_nonzero(same) <= _REPEATED * len(time))
 
 
 def check_time(name: str, time: Array) -> None:

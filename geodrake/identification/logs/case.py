@@ -37,7 +37,7 @@ from geodrake.logs.smoothing import Segment
 from geodrake.logs.uniform_log import make_uniform
 from geodrake.logs.unit_hints import effort_unit_hint, position_unit_hint
 from geodrake.model.carried_payloads import joints_with_known_gain, payload_notes
-from geodrake.model.logged_joints import holding_resting, log_of_model
+from geodrake.model.logged_joints import holding_resting, log_of_model, reading_for
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -309,8 +309,11 @@ def series(
 
 def _matched(model: RobotModel, logs: Sequence[JointLog | str | Path]) -> list[JointLog]:
     """Return logs, read if they are files, joints in the model's order, each of its own name."""
+    known, reading = model.known_joints, reading_for(model)
     read = [
-        log if isinstance(log, JointLog) else read_log(log, joints=model.known_joints, partial=True)
+        log
+        if isinstance(log, JointLog)
+        else read_log(log, joints=known, partial=True, reading=reading)
         for log in logs
     ]
     matched = [log_of_model(log, model) for log in read]
@@ -367,12 +370,15 @@ def _check_efforts(logs: Sequence[JointLog]) -> None:
         lowest = log.effort.min(axis=0, initial=np.inf, where=known)
         largest = np.maximum(np.abs(highest), np.abs(lowest))
         constant = highest - np.maximum(1e-9 * largest, _LEAST_EFFORT) <= lowest
-        constant &= known.any(axis=0)
+        constant &= known.any(axis=0) & ~np.isin(log.joints, log.passive)
         if constant.any():
             joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
+            zero = [joint for joint in joints if largest[log.joints.index(joint)] == 0.0]
             raise LogError(
                 f"The effort of {', '.join(joints)} never changes in log {log.name!r}.",
-                advice="Check what is logged there.",
+                advice=f"It is 0. Has the joint no motor? Then say so: --passive {zero[0]}."
+                if zero
+                else "Check what is logged there.",
                 joints=joints,
             )
 

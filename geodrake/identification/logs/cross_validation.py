@@ -34,7 +34,9 @@ _ROUNDING = 1e-12  # by which a parameter may be beyond its bound
 class HeldOut:
     """Held-out squared errors."""
 
-    sse: Array  # (F, nv) sums of squared held-out residuals, (N·m)² or N²
+    # (F, nv) sums of squared held-out residuals, (N·m)² or N²; of joints without motors those of
+    # accelerations times the inertia that the model gave the joint before.
+    sse: Array
     samples: NDArray[np.int_]  # (F, nv) rows behind them
     x: Array  # (F, p) parameters fitted without each fold
 
@@ -63,7 +65,7 @@ def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0) 
         n = len(data.columns)
         predicted = (data.factors[:, :, :n] @ data.parameters(columns, x)[..., None])[..., 0]
         sse[:, j] = np.square(data.factors[:, :, n + late] - predicted).sum(1)
-    return HeldOut(sse, dataset.samples, x)
+    return HeldOut(sse / dataset.inertias(columns, x).T ** 2, dataset.samples, x)
 
 
 def normal_matrices(
@@ -128,7 +130,7 @@ class CrossValidation:
     def _whole(self) -> tuple[Array, Array]:
         """Normal matrix (p, p) and right side (p,) of all folds with the prior."""
         (gram, rhs), prior = self._own, self.unknowns.information
-        return gram.sum(0) + prior, rhs.sum(0) + prior @ self.unknowns.mean
+        return gram.sum(0) + prior, rhs.sum(0) + prior @ self.unknowns.mean + self.unknowns.pull
 
     @property
     def is_physical(self) -> bool:

@@ -15,7 +15,7 @@ from geodrake.errors import LogError
 from geodrake.identification.logs.dataset import Dataset, Indices, JointData, JointRows
 from geodrake.identification.logs.log_slices import Layout, LogSlice
 from geodrake.identification.logs.noise import known_noise
-from geodrake.identification.logs.nominal_efforts import effort_scale
+from geodrake.identification.logs.nominal_efforts import effort_scale, passive_inertia
 from geodrake.identification.logs.shared_rows import SharedRows
 from geodrake.identification.logs.unknowns import payload_reference
 from geodrake.inertia import PARAMETERS_PER_BODY
@@ -92,6 +92,7 @@ def reduce_logs(
         payload_reference(model.phi),
         gain_uncertainty(model, trajectories),
         known,
+        passive_inertia(model, layout.tree, trajectories),
     )
 
 
@@ -258,7 +259,7 @@ def effort_deviation(joints: Sequence[str], data: Sequence[JointData]) -> Array:
     sums = np.array([joint.effort_sums.sum(axis=0) for joint in data])
     mean, power = sums.T / np.maximum(count, 1)
     deviation = np.sqrt(np.maximum(power - mean**2, 0.0))
-    constant = (count > 0) & (deviation <= LEAST_DEVIATION * np.sqrt(power))
+    constant = (power > 0) & (deviation <= LEAST_DEVIATION * np.sqrt(power))
     for joint, value, stuck in zip(joints, mean.tolist(), constant.tolist(), strict=True):
         if stuck:
             raise LogError(

@@ -10,7 +10,7 @@ from pathlib import Path
 from geodrake.errors import LogError
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.units import Unit
-from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
+from geodrake.logs.motion import EFFORT_KINDS, PASSIVE, QUANTITIES
 
 HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
 _MOST_COLUMNS = 10_000  # ten times more than a robot of a hundred joints has
@@ -57,6 +57,7 @@ class Columns:
         rate: Rows a second, Hz, where there is no column of time.
         reading: How the user said that the file is to be read.
         standing: Further joints, of which there is the position alone.
+        passive: Joints among them without a motor, which need no column of efforts.
         others: Joint -> further columns that could be taken for its efforts, or in their place.
         origin: Since when time is, ns since 1970, if that is known.
     """
@@ -69,6 +70,7 @@ class Columns:
     rate: float | None = None
     reading: Reading = field(default_factory=Reading)
     standing: tuple[str, ...] = ()
+    passive: tuple[str, ...] = ()
     others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     origin: int | None = None
 
@@ -76,6 +78,7 @@ class Columns:
     def kinds(self) -> dict[str, str]:
         """Joint -> what is in the place of its efforts, where it has none."""
         found = {j: self.sources[f"{j}.effort"].kind for j in self.joints if self.has(j, "effort")}
+        found |= dict.fromkeys(self.passive, PASSIVE)
         return {joint: kind for joint, kind in found.items() if kind != "effort"}
 
     def has(self, joint: str, quantity: str) -> bool:

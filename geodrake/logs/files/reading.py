@@ -98,6 +98,7 @@ class Reading:
             time; None for what fits.
         episode: Episode of a dataset; None for all of them, one after the other.
         ignored: Columns that are not used.
+        motorless: Joints that are passive where a log has no effort of them, or zeros alone.
 
     Raises:
         ArgumentError: A rate, gain or deviation is no such number, or a unit or kind is not known.
@@ -114,6 +115,7 @@ class Reading:
     gain_deviations: Mapping[str, float] = field(default_factory=dict)
     kinds: Mapping[str, str] = field(default_factory=dict)
     ignored: frozenset[str] = frozenset()
+    motorless: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", instances(self.columns, "columns", str))

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from itertools import zip_longest
 
 from geodrake.logs.files.units import Unit, find_unit
-from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, QUANTITIES, SIGNAL_KINDS
+from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, PASSIVE, QUANTITIES, SIGNAL_KINDS
 
 Words = tuple[str | int, ...]
 
-OF_JOINTS = (*QUANTITIES, *SIGNAL_KINDS)
+OF_JOINTS = (*QUANTITIES, *SIGNAL_KINDS, PASSIVE)
 """What a column of a joint may be."""
 
 QUANTITY_WORDS: Mapping[str, str] = {
@@ -195,8 +195,9 @@ def _time(name: str) -> Meaning | None:
         unit = find_unit(parts[-1], "time")
         plain = "_".join(parts[:-1]) if unit else plain
     words = _split(plain)
-    if not words or not _BESIDE_TIME.issuperset(words):
+    if not words or not (_BESIDE_TIME | ROLE_WORDS.keys()).issuperset(words):
         return None
+    asked = DESIRED in (ROLE_WORDS[w] for w in words if w in ROLE_WORDS)  # by a plan's clock
     context = tuple(map(str, words[:-1]))
     if words[-1] in _NANOSECONDS:
         return Meaning(name, "nanoseconds", style=context)
@@ -205,6 +206,7 @@ def _time(name: str) -> Meaning | None:
     if name.startswith("%"):
         unit = find_unit("ns", "time")  # of `rostopic echo -p`
     rank = 0 if "header" in words else 1 if not name.startswith(("_", "%")) else 2
+    rank += 3 * asked
     return Meaning(name, "time", role=1 + rank, unit=unit, style=context)
 
 

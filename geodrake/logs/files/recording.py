@@ -11,8 +11,8 @@ from geodrake.errors import LogError
 from geodrake.logs.files.column_names import Columns, Source
 from geodrake.logs.files.room import check_room
 from geodrake.logs.files.torn_rows import TornRows
-from geodrake.logs.motion import JointLog
-from geodrake.logs.time_stamps import time_unit, with_clock_set_back
+from geodrake.logs.motion import PASSIVE, JointLog
+from geodrake.logs.time_stamps import repeats, time_unit, with_clock_set_back
 
 Array = NDArray[np.float64]
 
@@ -93,8 +93,14 @@ class Recording:
             self.time[:rows] = np.arange(rows) / self.columns.rate
         time, notes = self._seconds(self.time[:rows])
         time, more = with_clock_set_back(time)
+        again = repeats(time)
+        if again.any():
+            time = np.where(again, np.nan, time)
+            more += (f"{again.sum()} rows with the time of the row before left out",)
         kept, torn = self.torn.settle(time)
+        kept = ~again if kept is None and again.any() else kept
         values = {quantity: numbers[:rows] for quantity, numbers in self.values.items()}
+        kinds, more_notes = self._without_motors(values["effort"])
         if kept is not None:
             time = time[kept]
             values = {quantity: numbers[kept] for quantity, numbers in values.items()}
@@ -106,14 +112,32 @@ class Recording:
             values["effort"],
             values.get("velocity"),
             values.get("acceleration"),
-            (*self.columns.notes, *notes, *more, *torn),
-            effort_uncertainty=self.columns.reading.effort_uncertainty(self.columns.joints),
+            (*self.columns.notes, *notes, *more, *more_notes, *torn),
+            effort_uncertainty=self._uncertainty(kinds),
             standing={joint: self._place(joint, rows) for joint in self._standing},
             command=values.get("command"),
-            effort_kinds=self.columns.kinds,
+            effort_kinds=kinds,
             temperature=values.get("temperature"),
             origin=self.columns.origin,
         )
+
+    def _without_motors(self, effort: Array) -> tuple[dict[str, str], list[str]]:
+        """Return the kinds of efforts, with zeros (N, n) at joints without a motor, and notes."""
+        kinds, notes = self.columns.kinds, []
+        for at, joint in enumerate(self.columns.joints):
+            if joint in self.columns.reading.motorless and not np.nan_to_num(effort[:, at]).any():
+                kinds[joint] = PASSIVE
+                notes.append(f"{joint} has no motor by the model, and no effort here: passive")
+            if kinds.get(joint) == PASSIVE:
+                effort[:, at] = 0.0
+        return kinds, notes
+
+    def _uncertainty(self, kinds: Mapping[str, str]) -> float | Array:
+        """Return how well gains of efforts are known; zeros of passive joints are exact."""
+        joints = self.columns.joints
+        found = self.columns.reading.effort_uncertainty(joints)
+        passive = np.array([kinds.get(joint) == PASSIVE for joint in joints])
+        return np.where(passive, 0.0, found) if passive.any() else found
 
     def _place(self, joint: str, rows: int) -> float:
         """Return where a joint stands whose effort is not there; NaN if it moves."""

@@ -136,7 +136,7 @@ def text_layout(
     names = _renamed(path, reading, cells) if reading.columns else None
     names = names or _names_in_comment(cells, comment)
     if names is None and not (numbered or reading.mapping):
-        proposal = proposed_mapping(path, cells, joints, headed=False)
+        proposal = proposed_mapping(path, cells, joints, headed=False, motorless=reading.motorless)
         raise with_proposal(_no_header(path, cells), path, proposal)
     names = names or [str(k) for k in range(1, len(cells) + 1)]
     return _with_contents(TextLayout(tuple(names), separator, decimal, count), chain([first], rest))

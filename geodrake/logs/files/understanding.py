@@ -25,7 +25,7 @@ from geodrake.logs.files.reading import ColumnMapping, Reading
 from geodrake.logs.files.recognition import OF_JOINTS, Meaning, meaning_of, words_of
 from geodrake.logs.files.signal_columns import candidates, check_kind, effort_source
 from geodrake.logs.files.units import Unit, find_unit, unit_of
-from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, QUANTITIES, check_joints
+from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, PASSIVE, QUANTITIES, check_joints
 
 _MAPPING_ADVICE = "Or say which column is what by --mapping."
 
@@ -66,7 +66,8 @@ def columns_of(
     try:
         own, standing = understood.joints(joints, partial=partial)
     except LogError as error:
-        raise with_proposal(error, path, proposed_mapping(path, names, joints)) from error
+        proposal = proposed_mapping(path, names, joints, motorless=reading.motorless)
+        raise with_proposal(error, path, proposal) from error
     return understood.columns(own, standing, joints)
 
 
@@ -132,6 +133,9 @@ class _Understood:
         """What a mapping says."""
         places = {}
         for name, mapped in mapping:
+            if name.endswith(".effort") and mapped.column == PASSIVE and PASSIVE not in names:
+                places[name.removesuffix(".effort"), PASSIVE] = Source(PASSIVE)
+                continue
             column, (joint, _, quantity) = mapped.column, name.rpartition(".")
             if isinstance(column, int):  # by number, unless that is a name
                 by_number = names[column - 1] if 0 < column <= len(names) else str(column)
@@ -199,7 +203,7 @@ class _Understood:
                 + f"{HEADER_ADVICE} Without time, give the rows a second by --rate.",
             )
         moved = self._of_model(self._having("position"), wanted)
-        heard = {*self._having("effort", "command")}
+        heard = {*self._having("effort", "command"), *self._passive(moved)}
         silent = [joint for joint in moved if joint not in heard]
         if len(silent) == len(moved):
             raise LogError(
@@ -262,11 +266,17 @@ class _Understood:
                 quantities.append(quantity)
             elif len(missing) < len(joints):
                 notes.append(f"{quantity} is not used: there is no {listed(missing)}")
+        passive = self._passive(joints)
+        if said := [joint for joint in passive if joint not in self.reading.motorless]:
+            notes.append(f"no motor at {listed(said)}: bodies and friction need no effort there")
         sources = {
             quantity if quantity == "time" else f"{joint}.{quantity}": self._scaled(joint, quantity)
             for joint, quantity in self.places
             if quantity == "time"
-            or (joint in joints and quantity in quantities)
+            or (
+                (joint in joints and quantity in quantities)
+                and not (joint in passive and quantity == "effort")
+            )
             or (joint in standing and quantity == "position")
         }
         beside = [j for j in self._having("position") if j not in (*joints, *standing)]
@@ -290,8 +300,20 @@ class _Understood:
             self.rate,
             self.reading,
             tuple(standing),
+            self._passive(joints),
             self.others,
             self.origin,
+        )
+
+    def _passive(self, joints: Sequence[str]) -> tuple[str, ...]:
+        """Those of some joints without a motor, as the log, the user or the model says."""
+        heard, said = self._having("effort", "command"), self._having(PASSIVE)
+        return tuple(
+            joint
+            for joint in joints
+            if joint in said
+            or self.reading.kinds.get(joint) == PASSIVE
+            or (joint in self.reading.motorless and joint not in heard)
         )
 
     def _having(self, *quantities: str) -> list[str]:
@@ -325,7 +347,7 @@ class _Understood:
                 )
         for joint in joints:
             kind = self.reading.kind_of(joint)
-            if kind is not None and joint not in (told if kind == "command" else heard):
+            if kind not in (None, PASSIVE) and joint not in (told if kind == "command" else heard):
                 if joint not in self.reading.kinds:
                     continue  # said of all joints that have it
                 raise LogError(
