@@ -135,7 +135,11 @@ def _prepare(
     _check_outputs(uniform, low_pass, sum(trajectory.output_counts))
     dropped = len(uniform.pieces) - len(stretches)
     if dropped:
-        note = f"left out {dropped} of {len(uniform.pieces)} pieces: still, or short for the filter"
+        lost = uniform.seconds - sum(len(s.piece) * period for s in stretches)
+        note = (
+            f"left out {dropped} of {len(uniform.pieces)} pieces, {lost:.3g} of "
+            f"{uniform.seconds:.3g} s: still, or short for the filter"
+        )
         return replace(trajectory, notes=(*notes, note))
     return trajectory
 

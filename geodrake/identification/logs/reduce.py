@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -73,7 +73,8 @@ def reduce_logs(
     further = np.array([np.broadcast_to(delay, len(model.joints)) for delay in delays])
     data = reduced_joints(layout, trajectories, folds, list(further + model.delays), shared)
     _check_moving(model.joints, data)
-    deviation = effort_deviation(model.joints, data)
+    passive = {joint for trajectory in trajectories for joint in trajectory.passive}
+    deviation = effort_deviation(model.joints, data, passive)
     floor, known = noise or known_noise(
         trajectories, model, sign_width=layout.sign_width, fitted=fitted
     )
@@ -245,12 +246,15 @@ def _slices(
         first += outputs
 
 
-def effort_deviation(joints: Sequence[str], data: Sequence[JointData]) -> Array:
+def effort_deviation(
+    joints: Sequence[str], data: Sequence[JointData], passive: Collection[str] = ()
+) -> Array:
     """(nv,) standard deviation of the measured efforts, N·m or N; 0 of a joint at rest.
 
     Args:
         joints: Their names.
         data: What logs say about each.
+        passive: Those without a motor.
 
     Raises:
         LogError: The effort of a joint that moves never changes: its sensor has nothing to say.
@@ -259,7 +263,8 @@ def effort_deviation(joints: Sequence[str], data: Sequence[JointData]) -> Array:
     sums = np.array([joint.effort_sums.sum(axis=0) for joint in data])
     mean, power = sums.T / np.maximum(count, 1)
     deviation = np.sqrt(np.maximum(power - mean**2, 0.0))
-    constant = (power > 0) & (deviation <= LEAST_DEVIATION * np.sqrt(power))
+    constant = (count > 0) & (deviation <= LEAST_DEVIATION * np.sqrt(power))
+    constant &= ~np.isin(joints, list(passive))
     for joint, value, stuck in zip(joints, mean.tolist(), constant.tolist(), strict=True):
         if stuck:
             raise LogError(

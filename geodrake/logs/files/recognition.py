@@ -197,7 +197,7 @@ def _time(name: str) -> Meaning | None:
     words = _split(plain)
     if not words or not (_BESIDE_TIME | ROLE_WORDS.keys()).issuperset(words):
         return None
-    asked = DESIRED in (ROLE_WORDS[w] for w in words if w in ROLE_WORDS)  # by a plan's clock
+    asked = DESIRED in (ROLE_WORDS.get(str(w)) for w in words)  # by a plan's clock
     context = tuple(map(str, words[:-1]))
     if words[-1] in _NANOSECONDS:
         return Meaning(name, "nanoseconds", style=context)
