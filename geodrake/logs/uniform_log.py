@@ -19,7 +19,7 @@ from geodrake.logs.unit_hints import row_order_hint
 Array = NDArray[np.float64]
 
 _GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer time step is a gap, a shorter one is jitter
-# Where gaps of that length would leave more than this share of the time in pieces shorter than this,
+# Where gaps of that length leave more than this share of the time in pieces shorter than this,
 # s, stamps are uneven, and steps of up to so many seconds are bridged.
 _MOST_SCRAPS, _SCRAP, _LONGEST_BRIDGE = 0.2, 2.0, 0.2
 _LEAST_ROWS = 8  # of a piece worth resampling
