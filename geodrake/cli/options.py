@@ -396,6 +396,14 @@ class LogCommandOptions(ReadingOptions, ModelOptions):
         Path | None,
         typer.Option(metavar="FILE.png", help="Draw positions and efforts over time."),
     ] = None
+    write_mapping: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.yaml",
+            help="Write a mapping that reads the log so, with what is wrong in its columns "
+            "corrected where a mapping can say it.",
+        ),
+    ] = None
     json: JsonFile = None
     quiet: Quiet = False
     debug: Debug = False

@@ -19,7 +19,7 @@ from geodrake.logs.filtering import (
 from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.smoothing import Segment, Stretch, smooth_pieces
 from geodrake.logs.temperatures import Temperatures
-from geodrake.logs.uniform_log import UniformLog, make_uniform
+from geodrake.logs.uniform_log import UniformLog, make_uniform, naming_log
 from geodrake.logs.unit_hints import position_unit_hint
 from geodrake.logs.white_noise import quiet_density
 
@@ -83,7 +83,11 @@ def prepare_logs(
         how = "chosen from the data"
         bandwidth = motion_bandwidth_of(uniform)
     sharp = motion_bandwidth or _SHARPER * bandwidth
-    return tuple(_prepare(each, bandwidth, sharp, how) for each in uniform)
+    found = []
+    for each in uniform:
+        with naming_log(each.log):
+            found.append(_prepare(each, bandwidth, sharp, how))
+    return tuple(found)
 
 
 def motion_bandwidth_of(uniform: Sequence[UniformLog], *, time_scale: float = 1.0) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -86,6 +87,17 @@ class UniformLog:
         return found if is_one else np.nan
 
 
+@contextmanager
+def naming_log(log: JointLog) -> Iterator[None]:
+    """Say in errors which log they are of, as `evidence["log"]`: others may be used without it."""
+    try:
+        yield
+    except LogError as error:
+        raise LogError(
+            error.problem, advice=error.advice, **{**error.evidence, "log": log.name}
+        ) from error
+
+
 def make_uniform(log: JointLog) -> UniformLog:
     """Split a log at gaps and empty cells, and find its period, its noise and what moves.
 
@@ -94,6 +106,11 @@ def make_uniform(log: JointLog) -> UniformLog:
             too rarely, as one with time in milliseconds seems to be, or too often, has time stamps
             of too few digits, no rows in a row, or a sensor that failed for good.
     """
+    with naming_log(log):
+        return _uniform(log)
+
+
+def _uniform(log: JointLog) -> UniformLog:
     if (hint := row_order_hint(log)) is not None:
         raise LogError(
             hint,

@@ -79,6 +79,7 @@ _BESIDE_TIME = _TIMES | _NANOSECONDS | {"header", "ros", "rostime", "elapsed", "
 _BESIDE_TIME |= {"joint", "states", "state", "robot", "system", "log", "msg", "field", "seconds"}
 _TURNS = {"pos_estimate": "rev", "vel_estimate": "rev/s", "input_pos": "rev"}  # of ODrive
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
+_SECOND = re.compile(r"(?<![A-Za-z])(q2d|qd2|d2q)(?![a-z])")  # second derivatives
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
 _LONGEST_NAME = 200  # letters of a name of words
@@ -212,7 +213,7 @@ def _time(name: str) -> Meaning | None:
 
 def _joint(column: str) -> Meaning | None:
     """Names of a quantity of a joint, in whatever order."""
-    name = _INDEX.sub(r"_\1", column)
+    name = _INDEX.sub(r"_\1", _SECOND.sub("qdd", column))
     brackets = _BRACKETS.search(name)
     cut = brackets.start() if brackets else len(name)
     parts = [part for part in name[:cut].split("/") if part] or [name]

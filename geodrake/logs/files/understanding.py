@@ -196,7 +196,7 @@ class _Understood:
             LogError: Time, a position, an effort and what may stand for it, or a joint is missing.
         """
         if self.rate is None and ("", "time") not in self.places:
-            close = difflib.get_close_matches("time", [n.lower() for n in self.names[:100]], 1, 0.4)
+            close = difflib.get_close_matches("time", [n.lower() for n in self.names[:100]], 1)
             raise LogError(
                 f"Log {str(self.path)!r} has no column 'time'; it has {listed(self.names)}.",
                 advice=(f"Is it {close[0]!r}? " if close else "")
