@@ -11,7 +11,7 @@ import pytest
 from typer.main import get_command
 
 from geodrake import load_model, save_model
-from geodrake.cli.app import app
+from geodrake.cli.app import EXAMPLES, app
 
 README = Path(__file__).parents[1] / "README.md"
 TEXT = README.read_text(encoding="utf-8") if README.is_file() else ""
@@ -83,6 +83,15 @@ def test_options_of_files_are_those_of_the_page_of_commands():
     assert all("save" in commands[name] for name in named[saving])
     refusing = {"identifiable"}  # which says why it cannot
     assert not any("save" in commands[name] for name in named[none] - refusing)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_examples_of_help_have_options_that_are_there(name):
+    command = get_command(app).commands[name]
+    options = {option for param in command.params for option in param.opts}
+    for example in EXAMPLES[name]:
+        assert f"geodrake {name} {example}" in command.epilog
+        assert {word for word in example.split() if word.startswith("--")} <= options
 
 
 def test_links_lead_somewhere():

@@ -15,7 +15,7 @@ from geodrake.errors import ArgumentError, LogError, OutputError
 if TYPE_CHECKING:
     from geodrake.logs.files import Reading
 
-_PANEL = "How logs are read"
+_PANEL = "Logs"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class ReadingOptions:
         typer.Option(
             metavar="FILE.yaml",
             help="Which column is what. Where names are not understood, a proposal to edit is "
-            "written beside the log.",
+            "written into the working folder.",
             rich_help_panel=_PANEL,
         ),
     ] = None
