@@ -48,9 +48,6 @@ def write_together(contents: Mapping[Path, Content]) -> None:
     Interrupts wait until the files are there; one that comes before the first is renamed leaves
     none of them.
 
-    Args:
-        contents: Target -> what goes into it.
-
     Raises:
         OutputError: One cannot be written; what was there is as it was.
     """
@@ -88,9 +85,6 @@ def write_new(path: Path, content: Content, beside: Mapping[Path, Content]) -> b
 @contextmanager
 def made_folder(path: Path) -> Iterator[None]:
     """Make a folder, and those above it, unless they are there; none stays empty after an error.
-
-    Args:
-        path: The folder.
 
     Raises:
         OutputError: It cannot be made.

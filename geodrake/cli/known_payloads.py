@@ -49,11 +49,6 @@ def known_payloads(
 ) -> dict[Path, tuple[KnownPayload, ...]]:
     """Log -> its known payloads, of logs that have some.
 
-    Args:
-        files: The files of the logs.
-        given: As in `with_known_payloads`.
-        model: The robot.
-
     Raises:
         ArgumentError: One cannot be read, or names no log, no body or no mass.
     """

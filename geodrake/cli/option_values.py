@@ -31,11 +31,6 @@ def split_effects(given: Sequence[Path] | None) -> tuple[list[Path], list[str]]:
 def joint_values(text: str, model: RobotModel, option: str) -> Array:
     """(nv,) values from `0.1`, which is for all joints, or `a=0.1,b=0.2`.
 
-    Args:
-        text: What the option was given.
-        model: The robot.
-        option: Name of the option, for messages.
-
     Raises:
         ArgumentError: It is neither, or names a joint that there is not, or leaves one out.
     """

@@ -175,9 +175,6 @@ def _pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, s
 def proposing(logs: Sequence[Path]) -> Iterator[None]:
     """Write a proposed mapping for a log whose columns are not understood, and say so.
 
-    Args:
-        logs: The logs of the command.
-
     Raises:
         LogError: What the body raised, with where the proposal is.
     """

@@ -79,13 +79,7 @@ def make_console(*, stderr: bool = False) -> Console:
 
 
 def show_comparison(console: Console, comparison: Comparison, units: Units) -> None:
-    """Errors per joint, and where they are concentrated.
-
-    Args:
-        console: Where to print.
-        comparison: The result.
-        units: Units of the joints and effects of the model.
-    """
+    """Errors per joint, and where they are concentrated."""
     head(console, f"Error of the model as it stands, {units.effort()}")
     show_table(console, errors_table({"RMS": comparison.errors}, units))
     say(console, "Worst joint", worst_words(comparison.errors, unit=units.effort()))
@@ -95,13 +89,7 @@ def show_comparison(console: Console, comparison: Comparison, units: Units) -> N
 
 
 def show_diagnosis(console: Console, diagnosis: Diagnosis, units: Units) -> None:
-    """Candidates from the best on, with the evidence.
-
-    Args:
-        console: Where to print.
-        diagnosis: The result.
-        units: Units of the joints and effects of the model.
-    """
+    """Candidates from the best on, with the evidence."""
     start, refitted = number(diagnosis.start.nrms), number(diagnosis.refitted.nrms)
     found = "Missing effects" if diagnosis.candidates else "No effect found"
     head(console, f"{found}; nrms {start} as it stands, {refitted} with parameters refitted")
@@ -141,13 +129,7 @@ def show_explanation(
 
 
 def show_addition(console: Console, explanation: Explanation, units: Units) -> None:
-    """The same for an effect that was asked for, whatever the evidence for it.
-
-    Args:
-        console: Where to print.
-        explanation: The result of `add`.
-        units: Units of the joints and effects of the model.
-    """
+    """The same for an effect that was asked for, whatever the evidence for it."""
     _show_steps(console, explanation, units)
     say(console, "Result", addition_verdict(explanation, units))
     _show_change(console, explanation, units)
@@ -243,24 +225,13 @@ def _lines(console: Console, cell: Cell) -> Text:
 
 
 def head(console: Console, words: str) -> None:
-    """A heading after an empty line.
-
-    Args:
-        console: Where to print.
-        words: The heading.
-    """
+    """A heading after an empty line."""
     console.print()
     console.print(console.render_str(words, style="bold"), soft_wrap=True)
 
 
 def say(console: Console, head: str, sentence: str) -> None:
-    """A paragraph; in a pipe it stays one line.
-
-    Args:
-        console: Where to print.
-        head: Bold words before the sentence.
-        sentence: The paragraph.
-    """
+    """A paragraph; in a pipe it stays one line."""
     text = Text.assemble((f"{head}: ", "bold"), console.render_str(sentence))
     console.print()
     console.print(text, soft_wrap=not console.is_terminal)

@@ -61,9 +61,6 @@ class Targets:
     def check(self, inputs: Iterable[Path]) -> None:
         """Refuse targets that cannot be written or that would overwrite something else.
 
-        Args:
-            inputs: Files that the command reads.
-
         Raises:
             OutputError: A target has another kind's suffix, is an input or another target, is no
                 regular file, or its folder is missing or cannot be written to.

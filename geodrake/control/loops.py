@@ -84,21 +84,13 @@ class AdaptiveLoop:
         return self.robot
 
     def context(self, diagram: Diagram) -> Context:
-        """A default Context of the finished diagram, with the robot at the start of the motion.
-
-        Args:
-            diagram: What the builder built.
-        """
+        """A default Context of the finished diagram, with the robot at the start of the motion."""
         context = diagram.CreateDefaultContext()
         self.set_start(context)
         return context
 
     def set_start(self, root: Context) -> None:
-        """Puts the robot where its motion starts, and nothing else.
-
-        Args:
-            root: Context of the finished diagram.
-        """
+        """Puts the robot where its motion starts, and nothing else."""
         robot, joints = self._robot, self.controller.control.joints
         source = self.desired_state.get_system()
         desired = self.desired_state.Eval(source.GetMyContextFromRoot(root))
@@ -216,10 +208,6 @@ def check_base(robot: RobotInstance, controller: AdaptiveController) -> None:
 
     A controller whose model has an effect of the whole robot may know by it that the base leans,
     and is believed.
-
-    Args:
-        robot: The robot in a plant.
-        controller: A controller.
 
     Raises:
         ArgumentError: It is another robot, or its base leans otherwise, or moves; or the

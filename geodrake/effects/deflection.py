@@ -147,10 +147,6 @@ class DeflectionEffect(JointEffect):
     def with_rollout_values(self, values: Values, deviations: Values) -> FittedEffect:
         """The effect with some `rollout_values`.
 
-        Args:
-            values: Values by name.
-            deviations: Their standard deviations.
-
         Raises:
             NotImplementedError: There are such values, and the class does not say.
         """

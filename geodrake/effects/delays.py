@@ -14,12 +14,7 @@ from geodrake.effects.role import Role
 
 
 def delays_of(effects: Sequence[Effect], joints: Sequence[str]) -> Array:
-    """(n,) delays, s, that some effects make together at n joints.
-
-    Args:
-        effects: Effects, some of which may be delays.
-        joints: Names of the n joints.
-    """
+    """(n,) delays, s, that some effects make together at n joints."""
     delays = np.zeros(len(joints))
     for effect in effects:
         if effect.role is Role.DELAY:

@@ -88,12 +88,7 @@ def sign_slope(sign_v: Array, width: float | Array) -> Array:
 def difference_slopes(
     columns: Callable[[JointMotion], Sequence[ArrayLike]], joint: JointMotion
 ) -> list[dict[str, Array]]:
-    """Central differences of columns with respect to every field of a joint's motion.
-
-    Args:
-        columns: The effect's columns at a motion of its joint.
-        joint: N samples of the joint.
-    """
+    """Central differences of columns with respect to every field of a joint's motion."""
     slopes: list[dict[str, Array]] = [{} for _ in columns(joint)]
     for name in _FIELDS:
         values = getattr(joint, name)

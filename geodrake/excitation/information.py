@@ -54,9 +54,6 @@ class Objective(Short):
     def factor(self, measurement: Measurement) -> Array:
         """(N m, n_B) A K, the whitened and normalized regressor of a motion.
 
-        Args:
-            measurement: What `target.measure` made of the motion.
-
         Raises:
             ArgumentError: There are fewer measurements than base parameters.
         """

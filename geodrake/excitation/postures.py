@@ -91,13 +91,6 @@ def possible_postures(
 ) -> Array:
     """(n, nv) postures by joint that a robot can hold, the middle of its ranges first if it can.
 
-    Args:
-        model: The robot.
-        limits: Its limits.
-        collisions: What it may not hit.
-        seed: Of the random postures.
-        most: So many are enough, the nearest to the middle.
-
     Raises:
         ArgumentError: No posture can be held; the message says why.
     """

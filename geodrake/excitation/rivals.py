@@ -99,12 +99,7 @@ def make_rival(
 
 
 def known_sizes(model: RobotModel, effects: Sequence[Effect]) -> dict[Effect, Array]:
-    """Parameters of those effects that the model has, unless they are zero.
-
-    Args:
-        model: The robot, with the effects that were fitted.
-        effects: Effects to look up.
-    """
+    """Parameters of those effects that the model has, unless they are zero."""
     values = {fitted.effect: fitted.parameters for fitted in model.effects}
     return {e: values[e] for e in effects if e in values and np.any(values[e])}
 

@@ -108,10 +108,6 @@ class Separation(Objective):
         """(N, nv) effort of the truth of a pair, and the most that its rival makes of it.
 
         Of several robots, that one's which the rival explains worst.
-
-        Args:
-            motion: N samples by joint.
-            pair: Index of the pair in `pairs`.
         """
         measurement = self.target.measure(motion)
         solutions = self._solve(measurement)[1][pair]

@@ -95,11 +95,6 @@ class ExcitationTrajectory(Short):
     def log(self, model: RobotModel, *, rate: float = 100.0, name: str = "excitation") -> JointLog:
         """The motion as a log, with the efforts that the model predicts.
 
-        Args:
-            model: The robot.
-            rate: Samples a second.
-            name: Name of the log.
-
         Raises:
             ArgumentError: The samples do not follow each other in time, or the rate is not
                 positive.

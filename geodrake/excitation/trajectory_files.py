@@ -70,10 +70,6 @@ def ros_joint_trajectory(trajectory: ExcitationTrajectory, *, rate: float = 100.
 
     Efforts are left empty, since position and velocity controllers refuse them.
 
-    Args:
-        trajectory: The motion.
-        rate: Points a second.
-
     Raises:
         ArgumentError: The samples do not follow each other in time, or the rate is not positive.
     """
@@ -115,9 +111,6 @@ def drake_trajectory(trajectory: ExcitationTrajectory) -> str:
 
 def read_drake_trajectory(path: str | Path) -> BsplineTrajectory:
     """A motion that was written to `.drake.yaml`.
-
-    Args:
-        path: The file.
 
     Returns:
         The positions in Drake's order over time, s.

@@ -163,12 +163,7 @@ class RobotSearch(Short):
         return calc_change_evidence(state.fit, self.history.days, self.hypotheses, scale)
 
     def instead(self, state: SearchState, others: Sequence[ChangePlace]) -> ChangeEvidence:
-        """What logs say for a change beside some of a state's, where logs are as odd as in it.
-
-        Args:
-            state: The logs with all changes.
-            others: Those of the changes that stay.
-        """
+        """What logs say for a change beside some of a state's, where logs are as odd as in it."""
         fit = self.model.with_changes(state.fit, self.design(others))
         return self.evidence(replace(state, fit=fit))
 
@@ -236,10 +231,6 @@ class RobotSearch(Short):
         Either that of all changes that there may be, with logs that are odd without one; or that of
         this very one, and what such logs lose without it. It is never more than if all logs on one
         side of the change were something else, of which one in so many is: `ODD_SHARE`.
-
-        Args:
-            places: The changes.
-            at: Which of them.
         """
         others = [*places[:at], *places[at + 1 :]]
         without = self.state(others)

@@ -216,11 +216,7 @@ class Digest(Short):
         return found
 
     def of_log(self, log: int) -> Digest:
-        """The digest of one of the logs of a merged one; peaks stay those of all.
-
-        Args:
-            log: Index of the log.
-        """
+        """The digest of one of the logs of a merged one; peaks stay those of all."""
         kept = np.flatnonzero(self.block_logs == log)
         return replace(
             self,
@@ -276,11 +272,6 @@ def merge(digests: Sequence[Digest]) -> Digest:
 
 def check_same(own: DigestSettings, others: DigestSettings, what: str) -> None:
     """Refuse digests that do not add up.
-
-    Args:
-        own: Settings of one.
-        others: Those that it must have.
-        what: What messages call the one.
 
     Raises:
         DigestError: They differ; the message says in what.

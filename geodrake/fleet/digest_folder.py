@@ -69,15 +69,7 @@ class DigestRow(Short):
 
     @classmethod
     def of(cls, file: Path, status: str, path: Path, digest: Digest, reason: str = "") -> DigestRow:
-        """Return the row of a log that has a digest.
-
-        Args:
-            file: The log's file.
-            status: `made` or `there`.
-            path: The digest's file.
-            digest: What is in it.
-            reason: Why it was made again, if it was.
-        """
+        """Return the row of a log that has a digest."""
         return cls(file, status, path, digest.logs[0], digest.samples, digest.effective, reason)
 
 

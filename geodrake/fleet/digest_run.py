@@ -78,10 +78,6 @@ class FleetDigests(Short):
 def check_places(fleet: Fleet, *, local: bool) -> tuple[str, ...]:
     """Refuse what no worker could do, before any work.
 
-    Args:
-        fleet: The fleet.
-        local: Whether all is done in this process.
-
     Returns:
         What of the model files is not believed.
 
@@ -259,9 +255,6 @@ def _choose_settings(
 
 def digest_task(task: LogTask) -> LogRecord:
     """Digest a log, wherever this runs.
-
-    Args:
-        task: The log.
 
     Raises:
         DigestError: The settings that are there do not fit.

@@ -137,12 +137,6 @@ def fleet_result(
 ) -> FleetResult:
     """Findings from digests.
 
-    Args:
-        fleet: The fleet.
-        digests: What is known of its logs.
-        work: Who works, and how careful findings are.
-        told: Called with what is going on.
-
     Raises:
         FleetError: The scheduler cannot be used, or robots cannot be compared.
         OutputError: The folder cannot be written to.

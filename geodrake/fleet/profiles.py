@@ -24,11 +24,7 @@ FORMS = (STEP, UNTIL, RAMP)
 
 
 def kind_of(form: str) -> str:
-    """The kind of change that a form is of.
-
-    Args:
-        form: One of `FORMS`.
-    """
+    """The kind of change that a form is of."""
     return STEP if form == UNTIL else form
 
 

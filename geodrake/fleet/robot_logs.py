@@ -175,9 +175,6 @@ class ReadHistory(Short):
 def read_history(task: HistoryTask) -> ReadHistory:
     """Return a robot's history from its digests, wherever this runs.
 
-    Args:
-        task: The robot.
-
     Raises:
         OutputError: It cannot be kept.
     """

@@ -113,9 +113,6 @@ class DigestEffect:
     def made(self, extra: Sequence[type[Effect]] = ()) -> Effect:
         """Return the effect itself.
 
-        Args:
-            extra: Effect classes of the user's own.
-
         Raises:
             DigestError: There is no such effect, or its source is another one now.
         """
@@ -239,10 +236,6 @@ _WORDS = {
 
 def settings_of(text: str, source: str | Path) -> DigestSettings:
     """Settings from the text that `DigestSettings.text` makes.
-
-    Args:
-        text: The text.
-        source: What messages call it.
 
     Raises:
         DigestError: It is damaged, or of another version of the format.

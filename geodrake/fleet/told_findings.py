@@ -52,10 +52,6 @@ class ToldFinding:
 def new_findings(folder: Path, findings: Sequence[FleetFinding]) -> list[FleetFinding]:
     """Findings that were not told before.
 
-    Args:
-        folder: Folder of the fleet.
-        findings: All that there are now.
-
     Raises:
         FleetError: What was told before cannot be read.
     """
@@ -65,10 +61,6 @@ def new_findings(folder: Path, findings: Sequence[FleetFinding]) -> list[FleetFi
 
 def keep_told(folder: Path, findings: Sequence[FleetFinding]) -> None:
     """Remember that findings were told.
-
-    Args:
-        folder: Folder of the fleet.
-        findings: Those that were.
 
     Raises:
         OutputError: That cannot be written.

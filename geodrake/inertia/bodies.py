@@ -53,10 +53,6 @@ class LumpedBody:
 def check_plant(plant: MultibodyPlant, name: str = "plant") -> None:
     """Refuses what is no finalized plant.
 
-    Args:
-        plant: What the caller passed.
-        name: What messages call it.
-
     Raises:
         ArgumentError: It is something else.
         ModelError: It is not finalized.
@@ -67,10 +63,6 @@ def check_plant(plant: MultibodyPlant, name: str = "plant") -> None:
 
 def check_context(system: System, context: Context) -> None:
     """Refuse what is no Context of a system, such as a plant.
-
-    Args:
-        system: The system.
-        context: What the caller passed.
 
     Raises:
         ArgumentError: It is something else.
@@ -88,9 +80,6 @@ def check_context(system: System, context: Context) -> None:
 
 def lumped_bodies(plant: MultibodyPlant) -> tuple[LumpedBody, ...]:
     """Groups of welded links that move with respect to the world.
-
-    Args:
-        plant: A finalized plant.
 
     Returns:
         The groups without the one welded to the world, in order of the representative's BodyIndex.

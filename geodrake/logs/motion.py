@@ -193,9 +193,6 @@ class JointLog(Short):
     def select(self, joints: Sequence[str]) -> JointLog:
         """The log of some of its joints, in the order given; itself if that is its own order.
 
-        Args:
-            joints: Names of joints that the log has.
-
         Raises:
             LogError: If the log lacks one of them; the message offers the nearest names.
         """
@@ -327,14 +324,7 @@ def match_joints(log: JointLog, model_joints: Sequence[str]) -> JointLog:
 def check_joints(
     name: str, joints: Sequence[str], model_joints: Sequence[str], *, partial: bool = False
 ) -> None:
-    """Raise a LogError unless the joints of the log of that name are the model's, in any order.
-
-    Args:
-        name: Name of the log, for messages.
-        joints: Names of the log's joints.
-        model_joints: Names of the model's joints.
-        partial: Whether the log may lack some of them.
-    """
+    """Raise a LogError unless the joints of the log of that name are the model's, in any order."""
     for joint in joints:
         if joint not in model_joints:
             raise LogError(

@@ -49,9 +49,6 @@ def without_faults(log: JointLog) -> JointLog:
     come back within a few rows become NaN, and so do positions and efforts that stay exactly the
     same while the joint moves, and the last position before a jump that stays.
 
-    Args:
-        log: The log.
-
     Raises:
         LogError: A value is impossible, and not for a moment, or a sensor is frozen most of the
             time.

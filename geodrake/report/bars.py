@@ -93,11 +93,7 @@ _NOISE = Color("noise", label="sensor noise", thin=True)
 
 
 def step_bars(explanation: Explanation) -> Bars:
-    """How the held-out nrms falls with each step, on a logarithmic axis.
-
-    Args:
-        explanation: An explanation with a step at least.
-    """
+    """How the held-out nrms falls with each step, on a logarithmic axis."""
     start, floor = explanation.start, explanation.end.floor_nrms
     joints = [joint.joint for joint in start.joints]
     errors = [
@@ -118,11 +114,7 @@ def step_bars(explanation: Explanation) -> Bars:
 
 
 def candidate_bars(diagnosis: Diagnosis) -> Bars:
-    """Held-out nrms that each candidate would leave, the chosen one first.
-
-    Args:
-        diagnosis: A diagnosis with a candidate at least.
-    """
+    """Held-out nrms that each candidate would leave, the chosen one first."""
     shown = diagnosis.candidates[:_MOST_CANDIDATES]
     joints = [joint.joint for joint in diagnosis.start.joints]
     floor, before = diagnosis.refitted.floor_nrms, diagnosis.refitted.nrms
@@ -180,11 +172,7 @@ def joint_bars(errors: ErrorTable, stages: Sequence[tuple[str, Sequence[float]]]
 
 
 def step_joint_bars(explanation: Explanation) -> Bars:
-    """The errors of joints at the start, and after each step of an explanation.
-
-    Args:
-        explanation: The explanation.
-    """
+    """The errors of joints at the start, and after each step of an explanation."""
     joints = [joint.joint for joint in explanation.start.joints]
     stages = [
         (f"+ {effect_label(s.effect)}", [s.rms_after.get(joint, np.nan) for joint in joints])

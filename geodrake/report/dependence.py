@@ -69,13 +69,7 @@ class Dependence:
 
 
 def residual_dependence(comparison: Comparison, stage: Stage, units: Units) -> Dependence:
-    """The residuals of every joint.
-
-    Args:
-        comparison: The model as it stands, or the final one.
-        stage: Which of the two it is.
-        units: Units of the joints.
-    """
+    """The residuals of every joint."""
     shown = worst_joints(comparison.errors)
     rows = []
     for entry in comparison.errors.joints:

@@ -60,12 +60,7 @@ def render_drafted(
 
 
 def draft_section(draft: Draft, units: Units) -> Section:
-    """Return the formulas found and what the rest goes with, with the figure.
-
-    Args:
-        draft: The formulas found.
-        units: Units of the robot's joints.
-    """
+    """Return the formulas found and what the rest goes with, with the figure."""
     title = "Formulas for the rest"
     items = tuple(map(correlate_words, draft.correlates))
     if not draft.effects:

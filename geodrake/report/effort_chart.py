@@ -82,12 +82,7 @@ def effort_chart(
 
 
 def explanation_chart(explanation: Explanation, units: Units) -> Chart:
-    """The chart of an explanation: as it stands, after each step, in the end.
-
-    Args:
-        explanation: The explanation.
-        units: Units of the robot's joints.
-    """
+    """The chart of an explanation: as it stands, after each step, in the end."""
     if not explanation.steps:
         return effort_chart(explanation.before, units=units)
     between = {

@@ -88,12 +88,7 @@ def ellipsoid_figure(
 
 @style.own_look()
 def figure_bytes(figure: Figure, kind: str = "png") -> bytes:
-    """A figure as the bytes of a file: "png", "pdf" or "svg".
-
-    Args:
-        figure: The figure.
-        kind: Format: "png", "pdf" or "svg".
-    """
+    """A figure as the bytes of a file: "png", "pdf" or "svg"."""
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
     dated = {"svg": "Date", "pdf": "CreationDate"}

@@ -125,12 +125,7 @@ def placed(plant: MultibodyPlant, context: Context, phi: Array) -> PlacedEllipso
 
 
 def skeleton(plant: MultibodyPlant, context: Context) -> Array:
-    """The robot as lines: (k, 2, 3) ends in the world, m, from joint to joint.
-
-    Args:
-        plant: A finalized plant.
-        context: Its Context, for the pose.
-    """
+    """The robot as lines: (k, 2, 3) ends in the world, m, from joint to joint."""
     lines = []
     for index in plant.GetJointIndices():
         joint = plant.get_joint(JointIndex(index))

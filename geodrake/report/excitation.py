@@ -137,12 +137,7 @@ def _notes(result: ExcitationResult) -> Section:
 
 
 def motion_chart(result: ExcitationResult, units: Units) -> Chart:
-    """Position, velocity, acceleration and effort of every joint over time, with their limits.
-
-    Args:
-        result: The design.
-        units: Units of the joints.
-    """
+    """Position, velocity, acceleration and effort of every joint over time, with their limits."""
     limits, timed = result.limits, result.trajectory.family.timed
     at, signals = _sampled(result)
     panels = []

@@ -49,12 +49,7 @@ def render_explained(
 
 
 def motions_section(motions: Sequence[Rollout] | None, units: Units) -> Section:
-    """Return how far the robot departs from its motion under commands; empty without commands.
-
-    Args:
-        motions: Rollouts before, after the steps, and after the last.
-        units: Units of the robot's joints.
-    """
+    """Return how far the robot departs from its motion under commands; empty without commands."""
     if motions is None:
         return Section(MOTIONS)
     before, *between, after = motions

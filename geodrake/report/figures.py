@@ -140,10 +140,6 @@ def step_figure(explanation: Explanation) -> Figure:
 def candidate_figure(diagnosis: Diagnosis, *, most: int = _MOST_CANDIDATES) -> Figure:
     """Held-out nrms that each candidate would leave, the chosen one first.
 
-    Args:
-        diagnosis: The diagnosis.
-        most: Largest number of candidates to show.
-
     Returns:
         One axes with a bar for each candidate; those tied with the best are marked.
     """

@@ -96,12 +96,7 @@ def bodies_section(found: ModelIdentification) -> Section:
 
 
 def effects_sections(found: ModelIdentification, units: Units) -> tuple[Section, ...]:
-    """Effects that were fitted and regularizers that were compared, where there are any.
-
-    Args:
-        found: The identification.
-        units: Units of the joints and effects of the model.
-    """
+    """Effects that were fitted and regularizers that were compared, where there are any."""
     effects, others = fitted_effects_table(found, units), regularizers_table(found)
     return (
         Section("Effects", tables=(effects,) if effects.rows else ()),

@@ -138,12 +138,7 @@ def _entries(sets: Sequence[EllipsoidSet]) -> list[tuple[str, str]]:
 
 
 def legend(page: str, entries: Sequence[tuple[str, str]]) -> str:
-    """A page of MeshCat's with what its colours mean over the scene.
-
-    Args:
-        page: The page.
-        entries: Colours and their meaning.
-    """
+    """A page of MeshCat's with what its colours mean over the scene."""
     spans = "".join(
         f'<div><span style="display:inline-block;width:12px;height:12px;margin-right:8px;'
         f'border-radius:6px;background:{color}"></span>{html_text(name)}</div>'

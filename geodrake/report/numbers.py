@@ -27,12 +27,7 @@ _NOTICED = 0.3
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A value with so many significant digits; as a multiple of 10ⁿ if very small or large.
-
-    Args:
-        value: Any number.
-        digits: Significant digits, at least one.
-    """
+    """A value with so many significant digits; as a multiple of 10ⁿ if very small or large."""
     if not math.isfinite(value):
         return UNKNOWN
     if value == 0:
@@ -116,12 +111,7 @@ def relative(deviation: float) -> str:
 
 
 def shortened(text: str, most: int) -> str:
-    """A printable text of at most so many characters, its middle left out where it is longer.
-
-    Args:
-        text: Any text.
-        most: Most characters.
-    """
+    """A printable text of at most so many characters, its middle left out where it is longer."""
     text = printable(text)
     if len(text) <= most:
         return text
@@ -187,13 +177,7 @@ class Units:
         return "" if unit == "1" else self.at(place.partition(" & ")[0], unit)
 
     def shown(self, effect: str, name: str, value: float) -> float:
-        """A parameter's value in the unit in which it is shown, `parameter`.
-
-        Args:
-            effect: Name of the effect.
-            name: Name of the parameter.
-            value: Its value, SI.
-        """
+        """A parameter's value in the unit in which it is shown, `parameter`."""
         return 1e3 * value if self._in_milliseconds(effect, name) else value
 
     def _in_milliseconds(self, effect: str, name: str) -> bool:

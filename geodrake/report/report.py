@@ -210,22 +210,12 @@ def _explanation_tiles(explanation: Explanation, units: Units) -> tuple[Tile, ..
 
 
 def with_bars(section: Section, bars: Bars) -> Section:
-    """Return a section with one figure of bars more.
-
-    Args:
-        section: The section without it.
-        bars: The bars.
-    """
+    """Return a section with one figure of bars more."""
     return replace(section, bars=(*section.bars, bars))
 
 
 def subject(model_name: str, log_names: Sequence[str]) -> str:
-    """Return what was compared with what, in words.
-
-    Args:
-        model_name: What the model is called.
-        log_names: What the logs are called.
-    """
+    """Return what was compared with what, in words."""
     return f"{model_name} against {', '.join(log_names)}"
 
 

@@ -278,13 +278,7 @@ def draw_floor(meshcat: Meshcat, path: str, extent: Extent) -> None:
 
 
 def place_camera(meshcat: Meshcat, extent: Extent, *, copies: int = 1) -> None:
-    """Looks at where a robot goes.
-
-    Args:
-        meshcat: The scene.
-        extent: Where the robot goes.
-        copies: Number of copies beside each other, `extent.gap` apart.
-    """
+    """Looks at where a robot goes."""
     margin = 0.12 * extent.size
     left, right = -extent.left, extent.right + (copies - 1) * extent.gap
     height = 0.5 * (extent.high - extent.low)[2] + margin

@@ -119,11 +119,7 @@ class EffectMarks:
             self.marks += self._draw(k, fitted)
 
     def start(self, excerpts: Sequence[Excerpt]) -> None:
-        """Record when contacts, and what is held for a while, are there.
-
-        Args:
-            excerpts: What is played.
-        """
+        """Record when contacts, and what is held for a while, are there."""
         for effect, path in self._episodes:
             shown = np.concatenate([_during(effect, excerpt) for excerpt in excerpts])
             last, changes = len(shown) - 1, 1 + np.flatnonzero(np.diff(shown))
@@ -188,12 +184,7 @@ class EffectMarks:
 
 
 def effect_words(fitted: FittedEffect, units: Units) -> str:
-    """An effect and its most telling value, such as `payload 2.49 kg`.
-
-    Args:
-        fitted: The effect with its values.
-        units: Units of its parameters.
-    """
+    """An effect and its most telling value, such as `payload 2.49 kg`."""
     effect = fitted.effect
     label = printable(effect.label or effect_label(effect.name))
     values, _ = effect.reported(fitted.parameters, np.full(len(fitted.parameters), np.nan))
@@ -208,14 +199,7 @@ def effect_words(fitted: FittedEffect, units: Units) -> str:
 
 
 def draw_arrow(meshcat: Meshcat, path: str, length: float, color: str) -> None:
-    """Draws an arrow from the origin of a folder along its z.
-
-    Args:
-        meshcat: Where to draw.
-        path: The folder.
-        length: Length of the arrow, m.
-        color: Its colour.
-    """
+    """Draws an arrow from the origin of a folder along its z."""
     head, width = 0.3 * length, 0.028 * length
     meshcat.SetObject(f"{path}/shaft", Cylinder(width, length - head), _rgba(color))
     middle = RigidTransform([0.0, 0.0, 0.5 * (length - head)])

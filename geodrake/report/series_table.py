@@ -56,10 +56,6 @@ def comparison_series(now: Comparison, before: Comparison | None = None) -> Colu
 def rollout_series(now: Rollout, before: Rollout | None = None) -> Columns:
     """Positions of a rollout, rad or m, window after window.
 
-    Args:
-        now: The rollout.
-        before: That of the model before, if there is one.
-
     Returns:
         `time`, `log`, `window`, and of every joint `measured`, `predicted` and `residual`, measured
         − predicted; with a model before also `predicted_before` and `residual_before`.
@@ -113,10 +109,6 @@ def check_series(path: Path) -> None:
 
 def optional(module: str, extra: str) -> Any:
     """A module of a package that results can do without.
-
-    Args:
-        module: Its name.
-        extra: The extra of geodrake that brings it.
 
     Raises:
         ArgumentError: It is not installed.

@@ -98,12 +98,7 @@ class StaticPlot:
 
 
 def static_plots(chart: Chart, panel: Panel) -> tuple[StaticPlot, ...]:
-    """The plots of a panel.
-
-    Args:
-        chart: The chart, with the stages and the axis.
-        panel: One of its panels.
-    """
+    """The plots of a panel."""
     *upper, last = panel.plots
     across = _time_ticks(chart)
     return (
@@ -161,13 +156,7 @@ def span_of(plot: Plot, curves: Array) -> tuple[float, float]:
 
 
 def round_values(low: float, high: float, most: int) -> Array:
-    """Round numbers that enclose an interval, in steps of 1, 2 or 5 times a power of ten.
-
-    Args:
-        low: Its lower end.
-        high: Its upper end.
-        most: Steps at most, those at its ends apart.
-    """
+    """Round numbers that enclose an interval, in steps of 1, 2 or 5 times a power of ten."""
     if not high > low:
         return np.array([low])
     least = (high - low) / most
@@ -177,12 +166,7 @@ def round_values(low: float, high: float, most: int) -> Array:
 
 
 def value_ticks(frame: Frame, most: int) -> tuple[Tick, ...]:
-    """Round numbers along the axis at the left.
-
-    Args:
-        frame: What the plot shows.
-        most: About how many.
-    """
+    """Round numbers along the axis at the left."""
     low, high = frame.y
     margin = 0.03 * (high - low)
     values = round_values(low, high, most)
@@ -194,12 +178,7 @@ def value_ticks(frame: Frame, most: int) -> tuple[Tick, ...]:
 
 
 def across_ticks(frame: Frame, most: int) -> tuple[Tick, ...]:
-    """Round numbers along the axis below.
-
-    Args:
-        frame: What the plot shows.
-        most: About how many.
-    """
+    """Round numbers along the axis below."""
     low, high = frame.x
     values = round_values(low, high, most)
     return tuple(
@@ -210,12 +189,7 @@ def across_ticks(frame: Frame, most: int) -> tuple[Tick, ...]:
 
 
 def noise_band(frame: Frame, floor: float) -> tuple[Box, ...]:
-    """The band of sensor noise about zero, as far as it is in the plot; none without noise.
-
-    Args:
-        frame: What the plot shows.
-        floor: Half its width.
-    """
+    """The band of sensor noise about zero, as far as it is in the plot; none without noise."""
     if not floor > 0:
         return ()
     top, bottom = np.clip(frame.down(np.array([floor, -floor])), 0, HEIGHT).round(1).tolist()

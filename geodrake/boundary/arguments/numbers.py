@@ -48,10 +48,6 @@ def number(
 def positive(value: Any, name: str) -> float:
     """A finite number above zero.
 
-    Args:
-        value: What the caller passed.
-        name: What messages call it.
-
     Raises:
         ArgumentError: It is something else.
     """
@@ -103,12 +99,6 @@ def integers(
     value: Iterable[int], name: str, *, lower: float = -sys.maxsize, upper: float = sys.maxsize
 ) -> tuple[int, ...]:
     """Integers between bounds, in whatever holds them.
-
-    Args:
-        value: What the caller passed.
-        name: What messages call it.
-        lower: Least value of each.
-        upper: Greatest value of each.
 
     Raises:
         ArgumentError: It holds something else, or nothing can be taken from it.

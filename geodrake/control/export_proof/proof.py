@@ -78,15 +78,7 @@ class Proof:
 def prove(
     held: RobotModel, file: Path, engines: Sequence[str], motion: Motion, starts: Sequence[Start]
 ) -> Proof:
-    """Compare simulators that load an export with the model in it.
-
-    Args:
-        held: The model that the export holds.
-        file: The exported file that is loaded.
-        engines: Names of the simulators.
-        motion: Motion along which efforts are compared.
-        starts: Starts of rollouts.
-    """
+    """Compare simulators that load an export with the model in it."""
     differences, ignored, notes = list[Difference](), None, list[str]()
     if engines and held.followers:
         return Proof((), (), ("joints follow others, so the export was not tried in simulators",))

@@ -60,27 +60,14 @@ class Acting(abc.ABC):
 
     @abc.abstractmethod
     def begin(self, passage: Passage) -> None:
-        """Has a passage act, in the time since its log began.
-
-        Args:
-            passage: The passage.
-        """
+        """Has a passage act, in the time since its log began."""
 
     @abc.abstractmethod
     def along(self, passage: Passage) -> EffortAlong:
-        """What acts in a passage whose motors move as they were measured.
-
-        Args:
-            passage: The passage.
-        """
+        """What acts in a passage whose motors move as they were measured."""
 
     def remember(self, passage: Passage, root: Context) -> None:
-        """Sets what acts to the state in which a passage begins; most have none.
-
-        Args:
-            passage: The passage, which has begun.
-            root: Context of the simulation.
-        """
+        """Sets what acts to the state in which a passage begins; most have none."""
         del passage, root
 
 
@@ -235,12 +222,7 @@ def acting_in(model: RobotModel, log: JointLog, *, commands: bool) -> Acting:
 
 
 def told_joints(model: RobotModel, log: JointLog) -> NDArray[np.bool_]:
-    """(n,) whether each joint has a servo, and a command in a log.
-
-    Args:
-        model: The model.
-        log: The log, joints in the model's order.
-    """
+    """(n,) whether each joint has a servo, and a command in a log."""
     if log.command is None:
         return np.zeros(len(model.joints), bool)
     known = (np.isfinite(log.command) & np.isfinite(log.time)[:, None]).any(axis=0)

@@ -63,13 +63,7 @@ def motion_before(model: RobotModel, passage: Passage, sign_width: Array) -> Rob
 def thrown(
     effects: Sequence[FittedEffect], seen: RobotMotion, joints: Sequence[str]
 ) -> tuple[Array, Array]:
-    """Lags (m,) in dead bands, and their rates, at the last sample but one of a motion.
-
-    Args:
-        effects: The effects of a model.
-        seen: The motion.
-        joints: Names of the m soft joints.
-    """
+    """Lags (m,) in dead bands, and their rates, at the last sample but one of a motion."""
     lag, rate = np.zeros((2, len(joints)))
     for fitted in effects:
         effect = fitted.effect

@@ -111,11 +111,7 @@ class MotorForce:
     slopes: Array
 
     def change(self, effects: Sequence[FittedEffect]) -> float:
-        """By how much it is another one.
-
-        Args:
-            effects: The model's effects.
-        """
+        """By how much it is another one."""
         return float(effects[self.at].parameters[self.index]) - self.parameter
 
 
@@ -208,13 +204,7 @@ class NearMotion:
     def under(
         self, law: ForceLaw, along: EffortAlong, effects: Sequence[FittedEffect]
     ) -> NearMotion:
-        """The same passage under other servos of the same joints, and other forces at motors.
-
-        Args:
-            law: The force law, which scales efforts.
-            along: What acts with those.
-            effects: The model's effects, with other parameters of `forces`.
-        """
+        """The same passage under other servos of the same joints, and other forces at motors."""
         servos, rest = NearServos.of(law, along, self.motors)[0], self.rest.copy()
         stiffness, damping, inertia = (
             whole.copy() for whole in (self.stiffness, self.damping, self.inertia)
@@ -229,12 +219,7 @@ class NearMotion:
         )
 
     def soft_joints(self, soft: SoftJoints, effects: Sequence[FittedEffect]) -> SoftJoints:
-        """The soft joints with other inertias of their motors, by which springs are damped.
-
-        Args:
-            soft: Those of the force law.
-            effects: The model's effects, with other parameters of `forces`.
-        """
+        """The soft joints with other inertias of their motors, by which springs are damped."""
         inertia, places = soft.motor_inertia.copy(), self.motors[soft.velocities]
         for force in self.forces:
             inertia[places == force.place] += force.change(effects) * force.slopes[2].mean()

@@ -69,10 +69,6 @@ def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[Rollou
     exactly of these is such a value, too, and so is what is not known exactly of their motors'
     friction and inertia.
 
-    Args:
-        model: The model.
-        commands: Whether joints are under their servos.
-
     Raises:
         ModelError: There is nothing.
     """
@@ -103,10 +99,6 @@ def _motor_values(at: int, fitted: FittedEffect) -> Iterator[RolloutValue]:
 
     It was found with the servo, and is off as that is: by far more than its deviations say. What
     may be of either sign, as offsets may, is not.
-
-    Args:
-        at: Which of the model's effects it is.
-        fitted: The effect, at one joint.
     """
     effect, deviations = fitted.effect, fitted.deviations
     if deviations is None or not effect.at_motor or effect.role is not Role.FORCE:
@@ -139,12 +131,7 @@ def _servo_values(servo: EffortSignal) -> list[RolloutValue]:
 def forces_at_motors(
     model: RobotModel, values: Sequence[RolloutValue]
 ) -> tuple[tuple[int, int], ...]:
-    """Effects of values that forces at motors have, and which of their parameters they are.
-
-    Args:
-        model: The model.
-        values: Its values.
-    """
+    """Effects of values that forces at motors have, and which of their parameters they are."""
     found = []
     for value in values:
         if value.at is not None:
@@ -195,14 +182,7 @@ def with_values(
     new: Sequence[float],
     deviations: Sequence[float],
 ) -> RobotModel:
-    """The model with other values.
-
-    Args:
-        model: The model.
-        values: Its values.
-        new: As many new ones.
-        deviations: Their standard deviations.
-    """
+    """The model with other values."""
     given: dict[int | str, tuple[dict[str, float], dict[str, float]]] = {}
     for value, now, unsure in zip(values, new, deviations, strict=True):
         own = given.setdefault(value.joint if value.at is None else value.at, ({}, {}))
@@ -247,11 +227,7 @@ def _with_servo(
 
 
 def giving_way(effects: Sequence[FittedEffect]) -> dict[str, Give]:
-    """Joint -> how far its link moves against its motor, of joints that are soft.
-
-    Args:
-        effects: The effects of a model.
-    """
+    """Joint -> how far its link moves against its motor, of joints that are soft."""
     found: dict[str, Give] = {}
     for fitted in effects:
         effect = fitted.effect

@@ -149,9 +149,6 @@ def _ran(robot: RobotInScene, context: Context) -> RobotRun | None:
 def write_logs(done: SceneRun) -> tuple[Path, ...]:
     """Writes the logs that the scenario asks for.
 
-    Args:
-        done: A run.
-
     Returns:
         The files.
 

@@ -66,11 +66,7 @@ class _DcMotor(JointSystem):
             self.DeclareVectorOutputPort(name, self._vector(n), calc, known)
 
     def constants(self, context: Context) -> MotorConstants:
-        """Return the constants in a Context.
-
-        Args:
-            context: Context of this system.
-        """
+        """Return the constants in a Context."""
         return MotorConstants(**self._numbers(context))
 
     def set_constants(self, context: Context, **constants: ArrayLike) -> None:
@@ -117,12 +113,7 @@ class _DcMotor(JointSystem):
         return own["gear_ratio"] * own["torque_constant"] * current
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        """Rates of currents; see `LeafSystem`.
-
-        Args:
-            context: Context of this system.
-            derivatives: Receives the rates, A/s.
-        """
+        """Rates of currents; see `LeafSystem`."""
         if not derivatives.size():
             return
         slow = self._slow

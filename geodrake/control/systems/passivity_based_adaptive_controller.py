@@ -136,10 +136,6 @@ class PassivityBasedAdaptiveController(AdaptiveController):
     def set_gains(self, context: Context, gains: VaryingGains | FixedGains) -> None:
         """Changes the gains in a Context.
 
-        Args:
-            context: Context of this system.
-            gains: Gains of the same kind as before.
-
         Raises:
             ArgumentError: They are of the other kind, or not as many as the joints.
         """

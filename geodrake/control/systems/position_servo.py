@@ -61,11 +61,7 @@ class _PositionServo(JointSystem):
         self.DeclareVectorOutputPort("actuation", self._vector(n), self._calc_actuation, known)
 
     def gains(self, context: Context) -> ServoGains:
-        """Return the gains in a Context.
-
-        Args:
-            context: Context of this system.
-        """
+        """Return the gains in a Context."""
         return ServoGains(**self._numbers(context))
 
     def set_gains(self, context: Context, **gains: ArrayLike) -> None:
@@ -194,9 +190,6 @@ class PositionServo(_PositionServo, LeafSystem):
         """Return the servos that a model's `effort_signals` state, of all its joints.
 
         Joints that have none are without gains, and pass feedforward on.
-
-        Args:
-            model: The model.
 
         Raises:
             ModelError: It has no servos, or joints of several degrees of freedom.

@@ -26,11 +26,6 @@ def checked_time_step(time_step: float) -> float:
 def checked_gains(values: ArrayLike, nv: int, name: str) -> Array:
     """Gains (nv,) from one for all joints, or one for each.
 
-    Args:
-        values: The gains.
-        nv: Number of joints.
-        name: What they are, for the message.
-
     Raises:
         ArgumentError: They are not positive and finite, or neither one nor nv.
     """
@@ -53,10 +48,6 @@ def require_single_joints(control: ControlModel) -> None:
 
 def require_same_robot(control: ControlModel, filtered: FilteredRegressor) -> None:
     """Checks that a filter is one for the robot.
-
-    Args:
-        control: The robot's regressor.
-        filtered: The filter.
 
     Raises:
         ArgumentError: It was made with another `ControlModel`.

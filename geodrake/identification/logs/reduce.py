@@ -251,11 +251,6 @@ def effort_deviation(
 ) -> Array:
     """(nv,) standard deviation of the measured efforts, N·m or N; 0 of a joint at rest.
 
-    Args:
-        joints: Their names.
-        data: What logs say about each.
-        passive: Those without a motor.
-
     Raises:
         LogError: The effort of a joint that moves never changes: its sensor has nothing to say.
     """

@@ -241,12 +241,6 @@ def motions_of(
 ) -> dict[int, JointMotions]:
     """What simulations of some joints, each alone, need; see `JointMotions`.
 
-    Args:
-        model: The model, with the inertias that count.
-        logs: Logs with commands.
-        trajectories: The same, prepared.
-        joints: Indices of the joints.
-
     Returns:
         Index of the joint -> its motions.
     """

@@ -44,10 +44,6 @@ class WorstWindow:
 def worst_windows(series: Sequence[Series], *, most: int = 3) -> tuple[WorstWindow, ...]:
     """The worst stretches of one joint, those of largest share of its squared error first.
 
-    Args:
-        series: All series of one joint.
-        most: Largest number of windows to return.
-
     Returns:
         None where the error is about the same throughout.
     """

@@ -82,12 +82,7 @@ class Columns:
         return {joint: kind for joint, kind in found.items() if kind != "effort"}
 
     def has(self, joint: str, quantity: str) -> bool:
-        """Return whether there is a column of a quantity of a joint.
-
-        Args:
-            joint: The joint.
-            quantity: Such as "position".
-        """
+        """Return whether there is a column of a quantity of a joint."""
         return f"{joint}.{quantity}" in self.sources
 
     @property
@@ -111,12 +106,7 @@ class Columns:
 
 
 def check_text(path: Path, names: Sequence[str]) -> None:
-    """Refuse names that no text has, and those of the format that come twice.
-
-    Args:
-        path: The file, for messages.
-        names: Its columns.
-    """
+    """Refuse names that no text has, and those of the format that come twice."""
     if len(names) > _MOST_COLUMNS:
         raise LogError(
             f"Log {str(path)!r} has {len(names)} columns; at most {_MOST_COLUMNS} are read.",
@@ -131,13 +121,7 @@ def check_text(path: Path, names: Sequence[str]) -> None:
 
 
 def check_twice(path: Path, names: Sequence[str], used: Collection[str]) -> None:
-    """Refuse columns that are needed and there twice.
-
-    Args:
-        path: The file, for messages.
-        names: All its columns.
-        used: Those that are needed.
-    """
+    """Refuse columns that are needed and there twice."""
     counts = Counter(names)
     twice = sorted(name for name in set(used) if counts[name] > 1)
     if twice:
@@ -149,12 +133,7 @@ def check_twice(path: Path, names: Sequence[str], used: Collection[str]) -> None
 
 
 def check_once(path: Path, names: Sequence[str]) -> None:
-    """Refuse columns that are there twice, where only their names tell them apart.
-
-    Args:
-        path: The file, for messages.
-        names: All its columns.
-    """
+    """Refuse columns that are there twice, where only their names tell them apart."""
     check_twice(path, names, names)
 
 

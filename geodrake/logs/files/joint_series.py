@@ -60,11 +60,7 @@ class JointSeries:
 
 
 def is_complete(quantities: Iterable[str]) -> bool:
-    """Whether positions and something of efforts are among quantities.
-
-    Args:
-        quantities: Names of quantities.
-    """
+    """Whether positions and something of efforts are among quantities."""
     known = set(quantities)
     return "position" in known and not known.isdisjoint((*EFFORT_KINDS, "command"))
 

@@ -209,13 +209,7 @@ def _word(text: str) -> str:
 
 
 def with_proposal(error: LogError, path: Path, proposal: str | None) -> LogError:
-    """Return the error of a failed reading with a proposed mapping as evidence, where there is one.
-
-    Args:
-        error: What went wrong.
-        path: The log.
-        proposal: Text of the mapping.
-    """
+    """Return the error of a failed reading with a proposed mapping as evidence, if any."""
     if proposal is None:
         return error
     evidence = {**error.evidence, "path": path, "proposal": proposal}

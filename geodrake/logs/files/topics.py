@@ -75,11 +75,6 @@ class Topic:
 def chosen_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> tuple[Topic, ...]:
     """The topic that is the log, or those that are parts of it.
 
-    Args:
-        path: The recording, for messages.
-        topics: All its topics.
-        reading: Whether the user named some.
-
     Raises:
         LogError: None fits, several do, or there is no such topic.
     """
@@ -139,11 +134,6 @@ def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
 
 def topic_table(path: Path, topic: Topic, others: Sequence[Topic]) -> LogTable:
     """The table of a topic.
-
-    Args:
-        path: The recording.
-        topic: One that fits, with all its messages.
-        others: All topics of the recording.
 
     Raises:
         LogError: Its messages do not go together.

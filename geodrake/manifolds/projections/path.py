@@ -18,12 +18,7 @@ _LONG, _SHORT = 1e-3, 4.0  # factors of the weight on the way away from x and on
 
 
 def attempts(start: State, max_iterations: int) -> Iterator[State]:
-    """States that may be optimal, each at more expense than the last one.
-
-    Args:
-        start: Multipliers zero, at the point to be projected.
-        max_iterations: Most steps between two points of the path.
-    """
+    """States that may be optimal, each at more expense than the last one."""
     state = solved(start, _EXACT, max_iterations)
     yield state
     if state.error < _PRECISE:  # but some point on the way was known less precisely
