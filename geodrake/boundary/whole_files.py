@@ -63,8 +63,6 @@ def write_new(path: Path, content: Content, beside: Mapping[Path, Content]) -> b
     """Write a file unless it is there already, and others with it: of several processes one does.
 
     Args:
-        path: Target.
-        content: What goes into it.
         beside: Other targets, which are written if this one is -> what goes into them.
 
     Returns:

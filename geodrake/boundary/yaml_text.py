@@ -67,11 +67,8 @@ def yaml_table(
     """Return what a YAML file has in a place, if that is a table.
 
     Args:
-        content: What is there.
         keys: The keys that it may have; None for any.
         what: What messages call it.
-        advice: What the file should be like.
-        least: How many keys it must have.
 
     Raises:
         ArgumentError: It is none, or has another key.

@@ -53,7 +53,6 @@ def check_dict(found: DynamicsCheck, notes: Sequence[str]) -> dict[str, Any]:
     """Return a check as plain numbers, for JSON.
 
     Args:
-        found: The check.
         notes: What is to be known of the model, repairs first.
     """
     return {

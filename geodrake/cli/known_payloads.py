@@ -27,12 +27,8 @@ def with_known_payloads(
     """The logs with their known payloads.
 
     Args:
-        files: The files of the logs.
-        logs: What was read of them.
         given: `LOG:BODY:MASS[:X,Y,Z]`: path or name of a log, link of the robot, kg, and the centre
             of mass in the link's frame, m.
-        model: The robot.
-        reading: How logs are to be read.
 
     Raises:
         ArgumentError: One cannot be read, or names no log, no body or no mass.
@@ -67,9 +63,7 @@ def with_facts(
     """The logs with what is known of all of them.
 
     Args:
-        logs: The logs.
         facts: Fields of `JointLog` by name; of gains whose deviations were stated, these count.
-        reading: How the logs were read.
     """
     found = []
     for log in logs:

@@ -111,7 +111,6 @@ def limits_of(given: Sequence[str] | None, model: RobotModel) -> MotionLimits:
             share of the model's; `current=8` for the efforts that a model knows by their currents,
             A (voltage, pwm alike); `joint.effort=40` and `joint.position=-1:0.5` for one joint.
             Each may hold several, with commas between them; later ones win.
-        model: The robot.
 
     Raises:
         ArgumentError: One cannot be read, names no joint, or a joint has no room or no end.

@@ -79,10 +79,8 @@ class Command(Generic[R]):
     Attributes:
         name: What the command is called.
         working: What it does, for the progress bar.
-        work: Does it.
         numbers: The result as a dictionary.
         page: Name of the function of `geodrake.report` that makes the result HTML.
-        show: Prints the result.
         paged: The part of the result that the page shows.
         more: Options of files that only this command writes, with their paths.
         makers: What makes the contents of those.

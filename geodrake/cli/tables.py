@@ -112,9 +112,6 @@ def show_explanation(
     """The steps with the error falling, the verdict, what is left, and errors per joint.
 
     Args:
-        console: Where to print.
-        explanation: The explanation.
-        units: Units of its model.
         advised: Whether to say what to do about an error that nothing explains.
         rest: What the error left goes with, in sentences.
     """
@@ -179,7 +176,6 @@ def show_saved(
     """Where files went; `words` says what they are where that is not the usual.
 
     Args:
-        console: Where to print.
         files: Option -> the file that was written.
         words: Option -> what the file is, where that is not the usual.
     """
@@ -194,7 +190,6 @@ def show_table(console: Console, table: Table) -> None:
     """A table with a rule under its head in a terminal, and without lines in a pipe.
 
     Args:
-        console: Where to print.
         table: The table; its cells are read without markup.
     """
     grid = Grid(
@@ -241,8 +236,6 @@ def show_list(console: Console, words: str, entries: Sequence[str]) -> None:
     """A heading with a list under it, or nothing.
 
     Args:
-        console: Where to print.
-        words: The heading.
         entries: The list; nothing is printed if it is empty.
     """
     if not entries:

@@ -62,9 +62,6 @@ def placed_rivals(
     Args:
         text: What the option was given. A place said of one is that of the other too, if both are
             at places of one kind.
-        model: The robot.
-        limits: What it may do.
-        extra: Effects of the user's own.
 
     Raises:
         ArgumentError: There are no such effects or places.

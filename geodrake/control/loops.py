@@ -41,15 +41,11 @@ class AdaptiveLoop:
 
     Attributes:
         robot: The robot in its plant; None if the loop was given the ports of a robot elsewhere.
-        controller: The controller.
         effect_force: What acts on the plant beside rigid bodies, if anything.
         state: Positions and velocities of the robot, in the order of the controller's joints; of
             the motors where effects make joints soft.
         measured_state: What the controller sees of them.
-        desired_state: Desired positions and velocities.
-        desired_acceleration: Desired accelerations.
         actuation: Efforts of the controller, by joint.
-        parameters: The estimate.
         logs: Sinks of "state", "desired_state", "actuation", "parameters" and, where the truth is
             known, "lyapunov"; none if nothing is logged.
     """
@@ -102,7 +98,6 @@ class AdaptiveLoop:
         """Simulates from the start of the motion.
 
         Args:
-            diagram: What the builder built.
             duration: For how long, s.
 
         Returns:

@@ -176,7 +176,6 @@ class Effect(CheckedFields, abc.ABC):
         """Effort needed because of the effect, (N, nv): the force law is its negative.
 
         Args:
-            motion: N samples.
             mu: (k,) linear parameters, SI.
         """
         return self.regressor(motion) @ np.asarray(mu, float)
@@ -198,7 +197,6 @@ class Effect(CheckedFields, abc.ABC):
         """Rates (N, s) of the hidden states (N, s), for simulation.
 
         Args:
-            motion: N samples.
             state: (N, s) hidden states at them.
         """
         raise NotImplementedError
@@ -302,7 +300,6 @@ class Effect(CheckedFields, abc.ABC):
         """Instances at a place with every combination of the values on the grids of `shapes`.
 
         Args:
-            place: The joint, pair of joints or body.
             scales: Sizes that grids are shares of, such as `speed`, by the names of `Shape.scale`.
 
         Raises:
@@ -393,7 +390,6 @@ class JointEffect(Effect):
         """Instances a diagnosis should try at a joint: one, or one for every shape on a grid.
 
         Args:
-            joint: Name of the joint.
             peak_speed: Largest speed of the joint in the log, rad/s or m/s.
         """
         return cls.shaped(joint, speed=peak_speed)

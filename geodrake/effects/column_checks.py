@@ -125,7 +125,6 @@ def line_of(effect: type[Any], *methods: str) -> str:
     """The line and file of the last of some methods of an effect that is a user's own, in words.
 
     Args:
-        effect: Class of the effect.
         *methods: Names of methods, of which the effect may have some.
     """
     made: list[Callable[..., Any]] = [getattr(effect, m) for m in methods if hasattr(effect, m)]

@@ -57,7 +57,6 @@ class Deflection:
 
         Args:
             slopes: Slopes of the effort with the motion of the motors.
-            joint: Index of the joint's velocity.
         """
         change = slopes.position[:, :, joint] * self.lag[:, None]
         change += slopes.velocity[:, :, joint] * self.rate[:, None]

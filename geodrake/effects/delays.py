@@ -28,7 +28,6 @@ def effort_delays(delays: ArrayLike, joints: Sequence[str]) -> list[EffortDelay]
 
     Args:
         delays: (n,) delays, s.
-        joints: Names of the n joints.
     """
     seconds = np.asarray(delays, float).tolist()
     if len(set(seconds)) == 1:
@@ -45,7 +44,6 @@ def delayed_by(
         delays: (n,) delays, s.
         signals: (N, n) samples at a uniform rate.
         period: Time between samples, s.
-        spline: Their `spline_through`, if it is known already.
     """
     seconds = np.asarray(delays, float).tolist()
     if len(set(seconds)) == 1:

@@ -51,9 +51,6 @@ def joint_gradient(
     """Gradient of Σ weights ∘ regressor of an effect of one joint.
 
     Args:
-        motion: The motion.
-        joint: Name of the joint.
-        columns: The effect's columns.
         slopes: Derivatives of each column by field, or None to take differences.
         weights: (N, nv, k) weights.
     """

@@ -27,7 +27,6 @@ class Objective(Short):
 
     Attributes:
         target: What is to be identified.
-        criterion: Function of the eigenvalues.
         normalization: "geometric", "diagonal" or "none"; see `geodrake.excitation.normalization`.
         base: (n_B, p) base parameters B, for the normalizations that depend on the choice; those
             of the target if None.

@@ -24,7 +24,6 @@ def holding_efforts(model: RobotModel, postures: Array) -> Array:
     Dry friction is no help: what it would hold depends on how the robot came there.
 
     Args:
-        model: The robot.
         postures: (N, nv) positions by joint, rad or m.
     """
     q = postures[:, joint_order(model)]
@@ -38,8 +37,6 @@ def check_start(
     """Refuses a start (nv,) by joint that the robot cannot hold.
 
     Args:
-        model: The robot.
-        limits: Limits on positions and efforts, by joint.
         start: (nv,) positions by joint, rad or m.
         collisions: Bodies that must keep apart; None for no check.
 

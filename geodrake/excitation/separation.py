@@ -48,7 +48,6 @@ class Pair(Short):
     Attributes:
         truth: Name of the effect that the robot has.
         rival: Name of the effect that is to explain it.
-        where: Place of the truth.
         effects: (r, p) columns' coefficients of r robots, whose separations are added: one if the
             parameters are known, and one for each parameter if not.
         columns: (c,) columns that an explanation may use: what may move, and the rival.

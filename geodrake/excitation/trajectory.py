@@ -30,7 +30,6 @@ class ExcitationTrajectory(Short):
     """A motion of all joints of a robot whose joints have one degree of freedom each.
 
     Attributes:
-        family: What its coefficients mean.
         coefficients: (count, nv) coefficients, a column a joint.
         joints: Names of the nv joints, in the order of velocities.
         order: (nv,) joint of each position in Drake's order.
@@ -64,7 +63,6 @@ class ExcitationTrajectory(Short):
 
         Args:
             basis: (3, N, count) `family.basis` of the samples.
-            gradient: The gradient by their q, v and v̇.
         """
         by_joint = np.zeros_like(gradient.v)
         by_joint[:, self.order] = gradient.q

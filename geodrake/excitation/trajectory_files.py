@@ -30,12 +30,9 @@ def write_trajectory(
     """Write a motion, whole or not at all.
 
     Args:
-        trajectory: The motion.
         path: Where to: `.csv` or `.npz` for a log with the predicted efforts, `.yaml` for a ROS
             trajectory_msgs/JointTrajectory, which `ros2 topic pub` takes, `.drake.yaml` for a
             Drake BsplineTrajectory, which `read_drake_trajectory` takes.
-        model: The robot, for the efforts.
-        rate: Samples a second.
 
     Raises:
         OutputError: The suffix is another, or the file cannot be written.

@@ -39,14 +39,7 @@ _REFITS = 2  # of a robot, until its gains and odd logs are settled
 
 @dataclass(frozen=True)
 class ChangeRival:
-    """What may have changed in the place of a finding.
-
-    Attributes:
-        effect: Name of the effect.
-        where: Joint or body.
-        kind: "step" or "ramp".
-        probability: Its probability.
-    """
+    """What may have changed in the place of a finding."""
 
     effect: str
     where: str
@@ -59,9 +52,7 @@ class RobotChange(Short):
     """A change of a robot.
 
     Attributes:
-        robot: Name of the robot.
         effect: Name of the effect that changed.
-        where: Its joint or body.
         kind: "step", or "ramp" for what goes on changing.
         day: First day after the step, or on which the ramp begins.
         interval: Days within which that is with a probability of 95 %.
@@ -101,7 +92,6 @@ class SearchState(Short):
         logs: Their normal equations, with gains.
         odd: (T, K) how odd they are.
         cost: Logarithm of what their density loses by that.
-        fit: The robot's own parameters.
     """
 
     logs: LogEquations
@@ -118,10 +108,7 @@ class RobotSearch(Short):
 
     Attributes:
         model: What is known of its type.
-        robot: Its number.
-        history: Its logs.
         reference: (T, p) or (p,) parameters that gains refer to at first.
-        hypotheses: What may have changed.
     """
 
     model: TypeModel

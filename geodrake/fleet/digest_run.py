@@ -41,14 +41,7 @@ _KILLED = (
 
 @dataclass(frozen=True)
 class LogTask(Short):
-    """A log to be digested.
-
-    Attributes:
-        kind: Type of its robot.
-        robot: Its robot.
-        place: Where the log is.
-        folder: Folder of the type.
-    """
+    """A log to be digested."""
 
     kind: FleetType
     robot: FleetRobot
@@ -148,7 +141,6 @@ def find_tasks(
     """Logs that are to be digested, in the order of the fleet file; and what is known of others.
 
     Args:
-        fleet: The fleet.
         failed: Logs that failed before, which are not tried again until they have changed.
 
     Raises:
@@ -198,10 +190,7 @@ def digest_fleet(
     """Digest logs; what is there stays.
 
     Args:
-        fleet: The fleet.
-        tasks: Logs without a digest.
         known: Robot -> address -> record of the others; taken in are those of the tasks.
-        team: Who works.
         told: Called with what is going on.
 
     Raises:

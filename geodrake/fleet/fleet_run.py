@@ -98,8 +98,6 @@ def take_in_logs(
     """Digest the logs of a fleet that have no digest.
 
     Args:
-        fleet: The fleet.
-        work: Who works.
         failed: Logs that failed before, which are not tried again until they have changed.
         told: Called with what is going on.
         said: Called with what is worth a line that stays.

@@ -32,8 +32,6 @@ class LogRecord:
     """What became of a log of a robot.
 
     Attributes:
-        robot: Name of the robot.
-        address: Where the log was.
         stamp: Its size and when it was changed; empty if it is to be digested again.
         said: Hash of what the fleet file says of it: how it is dated, and what the robot carried.
         digest: Name of its digest's file; empty if there is none.

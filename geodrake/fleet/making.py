@@ -87,7 +87,6 @@ class LogFacts:
 
     Attributes:
         content: SHA-256 of the bytes of its files.
-        files: Its files.
         date: When it was recorded, s since 1970, if somebody says it.
         payloads: What the robot carried all the time, of known mass, that the model does not have.
         episode: Which episode of a dataset the log is; None for all.

@@ -58,7 +58,6 @@ class DigestColumn:
     """What a column of a digest is of.
 
     Attributes:
-        kind: `body`, or `effect`.
         name: Of a body, a combination of inertial parameters, such as `Izz of arm + 0.1 m of hand`;
             the name of the effect otherwise.
         where: The body whose parameter names the combination; joints or bodies of the effect.
@@ -80,9 +79,6 @@ class DigestEffect:
     """An effect that digests have columns for.
 
     Attributes:
-        name: Its name.
-        where: Its joints or bodies.
-        shape: Its shape parameters.
         parameters: Names of its linear parameters.
         units: Their units.
         in_bodies: Whether its columns are those of the bodies, as a payload's are.

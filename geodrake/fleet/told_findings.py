@@ -23,11 +23,7 @@ class ToldFinding:
     """What was told of a finding.
 
     Attributes:
-        robot: Its robot.
-        effect: Its effect.
-        where: Its joint or body.
         earliest: Beginning of its interval, s since 1970.
-        latest: End of its interval.
     """
 
     robot: str

@@ -44,10 +44,7 @@ def learn_type(
 
     Args:
         logs: Those of each robot, over the columns of the type.
-        columns: What the columns are.
         changes: (T, p, m) of each robot: changes that were found in it, as further parameters.
-        start: Where to begin: what was learnt before.
-        rounds: Steps of the iteration.
 
     Raises:
         ArgumentError: There is no robot, or one has other columns.

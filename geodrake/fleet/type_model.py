@@ -36,7 +36,6 @@ class TypeModel(Short):
     """What is known of a type of robots.
 
     Attributes:
-        columns: Its columns.
         mean: (p,) parameters μ that all share.
         covariance: (p, p) covariance of μ.
         deviations: (K,) scale s of each spread, from robot to robot.
@@ -84,8 +83,6 @@ class TypeModel(Short):
         θ has a part for every spread, one for the response to the course, and one for changes.
 
         Args:
-            robot: Its number.
-            logs: Its logs.
             changes: (T, p, m) further parameters of its own, each N(0, 1); None if there are none.
             odd: (T, K) what τ² has beyond that of the type; None for what was learnt.
         """
@@ -104,7 +101,6 @@ class TypeModel(Short):
         """A fit of the same logs with other changes.
 
         Args:
-            fit: The fit.
             changes: (T, p, m) further parameters, each N(0, 1).
         """
         response = fit.own[:, :, : self.columns.sizes[-1]]

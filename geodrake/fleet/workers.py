@@ -40,7 +40,6 @@ class Done(Generic[R]):
     """What became of a piece of work.
 
     Attributes:
-        at: Its number.
         result: What came out; None if it killed its workers.
     """
 
@@ -66,11 +65,7 @@ class InThisProcess:
 
 @dataclass(frozen=True)
 class OfDask:
-    """Does them on the workers of a scheduler.
-
-    Attributes:
-        client: Dask's client.
-    """
+    """Does them on the workers of a scheduler."""
 
     client: Any
 

@@ -26,7 +26,6 @@ class Member:
 
     Attributes:
         index: The link's index in the plant.
-        name: The link's name.
         X_RB: Pose of the link B in the frame R of the lumped body's representative.
     """
 

@@ -31,7 +31,6 @@ class UnderstoodColumn:
     """A column of a log and where it comes from.
 
     Attributes:
-        joint: The joint.
         quantity: What is measured; of efforts, their kind.
         column: Name of the column in the file.
         unit: The unit that it was in; "" for SI.
@@ -102,7 +101,6 @@ def inspect_log(
         path: The file; see `read_log`.
         joints: Names of a model's joints, if the log must have them.
         partial: Whether it may lack some of these.
-        reading: How the file is to be read.
 
     Raises:
         LogError: It cannot be read.

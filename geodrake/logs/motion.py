@@ -266,7 +266,6 @@ class Trajectory:
     """One log, prepared for identification.
 
     Attributes:
-        name: Name of the log.
         joints: Names of the n joints, in the log's order.
         segments: Its stretches without gaps, in time.
         filter: What efforts and regressors of every segment are to be filtered by.
@@ -278,7 +277,6 @@ class Trajectory:
         gain_deviations: (n,) how well the gains of the efforts are known.
         bandwidths: Those asked for of efforts and regressors, and of the motion, Hz.
         temperatures: Courses of the joints' temperatures, if there are any.
-        passive: Joints without a motor.
     """
 
     name: str
@@ -311,7 +309,6 @@ def match_joints(log: JointLog, model_joints: Sequence[str]) -> JointLog:
 
     Args:
         log: A log of exactly the model's joints, in any order.
-        model_joints: Names of the model's joints.
 
     Raises:
         LogError: If log or model has a joint that the other lacks; the message offers the

@@ -37,7 +37,6 @@ def prepare_log(log: JointLog, *, bandwidth: float | None = None) -> Trajectory:
     """Prepare one log; see `prepare_logs`.
 
     Args:
-        log: The log.
         bandwidth: Bandwidth of efforts and regressors, Hz; by default chosen from the data.
     """
     return prepare_logs([log], bandwidth=bandwidth)[0]
@@ -94,7 +93,6 @@ def motion_bandwidth_of(uniform: Sequence[UniformLog], *, time_scale: float = 1.
     """Bandwidth that holds the motion of logs and little of their positions' noise, Hz.
 
     Args:
-        uniform: The logs.
         time_scale: By what their time is to be multiplied, if it is not in s.
     """
     moving = np.any([each.moving for each in uniform], axis=0)
@@ -238,7 +236,6 @@ def _acceleration_noise(uniform: UniformLog, low_pass: ZeroPhaseFilter, *, deriv
     """(n,) deviation of the noise of accelerations from white noise of what they come from.
 
     Args:
-        uniform: The log.
         low_pass: What efforts are filtered by, which the accelerations act like.
         derived: Whether velocities are derived from the positions.
     """

@@ -72,9 +72,7 @@ class _Sensor:
     """What one sensor of one joint measured.
 
     Attributes:
-        log: The log.
         quantity: What is measured, such as "position".
-        joint: Which joint's it is.
         period: Typical time between rows, s.
         rows: (K,) rows that are no empty cells; all of them if a slice.
         time: (K,) instants, s.

@@ -81,7 +81,6 @@ def check_time(name: str, time: Array) -> None:
     """Raise a LogError unless time stamps increase, those left out that are not finite.
 
     Args:
-        name: Name of the log.
         time: (N,) time stamps, s.
     """
     latest = float(np.max(np.abs(time), initial=0.0, where=np.isfinite(time)))

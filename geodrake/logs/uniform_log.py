@@ -42,7 +42,6 @@ class UniformLog:
         period: Time between samples, s.
         noise: (n,) deviation of the noise of the positions, rad or m.
         moving: (n,) whether a joint moves.
-        notes: What was noticed.
     """
 
     log: JointLog

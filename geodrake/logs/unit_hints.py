@@ -22,7 +22,6 @@ def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
     """Return a sentence for the user if efforts look like another unit than N·m or N; else None.
 
     Args:
-        log: The log.
         effort_limits: (n,) limits of the model's joints, N·m or N; zeros and infinities say
             nothing.
     """

@@ -41,7 +41,6 @@ class Bar:
     """A bar, or a mark across a row's bars.
 
     Attributes:
-        color: Its colour.
         end: Where it ends, as a share of the longest there may be.
         text: The number beside it; "" for none.
     """
@@ -53,13 +52,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class BarRow:
-    """What belongs to one name.
-
-    Attributes:
-        label: The name.
-        bars: Its bars.
-        marks: Marks across them.
-    """
+    """What belongs to one name."""
 
     label: str
     bars: tuple[Bar, ...]
@@ -71,9 +64,6 @@ class Bars:
     """A figure of bars.
 
     Attributes:
-        caption: What it shows.
-        legend: Its colours.
-        rows: Its rows.
         note: What to know of it; "" for nothing.
     """
 
@@ -141,7 +131,6 @@ def joint_bars(errors: ErrorTable, stages: Sequence[tuple[str, Sequence[float]]]
     """RMS error of each joint over its effort's deviation, on a logarithmic axis.
 
     Args:
-        errors: Errors of the model as it stands.
         stages: Words and (nv,) RMS of every joint, N·m or N, after each step.
     """
     names = set(worst_joints(errors, MOST_JOINTS))

@@ -41,7 +41,6 @@ class DependenceRow:
     """The plots of one joint.
 
     Attributes:
-        title: Name of the joint.
         detail: Its error, in words.
         plots: One for each signal.
         shown: Whether the joint is shown at first.
@@ -58,8 +57,6 @@ class Dependence:
     """Residuals of one model against what they may depend on.
 
     Attributes:
-        stage: The model.
-        caption: What is shown.
         rows: One for each joint.
     """
 

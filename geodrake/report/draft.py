@@ -41,8 +41,6 @@ def render_drafted(
     """Return the report of an explanation and of the formulas for its rest.
 
     Args:
-        found: What `geodrake.diagnosis.drafting.draft_effects` gives.
-        title: Title of the page.
         model_name: What the model is called.
         log_names: What the logs are called.
         links: Words -> address of further pages, such as a recording; none by default.

@@ -58,8 +58,6 @@ def render_excitation(
     """Return the report of a designed motion.
 
     Args:
-        result: The design.
-        title: Title of the page.
         model_name: What the model is called.
         links: Words -> address of further pages, such as a recording; none by default.
     """

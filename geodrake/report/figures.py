@@ -34,7 +34,6 @@ def joint_error_figure(
     """Error of each joint over the standard deviation of its effort: start, steps, noise floor.
 
     Args:
-        start: Errors of the model as it stands.
         stages: Words and (nv,) RMS of every joint, N·m or N, after each step.
         most: Largest number of joints to show: those of largest nrms at the start.
 

@@ -41,7 +41,6 @@ def rounded(value: float, deviation: float = 0.0) -> float:
     """Return a value to six digits of itself or of its deviation, whichever is larger.
 
     Args:
-        value: The value.
         deviation: Its standard deviation in the same unit; 0 if it has none.
     """
     largest = max(abs(value), abs(deviation) if math.isfinite(deviation) else 0.0)

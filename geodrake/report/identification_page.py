@@ -37,8 +37,6 @@ def render_identification(
     """Return the report of an identification; arguments as for `render_comparison`.
 
     Args:
-        found: The result of `geodrake.identification.models.identify.identify_model`.
-        title: Title of the page.
         model_name: What the model is called.
         log_names: What the logs are called.
         units: Units of the joints, `Units.of(model)`; those of revolute joints by default.

@@ -42,7 +42,6 @@ def replay_page(model: RobotModel, times: Array, q: Array) -> str:
     ellipsoids of their inertia.
 
     Args:
-        model: The robot.
         times: (N,) instants, s.
         q: (N, nq) positions of the model.
     """

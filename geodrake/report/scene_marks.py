@@ -38,7 +38,6 @@ class Mark:
 
     Attributes:
         path: Folder of the scene that is there.
-        words: What to say.
         place: The joint or body, or what else the effect is of.
     """
 
@@ -54,8 +53,6 @@ class EffortArrows:
     measured effort have one length at all joints.
 
     Args:
-        meshcat: Where to draw.
-        places: The joints.
         measured: (F, nv) efforts, N·m or N; NaN where there is none.
         predicted: (F, nv) the same, of the model.
         size: Size of the robot, m.
@@ -97,10 +94,6 @@ class EffectMarks:
     """The effects of a model at their places: bodies, contacts, rings at joints.
 
     Args:
-        meshcat: Where to draw.
-        scene: The robot.
-        model: Its model.
-        units: Units of its parameters.
         size: Size of the robot, m.
 
     Attributes:

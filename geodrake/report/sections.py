@@ -31,9 +31,6 @@ def error_tile(title: str, errors: ErrorTable, units: Units, where: str = "all j
     """Return how large an error is, in N·m first; only its nrms where units are mixed.
 
     Args:
-        title: What stands above it.
-        errors: Errors of a model.
-        units: Units of the joints.
         where: What the error is of, in words.
     """
     unit = units.effort([joint.joint for joint in errors.joints])
@@ -54,7 +51,6 @@ def removable_tiles(errors: ErrorTable, of: str) -> tuple[Tile, ...]:
     """Return what a better model could remove; none where no noise is seen, as it is unknown then.
 
     Args:
-        errors: Errors of a model, with the noise.
         of: What the share is of, in words.
     """
     if not errors.shows_noise:
@@ -200,7 +196,6 @@ def dependence_section(models: Mapping[Stage, Comparison], units: Units) -> Sect
 
     Args:
         models: The models, the last of which is shown at first.
-        units: Units of the joints.
     """
     shown = tuple(residual_dependence(found, stage, units) for stage, found in models.items())
     return Section("What the error goes with", dependences=shown)

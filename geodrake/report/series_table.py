@@ -30,7 +30,6 @@ def comparison_series(now: Comparison, before: Comparison | None = None) -> Colu
     """Efforts of a comparison, N·m or N; NaN where a joint's sample was left out.
 
     Args:
-        now: The comparison.
         before: That of the model before on the same logs, if there is one.
 
     Returns:
@@ -81,7 +80,6 @@ def series_content(columns: Columns, path: Path) -> Content:
     """What goes into a file of samples, by its suffix.
 
     Args:
-        columns: The samples.
         path: The file, CSV or Parquet; empty entries of a CSV are samples that were left out.
 
     Raises:

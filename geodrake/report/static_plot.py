@@ -29,7 +29,6 @@ class Tick:
 
     Attributes:
         at: Where, in per cent from the left or from the top.
-        text: The number.
     """
 
     at: float
@@ -44,7 +43,6 @@ class Line:
         stage: Key of the stage it belongs to; "" for none.
         color: Name of its colour in the style sheet.
         kind: "line", "wide-line", "mean", "rms", "dots", "limit" or "zero".
-        path: The SVG's path.
     """
 
     stage: str
@@ -60,10 +58,6 @@ class Box:
     Attributes:
         stage: Key of the stage it belongs to; "" for the noise.
         color: Name of its colour in the style sheet.
-        x: Left end.
-        y: Upper end.
-        width: Width.
-        height: Height.
     """
 
     stage: str
@@ -80,7 +74,6 @@ class StaticPlot:
 
     Attributes:
         label: What is shown, with its unit.
-        lines: Lines and dots.
         boxes: Shaded parts, behind the lines.
         across: Numbers along the axis below.
         up: Numbers along the axis at the left.
@@ -139,7 +132,6 @@ def span_of(plot: Plot, curves: Array) -> tuple[float, float]:
     """Lowest and highest value that a plot shows.
 
     Args:
-        plot: The plot.
         curves: (C, K) values of the curves shown; NaN where one breaks.
     """
     if plot.span is not None:

@@ -79,8 +79,6 @@ def joint_title(ax: Axes, joint: str, detail: str = "") -> None:
     """Puts a joint's name above its axes, and a detail at the right.
 
     Args:
-        ax: The axes.
-        joint: Name of the joint.
         detail: Words at the right; "" for none.
     """
     ax.set_title(label(joint, 48), loc="left", pad=4, **plain(fontweight="bold"))
@@ -97,7 +95,6 @@ def label(text: str, most: int = _MOST_LETTERS) -> str:
     """Words for a figure: not too many letters, and those that the font does not have as �.
 
     Args:
-        text: Any text.
         most: Most letters; the middle of a longer text is left out.
     """
     font = get_font(findfont(_FONT))
@@ -133,7 +130,6 @@ def note_below(figure: Figure, text: str) -> None:
     """A remark under a figure.
 
     Args:
-        figure: The figure.
         text: The remark; "" for none.
     """
     if text:

@@ -58,10 +58,8 @@ class Table:
     """A table of words and numbers.
 
     Attributes:
-        head: Titles of the columns.
         rows: The rows, as long as the head.
         words: How many columns from the left hold words; the others hold numbers.
-        title: What stands above it.
         total: How many of the last rows sum the others up.
     """
 
@@ -85,7 +83,6 @@ def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
 
     Args:
         stages: Title -> errors of a model, from the first to the last.
-        units: Units of the joints.
     """
     *_, last = stages.values()
     mixed = " or " in units.effort([joint.joint for joint in last.joints])
@@ -234,7 +231,6 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
 
     Args:
         signals: Those of a model, without those of motors that are asked for efforts.
-        units: Units of the joints of the model.
     """
     rows, served = [], any(signal.kind == COMMAND for signal in signals)
     summed = any(signal.integral for signal in signals)
@@ -299,10 +295,7 @@ def departures_table(
     """Return how far every joint departs from its measured motion.
 
     Args:
-        after: The rollout.
         before: A rollout of the same passages with another model; None for none.
-        units: Units of the joints of the model.
-        between: Rollouts with the models on the way.
     """
     others = (before, *between) if before else ()
     rows = []
@@ -369,7 +362,6 @@ def effect_cell(name: str, units: Units) -> Cell:
 
     Args:
         name: Name of the effect, or two joined by " + ".
-        units: Units, with the classes of the effects.
     """
     label, typed = effect_label(name), name.replace(" + ", "\n+ ")
     return Cell(label, effect_signature(name, units), typed=typed)

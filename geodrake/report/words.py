@@ -57,7 +57,6 @@ def effect_signature(effect: str, units: Units) -> str:
 
     Args:
         effect: Name of the effect, or several joined by " + ".
-        units: Units, with the classes of the effects.
     """
     known = [units.effects[name] for name in effect.split(" + ") if name in units.effects]
     return listed([kind.signature for kind in known if kind.signature])

@@ -29,8 +29,6 @@ def number(
     Args:
         value: What the caller passed.
         name: What messages call it.
-        lower: Least value.
-        upper: Greatest value.
         strict: Whether the bounds themselves are refused.
         finite: Whether infinity and what is beyond `LARGEST` is refused; NaN always is.
 
@@ -62,8 +60,6 @@ def integer(
     Args:
         value: What the caller passed: an int, or an integer of NumPy, but no bool.
         name: What messages call it.
-        lower: Least value.
-        upper: Greatest value.
 
     Raises:
         ArgumentError: It is something else; a float is, whatever its value.

@@ -65,7 +65,6 @@ class Proof:
     """What simulators make of an export.
 
     Attributes:
-        differences: By simulator and quantity.
         ignored: Names of effects of the file upon which the first simulator does not act.
         notes: Simulators that are not installed, or cannot read the file.
     """

@@ -72,11 +72,7 @@ class Acting(abc.ABC):
 
 
 class LoggedEffort(Acting):
-    """The efforts of a log.
-
-    Args:
-        count: Number of joints.
-    """
+    """The efforts of a log."""
 
     def __init__(self, count: int) -> None:
         self._source = TrajectorySource(PiecewisePolynomial(np.zeros(count)))
@@ -103,10 +99,6 @@ class ServoedCommand(Acting):
     """The commands of a log, through the servos of a model; at other joints the log's efforts.
 
     Commands and their rates are straight lines between the log's samples.
-
-    Args:
-        model: The model.
-        log: The log, joints in the model's order.
 
     Raises:
         ModelError: The model has no servos, or joints of several degrees of freedom.
@@ -212,8 +204,6 @@ def acting_in(model: RobotModel, log: JointLog, *, commands: bool) -> Acting:
     """What acts in a log.
 
     Args:
-        model: The model, with the servos.
-        log: The log, joints in the model's order.
         commands: Whether servos follow the commands of the log, where it has any.
     """
     if commands and told_joints(model, log).any():
@@ -233,8 +223,6 @@ def picked(builder: DiagramBuilder, port: OutputPort, places: NDArray[np.intp]) 
     """Some elements of an output.
 
     Args:
-        builder: The builder.
-        port: The output.
         places: Which elements, in which order.
     """
     if np.array_equal(places, np.arange(port.size())):

@@ -49,8 +49,6 @@ def motion_before(model: RobotModel, passage: Passage, sign_width: Array) -> Rob
     """The measured motion before a passage, up to its second sample, as effects see it.
 
     Args:
-        model: The model.
-        passage: The passage.
         sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
     """
     first = max(0, passage.start - round(_BEFORE / passage.stretch.period))

@@ -31,9 +31,7 @@ class RolloutValue:
     Attributes:
         at: Which of the model's effects has it; None for a servo.
         effect: Name of the effect; "servo".
-        joint: Its joint.
         name: Name of the value: of a parameter or a shape of the effect, or of an `EffortSignal`.
-        value: The value, SI.
         deviation: How well it is known before, SI; 0 if to a factor of e.
     """
 
@@ -146,7 +144,6 @@ def values_at(values: Sequence[RolloutValue], x: Array) -> Array:
     """(k,) values after steps.
 
     Args:
-        values: The values.
         x: (k,) how many steps of each.
     """
     moved = [value.moved(steps) for value, steps in zip(values, x.tolist(), strict=True)]
@@ -157,7 +154,6 @@ def changes_at(values: Sequence[RolloutValue], x: Array) -> Array:
     """(k,) by how much one more step changes each value.
 
     Args:
-        values: The values.
         x: (k,) how many steps were made of each.
     """
     changes = [value.change(steps) for value, steps in zip(values, x.tolist(), strict=True)]

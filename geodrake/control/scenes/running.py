@@ -72,7 +72,6 @@ class SceneRun:
     """What happened in a scene.
 
     Attributes:
-        scene: The scene.
         context: The Context at the end.
         robots: Model instance -> what the robot did.
     """

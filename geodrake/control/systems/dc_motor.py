@@ -73,7 +73,6 @@ class _DcMotor(JointSystem):
         """Changes constants in a Context.
 
         Args:
-            context: Context of this system.
             **constants: Those of the constructor's arguments that change; one for all motors or
                 (n,).
 

@@ -68,7 +68,6 @@ class _PositionServo(JointSystem):
         """Changes gains in a Context.
 
         Args:
-            context: Context of this system.
             **gains: Those of kp, kd, ki, limit and dead_band that change; one for all joints or
                 (n,).
 
@@ -93,7 +92,6 @@ class _PositionServo(JointSystem):
         """Rates of the integrals; see `LeafSystem`.
 
         Args:
-            context: Context of this system.
             derivatives: Receives the rates, rad or m.
         """
         if derivatives.size():
@@ -211,9 +209,6 @@ class PositionServo(_PositionServo, LeafSystem):
         instants a sampling period apart: a millisecond, or the shortest delay.
 
         Args:
-            builder: The diagram's builder.
-            model: The model.
-            robot: What `model.add_to_builder` or `model.add_to_scene` returned.
             command: Commanded positions (n,) in the order of `model.joints`, rad or m.
             rate: Their rates (n,); zero if None.
 

@@ -65,7 +65,6 @@ def checked_estimate(
     """A copy of parameters (p,) that an estimate can start from; those of the model if None.
 
     Args:
-        control: The robot.
         domain: The manifold where the estimate lives, or the law that moves it; None for neither.
         parameters: (p,) the parameters.
 

@@ -281,11 +281,9 @@ class ColumnModel:
         """Fit all joints by an assignment.
 
         Args:
-            assignment: The assignment.
             worth: (n,) independent samples of each column of efforts.
             near: A fit whose errors say how much each joint counts at first; by default, all
                 count as if they were explained.
-            wide: Parameters of errors that may be large.
             moved: (p,) by how much the assignment has moved these already.
         """
         joints = self._joints(assignment)

@@ -39,9 +39,7 @@ def candidate_effects(
     known from other logs, or known payloads, identify.
 
     Args:
-        model: The robot.
         trajectories: Prepared logs; shape grids scale with their speeds and temperatures.
-        extra: Further effect classes.
         known_gains: Joints at which known payloads take the place of known inertias, as
             `joints_with_known_gain` gives them.
         speeds: (nv,) peak speeds, rad/s or m/s; by default those of the logs.

@@ -121,15 +121,11 @@ def open_case(
     """Prepare and reduce logs for a model.
 
     Args:
-        model: The model.
-        logs: Logs or their files.
         candidates: Whether effects that the model lacks get columns too.
-        extra: Effect classes of the user's own to try.
         bandwidth: Bandwidth of the filter, Hz; by default that at which the model was fitted to
             these logs, or chosen from the data.
         blocks: Blocks into which every log is cut for validation; by default whole logs if there
             are four or more, and about eight blocks otherwise.
-        motion_bandwidth: As in `prepare_logs`, for a given bandwidth.
         hold_resting: Whether joints that hardly move in any log are held; see
             `holding_resting`.
 
@@ -226,10 +222,7 @@ def prepared_as_measured(
     """Return prepared logs and their folds, whatever the model says of efforts.
 
     Args:
-        model: The model, whose joints the logs are of.
-        logs: Logs or their files.
         bandwidth: Bandwidth of the filter, Hz; by default chosen from the motion.
-        blocks: As for `open_case`.
     """
     logs = checked_logs(model, logs, (), bandwidth, blocks)
     _, matched, _ = with_efforts(model, _matched(model, logs))

@@ -55,10 +55,8 @@ def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0) 
     """Return the errors of given parameters in every fold, through the triangular factors.
 
     Args:
-        dataset: The reduced logs.
         columns: (p,) columns in use.
         x: (F, p) parameters for each fold.
-        delay: Index of the effort column.
     """
     sse = np.empty((len(dataset.folds), len(dataset.joints)))
     for j, (data, late) in enumerate(zip(dataset.data, dataset.delay_of_each(delay), strict=True)):
@@ -74,10 +72,8 @@ def normal_matrices(
     """Return the weighted AᵀA (F, p, p) and Aᵀb (F, p) of every fold.
 
     Args:
-        dataset: The reduced logs.
         weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)² or 1 / N².
         columns: (p,) columns of A in the dataset.
-        delay: Index of the effort column that b is.
     """
     p, folds = len(columns), len(dataset.folds)
     gram, rhs = np.zeros((p, p, folds)), np.zeros((p, folds))
@@ -95,11 +91,7 @@ class CrossValidation:
     """Fits of given unknowns to all folds but one.
 
     Args:
-        dataset: The reduced logs.
-        unknowns: What the fit may move.
         weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)².
-        delay: Index of the effort column to fit.
-        held_out: The held-out errors, if they are known already.
         physical: Whether bodies are kept physical.
     """
 
@@ -177,7 +169,6 @@ def _within(x: Array, rhs: Array, scaled: tuple[Array, Array], unknowns: Unknown
         x: (p,) the minimizer without bounds.
         rhs: (p,) right side of the normal equations.
         scaled: Their matrix (p, p) of unit diagonal, and by what (p,) it was scaled.
-        unknowns: The unknowns.
     """
     free, (matrix, scale) = np.ones(len(x), bool), scaled
     lower, upper = unknowns.lower - _ROUNDING, unknowns.upper + _ROUNDING

@@ -70,10 +70,8 @@ def residual_blocks(
     """Return held-out residuals: per joint, one array (K_i,) per block.
 
     Args:
-        dataset: The reduced logs.
         columns: (p,) columns in use.
         x: (F, p) parameters for each fold.
-        delay: Index of the effort column.
     """
     return [
         [
@@ -105,7 +103,6 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
     samples so that coloured residuals do not outvote the prior.
 
     Args:
-        hypothesis: The hypothesis.
         iterations: How often effective samples are counted at most, each time with weights that
             agree with the errors; fewer where the weights stay.
     """

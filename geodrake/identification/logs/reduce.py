@@ -54,8 +54,6 @@ def reduce_logs(
 
     Args:
         model: The model; its inertial parameters give the load, its delays shift the efforts.
-        trajectories: Prepared logs, joints in the model's order.
-        folds: Validation folds of the trajectories.
         effects: Effects that get columns: those of the model and those to try.
         delays: Delays to try on top of the model's, s, of all joints or (nv,) of each; the first
             must be 0.

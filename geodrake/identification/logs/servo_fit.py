@@ -86,7 +86,6 @@ class ServoFit:
         start: The same where the search began.
         moved: Deviation of the measured positions, rad or m.
         integral: The last of `PARAMETERS`; 0 for a servo without an integral.
-        integral_deviation: Its standard deviation.
         limit: Effort at which the servo saturates; infinite where the motion shows none.
         own: Whether the servo makes the viscous damping, within its limit.
     """
@@ -192,8 +191,6 @@ class JointMotions:
         nothing of a servo, but would make all residuals go together, as if they were one.
 
         Args:
-            before: Those before.
-            after: Those after.
             rows: Which rows count; all if None.
         """
         rows = np.ones(len(after), bool) if rows is None else rows
@@ -284,7 +281,6 @@ def fit_servo(
     """The servo that moves a joint as it was measured to.
 
     Args:
-        motions: The joint.
         signal: The servo by a linear fit, at which the search begins.
         limit: Largest effort of the joint, N·m or N, by the model: the servo may keep it, or
             another one, or none.
@@ -309,7 +305,6 @@ def _fitted(found: _Half, start: Array, told: float) -> ServoFit | None:
     """The fit to all rows, from that to half of the windows on; see `fit_servo`.
 
     Args:
-        found: The servo by half of the windows.
         start: (6,) the servo by a linear fit.
         told: The integral gain by that; 0 if it has none.
     """
@@ -370,7 +365,6 @@ def _limited(motions: JointMotions, start: Array, told: float, limit: float) -> 
     """The servo by half of the windows, at the limit that the others ask for: of the model, or own.
 
     Args:
-        motions: The joint, without a limit.
         start: (6,) where searches begin.
         told: The integral gain by a linear fit; 0 if it has none.
         limit: Largest effort of the joint by the model, N·m or N.
@@ -404,7 +398,6 @@ def _with_limit(
 
     Args:
         motions: The joint, with a limit to begin with; else it is what bodies need at most.
-        starts: Servos to begin with.
         scale: (7 + S,) sizes of parameters.
         first: Whether it is a first search, which need not settle.
     """
@@ -435,7 +428,6 @@ class _LimitSearch:
     """Residuals and slopes of a search that moves the limit, too.
 
     Attributes:
-        motions: The joint.
         sizes: (p + 1,) of parameters, and of the limit, by which they are divided.
         step: Of simulations at most, s.
     """
@@ -465,7 +457,6 @@ def _scale(motions: JointMotions, start: Array, told: float) -> Array:
     """(7 + S,) sizes of parameters.
 
     Args:
-        motions: The joint.
         start: (6,) the servo by a linear fit.
         told: Its integral gain; 0 if it has none.
     """
@@ -486,7 +477,6 @@ def _by_half(motions: JointMotions, start: Array, told: float) -> tuple[Array, A
     """A servo by the windows that a test does not need, and sizes of its parameters (p,).
 
     Args:
-        motions: The joint.
         start: (6,) where searches begin.
         told: The integral gain by a linear fit; 0 if it has none.
     """
@@ -509,7 +499,6 @@ def _integral(
     """A servo with an integral by the windows that a fit sees, if the others ask for one.
 
     Args:
-        motions: The joint.
         known: (6,) the servo by a linear fit, and without an integral by the same windows.
         scale: (7 + S,) sizes of its parameters.
         told: The integral gain by a linear fit; 0 if it has none.
@@ -539,7 +528,6 @@ def _promised(motions: JointMotions, constant: Array, scale: Array) -> float:
     """What an integral would gain beside a constant effort, as far as motions are linear in both.
 
     Args:
-        motions: The joint.
         constant: (7 + S,) a servo without an integral.
         scale: (7 + S,) sizes of parameters.
     """
@@ -575,7 +563,6 @@ def _best(
     """Least squares over some rows, from several starts on.
 
     Args:
-        motions: The joint.
         starts: Parameters (p,) to begin with.
         scale: (p,) sizes of parameters.
         rows: (N,) which rows count.
@@ -603,7 +590,6 @@ class _MotionSearch:
     """Residuals and slopes of one search; both are had from one simulation.
 
     Attributes:
-        motions: The joint.
         start: (p,) parameters, of which those that are not free stay.
         scale: (p,) sizes of parameters, by which they are divided.
         free: (p,) which parameters move.
@@ -667,7 +653,6 @@ def calc_servo_motion(
     Args:
         rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
         period: Time between rows, s.
-        steps: Of the simulation between two rows.
         servo: kp, kr, d, F, I, δ, ki, w, the largest effort, and the share of d within it.
         out: (N,) positions, and (N, p) their slopes with the first six of the servo's numbers, or
             all eight; (0, p) if those are not asked for.
@@ -745,7 +730,6 @@ def calc_bodies_between(
     Args:
         rows: (N, 8) as of `calc_servo_motion`.
         k: Number of the first of the two.
-        f: Share of the way to the next.
     """
     g = 1.0 - f
     return (

@@ -132,8 +132,6 @@ def calibrated(
     """Find what makes efforts of the signals of all joints whose efforts were not measured.
 
     Args:
-        model: The model.
-        logs: Logs, joints in the model's order.
         kinds: (nv,) what stands for the efforts of each joint.
 
     Raises:

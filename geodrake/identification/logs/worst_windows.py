@@ -25,7 +25,6 @@ class WorstWindow:
     """A stretch of time in which a joint errs much more than usual.
 
     Attributes:
-        joint: Name of the joint.
         block: Name of the fold it is in.
         start: First instant in the log's own time, s.
         end: Last instant in the log's own time, s.

@@ -146,11 +146,9 @@ def log_of(
     """Return the log that a table of columns is, whatever they are called; see `read_log`.
 
     Args:
-        table: The columns.
         joints: Names of a model's joints, if the log must have the same and in their order.
         partial: Whether it may lack some of these joints, or their efforts alone: joints that stand
             still then are `JointLog.standing`.
-        reading: What the user said of the table.
 
     Raises:
         LogError: A needed column or joint is missing or there twice, or time does not increase.

@@ -24,7 +24,6 @@ class Source:
     """Where the numbers of a column of a log come from.
 
     Attributes:
-        column: Column of the file.
         factor: What its numbers are multiplied by.
         unit: The unit that they are in; None for SI that nobody said.
         nanoseconds: Column of what is to be added to time, ns.
@@ -48,7 +47,6 @@ class Columns:
     """What is read from a file.
 
     Attributes:
-        path: The file.
         joints: Names of the n joints, in the order of the log to be.
         quantities: Quantities that every joint has; and efforts and commands, which some may lack.
         notes: What was left out or converted, in words.

@@ -59,8 +59,6 @@ def table_of(
     """Return the columns of a file of any format, which may be yet to be read.
 
     Args:
-        path: The file or folder.
-        reading: What the user said of it.
         joints: Names of the model's joints, if there is a model, for a proposed mapping.
         numbered: Whether columns without names may be called by their numbers.
     """

@@ -32,7 +32,6 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
     Args:
         paths: Files of any format. The name of a file may say the quantity of its columns, as
             that of `efforts.csv` does.
-        reading: What the user said of the log.
 
     Raises:
         LogError: One cannot be read, files without time are not equally long, their times do not

@@ -30,7 +30,6 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     Args:
         log: What messages call the log.
         tables: Its parts; messages call each by its path.
-        reading: What the user said of the log.
 
     Raises:
         LogError: Parts without time are not equally long, their times do not meet, or one has more

@@ -121,10 +121,7 @@ def proposed_mapping(
 
     Args:
         path: The log, for its first line.
-        names: Its columns.
-        joints: The model's joints, if there is a model.
         headed: Whether the file has these names; columns of others are given by their numbers.
-        motorless: Joints without a motor.
 
     Returns:
         YAML with comments; None for files with too many columns for that.

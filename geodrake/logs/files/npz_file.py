@@ -82,7 +82,6 @@ class _Place:
     """Where the numbers of a column are: in an array, or in a column of one.
 
     Attributes:
-        name: Name of the column.
         entry: The member of the archive.
         column: Which column of a matrix; None for an array of numbers.
     """

@@ -25,7 +25,6 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
     """Return a table of numbers, wider arrays as columns `name[0]`, `name[1]` and so on.
 
     Args:
-        path: What the arrays are from.
         arrays: Name -> (N,) or (N, n) values, in whatever can be made an array. Dates and times
             become seconds: dates from the first row on.
         rows: N; arrays of another length are left out.
@@ -67,7 +66,6 @@ def spread(name: str, values: Array) -> Iterator[tuple[str, Array]]:
     """The columns of an array.
 
     Args:
-        name: Its name.
         values: (N,) or (N, n).
     """
     if values.ndim == 1:

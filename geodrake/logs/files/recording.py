@@ -51,7 +51,6 @@ class Recording:
         """Put numbers into some rows.
 
         Args:
-            rows: Samples that the numbers are of.
             numbers: Column of the file -> (n,) its numbers in these rows; those of
                 `Columns.files`, or some of them.
         """

@@ -113,10 +113,6 @@ def check_kind(path: Path, column: str, joint: str, kind: str, unit: Unit | None
     """Refuse a unit that is not of the kind of efforts in a column.
 
     Args:
-        path: The file, for messages.
-        column: The column.
-        joint: Its joint.
-        kind: What it is to be.
         unit: Its unit; None where nobody said one.
 
     Raises:

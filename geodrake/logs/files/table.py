@@ -25,7 +25,6 @@ class LogTable:
     Large files are tables that are read in parts, of which subclasses know how.
 
     Attributes:
-        path: The file or folder.
         columns: (N,) numbers of each column, by its name in the file; NaN where nothing was
             measured. `time`, if the format has stamps of its own: s from the first sample.
         units: Units of columns, where the file states them.

@@ -96,8 +96,6 @@ def read_text(
     """Return the columns of a table of text.
 
     Args:
-        path: The file.
-        reading: What the user said of it.
         joints: Names of the model's joints, if there is a model, for a proposed mapping.
         numbered: Whether columns without names may be called by their numbers.
     """

@@ -30,7 +30,6 @@ class TextLayout:
     """How a table is laid out.
 
     Attributes:
-        names: Names of its columns.
         separator: What is between cells; None for any white space.
         decimal: The decimal point, or comma.
         lines: Lines that come before the rows.
@@ -101,10 +100,6 @@ def text_layout(
     """The layout of a table, and its lines from the first row on.
 
     Args:
-        path: The file, for messages.
-        file: Its lines.
-        reading: What the user said of it.
-        joints: The model's joints, for a proposed mapping.
         numbered: Whether columns without names may be called by their numbers.
 
     Raises:

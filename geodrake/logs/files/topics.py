@@ -23,8 +23,6 @@ class Topic:
     """A topic of a bag, or a channel of an LCM log.
 
     Attributes:
-        name: Its name.
-        kind: Its message type.
         rows: What its messages, or the first of them, say of joints; None if none of it is known.
         made_for_joints: Whether the type is for the state of joints, and nothing else.
         is_wanted: Whether positions in it are what joints are told, by its name.

@@ -43,12 +43,9 @@ def columns_of(
     """The columns of a file with these names, joints in the order given if any is.
 
     Args:
-        path: The file, for messages.
         names: All columns of the file, in its order.
         joints: Names of the model's joints, which the log must have, in the order that it shall
             have them in; None for the order of the file.
-        reading: What the user said of the file.
-        units: Units of columns, where the file states them.
         origins: Columns of seconds since an instant -> this, ns since 1970; see `LogTable`.
         partial: Whether the log may lack some of the model's joints, or their efforts.
 
@@ -76,11 +73,8 @@ class _Understood:
     """Which column of a file is which quantity of which joint, before that is checked.
 
     Attributes:
-        path: The file.
-        names: Its columns.
         reading: What the user said of it.
         places: (joint, quantity) -> source, in the order of the file; `("", "time")` is time.
-        notes: What was noticed.
         rate: Rows a second, Hz.
         own: Whether joints are those of geodrake's own names, of which none is left out unasked.
         others: Joint -> further columns that could be taken for its efforts, or in their place.
@@ -250,7 +244,6 @@ class _Understood:
         Args:
             joints: Joints with position and effort, or what stands for it.
             standing: Joints with positions alone.
-            model: The model's joints, if there is a model.
 
         Raises:
             LogError: A column that is needed is there twice, or a gain is of no joint.

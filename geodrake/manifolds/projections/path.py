@@ -36,9 +36,7 @@ def solved(state: State, enough: float, max_iterations: int) -> State:
     """The best of a sequence of states towards the optimum.
 
     Args:
-        state: Where to begin.
         enough: Error of a state below which it is good enough.
-        max_iterations: Most steps.
     """
     single = True  # where rows are far apart, one at a time goes further than all at once
     best = state
