@@ -6,7 +6,6 @@ import csv
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from importlib.util import find_spec
-from io import StringIO
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,7 @@ from geodrake.logs.files.torn_rows import TornRows
 Array = NDArray[np.float64]
 
 _LINES = 50_000  # that are read at once
+_MANY = 100_000  # lines, from which on pandas is quicker
 _BLOCK = 1 << 20  # bytes in which line ends are looked for
 _LONGEST_LINE = 8  # blocks, which hold 400,000 numbers
 
@@ -52,18 +52,63 @@ class TextTable(LogTable):
         """Yield rows, and the numbers of some columns in them; see `LogTable`."""
         names = list(dict.fromkeys(name for group in groups for name in group))
         layout, row = self._read[0], 0
+        if self._read[1] > _MANY and find_spec("pandas"):
+            with suppress(ValueError):  # of something else than numbers: told cell by cell
+                yield from self._quickly(names)
+                return
         with open_text(self.path, "log", LogError, newline="") as file:
             lines = islice(file, layout.lines, None)
             for table in _blocks(self.path, layout, lines, names, torn):
                 yield slice(row, row + len(table)), dict(zip(names, table.T, strict=True))
                 row += len(table)
 
+    def _quickly(self, names: Sequence[str]) -> Iterator[Part]:
+        """Yield the parts of a table that has nothing but numbers; else raise a ValueError."""
+        import pandas
+
+        layout, row = self._read[0], 0
+        places = [layout.places[name] for name in names]
+        cells = [cell for cell, item in places if item is None]
+        if layout.separator is None or len(cells) < len(names) or layout.origins:
+            raise ValueError("not of numbers alone")
+        exact: dict[str, Any] = (
+            {} if pandas.__version__ >= "3" else {"float_precision": "round_trip"}
+        )
+        count = len(layout.names)
+        with open_text(self.path, "log", LogError, newline="") as file:
+            for _ in range(layout.lines):
+                file.readline()
+            frames = pandas.read_csv(
+                file,
+                sep=layout.separator,
+                decimal=layout.decimal,
+                header=None,
+                names=range(count + 1),
+                usecols=sorted({*cells, count - 1, count}),
+                dtype=float,
+                keep_default_na=False,
+                na_values=["", "nan", "NaN"],
+                chunksize=_MANY,
+                **exact,
+            )
+            for frame in frames:
+                if frame[count - 1].isna().any() or frame[count].notna().any():
+                    raise ValueError("a row may have fewer cells, or more")
+                numbers = frame[cells].to_numpy()
+                part = slice(row, row + len(numbers))
+                yield part, dict(zip(names, numbers.T, strict=True))
+                row = part.stop
+
     def loaded(self) -> LogTable:
         """Return the table with all its columns read, those of words as texts."""
         layout, most, reading = self._read
         torn = TornRows(self.path, most, reading.skip_bad_rows)
         names = [name for name in layout.columns if name not in layout.texts]
-        blocks = list(self.parts([tuple(names)], torn))
+        blocks = list[Part]()
+        for part in self.parts([tuple(names)], torn):
+            if part[0].start == 0:
+                blocks.clear()  # of a quick reading that did not come to the end
+            blocks.append(part)
         rows = blocks[-1][0].stop if blocks else 0
         kept, notes = torn.settle(np.arange(float(rows)))
         columns = {
@@ -149,32 +194,12 @@ def _numbers(
     if mark and any('"' in line or (line.count(mark) != cells and line.strip()) for line in plain):
         return None
     try:
-        if mark and len(lines) == _LINES and find_spec("pandas"):
-            return _quickly(plain, mark, columns)
         table = np.loadtxt(
             plain, delimiter=mark, comments=None, ndmin=2, usecols=columns if mark else None
         )
     except ValueError:
         return None  # empty cells, text or ragged rows: distinguished cell by cell
     return table if mark else table[:, columns] if table.shape[1] == cells + 1 else None
-
-
-def _quickly(lines: Sequence[str], mark: str, columns: Sequence[int]) -> Array:
-    """Return the numbers of columns of many lines; a ValueError if there are others."""
-    import pandas
-
-    exact: dict[str, Any] = {} if pandas.__version__ >= "3" else {"float_precision": "round_trip"}
-    frame = pandas.read_csv(
-        StringIO("".join(lines)),
-        sep=mark,
-        header=None,
-        usecols=columns,
-        dtype=float,
-        keep_default_na=False,
-        na_values=["", "nan", "NaN"],
-        **exact,
-    )
-    return frame[columns].to_numpy()
 
 
 def _cells(
