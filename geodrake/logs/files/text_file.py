@@ -74,7 +74,8 @@ class TextTable(LogTable):
         exact: dict[str, Any] = (
             {} if pandas.__version__ >= "3" else {"float_precision": "round_trip"}
         )
-        count = len(layout.names)
+        last = len(layout.names) - 1
+        kinds = {k: float if k in {*cells, last} else str for k in range(last + 1)}
         with open_text(self.path, "log", LogError, newline="") as file:
             for _ in range(layout.lines):
                 file.readline()
@@ -83,17 +84,15 @@ class TextTable(LogTable):
                 sep=layout.separator,
                 decimal=layout.decimal,
                 header=None,
-                names=range(count + 1),
-                usecols=sorted({*cells, count - 1, count}),
-                dtype=float,
+                dtype=kinds,
                 keep_default_na=False,
                 na_values=["", "nan", "NaN"],
                 chunksize=_MANY,
                 **exact,
             )
             for frame in frames:
-                if frame[count - 1].isna().any() or frame[count].notna().any():
-                    raise ValueError("a row may have fewer cells, or more")
+                if frame.shape[1] != last + 1 or frame[last].isna().any():
+                    raise ValueError("a row may be cut off")
                 numbers = frame[cells].to_numpy()
                 part = slice(row, row + len(numbers))
                 yield part, dict(zip(names, numbers.T, strict=True))
