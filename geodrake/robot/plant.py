@@ -36,6 +36,7 @@ from geodrake.inertia.bodies import lumped_bodies
 from geodrake.robot.files import Given, ModelDescription, read_description
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.files.named_robots import robot_file
 from geodrake.robot.followers import Follower, OwnCoordinates, resolved
 from geodrake.robot.holding import Arrangement, checked_held, poses_of, weld_joints, welds_of
 from geodrake.robot.mujoco_check import JointTerms, check_against_mujoco
@@ -116,6 +117,7 @@ def load_plant(
 
     Args:
         path: The model file; the root element, not the suffix, decides between the XML formats.
+            Or the name of a robot of robot_descriptions (`geodrake.robot.files.named_robots`).
         floating: Leave bodies free that the file does not attach to the world; otherwise each
             root is welded to the world where the file puts it.
         held: Joint of one degree of freedom -> where it is held, rad or m: it does not move, and
@@ -130,8 +132,8 @@ def load_plant(
         ModelError: The file cannot be read, is no robot description, or nothing moves in it; a
             joint cannot be held; or Drake refuses the inertial parameters that are given.
     """
-    path = file_path(path)
     given = Given() if given is None else instance(given, "given", Given)
+    path, given, origin = robot_file(file_path(path), given)
     held = {} if held is None else instance(held, "held", Mapping)
     held = {name: number(value, f"held[{name!r}]") for name, value in held.items()}
     with drake_messages() as messages:
@@ -146,7 +148,7 @@ def load_plant(
             built = _build(description, arrangement, into)
         if phi is not None:
             _check_inertias(built.plant, phi, path)
-    notes = [*description.notes, *built.notes, *_follower_notes(arrangement)]
+    notes = [*origin, *description.notes, *built.notes, *_follower_notes(arrangement)]
     ignored, apart = _ignored(description, arrangement), list[str]()
     (apart if any(text.kind == "xml" for text in description.texts) else notes).extend(ignored)
     changes = [*map(str, repairs), *left_out, *description.lost, *_relevant(messages)]
