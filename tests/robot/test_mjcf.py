@@ -83,6 +83,8 @@ def assert_as_mujoco(folder, text, joints, change=lambda theirs: None):
     return model
 
 
+PAIR = '<joint joint="a" coef="1"/><joint joint="t" coef="2"/>'
+
 TAKEN = {
     "frames": (
         mjcf(f'<frame pos="1 0 0" euler="9 8 7"><frame euler="4 5 6">{tip()}</frame></frame>'),
@@ -201,6 +203,55 @@ TAKEN = {
         ),
         "a t",
     ),
+    "a spring of powers": (mjcf(tip('stiffness="3 1 -2" springref="20"')), "a t"),
+    "a spring that pushes": (mjcf(tip('stiffness="-3"')), "a t"),
+    "compensated gravity of one": (
+        mjcf(tip()).replace('<body name="t"', '<body name="t" gravcomp=".5"'),
+        "a t",
+    ),
+    "more than one body's compensated gravity": (
+        mjcf(tip() + f'<body pos=".2 0 0" gravcomp="-.7">{GEOM}</body>').replace(
+            '<body name="t"', '<body name="t" gravcomp="1.5"'
+        ),
+        "a t",
+    ),
+    "gravity that is compensated by less than nothing": (
+        mjcf(tip()).replace('<body name="t"', '<body name="t" gravcomp="-.5"'),
+        "a t",
+    ),
+    "a medium": (
+        mjcf(
+            tip() + f'<body pos=".2 0 0" euler="9 8 7">{GEOM}</body>',
+            head='<option density="1000" viscosity=".5" wind="1 0 0"/>',
+        ),
+        "a t",
+    ),
+    "a tendon of two joints": (
+        mjcf(
+            tip('stiffness="1" damping=".2"'),
+            tail='<tendon><fixed name="p" stiffness="5" damping=".3" armature=".1">'
+            f'{PAIR}</fixed></tendon><actuator><general tendon="p" gear="2" armature=".02" '
+            'damping=".4"/></actuator>',
+        ),
+        "a t",
+    ),
+    "tendons of three joints in two branches": (
+        mjcf(
+            tip() + f'<body><joint name="u" type="slide" axis="1 0 0"/>{GEOM}</body>',
+            tail='<tendon><fixed name="p" stiffness="5" springlength=".3" damping=".3" '
+            f'armature=".1">{PAIR}<joint joint="u" coef="-3"/></fixed><fixed name="q" '
+            f'stiffness="2">{PAIR}</fixed></tendon>',
+        ),
+        "a t u",
+    ),
+    "powers of a tendon of one joint": (
+        mjcf(
+            tip(),
+            tail='<tendon><fixed stiffness="5 2 1" springlength=".2" damping=".3 .1 .2">'
+            '<joint joint="t" coef="-1.5"/></fixed></tendon>',
+        ),
+        "a t",
+    ),
     "compensated gravity of all": (
         mjcf(tip())
         .replace('<body name="a"', '<body name="a" gravcomp=".8"')
@@ -225,6 +276,21 @@ def test_friction_of_a_tendon_is_that_of_its_joint(tmp_path):
     assert loaded.file_friction == pytest.approx([0.0, 0.3])
 
 
+def test_friction_of_a_tendon_of_two_joints_is_that_of_an_actuator(tmp_path):
+    fixed = '<fixed name="p" frictionloss=".4"><joint joint="a" coef=".5"/>'
+    tail = f'<tendon>{fixed}<joint joint="t" coef="{{}}"/></fixed></tendon>'
+    for share in (0.5, -0.5):
+        model = load_model(write(tmp_path, mjcf(tip(), tail=tail.format(share))))
+        bare = load_model(write(tmp_path, mjcf(tip())))
+        motion = Motion(*np.random.default_rng(0).uniform(-1, 1, (3, 9, 2)))
+        along = np.array([0.5, share])
+        rubs = 0.4 * np.sign(motion.v @ along)[:, None] * along
+        assert np.allclose(model.effort(motion), bare.effort(motion) + rubs, atol=1e-12)
+        assert not model.left_out
+    (said,) = load_model(write(tmp_path, mjcf(tip(), tail=tail.format(0.7)))).left_out
+    assert said == "The dry friction 0.4 of p, over joints that pull it unequally, is left out."
+
+
 def zero(**tables):
     def change(theirs):
         for table, at in tables.items():
@@ -233,20 +299,12 @@ def zero(**tables):
     return change
 
 
-def no_medium(theirs):
-    theirs.opt.density = theirs.opt.viscosity = 0.0
+def no_ellipsoids(theirs):
+    """Drag of ellipsoids without any of their coefficients; that of the box of the body a stays."""
+    theirs.geom_fluid[:, 1:] = 0.0
 
 
-PAIR = '<joint joint="a" coef="1"/><joint joint="t" coef="2"/>'
 LEFT_OUT = {
-    "tendon p with stiffness 5, damping 0.3, armature 0.1 is": (
-        mjcf(
-            tip(),
-            tail='<tendon><fixed name="p" stiffness="5" damping=".3" armature=".1">'
-            f"{PAIR}</fixed></tendon>",
-        ),
-        zero(tendon_stiffness=0, tendon_damping=0, tendon_armature=0),
-    ),
     "tendon p with stiffness 40": (
         mjcf(
             tip(geom=GEOM + '<site name="u" pos="0 0 .1"/>'),
@@ -257,17 +315,28 @@ LEFT_OUT = {
         ),
         zero(tendon_stiffness=0),
     ),
-    "quadratic stiffness 1 of the joint t": (
-        mjcf(tip('stiffness="4 1 2"')),
-        zero(jnt_stiffnesspoly=(1, 0)),
+    "tendon p with stiffness 5 is": (
+        mjcf(
+            tip(),
+            tail='<tendon><fixed name="p" stiffness="5" springlength=".1 .2" damping=".3">'
+            f"{PAIR}</fixed></tendon>",
+        ),
+        zero(tendon_stiffness=0),
     ),
-    "gravcomp=0.5 of t": (
-        mjcf(tip()).replace('<body name="t"', '<body name="t" gravcomp=".5"'),
-        zero(body_gravcomp=2),
+    "tendon p with stiffnesspoly 2 1, dampingpoly 0.1 0 is": (
+        mjcf(
+            tip(),
+            tail='<tendon><fixed name="p" stiffness="5 2 1" damping=".3 .1">'
+            f"{PAIR}</fixed></tendon>",
+        ),
+        zero(tendon_stiffnesspoly=0, tendon_dampingpoly=0),
     ),
-    "<option density=1000 viscosity=0.5 wind=1 0 0>": (
-        mjcf(tip(), head='<option density="1000" viscosity=".5" wind="1 0 0"/>'),
-        no_medium,
+    "drag acts on the ellipsoids of t": (
+        mjcf(
+            tip(geom=GEOM.replace("<geom", '<geom fluidshape="ellipsoid"')),
+            head='<option density="1000" wind="1 0 0"/>',
+        ),
+        no_ellipsoids,
     ),
     "constraint <connect> of a and t": (
         mjcf(tip(), tail='<equality><connect body1="a" body2="t" anchor="0 0 0"/></equality>'),
@@ -336,7 +405,7 @@ def test_without_mujoco_simple_files_are_read_and_others_refused(tmp_path, monke
     assert without.joints == with_mujoco.joints and without.bodies == with_mujoco.bodies
     np.testing.assert_allclose(without.phi, with_mujoco.phi, atol=1e-12)
     assert [e.effect for e in without.effects] == [e.effect for e in with_mujoco.effects]
-    for what in sorted(TAKEN.keys() - {"gravity", "dry friction"}):
+    for what in sorted(TAKEN.keys() - {"gravity", "dry friction", "a spring that pushes"}):
         with pytest.raises(ModelError, match="MuJoCo, which is not installed") as refused:
             load_model(write(tmp_path, TAKEN[what][0]))
         assert 'pip install "geodrake[mjcf]"' in str(refused.value), what

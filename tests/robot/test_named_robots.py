@@ -183,7 +183,7 @@ def test_commands_and_saved_models_know_it(cached):
     write_log(JointLog("log", model.joints, time, q, effort), cached / "log.csv")
     shown = run("compare", "panda", "log.csv")
     assert "panda against log.csv" in shown
-    run("export", "panda", "out", "--to", "mujoco")
+    run("export", "panda", "out", "--to", "mjcf")
     assert (cached / "out").is_dir()
     save_model(model, cached / "model.yaml")
     again = load_model(cached / "model.yaml")

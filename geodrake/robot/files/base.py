@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import ClassVar
 from xml.etree.ElementTree import Element, SubElement
@@ -19,8 +19,9 @@ from geodrake.robot.files.checks import (
     check_numbers,
 )
 from geodrake.robot.files.values import drop, numbers
-from geodrake.robot.files.xml_text import numbered_text, place_of
+from geodrake.robot.files.xml_text import numbered_text
 from geodrake.robot.followers import Follower
+from geodrake.robot.stated import BoxInMedium, Spring, Tendon
 from geodrake.robot.transmission.statements import Followers, Statement
 
 _LOOPS = ("ball_constraint", "linear_bushing_rpy", "distance_constraint", "weld_constraint")
@@ -41,10 +42,12 @@ class ModelText(abc.ABC):
         armature: Scoped joint names with their reflected inertia, kg·m² or kg.
         damping_2: Scoped joint names with c of their damping c |v| v, SI.
         damping_3: Scoped joint names with c of their damping c v³, SI.
-        stiffness: Scoped joint names with the stiffness of their spring, N·m/rad or N/m.
-        stiffness_3: Scoped joint names with k of a spring k (q − q₀)³, SI.
-        rest_3: Scoped joint names with q₀ of that spring, rad or m.
-        rest: Scoped joint names with the position at which that spring is at rest, rad or m.
+        springs: Scoped joint names with their spring.
+        tendons: Tendons over several joints, by scoped names.
+        coupled_inertia: Scoped names of two joints, or one twice, and what tendons are there in the
+            mass matrix.
+        carried: Scoped link names with which share of their weight something else carries.
+        boxes: Links as what a medium acts on.
         effort: Scoped joint names with their largest effort, N or N·m.
         followers: Joints that the file has follow others; whether they can is seen in the plant.
         bent: Joints that the file has follow others by a ratio that changes.
@@ -68,10 +71,11 @@ class ModelText(abc.ABC):
         self.armature: dict[str, float] = {}
         self.damping_2: dict[str, float] = {}
         self.damping_3: dict[str, float] = {}
-        self.stiffness: dict[str, float] = {}
-        self.stiffness_3: dict[str, float] = {}
-        self.rest_3: dict[str, float] = {}
-        self.rest: dict[str, float] = {}
+        self.springs: dict[str, Spring] = {}
+        self.tendons: list[Tendon] = []
+        self.coupled_inertia: list[tuple[str, str, float]] = []
+        self.carried: dict[str, float] = {}
+        self.boxes: list[BoxInMedium] = []
         self.effort: dict[str, float] = {}
         self.between: set[str] = set()
         self.packages: set[str] = set()
@@ -136,23 +140,13 @@ class ModelText(abc.ABC):
             drop(self.root, tag)
             self.left_out.append(f"<{tag}> is ignored: the robot is read as an open tree.")
 
-    def _take_weightless(self, off: Mapping[str, Element]) -> None:
-        """Take links on which gravity does not act: if those are all, there is none; else say so.
-
-        Args:
-            off: Scoped link name -> the element that says so.
-        """
-        if not off:
-            return
+    def _take_weightless(self, off: Collection[str]) -> None:
+        """Take scoped names of links on which gravity does not act: if all, there is none."""
         heavy = {name for name, link in self._links.items() if link.find("inertial") is not None}
-        if heavy <= off.keys():
+        if off and heavy.issubset(off):
             self.gravity = np.zeros(3)
-            return
-        for name, element in off.items():
-            self.left_out.append(
-                f"{place_of(element) or self.path}: gravity is switched off for "
-                f"{name.rpartition('::')[2]} there, and acts on it here."
-            )
+        else:
+            self.carried = dict.fromkeys(off, 1.0)
 
     def _take_mimic(self, scope: str, joint: Element) -> None:
         """Takes the <mimic> of a joint out of the text, and what it says in."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -93,6 +94,13 @@ class MjcfText(ModelText):
             if quantity != "damping":
                 of_joints = {f"{scope}::{joint}": value for joint, value in values.items()}
                 setattr(self, quantity, of_joints)
+        self.springs = {f"{scope}::{joint}": spring for joint, spring in terms.springs.items()}
+        self.carried = {f"{scope}::{body}": share for body, share in terms.carried.items()}
+        self.boxes = [replace(box, body=f"{scope}::{box.body}") for box in terms.boxes]
+        self.tendons = [tendon.scoped(scope) for tendon in terms.tendons]
+        self.coupled_inertia = [
+            (f"{scope}::{i}", f"{scope}::{j}", own) for i, j, own in terms.coupled_inertia
+        ]
         self.reference = None if source.lost else terms.reference
         self.compiled, self.gravity = source.model, terms.gravity
         self.followers, self.bent = terms.followers_in(scope), terms.bent_followers

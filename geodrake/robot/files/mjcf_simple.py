@@ -13,6 +13,7 @@ from geodrake.robot.files.mjcf_source import unused
 from geodrake.robot.files.values import drop, numbers
 from geodrake.robot.files.xml_text import place_of
 from geodrake.robot.followers import Follower, leads_back
+from geodrake.robot.stated import Spring
 from geodrake.robot.transmission.statements import Followers
 
 _POSE = ("pos", "quat", "euler", "axisangle", "xyaxes", "zaxis")
@@ -193,8 +194,8 @@ class _Simple:
         rest = self._joint_values("springref")
         for name, stiffness in self._joint_values("stiffness").items():
             turned = degrees and types[name] == "hinge"
-            self.text.stiffness[f"{scope}::{name}"] = stiffness
-            self.text.rest[f"{scope}::{name}"] = np.deg2rad(rest[name]) if turned else rest[name]
+            center = np.deg2rad(rest[name]) if turned else rest[name]
+            self.text.springs[f"{scope}::{name}"] = Spring.linear(stiffness, float(center))
 
     def _joint_values(self, attribute: str) -> dict[str, float]:
         """Return an attribute of all joints as a number, with the default classes applied."""

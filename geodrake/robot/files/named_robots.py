@@ -14,7 +14,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from geodrake.boundary.escaping import one_line
+from geodrake.boundary.escaping import printable
 from geodrake.boundary.input_files import read_regular
 from geodrake.errors import ModelError
 from geodrake.robot.files.given import Given
@@ -50,9 +50,9 @@ def robot_file(path: Path, given: Given) -> RobotFile:
     try:
         robot: Any = importlib.import_module(f"robot_descriptions.{module}")
     except Exception as error:  # of git, of the network, of the disk
-        reason = one_line(str(getattr(error, "stderr", "") or error)).removeprefix("stderr: ")
+        reason = printable(" ".join(str(getattr(error, "stderr", "") or error).split()))
         raise ModelError(
-            f"The robot {path} cannot be downloaded ({_repository(module).url}): {reason[:300]}.",
+            f"The robot {path} cannot be downloaded ({_repository(module).url}): {reason[:300].removeprefix('stderr: ')}.",
             advice="Check the network; it is needed once, as the files are kept in "
             f"{_folder(module)}.",
             path=path,

@@ -25,6 +25,7 @@ from geodrake.robot.files.values import (
     words,
 )
 from geodrake.robot.files.xml_text import place_of
+from geodrake.robot.stated import Spring
 
 _SPRING = ("stiffness", "reference")
 
@@ -75,9 +76,9 @@ class SdfText(ModelText):
                     path=self.path,
                 )
             self.gravity = vector
-        of_links = {name: link.find("gravity") for name, link in self._links.items()}
+        of_links = {name: link.findtext("gravity") for name, link in self._links.items()}
         self._take_weightless(
-            {name: e for name, e in of_links.items() if e is not None and is_nothing(e.text or "")}
+            [name for name, text in of_links.items() if text is not None and is_nothing(text)]
         )
 
     def _models(self, parent: Element, scope: str) -> Iterator[tuple[str, Element]]:
@@ -93,7 +94,7 @@ class SdfText(ModelText):
         for dynamics in joint.iter("dynamics"):
             if dynamics is joint.find("axis/dynamics"):
                 stated = (dynamics.findtext(f"spring_{key}", "0") for key in _SPRING)
-                self.stiffness[name], self.rest[name] = (numbers(text, 1)[0] for text in stated)
+                self.springs[name] = Spring.linear(*(float(numbers(t, 1)[0]) for t in stated))
             drop(dynamics, *(f"spring_{key}" for key in _SPRING))
 
     def _inertia(self, link: Element) -> Array | None:

@@ -25,6 +25,7 @@ from geodrake.robot.files.values import (
     words,
 )
 from geodrake.robot.files.xml_text import place_of
+from geodrake.robot.stated import Spring
 from geodrake.robot.transmission.statements import Statement
 
 
@@ -65,14 +66,15 @@ class UrdfText(ModelText):
         Raises:
             ModelError: A spring's number is invalid.
         """
-        off = dict[str, Element]()
+        off = list[str]()
         joints = {e.get("name") for tag in ("joint", "drake:joint") for e in self.root.iter(tag)}
         for element in elements:
             name = f"{scope}::{element.get('reference')}"
             stated = element.findtext("springStiffness", "")
             if element.get("reference") in joints and stated.strip():
-                self.stiffness[name], self.rest[name] = (
-                    self._of_spring(element, tag) for tag in ("springStiffness", "springReference")
+                numbers_of = ("springStiffness", "springReference")
+                self.springs[name] = Spring.linear(
+                    *(self._of_spring(element, t) for t in numbers_of)
                 )
             elif not is_nothing(stated):
                 self.left_out.append(
@@ -82,7 +84,7 @@ class UrdfText(ModelText):
             falls = [is_nothing(each.text or "") for each in element.findall("gravity")]
             falls += [not is_nothing(each.text or "") for each in element.findall("turnGravityOff")]
             if any(falls) and name in self._links:
-                off[name] = element
+                off.append(name)
         self._take_weightless(off)
 
     def _of_spring(self, element: Element, tag: str) -> float:
