@@ -6,7 +6,7 @@ import abc
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import ClassVar
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from geodrake.robot.files.checks import (
     check_links,
     check_numbers,
 )
+from geodrake.robot.files.inertia_text import put_inertia
 from geodrake.robot.files.values import drop, numbers
 from geodrake.robot.files.xml_text import numbered_text
 from geodrake.robot.followers import Follower
@@ -32,6 +33,7 @@ class ModelText(abc.ABC):
 
     Attributes:
         kind: Drake's name of the format.
+        numeric: Numbers of the format and what they may be.
         notes: Sentences on what was taken out of the text and matters.
         left_out: Sentences on what bears on efforts, and is not in the text or elsewhere here.
         gravity: (3,) acceleration of gravity that the file states, m/s²; None for Drake's.
@@ -127,7 +129,7 @@ class ModelText(abc.ABC):
         for inertial in element.findall("inertial"):  # not of the bodies below it in MJCF
             element.remove(inertial)
         if phi is not None:
-            self._write_inertia(SubElement(element, "inertial"), phi)
+            put_inertia(self.root, element, phi)
         return True
 
     def text(self) -> tuple[str, list[str]]:
@@ -167,7 +169,3 @@ class ModelText(abc.ABC):
     @abc.abstractmethod
     def _inertia(self, link: Element) -> Array | None:
         """Inertial parameters that the file states for a link."""
-
-    @abc.abstractmethod
-    def _write_inertia(self, inertial: Element, phi: Array) -> None:
-        """Fills an empty inertial element."""

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from geodrake.inertia import Array, to_mass_com_inertia
+from geodrake.inertia import Array
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import MJCF_NUMBERS, check_limits, check_numbers
 from geodrake.robot.files.includes import Includes
@@ -22,12 +22,10 @@ from geodrake.robot.files.mjcf_terms import terms_of
 from geodrake.robot.files.mjcf_tree import plain_tree
 from geodrake.robot.files.motors import mjcf_motors
 from geodrake.robot.files.values import (
-    UPPER,
     inertial_parameters_of,
     numbers,
     rotation,
     symmetric,
-    words,
 )
 from geodrake.robot.transmission.statements import Statement
 
@@ -140,10 +138,6 @@ class MjcfText(ModelText):
         mass = numbers(inertial.get("mass", ""), 1)[0]
         com = numbers(inertial.get("pos", ""), 3)
         return inertial_parameters_of(mass, com, rotation(turn), symmetric(moments))
-
-    def _write_inertia(self, inertial: Element, phi: Array) -> None:
-        mass, com, inertia = to_mass_com_inertia(phi)
-        inertial.attrib.update(pos=words(com), mass=words(mass), fullinertia=words(inertia[UPPER]))
 
 
 def _timestep(root: Element) -> float:

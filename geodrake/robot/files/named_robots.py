@@ -50,9 +50,10 @@ def robot_file(path: Path, given: Given) -> RobotFile:
     try:
         robot: Any = importlib.import_module(f"robot_descriptions.{module}")
     except Exception as error:  # of git, of the network, of the disk
-        reason = printable(" ".join(str(getattr(error, "stderr", "") or error).split()))
+        words = " ".join(str(getattr(error, "stderr", "") or error).split())
+        reason = printable(words.removeprefix("stderr: "))[:300]
         raise ModelError(
-            f"The robot {path} cannot be downloaded ({_repository(module).url}): {reason[:300].removeprefix('stderr: ')}.",
+            f"The robot {path} cannot be downloaded ({_repository(module).url}): {reason}.",
             advice="Check the network; it is needed once, as the files are kept in "
             f"{_folder(module)}.",
             path=path,

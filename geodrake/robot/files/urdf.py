@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from geodrake.errors import ModelError
-from geodrake.inertia import Array, to_mass_com_inertia
+from geodrake.inertia import Array
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import URDF_NUMBERS
 from geodrake.robot.files.motors import urdf_motors
@@ -21,8 +21,6 @@ from geodrake.robot.files.values import (
     numbers,
     rotation,
     symmetric,
-    tensor_words,
-    words,
 )
 from geodrake.robot.files.xml_text import place_of
 from geodrake.robot.stated import Spring
@@ -115,9 +113,3 @@ class UrdfText(ModelText):
         inertia = symmetric(moments.get(key, "0") for key in TENSOR)
         mass = number(inertial, "mass", "value")
         return inertial_parameters_of(mass, com, rotation(rpy), inertia)
-
-    def _write_inertia(self, inertial: Element, phi: Array) -> None:
-        mass, com, inertia = to_mass_com_inertia(phi)
-        SubElement(inertial, "origin", xyz=words(com), rpy="0 0 0")
-        SubElement(inertial, "mass", value=words(mass))
-        SubElement(inertial, "inertia", tensor_words(inertia))

@@ -24,10 +24,14 @@ class LocatedElement(Element):
     Attributes:
         path: The file.
         line: The line of the file, from one.
+        start: Where its start tag begins, in bytes from the start of the file.
+        end: Where its end tag begins.
     """
 
     path: Path
     line: int
+    start: int
+    end: int
 
 
 def place_of(element: Element) -> str:
@@ -100,6 +104,7 @@ class _Reader:
     def _element(self, tag: str, attributes: dict[str, str]) -> Element:
         element = LocatedElement(tag, attributes)
         element.path, element.line = self.path, self.parser.CurrentLineNumber
+        element.start = self.parser.CurrentByteIndex
         return element
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
@@ -121,7 +126,9 @@ class _Reader:
 
     def _end(self, tag: str) -> None:
         self.depth -= 1
-        self.builder.end(tag)
+        element = self.builder.end(tag)
+        if isinstance(element, LocatedElement):
+            element.end = self.parser.CurrentByteIndex
 
 
 def numbered_text(root: Element) -> tuple[str, list[str]]:
