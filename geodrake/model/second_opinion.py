@@ -1,18 +1,29 @@
 """A second opinion on a model's file: MuJoCo or Pinocchio, which read the file itself.
 
 MultibodyPlant computes with the bodies that geodrake made of a file, and so cannot see what was
-lost on the way. MuJoCo compiles an MJCF whole, with what no model takes; Pinocchio reads a URDF.
+lost on the way. MuJoCo compiles an MJCF whole, with what no model takes; Pinocchio reads a URDF,
+and an SDF where it is built with SDFormat. Of velocities u of a joint of Drake's, in the world or
+the joint's frame, theirs are T u, those of a turning body in the body. With its rotation R,
+
+    ball           T = Rᵀ                    Drake's u = ω
+    free, MuJoCo   T = [0 1; Rᵀ 0]           u = (ω, v); theirs (v, ω), the latter in the body
+    free, Pinocchio  T = [0 Rᵀ; Rᵀ 0]        both in the body, so that v̇ is less ω × v
+
+and efforts Tᵀ times theirs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RollPitchYaw, RotationMatrix
 from pydrake.multibody.tree import Joint
 
 from geodrake.errors import ModelError
@@ -36,8 +47,43 @@ _ENDS = ("parent", "child")
 Places = Mapping[str, float]
 """Joint -> where it is held, rad or m."""
 
-Efforts = Callable[[Array, Array, Array], Array]
-"""Efforts (N, nv of the plant) of its positions, velocities and accelerations, (N, ·) each."""
+
+@dataclass(frozen=True, eq=False)
+class Engine:
+    """Another program with the model that it read of a file.
+
+    Attributes:
+        by: The program.
+        rest: Its positions, velocities and accelerations, held joints in their places.
+        places: Of each joint, where it is in its positions and velocities.
+        free: Makes of R and p of a free body, and of its velocities ω and v in the world, the
+            positions, T and the bias of accelerations of the program.
+        inverse_dynamics: Makes of its positions, velocities and accelerations efforts.
+    """
+
+    by: str
+    rest: tuple[Array, Array, Array]
+    places: Sequence[tuple[slice, slice]]
+    free: Callable[[RotationMatrix, Array, Array], tuple[Array, Array, Array]]
+    inverse_dynamics: Callable[[Array, Array, Array], Array]
+
+    def state(self, q: Array, v: Array, size: int) -> tuple[Array, Array, Array]:
+        """Return its positions, T and the bias of its accelerations, of a joint of the plant.
+
+        Args:
+            q: (1,), (3,) or (7,) positions of the joint.
+            v: Its velocities.
+            size: Number of its positions in the program.
+        """
+        if len(q) == 7:
+            R = RotationMatrix(Quaternion(q[:4] / np.linalg.norm(q[:4])))
+            return self.free(R, q[4:], v)
+        if len(q) == 3:
+            rpy = RollPitchYaw(q)
+            turned = rpy.ToQuaternion().wxyz()
+            return turned, rpy.ToRotationMatrix().matrix().T, np.zeros(3)
+        placed = np.array([np.cos(q[0]), np.sin(q[0])]) if size == 2 else q
+        return placed, np.eye(1), np.zeros(1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +119,6 @@ def second_opinion(
     if model.path.suffix.lower() in (".yaml", ".yml") or model.given.robot is not None:
         return "no program but Drake reads the model's file"
     joints = moving_joints(model.plant)
-    if any(joint.num_velocities() != 1 or joint.num_positions() != 1 for joint in joints):
-        return "the model has joints of several degrees of freedom"
     try:
         with drake_messages():
             (text, *_) = read_description(model.path, model.given).texts
@@ -84,19 +128,41 @@ def second_opinion(
     bodies_differ = not np.array_equal(model.total_phi, inertial_parameters(model.plant))
     if own or bodies_differ or model.fitted_to:
         return "the model is no longer that of its file"
-    found: tuple[str, Efforts] | str = "no program but Drake reads SDF"
+    found: Engine | str
     ours = inverse_dynamics(model.tree, *states, model.total_phi)
+    held = _held(model, text)
     if isinstance(text, MjcfText):
-        found = _by_mujoco(text, _held(model, text), joints)
+        found = _by_mujoco(text, held, joints)
         motion = Motion(*states)
         still = [f for f in model.effects if not isinstance(f.effect, DryFriction)]
         ours = replace(model, effects=tuple(still)).effort(motion)
-    elif text.kind == "urdf":
-        found = _by_pinocchio(model, _held(model, text), joints)
+    else:
+        found = _by_pinocchio(model, text.kind.upper(), held, joints)
     if isinstance(found, str):
         return found
-    by, efforts = found
-    return SecondOpinion(by, times(np.swapaxes(jacobians, 1, 2), efforts(*plant_states)), ours)
+    efforts = _efforts(found, joints, *plant_states)
+    return SecondOpinion(found.by, times(np.swapaxes(jacobians, 1, 2), efforts), ours)
+
+
+def _efforts(engine: Engine, joints: list[Joint], q: Array, v: Array, vd: Array) -> Array:
+    """Return efforts (N, nv of the plant) by another program, of the plant's motion (N, ·)."""
+    found = np.zeros_like(v)
+    for k in range(len(q)):
+        position, rate, acceleration = (x.copy() for x in engine.rest)
+        turns = []
+        for joint, (at_q, at_v) in zip(joints, engine.places, strict=True):
+            own = slice(joint.velocity_start(), joint.velocity_start() + joint.num_velocities())
+            start = joint.position_start()
+            placed, T, bias = engine.state(
+                q[k, start : start + joint.num_positions()], v[k, own], len(position[at_q])
+            )
+            position[at_q] = placed
+            rate[at_v], acceleration[at_v] = T @ v[k, own], T @ vd[k, own] + bias
+            turns.append((own, at_v, T))
+        effort = engine.inverse_dynamics(position, rate, acceleration)
+        for own, at_v, T in turns:
+            found[k, own] = T.T @ effort[at_v]
+    return found
 
 
 def _held(model: RobotModel, text: ModelText) -> Places:
@@ -110,36 +176,46 @@ def _held(model: RobotModel, text: ModelText) -> Places:
     return places
 
 
-def _by_mujoco(text: MjcfText, held: Places, joints: list[Joint]) -> tuple[str, Efforts] | str:
+def _by_mujoco(text: MjcfText, held: Places, joints: list[Joint]) -> Engine | str:
     mujoco = mujoco_or_none()
     if mujoco is None or text.compiled is None:
         return 'MuJoCo, which defines MJCF, is not installed: pip install "geodrake[mjcf]"'
     theirs = text.compiled
     theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-    numbers = {
-        joint: mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, joint)
-        for joint in (*held, *(joint.name() for joint in joints))
-    }
-    if min(numbers.values()) < 0:
-        return "MuJoCo has other joints"
+    sizes = {0: (7, 6), 1: (4, 3)}  # of free joints and balls
+    data = mujoco.MjData(theirs)
+    for name, place in held.items():
+        at = mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, name)
+        if at < 0:
+            return "MuJoCo has other joints"
+        data.qpos[theirs.jnt_qposadr[at]] = place
+    places = []
+    for joint in joints:
+        at = mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, joint.name())
+        if joint.num_positions() == 7:
+            body = theirs.body(joint.child_body().name())
+            at = int(body.jntadr[0]) if body.jntnum[0] == 1 else -1
+        if at < 0 or joint.num_positions() not in (1, 3, 7):
+            return "MuJoCo has other joints"
+        nq, nv = sizes.get(int(theirs.jnt_type[at]), (1, 1))
+        if nv != joint.num_velocities():
+            return "MuJoCo has other joints"
+        start, first = int(theirs.jnt_qposadr[at]), int(theirs.jnt_dofadr[at])
+        places.append((slice(start, start + nq), slice(first, first + nv)))
 
-    def efforts(q: Array, v: Array, vd: Array) -> Array:
-        data, found = mujoco.MjData(theirs), np.zeros_like(v)
-        for name, place in held.items():
-            data.qpos[theirs.jnt_qposadr[numbers[name]]] = place
-        at = [numbers[joint.name()] for joint in joints]
-        positions, dofs = theirs.jnt_qposadr[at], theirs.jnt_dofadr[at]
-        q_at = [joint.position_start() for joint in joints]
-        v_at = [joint.velocity_start() for joint in joints]
+    def free(R: RotationMatrix, p: Array, v: Array) -> tuple[Array, Array, Array]:
+        T = np.zeros((6, 6))
+        T[:3, 3:], T[3:, :3] = np.eye(3), R.matrix().T
+        return np.concatenate([p, R.ToQuaternion().wxyz()]), T, np.zeros(len(v))
+
+    def inverse_dynamics(q: Array, v: Array, vd: Array) -> Array:
+        data.qpos[:], data.qvel[:], data.qacc[:] = q, v, vd
         with quiet_mujoco(mujoco):
-            for k in range(len(q)):
-                data.qpos[positions], data.qvel[dofs] = q[k, q_at], v[k, v_at]
-                data.qacc[dofs] = vd[k, v_at]
-                mujoco.mj_inverse(theirs, data)
-                found[k, v_at] = data.qfrc_inverse[dofs]
-        return found
+            mujoco.mj_inverse(theirs, data)
+        return np.array(data.qfrc_inverse)
 
-    return f"MuJoCo {mujoco.__version__}", efforts
+    rest = (np.array(data.qpos), *np.zeros((2, theirs.nv)))
+    return Engine(f"MuJoCo {mujoco.__version__}", rest, places, free, inverse_dynamics)
 
 
 def pinocchio_or_none() -> ModuleType | None:
@@ -151,49 +227,67 @@ def pinocchio_or_none() -> ModuleType | None:
     return pinocchio if hasattr(pinocchio, "buildModelFromXML") else None
 
 
-def _by_pinocchio(
-    model: RobotModel, held: Places, joints: list[Joint]
-) -> tuple[str, Efforts] | str:
+def _by_pinocchio(model: RobotModel, kind: str, held: Places, joints: list[Joint]) -> Engine | str:
     pinocchio = pinocchio_or_none()
     if pinocchio is None:
-        return 'Pinocchio, which reads URDF, is not installed: pip install "geodrake[proof]"'
+        return f'Pinocchio, which reads {kind}, is not installed: pip install "geodrake[proof]"'
+    floats = any(joint.num_positions() == 7 for joint in joints)
+    root = {"root_joint": pinocchio.JointModelFreeFlyer()} if floats else {}
     try:
-        data = read_expanded(model.path, model.given)
-        root = parse_xml_bytes(data, model.path)
-        links = {link.get("name") for link in root.findall("link")}
-        ends = [end for joint in root.findall("joint") for end in joint if end.tag in _ENDS]
-        if not links.issuperset(end.get("link") for end in ends):
-            return "Pinocchio does not read a file whose joints have links that it lacks"
-        theirs = pinocchio.buildModelFromXML(data.decode(errors="replace"))
+        if kind == "SDF" and not pinocchio.WITH_SDFORMAT:
+            return (
+                "no second program reads SDF here; Pinocchio does where it is built with SDFormat"
+            )
+        if kind == "SDF":
+            theirs, *_ = pinocchio.buildModelsFromSdf(str(model.path), geometry_types=[], **root)
+        else:
+            data = read_expanded(model.path, model.given)
+            if _has_loose_ends(parse_xml_bytes(data, model.path)):
+                return "Pinocchio does not read a file whose joints have links that it lacks"
+            theirs = pinocchio.buildModelFromXML(data.decode(errors="replace"), *root.values())
     except ModelError:
         raise
     except Exception as error:  # of any kind, by an extension module
         return f"Pinocchio does not read the file: {' '.join(str(error).split())[:200]}"
     theirs.gravity.linear = np.array(model.tree.gravity)
-    names = [*held, *(joint.name() for joint in joints)]
-    if not all(theirs.existJointName(name) for name in names):
+    named = {joint.name(): joint.num_velocities() for joint in joints} | dict.fromkeys(held, 1)
+    if floats:
+        named = {"root_joint" if nv == 6 else name: nv for name, nv in named.items()}
+    there = [name for name in named if theirs.existJointName(name)]
+    own = {name: theirs.joints[theirs.getJointId(name)] for name in there}
+    if any(name not in own or own[name].nv != nv or nv == 3 for name, nv in named.items()):
         return "Pinocchio has other joints"
-    own = {name: theirs.joints[theirs.getJointId(name)] for name in names}
-    if any(joint.nv != 1 for joint in own.values()):
-        return "Pinocchio has other joints"
+    places = {
+        name: (slice(j.idx_q, j.idx_q + j.nq), slice(j.idx_v, j.idx_v + j.nv))
+        for name, j in own.items()
+    }
+    data = theirs.createData()
 
-    def efforts(q: Array, v: Array, vd: Array) -> Array:
-        data, found = theirs.createData(), np.zeros_like(v)
-        position = pinocchio.neutral(theirs)
-        rates, accelerations = np.zeros((2, theirs.nv))
-        for name, place in held.items():
-            _put(position, own[name], place)
-        for k in range(len(q)):
-            for joint in joints:
-                there, at = own[joint.name()], joint.velocity_start()
-                _put(position, there, q[k, joint.position_start()])
-                rates[there.idx_v], accelerations[there.idx_v] = v[k, at], vd[k, at]
-            effort = pinocchio.rnea(theirs, data, position, rates, accelerations)
-            for joint in joints:
-                found[k, joint.velocity_start()] = effort[own[joint.name()].idx_v]
-        return found
+    def free(R: RotationMatrix, p: Array, v: Array) -> tuple[Array, Array, Array]:
+        T, back = np.zeros((6, 6)), R.matrix().T
+        T[:3, 3:] = T[3:, :3] = back
+        w, x, y, z = R.ToQuaternion().wxyz()
+        linear, angular = back @ v[3:], back @ v[:3]
+        bias = np.concatenate([-np.cross(angular, linear), np.zeros(3)])
+        return np.concatenate([p, [x, y, z, w]]), T, bias
 
-    return f"Pinocchio {pinocchio.__version__}", efforts
+    position = pinocchio.neutral(theirs)
+    for name, place in held.items():
+        _put(position, own[name], place)
+    return Engine(
+        f"Pinocchio {pinocchio.__version__}",
+        (position, *np.zeros((2, theirs.nv))),
+        [places["root_joint" if joint.num_velocities() == 6 else joint.name()] for joint in joints],
+        free,
+        lambda q, v, vd: pinocchio.rnea(theirs, data, q, v, vd),
+    )
+
+
+def _has_loose_ends(root: Element) -> bool:
+    """Return whether a joint of a URDF has a link that the file lacks, which ends Pinocchio."""
+    links = {link.get("name") for link in root.findall("link")}
+    ends = [end for joint in root.findall("joint") for end in joint if end.tag in _ENDS]
+    return not links.issuperset(end.get("link") for end in ends)
 
 
 def _put(position: Array, joint: Any, place: float) -> None:

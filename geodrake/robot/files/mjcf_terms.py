@@ -22,7 +22,7 @@ import numpy as np
 
 from geodrake.inertia import Array
 from geodrake.robot.files.mjcf_source import CompiledMjcf
-from geodrake.robot.files.mjcf_tree import fixed_tendon, name_of, pose
+from geodrake.robot.files.mjcf_tree import fixed_tendon, name_of, pose_of
 from geodrake.robot.followers import Follower, leads_back
 from geodrake.robot.stated import BoxInMedium, Spring, Tendon
 from geodrake.robot.transmission.statements import Followers
@@ -350,7 +350,7 @@ class _Terms:
                     BoxInMedium(
                         self._name("BODY", body),
                         np.sqrt(6.0 * edges / mass),
-                        pose(m.body_ipos[body], m.body_iquat[body]),
+                        pose_of(m.body_ipos[body], m.body_iquat[body]),
                         float(option.density),
                         float(option.viscosity),
                         np.array(option.wind),
