@@ -23,8 +23,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import Quaternion
-from pydrake.math import RollPitchYaw, RotationMatrix
-from pydrake.multibody.tree import Joint
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Joint, RigidBody
 
 from geodrake.errors import ModelError
 from geodrake.inertia import inertial_parameters
@@ -116,13 +117,14 @@ def second_opinion(
         plant_states: The same of its plant.
         jacobians: (N, nv of the plant, nv) rates of the plant's positions by the model's.
     """
-    if model.path.suffix.lower() in (".yaml", ".yml") or model.given.robot is not None:
-        return "no program but Drake reads the model's file"
+    if model.given.robot is not None:
+        return "one robot of several was chosen, and only Drake reads a part of a file"
     joints = moving_joints(model.plant)
     try:
         with drake_messages():
-            (text, *_) = read_description(model.path, model.given).texts
-        own = isinstance(text, MjcfText) and not as_in_file(model, read_again(model))
+            texts = read_description(model.path, model.given).texts
+        alone = len(texts) == 1 and isinstance(texts[0], MjcfText)
+        own = alone and not as_in_file(model, read_again(model))
     except ModelError as error:
         return f"the model's file cannot be read again: {error.problem.rstrip('.')}"
     bodies_differ = not np.array_equal(model.total_phi, inertial_parameters(model.plant))
@@ -130,14 +132,14 @@ def second_opinion(
         return "the model is no longer that of its file"
     found: Engine | str
     ours = inverse_dynamics(model.tree, *states, model.total_phi)
-    held = _held(model, text)
-    if isinstance(text, MjcfText):
-        found = _by_mujoco(text, held, joints)
+    held = {name: place for text in texts for name, place in _held(model, text).items()}
+    if alone and isinstance(texts[0], MjcfText):
+        found = _by_mujoco(texts[0], held, joints)
         motion = Motion(*states)
         still = [f for f in model.effects if not isinstance(f.effect, DryFriction)]
         ours = replace(model, effects=tuple(still)).effort(motion)
     else:
-        found = _by_pinocchio(model, text.kind.upper(), held, joints)
+        found = _by_pinocchio(model, texts, held, joints)
     if isinstance(found, str):
         return found
     efforts = _efforts(found, joints, *plant_states)
@@ -227,35 +229,31 @@ def pinocchio_or_none() -> ModuleType | None:
     return pinocchio if hasattr(pinocchio, "buildModelFromXML") else None
 
 
-def _by_pinocchio(model: RobotModel, kind: str, held: Places, joints: list[Joint]) -> Engine | str:
+def _by_pinocchio(
+    model: RobotModel, texts: Sequence[ModelText], held: Places, joints: list[Joint]
+) -> Engine | str:
     pinocchio = pinocchio_or_none()
+    kinds = {{"xml": "MJCF"}.get(text.kind, text.kind.upper()) for text in texts}
     if pinocchio is None:
-        return f'Pinocchio, which reads {kind}, is not installed: pip install "geodrake[proof]"'
-    floats = any(joint.num_positions() == 7 for joint in joints)
-    root = {"root_joint": pinocchio.JointModelFreeFlyer()} if floats else {}
+        return 'Pinocchio, which reads URDF, is not installed: pip install "geodrake[proof]"'
+    if kinds == {"SDF"} and not pinocchio.WITH_SDFORMAT:
+        return "no second program reads SDF here (Pinocchio does if built with SDFormat)"
+    if kinds != {"URDF"} and len(texts) > 1:
+        return f"no second program reads directives with {' and '.join(sorted(kinds - {'URDF'}))}"
     try:
-        if kind == "SDF" and not pinocchio.WITH_SDFORMAT:
-            return (
-                "no second program reads SDF here; Pinocchio does where it is built with SDFormat"
-            )
-        if kind == "SDF":
-            theirs, *_ = pinocchio.buildModelsFromSdf(str(model.path), geometry_types=[], **root)
-        else:
-            data = read_expanded(model.path, model.given)
-            if _has_loose_ends(parse_xml_bytes(data, model.path)):
-                return "Pinocchio does not read a file whose joints have links that it lacks"
-            theirs = pinocchio.buildModelFromXML(data.decode(errors="replace"), *root.values())
+        theirs = _joined_by_pinocchio(pinocchio, model, texts)
     except ModelError:
         raise
     except Exception as error:  # of any kind, by an extension module
         return f"Pinocchio does not read the file: {' '.join(str(error).split())[:200]}"
     theirs.gravity.linear = np.array(model.tree.gravity)
-    named = {joint.name(): joint.num_velocities() for joint in joints} | dict.fromkeys(held, 1)
-    if floats:
-        named = {"root_joint" if nv == 6 else name: nv for name, nv in named.items()}
-    there = [name for name in named if theirs.existJointName(name)]
+    known = {name.partition("::")[2]: name for name in theirs.names}
+    named = {_named(joint): joint.num_velocities() for joint in joints}
+    held = {known.get(name, name): place for name, place in held.items()}
+    there = [name for name in (*named, *held) if theirs.existJointName(name)]
     own = {name: theirs.joints[theirs.getJointId(name)] for name in there}
-    if any(name not in own or own[name].nv != nv or nv == 3 for name, nv in named.items()):
+    sizes = {**dict.fromkeys(held, 1), **named}
+    if any(name not in own or own[name].nv != nv or nv == 3 for name, nv in sizes.items()):
         return "Pinocchio has other joints"
     places = {
         name: (slice(j.idx_q, j.idx_q + j.nq), slice(j.idx_v, j.idx_v + j.nv))
@@ -277,17 +275,74 @@ def _by_pinocchio(model: RobotModel, kind: str, held: Places, joints: list[Joint
     return Engine(
         f"Pinocchio {pinocchio.__version__}",
         (position, *np.zeros((2, theirs.nv))),
-        [places["root_joint" if joint.num_velocities() == 6 else joint.name()] for joint in joints],
+        [places[_named(joint)] for joint in joints],
         free,
         lambda q, v, vd: pinocchio.rnea(theirs, data, q, v, vd),
     )
 
 
-def _has_loose_ends(root: Element) -> bool:
-    """Return whether a joint of a URDF has a link that the file lacks, which ends Pinocchio."""
-    links = {link.get("name") for link in root.findall("link")}
-    ends = [end for joint in root.findall("joint") for end in joint if end.tag in _ENDS]
-    return not links.issuperset(end.get("link") for end in ends)
+def _named(joint: Joint) -> str:
+    """Return the name of a joint in `_joined_by_pinocchio`."""
+    model = joint.child_body().scoped_name().get_namespace()
+    return f"{model}::{'root_joint' if joint.num_velocities() == 6 else joint.name()}"
+
+
+def _joined_by_pinocchio(
+    pinocchio: ModuleType, model: RobotModel, texts: Sequence[ModelText]
+) -> Any:
+    """Return Pinocchio's model of files, welded together where the plant has them.
+
+    Names of joints and frames have those of their model before them.
+    """
+    whole, plant = pinocchio.Model(), model.plant
+    context = plant.CreateDefaultContext()
+    for text in texts:
+        scope = text.links[0].rpartition("::")[0]
+        data = read_expanded(text.path, model.given)
+        root = _body(plant, _root_of(parse_xml_bytes(data, text.path), text))
+        free = (
+            {"root_joint": pinocchio.JointModelFreeFlyer()} if root.is_floating_base_body() else {}
+        )
+        if text.kind == "sdf":
+            part, *_ = pinocchio.buildModelsFromSdf(str(text.path), geometry_types=[], **free)
+        else:
+            part = pinocchio.buildModelFromXML(data.decode(errors="replace"), *free.values())
+        for at in range(1, part.njoints):
+            part.names[at] = f"{scope}::{part.names[at]}"
+        for frame in part.frames:
+            frame.name = f"{scope}::{frame.name}"
+        welded = {b.scoped_name().get_full(): b for b in plant.GetBodiesWeldedTo(root)}
+        there = [name for name in welded if whole.existFrame(name)]
+        frame, X = 0, RigidTransform()
+        if there:
+            parent = welded[there[0]].body_frame()
+            frame, X = whole.getFrameId(there[0]), root.body_frame().CalcPose(context, parent)
+        elif not free and text.kind == "urdf":  # as its root has no place of its own
+            X = root.body_frame().CalcPoseInWorld(context)
+        pose = pinocchio.SE3(X.rotation().matrix(), X.translation())
+        whole = pinocchio.appendModel(whole, part, frame, pose)
+    return whole
+
+
+def _body(plant: MultibodyPlant, name: str) -> RigidBody:
+    """Return the body of a scoped name."""
+    model, _, own = name.rpartition("::")
+    return plant.GetBodyByName(own, plant.GetModelInstanceByName(model))
+
+
+def _root_of(xml: Element, text: ModelText) -> str:
+    """Return the scoped name of the link of a file that no joint moves.
+
+    Raises:
+        ValueError: A joint has a link that the file lacks, which would end Pinocchio.
+    """
+    links = [link.get("name", "") for link in xml.iter("link")]
+    ends = {kind: [e.get("link", "") for e in xml.iter(kind)] for kind in _ENDS}
+    if xml.tag == "robot" and not set(links).issuperset(e for own in ends.values() for e in own):
+        raise ValueError("it has joints whose links it lacks")
+    moved = set(ends["child"]) | {(e.text or "").strip() for e in xml.iter("child")}
+    name = next((link for link in links if link not in moved), links[0])
+    return f"{text.links[0].rpartition('::')[0]}::{name}"
 
 
 def _put(position: Array, joint: Any, place: float) -> None:

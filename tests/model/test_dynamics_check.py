@@ -203,6 +203,35 @@ def test_free_bodies_and_balls_have_a_second_opinion_in_their_own_coordinates(tm
     assert not check_dynamics(model, samples=20).second.holds
 
 
+DIRECTIVES = """directives:
+- add_model: {name: left, file: arm6.urdf}
+- add_weld:
+    parent: world
+    child: left::base_link
+    X_PC: {translation: [0, 1, 0.2], rotation: !Rpy {deg: [10, 20, 30]}}
+- add_model: {name: tool, file: double_pendulum.urdf}
+- add_weld:
+    parent: left::flange
+    child: tool::base_link
+    X_PC: {translation: [0.1, 0, 0.2], rotation: !Rpy {deg: [0, 90, 10]}}
+- add_model: {name: right, file: arm6.urdf}
+- add_weld: {parent: world, child: right::base_link}
+"""
+
+
+def test_directives_have_a_second_opinion_on_all_their_models(tmp_path):
+    for name in ("arm6.urdf", "double_pendulum.urdf"):
+        (tmp_path / name).write_bytes((MODELS / name).read_bytes())
+    (tmp_path / "all.dmd.yaml").write_text(DIRECTIVES, encoding="utf-8")
+    model = load_model(tmp_path / "all.dmd.yaml")
+    found = check_dynamics(model, samples=10)
+    assert len(found.joints) == 14 and found.is_rounding
+    assert found.by.startswith("Pinocchio") and found.second.relative < 1e-12
+    held = load_model(tmp_path / "all.dmd.yaml", lock={"shoulder": 0.3})
+    assert "shoulder" not in held.joints
+    assert check_dynamics(held, samples=5).second.relative < 1e-12
+
+
 @pytest.mark.parametrize("name", ["arm7.urdf", "arm6.urdf"])
 def test_a_floating_base_has_a_second_opinion(tmp_path, name):
     path = tmp_path / name

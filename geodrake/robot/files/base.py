@@ -98,9 +98,9 @@ class ModelText(abc.ABC):
                 self.set_inertia(name, None)
 
     @property
-    def link_count(self) -> int:
-        """Number of links."""
-        return len(self._links)
+    def links(self) -> tuple[str, ...]:
+        """Scoped names of the links."""
+        return tuple(self._links)
 
     def stated_inertia(self, link: str) -> Array | None:
         """Inertial parameters (10,) that the file states for a link, possible or not; else None."""

@@ -199,7 +199,7 @@ def read_description(path: Path, given: Given | None = None) -> ModelDescription
             advice="Leave it out.",
             path=path,
         )
-    count = sum(text.link_count for text in found.texts)
+    count = sum(len(text.links) for text in found.texts)
     if count > _MOST_LINKS:
         raise ModelError(
             f"{path} has {count} links, and geodrake reads up to {_MOST_LINKS}.",
