@@ -50,7 +50,7 @@ Places = Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Engine:
+class OtherProgram:
     """Another program with the model that it read of a file.
 
     Attributes:
@@ -130,7 +130,7 @@ def second_opinion(
     bodies_differ = not np.array_equal(model.total_phi, inertial_parameters(model.plant))
     if own or bodies_differ or model.fitted_to:
         return "the model is no longer that of its file"
-    found: Engine | str
+    found: OtherProgram | str
     ours = inverse_dynamics(model.tree, *states, model.total_phi)
     held = {name: place for text in texts for name, place in _held(model, text).items()}
     if alone and isinstance(texts[0], MjcfText):
@@ -146,7 +146,7 @@ def second_opinion(
     return SecondOpinion(found.by, times(np.swapaxes(jacobians, 1, 2), efforts), ours)
 
 
-def _efforts(engine: Engine, joints: list[Joint], q: Array, v: Array, vd: Array) -> Array:
+def _efforts(engine: OtherProgram, joints: list[Joint], q: Array, v: Array, vd: Array) -> Array:
     """Return efforts (N, nv of the plant) by another program, of the plant's motion (N, ·)."""
     found = np.zeros_like(v)
     for k in range(len(q)):
@@ -178,7 +178,7 @@ def _held(model: RobotModel, text: ModelText) -> Places:
     return places
 
 
-def _by_mujoco(text: MjcfText, held: Places, joints: list[Joint]) -> Engine | str:
+def _by_mujoco(text: MjcfText, held: Places, joints: list[Joint]) -> OtherProgram | str:
     mujoco = mujoco_or_none()
     if mujoco is None or text.compiled is None:
         return 'MuJoCo, which defines MJCF, is not installed: pip install "geodrake[mjcf]"'
@@ -217,7 +217,7 @@ def _by_mujoco(text: MjcfText, held: Places, joints: list[Joint]) -> Engine | st
         return np.array(data.qfrc_inverse)
 
     rest = (np.array(data.qpos), *np.zeros((2, theirs.nv)))
-    return Engine(f"MuJoCo {mujoco.__version__}", rest, places, free, inverse_dynamics)
+    return OtherProgram(f"MuJoCo {mujoco.__version__}", rest, places, free, inverse_dynamics)
 
 
 def pinocchio_or_none() -> ModuleType | None:
@@ -231,7 +231,7 @@ def pinocchio_or_none() -> ModuleType | None:
 
 def _by_pinocchio(
     model: RobotModel, texts: Sequence[ModelText], held: Places, joints: list[Joint]
-) -> Engine | str:
+) -> OtherProgram | str:
     pinocchio = pinocchio_or_none()
     kinds = {{"xml": "MJCF"}.get(text.kind, text.kind.upper()) for text in texts}
     if pinocchio is None:
@@ -272,7 +272,7 @@ def _by_pinocchio(
     position = pinocchio.neutral(theirs)
     for name, place in held.items():
         _put(position, own[name], place)
-    return Engine(
+    return OtherProgram(
         f"Pinocchio {pinocchio.__version__}",
         (position, *np.zeros((2, theirs.nv))),
         [places[_named(joint)] for joint in joints],
