@@ -2,8 +2,8 @@
 
 A file mixes nested default classes, frames, replicates, attached models (which attach others),
 inertias of geoms and of numbers, total and least masses, joints of every kind with armature,
-damping and springs, powers of both, tendons of one and of more joints, motors, compensated gravity,
-media and flags. At random states the effort of `load_model(...).effort` is compared with
+damping and springs, powers of both, tendons of joints and between points, motors, compensated
+gravity, media and flags. At random states the effort of `load_model(...).effort` is compared with
 `mj_inverse` and dry friction; what a note says is left out is left out of both, by hand.
 """
 
@@ -124,6 +124,7 @@ class Writer:
         if self.chance(0.08):
             joints = [self.joint("ball")]
         inside = [*joints, self.geom(), self.inertial() if self.chance(0.4) else ""]
+        inside.append(f'<site {self.name("s")} pos="{self.numbers(3, -0.2, 0.2)}"/>')
         if self.chance(0.3):
             inside.append(self.geom())
         if depth < 3:
@@ -177,16 +178,14 @@ class Writer:
             '<asset><model name="part" file="part.xml"/></asset>'
             f"<worldbody>{self.geom()}{trees}</worldbody>"
         )
-        joints = [
-            joint
-            for joint in mujoco.MjSpec.from_string(
-                f"{text}</mujoco>",
-                include={"part.xml": outer.read_bytes(), "in.xml": inner.read_bytes()},
-            ).joints
-            if joint.type != mujoco.mjtJoint.mjJNT_BALL
-        ]
-        names = [joint.name for joint in joints]
-        path.write_text(f"{text}{self.couplings(names)}</mujoco>")
+        spec = mujoco.MjSpec.from_string(
+            f"{text}</mujoco>",
+            include={"part.xml": outer.read_bytes(), "in.xml": inner.read_bytes()},
+        )
+        ball = mujoco.mjtJoint.mjJNT_BALL
+        names = [joint.name for joint in spec.joints if joint.type != ball]
+        sites = [site.name for site in spec.sites if "_r" not in site.name]
+        path.write_text(f"{text}{self.couplings(names, sites)}</mujoco>")
         return path
 
     def second_defaults(self) -> str:
@@ -216,12 +215,19 @@ class Writer:
         flags = " ".join(f'{flag}="disable"' for flag in off)
         return f"<compiler{compiler}/><option{option}><flag {flags}/></option>"
 
-    def couplings(self, names: list[str]) -> str:
-        """Tendons, motors, and a joint that follows another."""
+    def couplings(self, names: list[str], sites: list[str]) -> str:
+        """Tendons of joints and between two points, and motors."""
         text = ""
+        if len(sites) > 1 and self.chance(0.5):
+            rest = f'springlength="{self.numbers(1, 0)}"' if self.chance(0.6) else ""
+            ends = (f'<site site="{site}"/>' for site in self.rng.choice(sites, 2, replace=False))
+            text += (
+                f'<spatial stiffness="{self.numbers(1, 0, 60)}" damping="{self.numbers(1, 0, 3)}" '
+                f"{rest}>{''.join(ends)}</spatial>"
+            )
         names = [name for name in names if "_r" not in name]
         if not names:
-            return ""
+            return f"<tendon>{text}</tendon>"
         one, *others = self.rng.permutation(names).tolist()
         if self.chance(0.5):
             text += (

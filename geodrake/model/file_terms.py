@@ -15,6 +15,7 @@ from geodrake.effects.of_files.carried_weight import CarriedWeight as Carried
 from geodrake.effects.of_files.joint_coupling import JointCoupling as Coupling
 from geodrake.effects.of_files.medium_drag import MediumDrag as Medium
 from geodrake.effects.of_files.polynomial_spring import PolynomialSpring as Polynomial
+from geodrake.effects.of_files.strut import Strut as StrutEffect
 
 __all__ = [
     "Carried",
@@ -31,5 +32,6 @@ __all__ = [
     "Rotor",
     "Spring",
     "StaticFriction",
+    "StrutEffect",
     "Tilt",
 ]

@@ -213,7 +213,8 @@ class _Lumping:
                     change = self._block(carrier, old) @ rows
                     payloads[carrier] = payloads.get(carrier, 0.0) + change
                 continue
-            places = self.after.bodies if "bod" in fitted.effect.places else self.after.joints
+            bodies = (*self.after.bodies, "world")
+            places = bodies if "bod" in fitted.effect.places else self.after.joints
             if set(places).issuperset(fitted.effect.where):
                 kept.append((fitted, rows))
             elif "bod" in fitted.effect.places or not held.issuperset(fitted.effect.where):

@@ -467,7 +467,8 @@ def _fitted_effect(
     model: RobotModel, saved: SavedEffect, extra: Sequence[type[Effect]]
 ) -> FittedEffect:
     effect = make_effect(saved.name, saved.where, saved.shape, extra)
-    places = model.bodies if effect.places == "body" else model.joints
+    places = model.bodies if "bod" in effect.places else model.joints
+    places = (*places, "world") if effect.places == "body_pair" else places
     for place in saved.where:
         if place not in places:
             raise ModelError(

@@ -31,6 +31,7 @@ from geodrake.model.file_terms import (
     Medium,
     Polynomial,
     Spring,
+    StrutEffect,
 )
 from geodrake.robot import stated
 from geodrake.robot.plant import LoadedPlant
@@ -134,6 +135,12 @@ def stated_effects(
         "carried weight",
         [(w.body, Carried(w.body, *w.place.tolist()), [w.mass]) for w in loaded.file_weights],
     )
+    struts = []
+    for strut in loaded.file_struts:
+        effect = StrutEffect(strut.bodies, *strut.points[0].tolist(), *strut.points[1].tolist())
+        numbers = [strut.stiffness, -strut.stiffness * strut.length, strut.damping]
+        struts.append((effect.place, effect, numbers))
+    found.keep("tendon", struts)
     found.keep("medium", [(b.body, _drag(b), [b.density, b.viscosity]) for b in loaded.file_boxes])
     return found
 

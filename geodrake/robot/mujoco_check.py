@@ -2,7 +2,7 @@
 
 At a few random states, the effort of the plant with what the file states of its joints and tendons
 has to be that of MuJoCo without what is left out. Dry friction, limits and contacts, which are soft
-in MuJoCo, take no part, nor do weights that are carried and media, on which `geodrake check` has
+in MuJoCo, take no part, nor do carried weights, media and struts, on which `geodrake check` has
 MuJoCo's opinion. Free bodies rest where the file puts them.
 """
 

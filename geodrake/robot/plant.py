@@ -46,10 +46,12 @@ from geodrake.robot.stated import (
     BoxInMedium,
     Entries,
     Spring,
+    StatedStrut,
     Tendon,
     Weight,
     boxes_of,
     entries_through,
+    struts_of,
     weights_of,
 )
 from geodrake.robot.transmission.statements import Followers, Gear
@@ -77,6 +79,7 @@ class LoadedPlant:
         file_inertias: Entries of tendons in the mass matrix.
         file_weights: What carries weights of bodies.
         file_boxes: Bodies as what a medium acts on.
+        file_struts: Springs and dampers between points of bodies.
         left_out: Sentences on what of the file bears on efforts, and is in none of these.
         held: Joint that does not move, though it does in the file -> where it is held, rad or m.
         given: How the file was to be read.
@@ -101,6 +104,7 @@ class LoadedPlant:
     file_inertias: Entries
     file_weights: tuple[Weight, ...]
     file_boxes: tuple[BoxInMedium, ...]
+    file_struts: tuple[StatedStrut, ...]
     held: Mapping[str, float]
     given: Given
     followers: tuple[Follower, ...] = ()
@@ -188,6 +192,7 @@ def load_plant(
         entries_through(built.coupled_inertia, rows),
         weights_of(built.plant, description.joint_values("carried")),
         boxes_of(built.plant, [box for text in description.texts for box in text.boxes]),
+        struts_of(built.plant, [each for text in description.texts for each in text.struts]),
         held,
         given,
         arrangement.followers,

@@ -155,6 +155,33 @@ class BoxInMedium:
 
 
 @dataclass(frozen=True)
+class StatedStrut:
+    """A spring and a damper between two points.
+
+    Attributes:
+        bodies: Scoped names of two bodies; then those of what they are parts of, or "world".
+        points: Positions (3,) in their frames, m.
+        stiffness: N/m.
+        length: At rest, m.
+        damping: N·s/m.
+    """
+
+    bodies: tuple[str, str]
+    points: tuple[Array, Array]
+    stiffness: float
+    length: float
+    damping: float
+
+    def scoped(self, scope: str) -> StatedStrut:
+        """Return the strut with the names that bodies of a model have."""
+        first, second = (
+            "WorldModelInstance::world" if body == "world" else f"{scope}::{body}"
+            for body in self.bodies
+        )
+        return replace(self, bodies=(first, second))
+
+
+@dataclass(frozen=True)
 class Weight:
     """A weight that something carries: of a mass, kg, at a place (3,) in a body's frame, m."""
 
@@ -185,13 +212,33 @@ def weights_of(plant: MultibodyPlant, shares: Mapping[str, float]) -> tuple[Weig
     return tuple(found)
 
 
-def boxes_of(plant: MultibodyPlant, boxes: Sequence[BoxInMedium]) -> tuple[BoxInMedium, ...]:
-    """Return boxes in the frames of the bodies of a robot, those that move."""
-    poses = {
+def _poses(plant: MultibodyPlant) -> dict[str, tuple[str, RigidTransform]]:
+    """Return scoped names of links that move -> the body that each is a part of, and its pose."""
+    return {
         plant.get_body(member.index).scoped_name().get_full(): (body.name, member.X_RB)
         for body in lumped_bodies(plant)
         for member in body.members
     }
+
+
+def struts_of(plant: MultibodyPlant, struts: Sequence[StatedStrut]) -> tuple[StatedStrut, ...]:
+    """Return struts in the frames of the bodies of a robot, those that anything moves."""
+    poses, context = _poses(plant), plant.CreateDefaultContext()
+    for body in plant.GetBodiesWeldedTo(plant.world_body()):
+        X_WB = plant.EvalBodyPoseInWorld(context, body)
+        poses[body.scoped_name().get_full()] = ("world", X_WB)
+    found = []
+    for strut in struts:
+        (one, X), (two, Y) = (poses.get(body, ("", RigidTransform())) for body in strut.bodies)
+        if one and two and one != two:
+            points = X @ strut.points[0], Y @ strut.points[1]
+            found.append(replace(strut, bodies=(one, two), points=points))
+    return tuple(found)
+
+
+def boxes_of(plant: MultibodyPlant, boxes: Sequence[BoxInMedium]) -> tuple[BoxInMedium, ...]:
+    """Return boxes in the frames of the bodies of a robot, those that move."""
+    poses = _poses(plant)
     return tuple(
         replace(box, body=poses[box.body][0], X_BP=poses[box.body][1] @ box.X_BP)
         for box in boxes

@@ -16,13 +16,16 @@ from geodrake.model import check_dynamics, holding
 from geodrake.robot.stated import Spring, Tendon, entries_through
 
 ARM = """<mujoco model="r"><option density="900" viscosity="2" wind=".3 -.1 .2"/><worldbody>
-<body name="a" pos="0 0 .3" gravcomp=".4"><joint name="a" axis="0 1 .2" pos=".02 0 0"/>
+<site name="w" pos=".4 .3 .8"/><body name="a" pos="0 0 .3" gravcomp=".4"><site name="s"/>
+<joint name="a" axis="0 1 .2" pos=".02 0 0"/>
 <geom type="box" size=".05 .04 .1" pos=".1 0 .05"/>
 <body name="b" pos=".1 0 .2"><joint name="b" axis="0 1 0" stiffness="3 1 -2" springref="20"/>
 <geom type="capsule" size=".05 .1" pos="0 .1 .05"/>
 <body name="c" pos=".1 0 .2" gravcomp="1.2"><joint name="c" axis="1 0 .3" stiffness="2"/>
-<geom type="box" size=".05 .04 .1" pos=".1 0 .05"/></body></body></body></worldbody>
-<tendon><fixed name="p" stiffness="5" springlength=".3" damping=".3" armature=".1">
+<geom type="box" size=".05 .04 .1" pos=".1 0 .05"/><site name="u" pos=".1 .1 0"/></body></body>
+</body></worldbody><tendon><spatial stiffness="30" damping="2" springlength=".3"><site site="w"/>
+<site site="u"/></spatial><spatial stiffness="9"><site site="s"/><site site="u"/></spatial>
+<fixed name="p" stiffness="5" springlength=".3" damping=".3" armature=".1">
 <joint joint="a" coef="1"/><joint joint="b" coef="2"/><joint joint="c" coef="-.7"/></fixed></tendon>
 {}</mujoco>"""
 FOLLOWS = '<equality><joint joint1="c" joint2="a" polycoef=".2 -.5 0 0 0"/></equality>'
@@ -123,8 +126,9 @@ def test_a_simulation_has_them(arm):
 
 
 def test_nobody_proposes_them():
-    places = {"joint": ("a", 1.0), "joint_pair": (("a", "b"),), "body": ("a",)}
-    assert len(file_effects()) == 4 and not set(file_effects()) & set(catalogue())
+    pair = (("a", "b"),)
+    places = {"joint": ("a", 1.0), "joint_pair": pair, "body": ("a",), "body_pair": pair}
+    assert len(file_effects()) == 5 and not set(file_effects()) & set(catalogue())
     for effect in file_effects():
         assert not [*effect.candidates(*places[effect.places])]
         assert effect.law and effect.signature

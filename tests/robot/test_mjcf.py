@@ -142,6 +142,13 @@ TAKEN = {
         ),
         "a t",
     ),
+    "no passive forces": (
+        mjcf(
+            tip("damping='1'"),
+            head='<option density="900"><flag spring="disable" damper="disable"/></option>',
+        ).replace('<body name="t"', '<body name="t" gravcomp=".5"'),
+        "a t",
+    ),
     "total mass": (mjcf(tip(), head='<compiler settotalmass="9"/>'), "a t"),
     "least mass": (mjcf(tip(), head='<compiler boundmass="9" boundinertia="2"/>'), "a t"),
     "balanced inertia": (
@@ -244,6 +251,18 @@ TAKEN = {
         ),
         "a t u",
     ),
+    "springs between two points": (
+        mjcf(
+            '<site name="w" pos=".1 .2 .9"/>'
+            + tip(geom=GEOM + '<site name="u" pos="0 0 .1"/>')
+            + f'<body pos=".2 0 0" euler="9 8 7">{GEOM}<site name="v" pos=".1 .2 .3"/></body>',
+            tail='<tendon><spatial stiffness="40" damping="3"><site site="w"/><site site="u"/>'
+            '</spatial><spatial stiffness="20" springlength=".1" damping="2"><site site="v"/>'
+            '<site site="u"/></spatial><spatial stiffness="9"><site site="w"/><site site="v"/>'
+            "</spatial></tendon>",
+        ),
+        "a t",
+    ),
     "powers of a tendon of one joint": (
         mjcf(
             tip(),
@@ -307,11 +326,10 @@ def no_ellipsoids(theirs):
 LEFT_OUT = {
     "tendon p with stiffness 40": (
         mjcf(
-            tip(geom=GEOM + '<site name="u" pos="0 0 .1"/>'),
-            head="",
+            tip(geom=GEOM + '<site name="u" pos="0 0 .1"/><site name="v"/>'),
             arm=GEOM + '<site name="s" pos="1 0 0"/>',
             tail='<tendon><spatial name="p" stiffness="40"><site site="s"/><site site="u"/>'
-            "</spatial></tendon>",
+            '<site site="v"/></spatial></tendon>',
         ),
         zero(tendon_stiffness=0),
     ),

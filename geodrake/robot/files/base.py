@@ -22,7 +22,7 @@ from geodrake.robot.files.inertia_text import put_inertia
 from geodrake.robot.files.values import drop, numbers
 from geodrake.robot.files.xml_text import numbered_text
 from geodrake.robot.followers import Follower
-from geodrake.robot.stated import BoxInMedium, Spring, Tendon
+from geodrake.robot.stated import BoxInMedium, Spring, StatedStrut, Tendon
 from geodrake.robot.transmission.statements import Followers, Statement
 
 _LOOPS = ("ball_constraint", "linear_bushing_rpy", "distance_constraint", "weld_constraint")
@@ -50,6 +50,7 @@ class ModelText(abc.ABC):
             mass matrix.
         carried: Scoped link names with which share of their weight something else carries.
         boxes: Links as what a medium acts on.
+        struts: Springs and dampers between points of links.
         effort: Scoped joint names with their largest effort, N or N·m.
         followers: Joints that the file has follow others; whether they can is seen in the plant.
         bent: Joints that the file has follow others by a ratio that changes.
@@ -78,6 +79,7 @@ class ModelText(abc.ABC):
         self.coupled_inertia: list[tuple[str, str, float]] = []
         self.carried: dict[str, float] = {}
         self.boxes: list[BoxInMedium] = []
+        self.struts: list[StatedStrut] = []
         self.effort: dict[str, float] = {}
         self.between: set[str] = set()
         self.packages: set[str] = set()

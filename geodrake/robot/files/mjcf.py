@@ -95,6 +95,7 @@ class MjcfText(ModelText):
         self.springs = {f"{scope}::{joint}": spring for joint, spring in terms.springs.items()}
         self.carried = {f"{scope}::{body}": share for body, share in terms.carried.items()}
         self.boxes = [replace(box, body=f"{scope}::{box.body}") for box in terms.boxes]
+        self.struts = [each.scoped(scope) for each in terms.struts]
         self.tendons = [tendon.scoped(scope) for tendon in terms.tendons]
         self.coupled_inertia = [
             (f"{scope}::{i}", f"{scope}::{j}", own) for i, j, own in terms.coupled_inertia

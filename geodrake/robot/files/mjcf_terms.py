@@ -1,7 +1,7 @@
 """What a compiled MJCF has beside rigid bodies: at joints, and what no model of geodrake takes.
 
 What is not taken is said with its value, and taken out of the copy of the compiled model that the
-robot is compared with (`geodrake.robot.mujoco_check`), as are weights that are carried and media.
+robot is compared with (`geodrake.robot.mujoco_check`), as are carried weights, media and struts.
 MuJoCo's forces are (its modeling and XML reference, joint, tendon and option)
 
     spring   −(q − q₀) (k + k₁ (q − q₀) + k₂ (q − q₀)²)      damper   −v (d + d₁ |v| + d₂ v²)
@@ -24,7 +24,7 @@ from geodrake.inertia import Array
 from geodrake.robot.files.mjcf_source import CompiledMjcf
 from geodrake.robot.files.mjcf_tree import fixed_tendon, name_of, pose_of
 from geodrake.robot.followers import Follower, leads_back
-from geodrake.robot.stated import BoxInMedium, Spring, Tendon
+from geodrake.robot.stated import BoxInMedium, Spring, StatedStrut, Tendon
 from geodrake.robot.transmission.statements import Followers
 
 _KINDS = ("free", "ball", "slide", "hinge")
@@ -44,6 +44,7 @@ class MjcfTerms:
         coupled_inertia: Two joints, or one twice, and what tendons are there in the mass matrix.
         carried: Body -> which share of its weight something else carries.
         boxes: Bodies as what a medium acts on.
+        struts: Spatial tendons between two sites.
         followers: Joint -> leader, ratio and offset.
         bent: Leader -> joint -> coefficients of a polynomial.
         left_out: Sentences on what bears on efforts and no model takes.
@@ -58,6 +59,7 @@ class MjcfTerms:
     coupled_inertia: list[tuple[str, str, float]] = field(default_factory=list)
     carried: dict[str, float] = field(default_factory=dict)
     boxes: list[BoxInMedium] = field(default_factory=list)
+    struts: list[StatedStrut] = field(default_factory=list)
     followers: list[Follower] = field(default_factory=list)
     bent: dict[str, dict[str, list[float]]] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
@@ -110,8 +112,9 @@ class _Terms:
         )
         self._take_tendons()
         self._take_actuators()
-        self._take_gravcomp()
-        self._take_medium()
+        if not (self._disabled(off.mjDSBL_SPRING) and self._disabled(off.mjDSBL_DAMPER)):
+            self._take_gravcomp()  # without both, MuJoCo has no passive forces at all
+            self._take_medium()
         if not self._disabled(off.mjDSBL_EQUALITY, off.mjDSBL_CONSTRAINT):
             self._take_equalities()
         if self.m.nflex:
@@ -214,6 +217,7 @@ class _Terms:
             shares = fixed_tendon(m, self.mujoco, at)
             name = self._name("TENDON", at)
             self._take_along(name, shares, has, low if low == high else None)
+            self._take_strut(at, has, low if low == high else None)
             self._leave_rest(f"The tendon {name}", has, "tendon", at)
 
     def _take_along(
@@ -250,6 +254,25 @@ class _Terms:
             self._add(key, joint, abs(share) ** (power + 1) * value)
         self._add("friction", joint, abs(share) * friction[0])
         self._add("armature", joint, share**2 * inertia)
+
+    def _take_strut(self, at: int, has: dict[str, Array], length: float | None) -> None:
+        """Take the spring and the damper of a tendon between two sites."""
+        m, first = self.m, int(self.m.tendon_adr[at])
+        wraps = range(first, first + int(m.tendon_num[at]))
+        sites = [int(m.wrap_objid[k]) for k in wraps]
+        kinds = {int(m.wrap_type[k]) for k in wraps}
+        straight = kinds == {int(self.mujoco.mjtWrap.mjWRAP_SITE)} and len(sites) == 2
+        if not straight or has["stiffness"][0] < 0.0:
+            return
+        (stiffness,) = [0.0] if length is None else _pop(has, "stiffness")
+        (damping,) = _pop(has, "damping")
+        one, two = (self._name("BODY", int(m.site_bodyid[site])) for site in sites)
+        points = np.array(m.site_pos[sites[0]]), np.array(m.site_pos[sites[1]])
+        strut = StatedStrut((one, two), points, stiffness, length or 0.0, damping)
+        if stiffness or damping:
+            self.found.struts.append(strut)
+        for what in ("stiffness", "damping"):
+            getattr(self.found.reference, f"tendon_{what}")[at] = 0.0
 
     def _in_a_chain(self, first: int, second: int) -> bool:
         """Return whether one of two joints moves the other."""
