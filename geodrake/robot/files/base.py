@@ -111,11 +111,7 @@ class ModelText(abc.ABC):
         return self._inertia(self._links[link])
 
     def motors(self) -> tuple[Statement, ...]:
-        """What the file states of motors behind transmissions; see `geodrake.robot.files.motors`.
-
-        Raises:
-            ModelError: It cannot be read.
-        """
+        """Return what the file states of motors behind transmissions; see `files.motors`."""
         return ()
 
     def set_inertia(self, link: str, phi: Array | None) -> bool:

@@ -58,12 +58,7 @@ def put_inertia(root: Element, link: Element, phi: Array) -> None:
 
 
 def without_mass_settings(data: bytes, path: Path) -> bytes:
-    """Return an MJCF file without the settings by which MuJoCo changes masses; others as they are.
-
-    Args:
-        data: Bytes of the file.
-        path: Where they are from, for messages.
-    """
+    """Return an MJCF file without the settings by which MuJoCo changes masses; others as they are."""
     root = parse_xml_bytes(data, path)
     for compiler in root.findall("compiler") if root.tag == "mujoco" else ():
         for key in _OF_MASSES:
@@ -72,12 +67,7 @@ def without_mass_settings(data: bytes, path: Path) -> bytes:
 
 
 def link_names(data: bytes, path: Path) -> frozenset[str]:
-    """Return scoped names of the links that stand in a file itself.
-
-    Args:
-        data: Bytes of the file.
-        path: Where they are from, for messages.
-    """
+    """Return scoped names of the links that stand in a file itself."""
     root = parse_xml_bytes(data, path)
     return (
         frozenset(dict(_FORMATS[root.tag][0](root, path))) if root.tag in _FORMATS else frozenset()
@@ -100,12 +90,7 @@ def sdf_models(parent: Element, scope: str = "", first: str = "") -> Iterator[tu
 
 
 def mjcf_bodies(root: Element, path: Path) -> Iterator[tuple[str, str, Element]]:
-    """Yield the name of the model of an MJCF and those of its bodies, as geodrake calls them.
-
-    Args:
-        root: The root element.
-        path: The file, for the name of a model that has none.
-    """
+    """Yield the name of the model of an MJCF and those of its bodies, as geodrake calls them."""
     scope = root.get("model") or path.stem
     numbered = {id(body): k for k, body in enumerate(root.iter("body"))}
     for world in root.findall("worldbody"):
@@ -171,13 +156,7 @@ def _put_mjcf(body: Element, phi: Array) -> None:
 
 
 def child_of(parent: Element, tag: str, *, new: bool = False) -> Element:
-    """Return the child of a tag; where there is none, a new one before those of the file.
-
-    Args:
-        parent: Its parent.
-        tag: The tag.
-        new: Whether it is to be one more.
-    """
+    """Return the child of a tag; where there is none, a new one before those of the file."""
     found = None if new else parent.find(tag)
     if found is None:
         found = Element(tag)

@@ -57,13 +57,7 @@ def with_joint_numbers(data: bytes, path: Path, changes: Mapping[str, Change]) -
 
 
 def with_gravity(data: bytes, path: Path, gravity: np.ndarray) -> bytes:
-    """Return an MJCF file with another gravity.
-
-    Args:
-        data: Bytes of the file.
-        path: Where they are from, for messages.
-        gravity: (3,) acceleration of gravity in the world's frame, m/s².
-    """
+    """Return an MJCF file with another gravity (3,) in the world's frame, m/s²."""
     root = parse_xml_bytes(data, path)
     options = root.findall("option") or [child_of(root, "option")]
     stated = [option for option in options if "gravity" in option.attrib]
@@ -84,12 +78,7 @@ def _sdf_joints(root: Element, path: Path) -> dict[str, Element]:
 
 
 def mjcf_joints(root: Element, path: Path) -> dict[str, Element]:
-    """Return the joints of an MJCF file by scoped name, nameless ones as geodrake calls them.
-
-    Args:
-        root: The root element.
-        path: The file, for the name of a model that has none.
-    """
+    """Return the joints of an MJCF file by scoped name, nameless ones as geodrake calls them."""
     return {
         f"{scope}::{joint.get('name') or f'{own}_joint_{i}'}": joint
         for scope, own, body in mjcf_bodies(root, path)

@@ -16,11 +16,7 @@ def with_sections(
 ) -> bytes:
     """Return an MJCF file with more sections, after all others; nameless joints in them get names.
 
-    Args:
-        data: Bytes of the file.
-        path: Where they are from, for messages, and for the name of a model that has none.
-        sections: Tag of a section -> its elements, a line each; empty ones are left out.
-        joints: Names of the joints that the sections name.
+    Sections are tags with their elements, a line each; empty ones are left out.
 
     Raises:
         ModelError: A joint is not in the file itself.

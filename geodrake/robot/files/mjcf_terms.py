@@ -66,11 +66,7 @@ class MjcfTerms:
     notes: list[str] = field(default_factory=list)
 
     def followers_in(self, scope: str) -> list[Follower]:
-        """Return the followers with names that have their model's.
-
-        Args:
-            scope: Name of the model.
-        """
+        """Return the followers with names that have their model's."""
         return [
             Follower(f"{scope}::{f.joint}", f"{scope}::{f.leader}", f.ratio, f.offset)
             for f in self.followers
@@ -86,12 +82,7 @@ QUANTITIES = ("friction", "armature", "damping", "damping_2", "damping_3", "effo
 
 
 def terms_of(source: CompiledMjcf, mujoco: ModuleType) -> MjcfTerms:
-    """Return what a compiled file states of joints, and what is left out.
-
-    Args:
-        source: The compiled file.
-        mujoco: The package.
-    """
+    """Return what a compiled file states of joints, and what is left out."""
     return _Terms(source, mujoco).found
 
 

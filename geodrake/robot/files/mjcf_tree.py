@@ -38,14 +38,7 @@ def plain_tree(
 
 
 def name_of(model: Any, mujoco: ModuleType, kind: str, at: int) -> str:
-    """Return the name of a body, joint, tendon or actuator of a compiled model.
-
-    Args:
-        model: The compiled model.
-        mujoco: The package.
-        kind: MuJoCo's word, such as `BODY`.
-        at: Its number.
-    """
+    """Return the name of a body, joint, tendon or actuator of a compiled model."""
     return mujoco.mj_id2name(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind}"), at) or ""
 
 

@@ -40,12 +40,6 @@ def add_packages(
 
     Only those that are asked for are looked up: a manifest that cannot be read does no harm to
     models that do not need it.
-
-    Args:
-        packages: The map, added to.
-        path: The file; folders above it may be packages.
-        names: Names of the packages that it needs.
-        folders: Package -> folder, which come first.
     """
     for name, folder in (folders or {}).items():
         if not packages.Contains(name):
@@ -60,16 +54,7 @@ def add_packages(
 
 
 def folder_of_package(name: str, path: Path, folders: Mapping[str, Path]) -> Path:
-    """Return the folder of a package that a file names.
-
-    Args:
-        name: Name of the package.
-        path: The file; folders above it may be packages.
-        folders: Package -> folder, which come first.
-
-    Raises:
-        ModelError: It is not found.
-    """
+    """Return the folder of a package that a file names."""
     packages = PackageMap()
     add_packages(packages, path, [name], folders)
     if not packages.Contains(name):

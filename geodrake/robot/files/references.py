@@ -14,13 +14,7 @@ _MJCF_ASSETS = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "text
 
 
 def with_references(data: bytes, path: Path, folder: Path) -> bytes:
-    """Return a model file whose relative paths lead from a folder to where they led before.
-
-    Args:
-        data: Bytes of the file.
-        path: Where they are from.
-        folder: Where they will be.
-    """
+    """Return a model file whose relative paths lead from a folder to where they led before."""
     root = parse_xml_bytes(data, path)
     base, there = path.resolve().parent, Path(os.path.realpath(folder))
     for element, attribute in _references(root):

@@ -28,11 +28,6 @@ def edited(data: bytes, path: Path, root: Element) -> bytes:
 
     Those are attributes, texts and new elements before or after all others; none may be missing.
 
-    Args:
-        data: The bytes that the elements were parsed of.
-        path: Where they are from, for messages.
-        root: The root element, changed.
-
     Raises:
         ModelError: What was changed stands in an entity, or the encoding of the file is not one of
             single bytes or UTF-8.
@@ -175,13 +170,7 @@ def _lines(element: Element) -> Iterable[str]:
 
 
 def with_comments(data: bytes, path: Path, sentences: Sequence[str]) -> bytes:
-    """Return an XML file with comments before all else in it.
-
-    Args:
-        data: The bytes of the file.
-        path: Where they are from, for messages.
-        sentences: What the comments say.
-    """
+    """Return an XML file with comments before all else in it."""
     if not sentences:
         return data
     root = parse_xml_bytes(data, path)
@@ -190,25 +179,12 @@ def with_comments(data: bytes, path: Path, sentences: Sequence[str]) -> bytes:
 
 
 def comment_words(sentence: str) -> str:
-    """Return a sentence as an XML comment may have it, which has no two hyphens in a row.
-
-    Args:
-        sentence: What it says, names of a file included.
-    """
+    """Return a sentence as an XML comment may have it, which has no two hyphens in a row."""
     return f" {re.sub('-(?=-)', '- ', printable(sentence))} "
 
 
 def check_in_itself(names: Iterable[str], there: Container[str], path: Path) -> None:
-    """Refuse to write to what a file includes.
-
-    Args:
-        names: Scoped names of links or joints that are to be written.
-        there: Those that stand in the file itself.
-        path: The file.
-
-    Raises:
-        ModelError: One is not in the file itself.
-    """
+    """Refuse to write to what a file includes."""
     missing = sorted(name for name in names if name not in there)
     if missing:
         raise ModelError(

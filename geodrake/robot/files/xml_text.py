@@ -40,21 +40,13 @@ def place_of(element: Element) -> str:
 
 
 def parse_xml(path: Path) -> Element:
-    """Return the root element of a file.
-
-    Raises:
-        ModelError: The file is not XML, or no file at all.
-    """
+    """Return the root element of a file."""
     data = read_regular(path, "model file", ModelError, largest=LARGEST_FILE)
     return parse_xml_bytes(data, path)
 
 
 def parse_xml_bytes(data: bytes, path: Path) -> Element:
     """Return the root element of what is, or will be, in a file.
-
-    Args:
-        data: Bytes of the file.
-        path: Where they are from, for messages.
 
     Raises:
         ModelError: It is not XML, or nested or built beyond all bounds.
