@@ -58,7 +58,7 @@ def put_inertia(root: Element, link: Element, phi: Array) -> None:
 
 
 def without_mass_settings(data: bytes, path: Path) -> bytes:
-    """Return an MJCF file without the settings by which MuJoCo changes masses; others as they are."""
+    """Return an MJCF without settings by which MuJoCo changes masses; others as they are."""
     root = parse_xml_bytes(data, path)
     for compiler in root.findall("compiler") if root.tag == "mujoco" else ():
         for key in _OF_MASSES:
