@@ -126,7 +126,11 @@ def read_model(
         GeodrakeError: It cannot be read in this way.
     """
     from geodrake.model import load_model
+    from geodrake.robot.files.named_robots import planned_download
 
+    download = planned_download(path)
+    if download:
+        told.warning(download)
     model = load_model(
         path,
         floating=options.floating,

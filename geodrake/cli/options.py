@@ -24,7 +24,8 @@ ModelFile = Annotated[
     Path,
     typer.Argument(
         metavar="MODEL",
-        help="URDF, SDF, MJCF or Drake directives file, or a model saved with --save.",
+        help="URDF, SDF, MJCF or Drake directives file, a model saved with --save, or the name of "
+        "a robot of robot_descriptions, such as ur5e.",
     ),
 ]
 LogFiles = Annotated[

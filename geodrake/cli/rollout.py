@@ -83,7 +83,7 @@ def other_model(path: Path, given: Input) -> RobotModel:
     """Return a model of the same robot, with the same joints held."""
     model, how, drives = given.model, None, None
     if not is_saved_model(path):
-        how = model.given if is_xacro(path) else replace(model.given, xacro={})
+        how = model.given if path.is_file() and is_xacro(path) else replace(model.given, xacro={})
         drives = model.transmission  # whose logs these are
     other = load_model(
         path, floating=model.floating, extra=given.extra, given=how, transmission=drives

@@ -68,7 +68,8 @@ class Effect(CheckedFields, abc.ABC):
         signature: What the effect looks like, in words.
         list_position: Where it stands among the effects that are listed.
         role: What it does to the efforts.
-        places: "joint", "joint_pair", "body", "bodies", "robot" or "log": what it is bound to.
+        places: "joint", "joint_pair", "body", "body_pair", "bodies", "robot" or "log": what it is
+            bound to.
         parameters: The linear parameters, in the order of the regressor's columns.
         shapes: Unit and usual values of its shape parameters.
         depends_on: The signals that its columns depend on: positions "q", velocities "v" and
@@ -214,7 +215,7 @@ class Effect(CheckedFields, abc.ABC):
     @property
     def shape(self) -> dict[str, Any]:
         """Return the fields that are not the place: the shape parameters by name."""
-        place = {"joint", "joints", "body"}
+        place = {"joint", "joints", "body", "bodies"}
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in place}  # type: ignore[arg-type]
 
     @property

@@ -23,9 +23,18 @@ from geodrake.errors import ArgumentError
 @cache
 def catalogue() -> tuple[type[Effect], ...]:
     """The effects that come with geodrake, one a module of this package, by `list_position`."""
-    package = sys.modules[__package__]
-    names = [module.name for module in pkgutil.iter_modules(package.__path__)]
-    modules = [import_module(f"{__package__}.{name}") for name in names]
+    return _effects_below(__package__)
+
+
+@cache
+def file_effects() -> tuple[type[Effect], ...]:
+    """The effects that model files state, and no diagnosis proposes."""
+    return _effects_below(import_module(f"{__package__}.of_files").__name__)
+
+
+def _effects_below(package: str) -> tuple[type[Effect], ...]:
+    names = [module.name for module in pkgutil.iter_modules(sys.modules[package].__path__)]
+    modules = [import_module(f"{package}.{name}") for name in names]
     found = [effect for module in modules for effect in effects_in(module)]
     return tuple(sorted(found, key=lambda effect: (effect.list_position, effect.name)))
 
@@ -59,10 +68,12 @@ def effect_class(name: str, extra: Sequence[type[Effect]] = ()) -> type[Effect]:
         ArgumentError: There is no such effect; the message has the nearest names.
     """
     instance(name, "the name of an effect", str)
-    effects = {effect.name: effect for effect in (*catalogue(), *instances(extra, "extra", type))}
+    known = (*catalogue(), *instances(extra, "extra", type))
+    effects = {effect.name: effect for effect in (*file_effects(), *known)}
     if name not in effects:
-        near = difflib.get_close_matches(name, effects, cutoff=0.5)
-        names = ", ".join(near or effects)
+        own = [effect.name for effect in known]
+        near = difflib.get_close_matches(name, own, cutoff=0.5)
+        names = ", ".join(near or own)
         raise ArgumentError(
             f"There is no effect {name!r}.",
             advice=f"Did you mean {names}?" if near else f"Effects are: {names}.",

@@ -1,4 +1,4 @@
-"""What an effect is bound to: a joint, two joints, a body, all bodies, the robot or the log."""
+"""What an effect is bound to: one joint or two, one body, two or all, the robot or the log."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ PLACES = {
     "joint": Place("joint", (1,), "one joint", "joint"),
     "joint_pair": Place("joints", (2,), "two joints", "joint pair"),
     "body": Place("body", (1,), "one body", "body"),
+    "body_pair": Place("bodies", (2,), "two bodies", "body pair"),
     "bodies": Place("", (0,), "no place, as it is one of all bodies", "bodies"),
     "robot": Place("", (0,), "no place, as it is one of the whole robot", "robot"),
     "log": Place("joint", (0, 1), "one joint or none", "log, or joint"),

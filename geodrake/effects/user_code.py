@@ -21,7 +21,7 @@ from geodrake.boundary.input_files import regular_file
 from geodrake.effects.base import Effect
 from geodrake.effects.class_checks import check_class, field_names
 from geodrake.effects.column_checks import line_of, telling
-from geodrake.effects.lookup import catalogue, classes_in, effects_in
+from geodrake.effects.lookup import catalogue, classes_in, effects_in, file_effects
 from geodrake.effects.place import PLACES
 from geodrake.errors import ArgumentError, ModelError
 
@@ -55,7 +55,7 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
             f"{path} defines no effect.",
             advice="Derive a class from geodrake.effects.JointEffect and define its columns().",
         )
-    taken = {effect.name for effect in catalogue()}
+    taken = {effect.name for effect in (*catalogue(), *file_effects())}
     for effect in effects:
         name = getattr(effect, "name", None)
         missing = [key for key in ("name", "parameters", "places") if not hasattr(effect, key)]

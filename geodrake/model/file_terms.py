@@ -1,6 +1,8 @@
 """What model files and simulators have of their own of what geodrake calls effects."""
 
 from geodrake.effects import CoulombFriction as DryFriction
+from geodrake.effects import CoupledFriction as CoupledDry
+from geodrake.effects import CoupledRotorInertia as CoupledRotor
 from geodrake.effects import EffortDelay as Delay
 from geodrake.effects import EffortOffset as Offset
 from geodrake.effects import GravityTilt as Tilt
@@ -9,15 +11,27 @@ from geodrake.effects import NonlinearViscousFriction as Drag
 from geodrake.effects import RotorInertia as Rotor
 from geodrake.effects import StribeckFriction as StaticFriction
 from geodrake.effects import ViscousFriction as Damping
+from geodrake.effects.of_files.carried_weight import CarriedWeight as Carried
+from geodrake.effects.of_files.joint_coupling import JointCoupling as Coupling
+from geodrake.effects.of_files.medium_drag import MediumDrag as Medium
+from geodrake.effects.of_files.polynomial_spring import PolynomialSpring as Polynomial
+from geodrake.effects.of_files.strut import Strut as StrutEffect
 
 __all__ = [
+    "Carried",
+    "CoupledDry",
+    "CoupledRotor",
+    "Coupling",
     "Damping",
     "Delay",
     "Drag",
     "DryFriction",
+    "Medium",
     "Offset",
+    "Polynomial",
     "Rotor",
     "Spring",
     "StaticFriction",
+    "StrutEffect",
     "Tilt",
 ]

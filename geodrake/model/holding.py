@@ -21,7 +21,7 @@ from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.inertia.kernels import calc_change_frame
-from geodrake.model.robot_model import RobotModel
+from geodrake.model.robot_model import RobotModel, as_in_file, from_loaded_plant, read_again
 from geodrake.robot.plant import load_plant
 from geodrake.robot.transmission.drive import Drive
 
@@ -64,6 +64,9 @@ def holding(
     )
     lumping = _Lumping.of(model, bare)
     kept, lost = lumping.effects(model)
+    if lost and model.information is None and as_in_file(model, read_again(model)):
+        stated = from_loaded_plant(loaded, floating=model.floating, transmission=drives).effects
+        kept, lost = [(fitted, np.zeros((0, 0))) for fitted in stated], []
     after = replace(
         bare,
         phi=(lumping.matrix @ model.phi.ravel()).reshape(-1, PARAMETERS_PER_BODY),
@@ -199,7 +202,7 @@ class _Lumping:
         sizes = [len(fitted.effect.parameters) for fitted in model.effects]
         starts = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
         kept: list[tuple[FittedEffect, Array]] = []
-        lost, payloads = [], dict[int, Array]()
+        lost, payloads, held = [], dict[int, Array](), set(self.after.held)
         for fitted, start, size in zip(model.effects, starts, sizes, strict=False):
             rows = np.zeros((size, starts[-1]))
             rows[:, start : start + size] = np.eye(size)
@@ -210,10 +213,11 @@ class _Lumping:
                     change = self._block(carrier, old) @ rows
                     payloads[carrier] = payloads.get(carrier, 0.0) + change
                 continue
-            places = self.after.bodies if "bod" in fitted.effect.places else self.after.joints
+            bodies = (*self.after.bodies, "world")
+            places = bodies if "bod" in fitted.effect.places else self.after.joints
             if set(places).issuperset(fitted.effect.where):
                 kept.append((fitted, rows))
-            elif not set(self.after.held).issuperset(fitted.effect.where):
+            elif "bod" in fitted.effect.places or not held.issuperset(fitted.effect.where):
                 lost.append(fitted)
         mu = np.concatenate([np.zeros(0), *(fitted.parameters for fitted in model.effects)])
         payload = effect_of(Role.BODY)

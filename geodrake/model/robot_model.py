@@ -720,8 +720,9 @@ def from_loaded_plant(
         transmission=drives,
         known_joints=loaded.joints,
     )
-    effects, own_notes = stated_effects(loaded, bare.tree_joints, bare.joints, bare.actuation)
-    notes += own_notes
+    stated = stated_effects(loaded, bare.tree_joints, bare.joints, bare.actuation)
+    notes += stated.notes
+    left_out += tuple(stated.left_out)
     if loaded.geared and not transmission:
         notes.append(
             f"The file states how motors move {', '.join(loaded.geared)}; positions and efforts of "
@@ -732,7 +733,7 @@ def from_loaded_plant(
         notes.append(f"Logs, efforts and effects are those of the actuators: {words}.")
     return replace(
         bare,
-        effects=tuple(effects),
+        effects=tuple(stated.effects),
         notes=(*loaded.changes, *left_out, *loaded.notes, *notes),
         repairs=(*loaded.changes, *left_out),
         left_out=left_out,
@@ -771,6 +772,15 @@ def read_again(model: RobotModel) -> RobotModel:
         given=model.given,
         transmission=model.transmission,
     )
+
+
+def as_in_file(model: RobotModel, again: RobotModel) -> bool:
+    """Return whether a model has the effects of its file, read again, with their values."""
+    own, stated = (
+        [(fitted.effect, fitted.parameters.tolist()) for fitted in each.effects]
+        for each in (model, again)
+    )
+    return own == stated
 
 
 def load_description(

@@ -39,6 +39,7 @@ from geodrake.model.transmission_file import (
     stated_of,
 )
 from geodrake.robot.files import Given, read_description
+from geodrake.robot.files.named_robots import robot_file
 from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.statements import Stated
 
@@ -144,7 +145,8 @@ def load_model(
     """Load a robot model: a URDF, SDF, MJCF or Drake directives file, or a saved model.
 
     Args:
-        path: The file.
+        path: The file, or the name of a robot of robot_descriptions, such as ur5e: its URDF or
+            xacro, or its MJCF where there is no other (panda_mj asks for that).
         floating: Leave roots free that the file does not attach to the world (a saved model
             remembers).
         extra: Effect classes of the user's own that a saved model may name.
@@ -162,8 +164,8 @@ def load_model(
             transmission does not fit.
     """
     instances(extra, "extra", type)
-    given = given or Given()
-    path = regular_file(file_path(path), "model file", ModelError)
+    path, given, origin = robot_file(file_path(path), given or Given())
+    path = regular_file(path, "model file", ModelError)
     if is_saved_model(path):
         if transmission is not None:
             raise ModelError(
@@ -174,6 +176,7 @@ def load_model(
             )
         return holding(_read(path, extra, given), lock or {})
     drives, notes = _transmission(path, transmission, given)
+    notes = [*origin, *notes]
     model = load_description(path, floating=floating, given=given, transmission=drives)
     if lock and not model.transmission:
         model = load_description(path, floating=floating, held=lock, given=given)
@@ -464,7 +467,8 @@ def _fitted_effect(
     model: RobotModel, saved: SavedEffect, extra: Sequence[type[Effect]]
 ) -> FittedEffect:
     effect = make_effect(saved.name, saved.where, saved.shape, extra)
-    places = model.bodies if effect.places == "body" else model.joints
+    places = model.bodies if "bod" in effect.places else model.joints
+    places = (*places, "world") if effect.places == "body_pair" else places
     for place in saved.where:
         if place not in places:
             raise ModelError(

@@ -1,26 +1,37 @@
 """A second opinion on a model's file: MuJoCo or Pinocchio, which read the file itself.
 
 MultibodyPlant computes with the bodies that geodrake made of a file, and so cannot see what was
-lost on the way. MuJoCo compiles an MJCF whole, with what no model takes; Pinocchio reads a URDF.
+lost on the way. MuJoCo compiles an MJCF whole, with what no model takes; Pinocchio reads a URDF,
+and an SDF where it is built with SDFormat. Of velocities u of a joint of Drake's, in the world or
+the joint's frame, theirs are T u, those of a turning body in the body. With its rotation R,
+
+    ball           T = Rᵀ                    Drake's u = ω
+    free, MuJoCo   T = [0 1; Rᵀ 0]           u = (ω, v); theirs (v, ω), the latter in the body
+    free, Pinocchio  T = [0 Rᵀ; Rᵀ 0]        both in the body, so that v̇ is less ω × v
+
+and efforts Tᵀ times theirs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.multibody.tree import Joint
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Joint, RigidBody
 
-from geodrake.effects.base import Effect
 from geodrake.errors import ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.model.file_terms import DryFriction
-from geodrake.model.robot_model import RobotModel, read_again
+from geodrake.model.robot_model import RobotModel, as_in_file, read_again
 from geodrake.robot.files import read_description
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.description import drake_messages
@@ -37,8 +48,43 @@ _ENDS = ("parent", "child")
 Places = Mapping[str, float]
 """Joint -> where it is held, rad or m."""
 
-Efforts = Callable[[Array, Array, Array], Array]
-"""Efforts (N, nv of the plant) of its positions, velocities and accelerations, (N, ·) each."""
+
+@dataclass(frozen=True, eq=False)
+class OtherProgram:
+    """Another program with the model that it read of a file.
+
+    Attributes:
+        by: The program.
+        rest: Its positions, velocities and accelerations, held joints in their places.
+        places: Of each joint, where it is in its positions and velocities.
+        free: Makes of R and p of a free body, and of its velocities ω and v in the world, the
+            positions, T and the bias of accelerations of the program.
+        inverse_dynamics: Makes of its positions, velocities and accelerations efforts.
+    """
+
+    by: str
+    rest: tuple[Array, Array, Array]
+    places: Sequence[tuple[slice, slice]]
+    free: Callable[[RotationMatrix, Array, Array], tuple[Array, Array, Array]]
+    inverse_dynamics: Callable[[Array, Array, Array], Array]
+
+    def state(self, q: Array, v: Array, size: int) -> tuple[Array, Array, Array]:
+        """Return its positions, T and the bias of its accelerations, of a joint of the plant.
+
+        Args:
+            q: (1,), (3,) or (7,) positions of the joint.
+            v: Its velocities.
+            size: Number of its positions in the program.
+        """
+        if len(q) == 7:
+            R = RotationMatrix(Quaternion(q[:4] / np.linalg.norm(q[:4])))
+            return self.free(R, q[4:], v)
+        if len(q) == 3:
+            rpy = RollPitchYaw(q)
+            turned = rpy.ToQuaternion().wxyz()
+            return turned, rpy.ToRotationMatrix().matrix().T, np.zeros(3)
+        placed = np.array([np.cos(q[0]), np.sin(q[0])]) if size == 2 else q
+        return placed, np.eye(1), np.zeros(1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,37 +117,54 @@ def second_opinion(
         plant_states: The same of its plant.
         jacobians: (N, nv of the plant, nv) rates of the plant's positions by the model's.
     """
-    if model.path.suffix.lower() in (".yaml", ".yml") or model.given.robot is not None:
-        return "no program but Drake reads the model's file"
+    if model.given.robot is not None:
+        return "one robot of several was chosen, and only Drake reads a part of a file"
     joints = moving_joints(model.plant)
-    if any(joint.num_velocities() != 1 or joint.num_positions() != 1 for joint in joints):
-        return "the model has joints of several degrees of freedom"
     try:
         with drake_messages():
-            (text, *_) = read_description(model.path, model.given).texts
-        own = isinstance(text, MjcfText) and _stated(model) != _stated(read_again(model))
+            texts = read_description(model.path, model.given).texts
+        alone = len(texts) == 1 and isinstance(texts[0], MjcfText)
+        own = alone and not as_in_file(model, read_again(model))
     except ModelError as error:
         return f"the model's file cannot be read again: {error.problem.rstrip('.')}"
     bodies_differ = not np.array_equal(model.total_phi, inertial_parameters(model.plant))
     if own or bodies_differ or model.fitted_to:
         return "the model is no longer that of its file"
-    found: tuple[str, Efforts] | str = "no program but Drake reads SDF"
+    found: OtherProgram | str
     ours = inverse_dynamics(model.tree, *states, model.total_phi)
-    if isinstance(text, MjcfText):
-        found = _by_mujoco(text, _held(model, text), joints)
+    held = {name: place for text in texts for name, place in _held(model, text).items()}
+    if alone and isinstance(texts[0], MjcfText):
+        found = _by_mujoco(texts[0], held, joints)
         motion = Motion(*states)
         still = [f for f in model.effects if not isinstance(f.effect, DryFriction)]
         ours = replace(model, effects=tuple(still)).effort(motion)
-    elif text.kind == "urdf":
-        found = _by_pinocchio(model, _held(model, text), joints)
+    else:
+        found = _by_pinocchio(model, texts, held, joints)
     if isinstance(found, str):
         return found
-    by, efforts = found
-    return SecondOpinion(by, times(np.swapaxes(jacobians, 1, 2), efforts(*plant_states)), ours)
+    efforts = _efforts(found, joints, *plant_states)
+    return SecondOpinion(found.by, times(np.swapaxes(jacobians, 1, 2), efforts), ours)
 
 
-def _stated(model: RobotModel) -> list[tuple[Effect, list[float]]]:
-    return [(fitted.effect, fitted.parameters.tolist()) for fitted in model.effects]
+def _efforts(engine: OtherProgram, joints: list[Joint], q: Array, v: Array, vd: Array) -> Array:
+    """Return efforts (N, nv of the plant) by another program, of the plant's motion (N, ·)."""
+    found = np.zeros_like(v)
+    for k in range(len(q)):
+        position, rate, acceleration = (x.copy() for x in engine.rest)
+        turns = []
+        for joint, (at_q, at_v) in zip(joints, engine.places, strict=True):
+            own = slice(joint.velocity_start(), joint.velocity_start() + joint.num_velocities())
+            start = joint.position_start()
+            placed, T, bias = engine.state(
+                q[k, start : start + joint.num_positions()], v[k, own], len(position[at_q])
+            )
+            position[at_q] = placed
+            rate[at_v], acceleration[at_v] = T @ v[k, own], T @ vd[k, own] + bias
+            turns.append((own, at_v, T))
+        effort = engine.inverse_dynamics(position, rate, acceleration)
+        for own, at_v, T in turns:
+            found[k, own] = T.T @ effort[at_v]
+    return found
 
 
 def _held(model: RobotModel, text: ModelText) -> Places:
@@ -115,36 +178,46 @@ def _held(model: RobotModel, text: ModelText) -> Places:
     return places
 
 
-def _by_mujoco(text: MjcfText, held: Places, joints: list[Joint]) -> tuple[str, Efforts] | str:
+def _by_mujoco(text: MjcfText, held: Places, joints: list[Joint]) -> OtherProgram | str:
     mujoco = mujoco_or_none()
     if mujoco is None or text.compiled is None:
         return 'MuJoCo, which defines MJCF, is not installed: pip install "geodrake[mjcf]"'
     theirs = text.compiled
     theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-    numbers = {
-        joint: mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, joint)
-        for joint in (*held, *(joint.name() for joint in joints))
-    }
-    if min(numbers.values()) < 0:
-        return "MuJoCo has other joints"
+    sizes = {0: (7, 6), 1: (4, 3)}  # of free joints and balls
+    data = mujoco.MjData(theirs)
+    for name, place in held.items():
+        at = mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, name)
+        if at < 0:
+            return "MuJoCo has other joints"
+        data.qpos[theirs.jnt_qposadr[at]] = place
+    places = []
+    for joint in joints:
+        at = mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, joint.name())
+        if joint.num_positions() == 7:
+            body = theirs.body(joint.child_body().name())
+            at = int(body.jntadr[0]) if body.jntnum[0] == 1 else -1
+        if at < 0 or joint.num_positions() not in (1, 3, 7):
+            return "MuJoCo has other joints"
+        nq, nv = sizes.get(int(theirs.jnt_type[at]), (1, 1))
+        if nv != joint.num_velocities():
+            return "MuJoCo has other joints"
+        start, first = int(theirs.jnt_qposadr[at]), int(theirs.jnt_dofadr[at])
+        places.append((slice(start, start + nq), slice(first, first + nv)))
 
-    def efforts(q: Array, v: Array, vd: Array) -> Array:
-        data, found = mujoco.MjData(theirs), np.zeros_like(v)
-        for name, place in held.items():
-            data.qpos[theirs.jnt_qposadr[numbers[name]]] = place
-        at = [numbers[joint.name()] for joint in joints]
-        positions, dofs = theirs.jnt_qposadr[at], theirs.jnt_dofadr[at]
-        q_at = [joint.position_start() for joint in joints]
-        v_at = [joint.velocity_start() for joint in joints]
+    def free(R: RotationMatrix, p: Array, v: Array) -> tuple[Array, Array, Array]:
+        T = np.zeros((6, 6))
+        T[:3, 3:], T[3:, :3] = np.eye(3), R.matrix().T
+        return np.concatenate([p, R.ToQuaternion().wxyz()]), T, np.zeros(len(v))
+
+    def inverse_dynamics(q: Array, v: Array, vd: Array) -> Array:
+        data.qpos[:], data.qvel[:], data.qacc[:] = q, v, vd
         with quiet_mujoco(mujoco):
-            for k in range(len(q)):
-                data.qpos[positions], data.qvel[dofs] = q[k, q_at], v[k, v_at]
-                data.qacc[dofs] = vd[k, v_at]
-                mujoco.mj_inverse(theirs, data)
-                found[k, v_at] = data.qfrc_inverse[dofs]
-        return found
+            mujoco.mj_inverse(theirs, data)
+        return np.array(data.qfrc_inverse)
 
-    return f"MuJoCo {mujoco.__version__}", efforts
+    rest = (np.array(data.qpos), *np.zeros((2, theirs.nv)))
+    return OtherProgram(f"MuJoCo {mujoco.__version__}", rest, places, free, inverse_dynamics)
 
 
 def pinocchio_or_none() -> ModuleType | None:
@@ -157,48 +230,119 @@ def pinocchio_or_none() -> ModuleType | None:
 
 
 def _by_pinocchio(
-    model: RobotModel, held: Places, joints: list[Joint]
-) -> tuple[str, Efforts] | str:
+    model: RobotModel, texts: Sequence[ModelText], held: Places, joints: list[Joint]
+) -> OtherProgram | str:
     pinocchio = pinocchio_or_none()
+    kinds = {{"xml": "MJCF"}.get(text.kind, text.kind.upper()) for text in texts}
     if pinocchio is None:
         return 'Pinocchio, which reads URDF, is not installed: pip install "geodrake[proof]"'
+    if kinds == {"SDF"} and not pinocchio.WITH_SDFORMAT:
+        return "no second program reads SDF here (Pinocchio does if built with SDFormat)"
+    if kinds != {"URDF"} and len(texts) > 1:
+        return f"no second program reads directives with {' and '.join(sorted(kinds - {'URDF'}))}"
     try:
-        data = read_expanded(model.path, model.given)
-        root = parse_xml_bytes(data, model.path)
-        links = {link.get("name") for link in root.findall("link")}
-        ends = [end for joint in root.findall("joint") for end in joint if end.tag in _ENDS]
-        if not links.issuperset(end.get("link") for end in ends):
-            return "Pinocchio does not read a file whose joints have links that it lacks"
-        theirs = pinocchio.buildModelFromXML(data.decode(errors="replace"))
+        theirs = _joined_by_pinocchio(pinocchio, model, texts)
     except ModelError:
         raise
     except Exception as error:  # of any kind, by an extension module
         return f"Pinocchio does not read the file: {' '.join(str(error).split())[:200]}"
     theirs.gravity.linear = np.array(model.tree.gravity)
-    names = [*held, *(joint.name() for joint in joints)]
-    if not all(theirs.existJointName(name) for name in names):
+    known = {name.partition("::")[2]: name for name in theirs.names}
+    named = {_named(joint): joint.num_velocities() for joint in joints}
+    held = {known.get(name, name): place for name, place in held.items()}
+    there = [name for name in (*named, *held) if theirs.existJointName(name)]
+    own = {name: theirs.joints[theirs.getJointId(name)] for name in there}
+    sizes = {**dict.fromkeys(held, 1), **named}
+    if any(name not in own or own[name].nv != nv or nv == 3 for name, nv in sizes.items()):
         return "Pinocchio has other joints"
-    own = {name: theirs.joints[theirs.getJointId(name)] for name in names}
-    if any(joint.nv != 1 for joint in own.values()):
-        return "Pinocchio has other joints"
+    places = {
+        name: (slice(j.idx_q, j.idx_q + j.nq), slice(j.idx_v, j.idx_v + j.nv))
+        for name, j in own.items()
+    }
+    data = theirs.createData()
 
-    def efforts(q: Array, v: Array, vd: Array) -> Array:
-        data, found = theirs.createData(), np.zeros_like(v)
-        position = pinocchio.neutral(theirs)
-        rates, accelerations = np.zeros((2, theirs.nv))
-        for name, place in held.items():
-            _put(position, own[name], place)
-        for k in range(len(q)):
-            for joint in joints:
-                there, at = own[joint.name()], joint.velocity_start()
-                _put(position, there, q[k, joint.position_start()])
-                rates[there.idx_v], accelerations[there.idx_v] = v[k, at], vd[k, at]
-            effort = pinocchio.rnea(theirs, data, position, rates, accelerations)
-            for joint in joints:
-                found[k, joint.velocity_start()] = effort[own[joint.name()].idx_v]
-        return found
+    def free(R: RotationMatrix, p: Array, v: Array) -> tuple[Array, Array, Array]:
+        T, back = np.zeros((6, 6)), R.matrix().T
+        T[:3, 3:] = T[3:, :3] = back
+        w, x, y, z = R.ToQuaternion().wxyz()
+        linear, angular = back @ v[3:], back @ v[:3]
+        bias = np.concatenate([-np.cross(angular, linear), np.zeros(3)])
+        return np.concatenate([p, [x, y, z, w]]), T, bias
 
-    return f"Pinocchio {pinocchio.__version__}", efforts
+    position = pinocchio.neutral(theirs)
+    for name, place in held.items():
+        _put(position, own[name], place)
+    return OtherProgram(
+        f"Pinocchio {pinocchio.__version__}",
+        (position, *np.zeros((2, theirs.nv))),
+        [places[_named(joint)] for joint in joints],
+        free,
+        lambda q, v, vd: pinocchio.rnea(theirs, data, q, v, vd),
+    )
+
+
+def _named(joint: Joint) -> str:
+    """Return the name of a joint in `_joined_by_pinocchio`."""
+    model = joint.child_body().scoped_name().get_namespace()
+    return f"{model}::{'root_joint' if joint.num_velocities() == 6 else joint.name()}"
+
+
+def _joined_by_pinocchio(
+    pinocchio: ModuleType, model: RobotModel, texts: Sequence[ModelText]
+) -> Any:
+    """Return Pinocchio's model of files, welded together where the plant has them.
+
+    Names of joints and frames have those of their model before them.
+    """
+    whole, plant = pinocchio.Model(), model.plant
+    context = plant.CreateDefaultContext()
+    for text in texts:
+        scope = text.links[0].rpartition("::")[0]
+        data = read_expanded(text.path, model.given)
+        root = _body(plant, _root_of(parse_xml_bytes(data, text.path), text))
+        free = (
+            {"root_joint": pinocchio.JointModelFreeFlyer()} if root.is_floating_base_body() else {}
+        )
+        if text.kind == "sdf":
+            part, *_ = pinocchio.buildModelsFromSdf(str(text.path), geometry_types=[], **free)
+        else:
+            part = pinocchio.buildModelFromXML(data.decode(errors="replace"), *free.values())
+        for at in range(1, part.njoints):
+            part.names[at] = f"{scope}::{part.names[at]}"
+        for frame in part.frames:
+            frame.name = f"{scope}::{frame.name}"
+        welded = {b.scoped_name().get_full(): b for b in plant.GetBodiesWeldedTo(root)}
+        there = [name for name in welded if whole.existFrame(name)]
+        frame, X = 0, RigidTransform()
+        if there:
+            parent = welded[there[0]].body_frame()
+            frame, X = whole.getFrameId(there[0]), root.body_frame().CalcPose(context, parent)
+        elif not free and text.kind == "urdf":  # as its root has no place of its own
+            X = root.body_frame().CalcPoseInWorld(context)
+        pose = pinocchio.SE3(X.rotation().matrix(), X.translation())
+        whole = pinocchio.appendModel(whole, part, frame, pose)
+    return whole
+
+
+def _body(plant: MultibodyPlant, name: str) -> RigidBody:
+    """Return the body of a scoped name."""
+    model, _, own = name.rpartition("::")
+    return plant.GetBodyByName(own, plant.GetModelInstanceByName(model))
+
+
+def _root_of(xml: Element, text: ModelText) -> str:
+    """Return the scoped name of the link of a file that no joint moves.
+
+    Raises:
+        ValueError: A joint has a link that the file lacks, which would end Pinocchio.
+    """
+    links = [link.get("name", "") for link in xml.iter("link")]
+    ends = {kind: [e.get("link", "") for e in xml.iter(kind)] for kind in _ENDS}
+    if xml.tag == "robot" and not set(links).issuperset(e for own in ends.values() for e in own):
+        raise ValueError("it has joints whose links it lacks")
+    moved = set(ends["child"]) | {(e.text or "").strip() for e in xml.iter("child")}
+    name = next((link for link in links if link not in moved), links[0])
+    return f"{text.links[0].rpartition('::')[0]}::{name}"
 
 
 def _put(position: Array, joint: Any, place: float) -> None:

@@ -26,7 +26,8 @@ class Arrangement:
     Attributes:
         floating: Whether free roots float instead of being welded to the world.
         held: Scoped names of joints that are held -> their poses X_FM.
-        aside: The same of joints of other robots than the one asked for.
+        places: Scoped names of joints that are held -> where, rad or m.
+        aside: Scoped names of joints of other robots than the one asked for -> their poses X_FM.
         robot: Indices of that robot's bodies; None for all that there are.
         followers: Joints that move as others do.
         joints: Names, as users know them, of the robot's joints of one degree of freedom, held
@@ -35,6 +36,7 @@ class Arrangement:
 
     floating: bool
     held: Mapping[str, RigidTransform] = field(default_factory=dict)
+    places: dict[str, float] = field(default_factory=dict)
     aside: Mapping[str, RigidTransform] = field(default_factory=dict)
     robot: frozenset[int] | None = None
     followers: tuple[Follower, ...] = ()

@@ -37,7 +37,7 @@ from geodrake.robot.mesh_files import wavefront_text
 _LAST_GROUP = 2  # of geoms that MuJoCo shows unasked
 _WIDE, _DEEP = 100.0, 1.0
 """Sides of the box below a plane, m: Drake has no distances of half-spaces to most shapes."""
-_WORLD = "WorldModelInstance::world"  # Drake's scoped name
+WORLD = "WorldModelInstance::world"  # Drake's scoped name
 SHAPES_ADVICE = (
     "Give the links shapes of their own with `links` and leave out those of the file "
     "(use_file=False)."
@@ -55,6 +55,7 @@ class MjcfGeom:
         color: Its colour, that of its material included.
         shown: Whether MuJoCo shows its group unasked.
         collides: Whether it touches others.
+        friction: Coefficient of sliding friction.
     """
 
     name: str
@@ -63,10 +64,18 @@ class MjcfGeom:
     color: Rgba
     shown: bool
     collides: bool
+    friction: float
+
+
+def is_mjcf(path: Path, given: Given) -> bool:
+    """Return whether a model file is an MJCF."""
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return False
+    return parse_xml_bytes(read_expanded(path, given), path).tag == "mujoco"
 
 
 def mjcf_geoms(
-    path: Path, given: Given, *, hulls: bool = False
+    path: Path, given: Given, *, hulls: bool = False, scope: str | None = None
 ) -> tuple[Mapping[str, tuple[MjcfGeom, ...]], tuple[str, ...]] | None:
     """Return the geoms of each body by its scoped name, and sentences on meshes that are lost.
 
@@ -77,18 +86,17 @@ def mjcf_geoms(
         given: How it is read.
         hulls: For collisions and not for pictures: meshes are convex hulls of all of their points,
             and what the file puts into the world is there, planes included.
+        scope: Name of the model; None for that in the file.
 
     Raises:
         ModelError: MuJoCo refuses it, or a mesh; or a mesh for collisions is not there.
     """
     mujoco = mujoco_or_none()
-    if mujoco is None or path.suffix.lower() in (".yaml", ".yml"):
+    if mujoco is None or not is_mjcf(path, given):
         return None
     root = parse_xml_bytes(read_expanded(path, given), path)
-    if root.tag != "mujoco":
-        return None
     Includes(path, given.packages).insert_elements(root)
-    scope = root.get("model") or path.stem
+    scope = scope or root.get("model") or path.stem
     source = compiled(root, path, mujoco, geoms=True)
     if hulls and source.touching:
         raise ModelError(
@@ -115,8 +123,9 @@ def mjcf_geoms(
             Rgba(*np.clip(color, 0.0, 1.0)),
             bool(m.geom_group[at] <= _LAST_GROUP),
             bool(m.geom_contype[at] or m.geom_conaffinity[at]),
+            float(m.geom_friction[at][0]),
         )
-        found.setdefault(_WORLD if world else f"{scope}::{body}", []).append(geom)
+        found.setdefault(WORLD if world else f"{scope}::{body}", []).append(geom)
     return {link: tuple(geoms) for link, geoms in found.items()}, source.lost
 
 

@@ -1,12 +1,14 @@
 """The robot of an MJCF against MuJoCo's own inverse dynamics, each time that a file is read.
 
-At a few random states, the effort of the plant with what the file states of its joints has to be
-that of MuJoCo without what is left out. Dry friction, limits and contacts, which are soft in
-MuJoCo, take no part. Free bodies rest where the file puts them.
+At a few random states, the effort of the plant with what the file states of its joints and tendons
+has to be that of MuJoCo without what is left out. Dry friction, limits and contacts, which are soft
+in MuJoCo, take no part, nor do carried weights, media and struts, on which `geodrake check` has
+MuJoCo's opinion. Free bodies rest where the file puts them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +22,8 @@ from geodrake.inertia import Array
 from geodrake.robot.files import ModelDescription
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.mjcf_source import mujoco_or_none, quiet_mujoco
+from geodrake.robot.several_robots import scoped
+from geodrake.robot.stated import Spring, Tendon
 
 _STATES = 3
 _TOLERANCE = 1e-9  # of the largest effort
@@ -37,7 +41,10 @@ class JointTerms:
         friction: (nv,) dry friction, N·m or N.
         rotor_inertia: (nv,) reflected inertia, kg·m² or kg.
         powers: (2, nv) c of c |v| v and of c v³, SI.
-        springs: (4, nv) k, q₀, k₃ and q₃ of k (q − q₀) + k₃ (q − q₃)³, SI.
+        springs: Velocity -> the spring of its joint.
+        tendons: Tendons over several joints, by scoped names.
+        coupled_inertia: Scoped names of two joints, or one twice, and what tendons are there in the
+            mass matrix.
     """
 
     plant: MultibodyPlant
@@ -45,7 +52,9 @@ class JointTerms:
     friction: Array
     rotor_inertia: Array
     powers: Array
-    springs: Array
+    springs: Mapping[int, Spring]
+    tendons: tuple[Tendon, ...]
+    coupled_inertia: tuple[tuple[str, str, float], ...]
 
 
 def check_against_mujoco(description: ModelDescription, built: JointTerms) -> None:
@@ -147,16 +156,25 @@ def _efforts(
         mujoco.mj_inverse(m, data)
     effort = plant.CalcInverseDynamics(context, vd, MultibodyForces(plant))
     effort -= plant.CalcGravityGeneralizedForces(context)
-    k, rest, k3, rest3 = built.springs
     effort += v * (built.damping + np.abs(v) * built.powers[0] + v**2 * built.powers[1])
     effort += built.rotor_inertia * vd
+    starts = {scoped(j): (j.position_start(), j.velocity_start()) for j, _ in places}
+    for tendon in built.tendons:
+        along = np.array([*tendon.shares.values()])
+        at_q, at = np.array([starts[joint] for joint in tendon.shares]).T
+        stretch = along @ q[at_q] - tendon.length
+        pull = tendon.stiffness * stretch + tendon.damping * (along @ v[at])
+        effort[at] += along * pull
+    for first, second, inertia in built.coupled_inertia:
+        i, j = starts[first][1], starts[second][1]
+        effort[[i, j]] += inertia * vd[[j, i]]
     ours, theirs = [], []
     for (joint, at), turn in zip(places, turns, strict=True):
         first, count, dof = joint.velocity_start(), joint.num_velocities(), int(m.jnt_dofadr[at])
         own = turn.T @ effort[first : first + count]
         if count == 1:
-            x = q[joint.position_start()]
-            own = own + k[first] * (x - rest[first]) + k3[first] * (x - rest3[first]) ** 3
+            spring = built.springs.get(first)
+            own = own + (spring.effort(q[joint.position_start()]) if spring else 0.0)
         ours.append(own)
         theirs.append(np.array(data.qfrc_inverse[dof : dof + count]))
     return ours, theirs

@@ -37,11 +37,24 @@ from geodrake.inertia.bodies import lumped_bodies
 from geodrake.robot.files import Given, ModelDescription, read_description
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.files.named_robots import robot_file
 from geodrake.robot.followers import Follower, OwnCoordinates, resolved
 from geodrake.robot.holding import Arrangement, checked_held, poses_of, weld_joints, welds_of
 from geodrake.robot.mujoco_check import JointTerms, check_against_mujoco
 from geodrake.robot.repairs import Repair, repair_inertias
 from geodrake.robot.several_robots import chosen_robot, robots_of, scoped
+from geodrake.robot.stated import (
+    BoxInMedium,
+    Entries,
+    Spring,
+    StatedStrut,
+    Tendon,
+    Weight,
+    boxes_of,
+    entries_through,
+    struts_of,
+    weights_of,
+)
 from geodrake.robot.transmission.statements import Followers, Gear
 
 _LIMIT = "limit of "  # before the names of actuators that only have a limit of efforts
@@ -63,7 +76,12 @@ class LoadedPlant:
         file_friction: (nv,) dry friction of the file, N·m or N.
         file_rotor_inertia: (nv,) reflected inertia of the file, kg·m² or kg.
         file_powers: (2, nv) c of the file's damping c |v| v and c v³, SI.
-        file_springs: (4, nv) k, q₀, k₃ and q₃ of the file's springs k (q − q₀) + k₃ (q − q₃)³, SI.
+        file_springs: Velocity -> the spring that the file has there.
+        file_tendons: Tendons over several joints, by velocities.
+        file_inertias: Entries of tendons in the mass matrix.
+        file_weights: What carries weights of bodies.
+        file_boxes: Bodies as what a medium acts on.
+        file_struts: Springs and dampers between points of bodies.
         left_out: Sentences on what of the file bears on efforts, and is in none of these.
         held: Joint that does not move, though it does in the file -> where it is held, rad or m.
         given: How the file was to be read.
@@ -83,7 +101,12 @@ class LoadedPlant:
     file_friction: Array
     file_rotor_inertia: Array
     file_powers: Array
-    file_springs: Array
+    file_springs: Mapping[int, Spring]
+    file_tendons: tuple[Tendon, ...]
+    file_inertias: Entries
+    file_weights: tuple[Weight, ...]
+    file_boxes: tuple[BoxInMedium, ...]
+    file_struts: tuple[StatedStrut, ...]
     held: Mapping[str, float]
     given: Given
     followers: tuple[Follower, ...] = ()
@@ -118,6 +141,7 @@ def load_plant(
 
     Args:
         path: The model file; the root element, not the suffix, decides between the XML formats.
+            Or the name of a robot of robot_descriptions (`geodrake.robot.files.named_robots`).
         floating: Leave bodies free that the file does not attach to the world; otherwise each
             root is welded to the world where the file puts it.
         held: Joint of one degree of freedom -> where it is held, rad or m: it does not move, and
@@ -132,8 +156,8 @@ def load_plant(
         ModelError: The file cannot be read, is no robot description, or nothing moves in it; a
             joint cannot be held; or Drake refuses the inertial parameters that are given.
     """
-    path = file_path(path)
     given = Given() if given is None else instance(given, "given", Given)
+    path, given, origin = robot_file(file_path(path), given)
     held = {} if held is None else instance(held, "held", Mapping)
     held = {name: number(value, f"held[{name!r}]") for name, value in held.items()}
     with drake_messages() as messages:
@@ -148,12 +172,13 @@ def load_plant(
             built = _build(description, arrangement, into)
         if phi is not None:
             _check_inertias(built.plant, phi, path)
-    notes = [*description.notes, *built.notes, *_follower_notes(arrangement)]
+    notes = [*origin, *description.notes, *built.notes, *_follower_notes(arrangement)]
     ignored, apart = _ignored(description, arrangement), list[str]()
     (apart if any(text.kind == "xml" for text in description.texts) else notes).extend(ignored)
     changes = [*map(str, repairs), *left_out, *description.lost, *_relevant(messages)]
     coordinates = OwnCoordinates(built.plant, arrangement.followers)
-    springs, lost = _joined_springs(built, coordinates)
+    rows, shifts = _rows(coordinates, arrangement)
+    tendons, lost = _joined_tendons(built, rows, shifts)
     return LoadedPlant(
         built.plant,
         path,
@@ -164,7 +189,12 @@ def load_plant(
         coordinates.joined(built.friction, 1),
         coordinates.joined(built.rotor_inertia, 2),
         np.array([coordinates.joined(c, n) for c, n in zip(built.powers, (3, 4), strict=True)]),
-        springs,
+        _joined_springs(built, coordinates),
+        tendons,
+        entries_through(built.coupled_inertia, rows),
+        weights_of(built.plant, description.joint_values("carried")),
+        boxes_of(built.plant, [box for text in description.texts for box in text.boxes]),
+        struts_of(built.plant, [each for text in description.texts for each in text.struts]),
         held,
         given,
         arrangement.followers,
@@ -175,25 +205,44 @@ def load_plant(
     )
 
 
-def _joined_springs(built: _Built, coordinates: OwnCoordinates) -> tuple[Array, list[str]]:
-    """Springs (4, nv) of the robot's own joints with those of their followers, and what is lost.
-
-    A spring k (θ − θ₀) of a follower θ = r q + o is k r² (q − (θ₀ − o)/r) at its leader, and two of
-    them are one about their mean.
-    """
-    k, rest, k3, rest3 = (np.array(row) for row in built.springs)
-    moments, lost = k * rest, list[str]()
+def _joined_springs(built: _Built, coordinates: OwnCoordinates) -> dict[int, Spring]:
+    """Return the springs at the robot's own velocities, with those of their followers."""
+    springs = dict(built.springs)
     offsets = [follower.offset for follower in coordinates.followers]
     for (to, of, ratio), offset in zip(coordinates.followed, offsets, strict=True):
-        moments[of] += ratio * k[to] * (rest[to] - offset)
-        k[of] += ratio**2 * k[to]
-        if k3[to] and not k3[of]:
-            k3[of], rest3[of] = ratio**4 * k3[to], (rest3[to] - offset) / ratio
-        elif k3[to]:
-            name = joint_names(built.plant)[to]
-            lost.append(f"The cubic spring of {name}, which follows another joint, is left out.")
-    rest = np.where(k != 0.0, moments / np.where(k != 0.0, k, 1.0), rest)
-    return np.array([k, rest, k3, rest3])[:, coordinates.own_velocities], lost
+        if to in springs and ratio:
+            own = springs[to].through(ratio, offset)
+            springs[of] = springs[of] + own if of in springs else own
+    every = enumerate(coordinates.own_velocities.tolist())
+    return {at: springs[of] for at, of in every if of in springs and not springs[of].is_none}
+
+
+def _rows(
+    coordinates: OwnCoordinates, arrangement: Arrangement
+) -> tuple[dict[str, dict[int, float]], dict[str, float]]:
+    """Return how joints follow the robot's own velocities, and where they are with those at zero.
+
+    Returns:
+        Scoped name -> velocity -> ratio, and scoped name -> rad or m.
+    """
+    names, followers = scoped_joint_names(coordinates.plant), coordinates.followers
+    own = {names[of]: at for at, of in enumerate(coordinates.own_velocities.tolist())}
+    rows = {name: {at: 1.0} for name, at in own.items()}
+    rows |= {follower.joint: {own[follower.leader]: follower.ratio} for follower in followers}
+    shifts = {follower.joint: follower.offset for follower in followers}
+    return {**rows, **{name: {} for name in arrangement.places}}, shifts | arrangement.places
+
+
+def _joined_tendons(
+    built: _Built, rows: Mapping[str, Mapping[int, float]], shifts: Mapping[str, float]
+) -> tuple[tuple[Tendon, ...], list[str]]:
+    """Return the tendons over the robot's own velocities, and those that are not its own."""
+    within = [tendon for tendon in built.tendons if rows.keys() >= tendon.shares.keys()]
+    return tuple(tendon.through(rows, shifts) for tendon in within), [
+        f"The tendon {tendon.name} over joints of several robots is left out."
+        for tendon in built.tendons
+        if tendon not in within and not rows.keys().isdisjoint(tendon.shares)
+    ]
 
 
 def _geared(description: ModelDescription) -> tuple[str, ...]:
@@ -240,6 +289,7 @@ def _draft(
         arrangement = replace(
             arrangement,
             held=poses_of(draft.plant, places, places),
+            places=places,
             followers=tuple(f for f in followers if f.joint not in places),
         )
         draft = _build(description, arrangement)
@@ -328,18 +378,20 @@ def _build(
         values = {j: stated.get(scoped(joint), 0.0) for j, joint in enumerate(_joints(plant))}
         return {j: np.full(count, values[j]) for j, count in counts.items() if count <= most}
 
-    powers, springs = (
-        np.array([per_velocity(of_text(name, most=1)) for name in names])
-        for names in (("damping_2", "damping_3"), ("stiffness", "rest", "stiffness_3", "rest_3"))
-    )
+    springs = {j: own for text in description.texts for j, own in text.springs.items()}
+    single = [joint for joint in _joints(plant) if joint.num_velocities() == 1]
     return _Built(
         plant,
         notes=tuple(notes),
         damping=per_velocity(damping),
         friction=per_velocity(of_text("friction")),
         rotor_inertia=per_velocity(rotor),
-        powers=powers,
-        springs=springs,
+        powers=np.array([per_velocity(of_text(f"damping_{n}", most=1)) for n in (2, 3)]),
+        springs={
+            int(j.velocity_start()): springs[scoped(j)] for j in single if scoped(j) in springs
+        },
+        tendons=tuple(tendon for text in description.texts for tendon in text.tendons),
+        coupled_inertia=tuple(e for text in description.texts for e in text.coupled_inertia),
     )
 
 

@@ -153,7 +153,8 @@ MJCF = """<mujoco model="m"><option density="{}"/><worldbody><body name="a">
 
 def test_what_is_left_out_fails_the_check_and_is_told_first(tmp_path):
     path = tmp_path / "m.xml"
-    path.write_text(MJCF.format(1000), encoding="utf-8")
+    ellipsoid = MJCF.replace("<geom", '<geom fluidshape="ellipsoid"')
+    path.write_text(ellipsoid.format(1000), encoding="utf-8")
     done = run("check", path, "--samples", 2, "--json", tmp_path / "c.json")
     assert done.exit_code == 1
     assert done.output.startswith("Warning: m.xml is not used as it stands. The medium of <option")

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from drake import lcmt_iiwa_command, lcmt_iiwa_status
@@ -426,3 +427,60 @@ def test_files_without_the_scenario_are_refused(tmp_path, content, name, message
         path.write_text(content)
     with pytest.raises((ArgumentError, ModelError), match=message):
         load_scenario(path, name)
+
+
+MJCF = """<mujoco model="m"><default><default class="thick"><geom density="3000"/>
+<joint armature=".1"/></default></default><worldbody><geom name="floor" type="plane" size="1 1 1"/>
+<frame pos="0 0 .5" euler="0 0 30"><body name="one" childclass="thick">
+<joint name="a" axis="0 1 0" damping=".2"/><geom name="g" type="box" size=".1 .02 .03" pos=".1 0 0"
+friction=".7"/><body name="two" pos=".2 0 0"><joint name="b" axis="0 0 1" ref="20"/>
+<geom name="h" type="capsule" fromto="0 0 0 .2 0 .1" size=".02"/>
+<geom name="look" type="sphere" size=".03" contype="0" conaffinity="0" mass="0"/></body></body>
+</frame></worldbody></mujoco>"""
+
+
+def test_an_mjcf_of_a_scene_is_what_mujoco_makes_of_it(tmp_path):
+    file = tmp_path / "m.xml"
+    file.write_text(MJCF, encoding="utf-8")
+    path = tmp_path / "scene.yaml"
+    path.write_text(
+        f"""scene:
+  directives:
+    - add_model: {{name: arm, file: "file://{file}"}}
+    - add_model: {{name: crate, file: "file://{SCENES / "crate.sdf"}"}}
+""",
+        encoding="utf-8",
+    )
+    scene = build_scene(scenario=load_scenario(path, "scene"))
+    root, theirs = scene.context(), mujoco.MjModel.from_xml_path(str(file))
+    plant, inspector = scene.plant, scene.scene_graph.model_inspector()
+    context, data = plant.GetMyMutableContextFromRoot(root), mujoco.MjData(theirs)
+    arm = plant.GetModelInstanceByName("arm")
+    q = np.array([0.3, -0.5])
+    plant.SetPositions(context, arm, q)
+    data.qpos[:] = q
+    mujoco.mj_forward(theirs, data)
+    query = scene.scene_graph.get_query_output_port().Eval(
+        scene.scene_graph.GetMyContextFromRoot(root)
+    )
+    names = {"one": ["g"], "two": ["h"]}
+    for link, own in names.items():
+        body = plant.GetBodyByName(link, arm)
+        solids = plant.GetCollisionGeometriesForBody(body)
+        assert [inspector.GetName(each).rpartition("::")[2] for each in solids] == own
+        for each, name in zip(solids, own, strict=True):
+            X_WG = query.GetPoseInWorld(each)
+            np.testing.assert_allclose(X_WG.translation(), data.geom(name).xpos, atol=1e-12)
+    friction = inspector.GetProximityProperties(solids[0]).GetProperty(
+        "material", "coulomb_friction"
+    )
+    assert friction.static_friction() == 1.0
+    assert len(plant.GetVisualGeometriesForBody(body)) == 2
+    (floor,) = plant.GetCollisionGeometriesForBody(plant.world_body())
+    assert inspector.GetName(floor).endswith("arm_floor")
+    model = load_model(file)
+    own = model.plant.CreateDefaultContext()
+    model.plant.SetPositions(own, q)
+    at = [plant.GetJointByName(name, arm).velocity_start() for name in ("a", "b")]
+    M = plant.CalcMassMatrix(context)[np.ix_(at, at)]
+    np.testing.assert_allclose(M, model.plant.CalcMassMatrix(own), rtol=1e-12)

@@ -1,10 +1,12 @@
 """`geodrake check`: what agrees with MultibodyPlant is said to, and what does not is found."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio
 import pytest
 from typer.testing import CliRunner
 
@@ -152,3 +154,93 @@ def test_what_follows_a_held_joint_is_held_in_the_second_opinion(tmp_path):
     (tmp_path / "m.xml").write_text(text, encoding="utf-8")
     found = check_dynamics(load_description(tmp_path / "m.xml", held={"j": 0.3}), samples=3)
     assert found.joints == ("c",) and found.holds and found.second is not None
+
+
+SDF = """<sdf version="1.9"><model name="r"><link name="base"/><joint name="w" type="fixed">
+<parent>world</parent><child>base</child></joint><link name="a"><inertial><pose>.1 0 0 0 0 0</pose>
+<mass>2</mass><inertia><ixx>.1</ixx><iyy>.1</iyy><izz>.1</izz></inertia></inertial></link>
+<joint name="j" type="revolute"><parent>base</parent><child>a</child><axis><xyz>0 1 0</xyz></axis>
+</joint></model></sdf>"""
+
+
+@pytest.mark.parametrize("mass", [2.0, 2.1])
+def test_an_sdf_has_the_opinion_of_a_pinocchio_that_reads_it(tmp_path, monkeypatch, mass):
+    """Of one that is built with SDFormat; here, what it makes of the URDF of the same robot."""
+    model = written(tmp_path / "r.sdf", SDF)
+    found = check_dynamics(model, samples=3)
+    assert found.holds and found.second is None and "no second program reads SDF here" in found.by
+    twin = URDF[: URDF.index("<gazebo")].replace('mass value="2"', f'mass value="{mass}"')
+
+    def build(path, *, geometry_types):
+        assert path == str(model.path) and geometry_types == []
+        return pinocchio.buildModelFromXML(f"{twin}</robot>"), None
+
+    monkeypatch.setattr(pinocchio, "WITH_SDFORMAT", True)
+    monkeypatch.setattr(pinocchio, "buildModelsFromSdf", build)
+    found = check_dynamics(model, samples=3)
+    assert found.holds is (mass == 2.0) and found.second is not None
+    assert found.by.startswith("Pinocchio")
+
+
+FREE = """<mujoco model="m"><option density="100" viscosity="1" gravity="1 2 -7"/><worldbody>
+<body name="a" pos="0 0 1" quat="1 .2 .3 .1"><freejoint name="root"/>
+<geom type="box" size=".1 .2 .3" pos=".1 0 0"/><body name="b" pos=".3 0 0" euler="10 20 30">
+<joint name="ball" type="ball" pos=".1 0 .1" damping=".3" armature=".02"/>
+<geom type="box" size=".1 .2 .3" pos=".1 0 .3"/><body name="c" pos=".3 0 0">
+<joint name="h" axis="1 2 3" stiffness="2 1"/><geom type="box" size=".1 .2 .3" pos=".1 0 .3"/>
+</body></body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("floating", [False, True])
+def test_free_bodies_and_balls_have_a_second_opinion_in_their_own_coordinates(tmp_path, floating):
+    (tmp_path / "m.xml").write_text(FREE, encoding="utf-8")
+    model = load_description(tmp_path / "m.xml", floating=floating)
+    found = check_dynamics(model, samples=20)
+    assert found.holds and len(found.joints) == (10 if floating else 4)
+    assert found.second.relative < 1e-12 and found.second.size > 1.0
+    wrong = FREE.replace('gravity="1 2 -7"', 'gravity="1 2 -7.001"')
+    (tmp_path / "m.xml").write_text(wrong, encoding="utf-8")
+    assert not check_dynamics(model, samples=20).second.holds
+
+
+DIRECTIVES = """directives:
+- add_model: {name: left, file: arm6.urdf}
+- add_weld:
+    parent: world
+    child: left::base_link
+    X_PC: {translation: [0, 1, 0.2], rotation: !Rpy {deg: [10, 20, 30]}}
+- add_model: {name: tool, file: double_pendulum.urdf}
+- add_weld:
+    parent: left::flange
+    child: tool::base_link
+    X_PC: {translation: [0.1, 0, 0.2], rotation: !Rpy {deg: [0, 90, 10]}}
+- add_model: {name: right, file: arm6.urdf}
+- add_weld: {parent: world, child: right::base_link}
+"""
+
+
+def test_directives_have_a_second_opinion_on_all_their_models(tmp_path):
+    for name in ("arm6.urdf", "double_pendulum.urdf"):
+        (tmp_path / name).write_bytes((MODELS / name).read_bytes())
+    (tmp_path / "all.dmd.yaml").write_text(DIRECTIVES, encoding="utf-8")
+    model = load_model(tmp_path / "all.dmd.yaml")
+    found = check_dynamics(model, samples=10)
+    assert len(found.joints) == 14 and found.is_rounding
+    assert found.by.startswith("Pinocchio") and found.second.relative < 1e-12
+    held = load_model(tmp_path / "all.dmd.yaml", lock={"shoulder": 0.3})
+    assert "shoulder" not in held.joints
+    assert check_dynamics(held, samples=5).second.relative < 1e-12
+
+
+@pytest.mark.parametrize("name", ["arm7.urdf", "arm6.urdf"])
+def test_a_floating_base_has_a_second_opinion(tmp_path, name):
+    path = tmp_path / name
+    path.write_bytes((MODELS / name).read_bytes())
+    model = load_model(path, floating=True)
+    found = check_dynamics(model, samples=20)
+    assert found.holds and found.by.startswith("Pinocchio") and found.second.relative < 1e-12
+    text = path.read_text(encoding="utf-8")
+    path.write_text(
+        re.sub(r'mass value="([0-9.]+)"', r'mass value="\g<1>1"', text), encoding="utf-8"
+    )
+    assert not check_dynamics(model, samples=20).second.holds

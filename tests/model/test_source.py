@@ -15,6 +15,11 @@ import pytest
 
 from geodrake import effects, load_model
 from geodrake.effects import FittedEffect, JointEffect, Parameter, load_effect_file
+from geodrake.effects.of_files.carried_weight import CarriedWeight
+from geodrake.effects.of_files.joint_coupling import JointCoupling
+from geodrake.effects.of_files.medium_drag import MediumDrag
+from geodrake.effects.of_files.polynomial_spring import PolynomialSpring
+from geodrake.effects.of_files.strut import Strut
 from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
 from geodrake.model.source import cpp_source, effort_source, is_written, python_source
@@ -50,6 +55,12 @@ EFFECTS = [
     (effects.GravityTilt(0.1, 0.05), [0.11, 0.04]),
     (effects.AerodynamicDrag("wrist"), [0.4, 0.1, 0.2, 0.3]),
     (effects.AerodynamicDrag("flange", 0.1, 0.2, 0.3), [0.4, 0.1, 0.2, 0.3]),
+    (PolynomialSpring("elbow_pitch", 0.2), [1.0, -2.0, 3.0, -1.0]),
+    (JointCoupling(("base_yaw", "elbow_pitch")), [2.0, -0.4]),
+    (CarriedWeight("wrist", 0.1, 0.2, -0.1), [1.5]),
+    (MediumDrag("wrist", 0.3, 0.2, 0.1, 0.1, 0.0, 0.2, 0.5, 0.5, -0.5, 0.5, 1.0, 2.0), [900, 3]),
+    (Strut(("column", "wrist"), 0.1, 0.2, 0.3, 0.1, 0.0, 0.2), [30.0, -5.0, 2.0]),
+    (Strut(("world", "wrist"), 0.5, 0.2, 1.3, 0.1, 0.0, 0.2), [30.0, -5.0, 2.0]),
     (effects.Payload("flange"), [1.0, 0.1, 0.0, 0.05, 0.05, 0.06, 0.07, 0.0, 0.0, 0.001]),
 ]
 LEFT_OUT = [

@@ -83,6 +83,8 @@ def assert_as_mujoco(folder, text, joints, change=lambda theirs: None):
     return model
 
 
+PAIR = '<joint joint="a" coef="1"/><joint joint="t" coef="2"/>'
+
 TAKEN = {
     "frames": (
         mjcf(f'<frame pos="1 0 0" euler="9 8 7"><frame euler="4 5 6">{tip()}</frame></frame>'),
@@ -138,6 +140,13 @@ TAKEN = {
             tip('stiffness="3" damping="1"'),
             head='<option><flag spring="disable" damper="disable"/></option>',
         ),
+        "a t",
+    ),
+    "no passive forces": (
+        mjcf(
+            tip("damping='1'"),
+            head='<option density="900"><flag spring="disable" damper="disable"/></option>',
+        ).replace('<body name="t"', '<body name="t" gravcomp=".5"'),
         "a t",
     ),
     "total mass": (mjcf(tip(), head='<compiler settotalmass="9"/>'), "a t"),
@@ -201,6 +210,67 @@ TAKEN = {
         ),
         "a t",
     ),
+    "a spring of powers": (mjcf(tip('stiffness="3 1 -2" springref="20"')), "a t"),
+    "a spring that pushes": (mjcf(tip('stiffness="-3"')), "a t"),
+    "compensated gravity of one": (
+        mjcf(tip()).replace('<body name="t"', '<body name="t" gravcomp=".5"'),
+        "a t",
+    ),
+    "more than one body's compensated gravity": (
+        mjcf(tip() + f'<body pos=".2 0 0" gravcomp="-.7">{GEOM}</body>').replace(
+            '<body name="t"', '<body name="t" gravcomp="1.5"'
+        ),
+        "a t",
+    ),
+    "gravity that is compensated by less than nothing": (
+        mjcf(tip()).replace('<body name="t"', '<body name="t" gravcomp="-.5"'),
+        "a t",
+    ),
+    "a medium": (
+        mjcf(
+            tip() + f'<body pos=".2 0 0" euler="9 8 7">{GEOM}</body>',
+            head='<option density="1000" viscosity=".5" wind="1 0 0"/>',
+        ),
+        "a t",
+    ),
+    "a tendon of two joints": (
+        mjcf(
+            tip('stiffness="1" damping=".2"'),
+            tail='<tendon><fixed name="p" stiffness="5" damping=".3" armature=".1">'
+            f'{PAIR}</fixed></tendon><actuator><general tendon="p" gear="2" armature=".02" '
+            'damping=".4"/></actuator>',
+        ),
+        "a t",
+    ),
+    "tendons of three joints in two branches": (
+        mjcf(
+            tip() + f'<body><joint name="u" type="slide" axis="1 0 0"/>{GEOM}</body>',
+            tail='<tendon><fixed name="p" stiffness="5" springlength=".3" damping=".3" '
+            f'armature=".1">{PAIR}<joint joint="u" coef="-3"/></fixed><fixed name="q" '
+            f'stiffness="2">{PAIR}</fixed></tendon>',
+        ),
+        "a t u",
+    ),
+    "springs between two points": (
+        mjcf(
+            '<site name="w" pos=".1 .2 .9"/>'
+            + tip(geom=GEOM + '<site name="u" pos="0 0 .1"/>')
+            + f'<body pos=".2 0 0" euler="9 8 7">{GEOM}<site name="v" pos=".1 .2 .3"/></body>',
+            tail='<tendon><spatial stiffness="40" damping="3"><site site="w"/><site site="u"/>'
+            '</spatial><spatial stiffness="20" springlength=".1" damping="2"><site site="v"/>'
+            '<site site="u"/></spatial><spatial stiffness="9"><site site="w"/><site site="v"/>'
+            "</spatial></tendon>",
+        ),
+        "a t",
+    ),
+    "powers of a tendon of one joint": (
+        mjcf(
+            tip(),
+            tail='<tendon><fixed stiffness="5 2 1" springlength=".2" damping=".3 .1 .2">'
+            '<joint joint="t" coef="-1.5"/></fixed></tendon>',
+        ),
+        "a t",
+    ),
     "compensated gravity of all": (
         mjcf(tip())
         .replace('<body name="a"', '<body name="a" gravcomp=".8"')
@@ -225,6 +295,21 @@ def test_friction_of_a_tendon_is_that_of_its_joint(tmp_path):
     assert loaded.file_friction == pytest.approx([0.0, 0.3])
 
 
+def test_friction_of_a_tendon_of_two_joints_is_that_of_an_actuator(tmp_path):
+    fixed = '<fixed name="p" frictionloss=".4"><joint joint="a" coef=".5"/>'
+    tail = f'<tendon>{fixed}<joint joint="t" coef="{{}}"/></fixed></tendon>'
+    for share in (0.5, -0.5):
+        model = load_model(write(tmp_path, mjcf(tip(), tail=tail.format(share))))
+        bare = load_model(write(tmp_path, mjcf(tip())))
+        motion = Motion(*np.random.default_rng(0).uniform(-1, 1, (3, 9, 2)))
+        along = np.array([0.5, share])
+        rubs = 0.4 * np.sign(motion.v @ along)[:, None] * along
+        assert np.allclose(model.effort(motion), bare.effort(motion) + rubs, atol=1e-12)
+        assert not model.left_out
+    (said,) = load_model(write(tmp_path, mjcf(tip(), tail=tail.format(0.7)))).left_out
+    assert said == "The dry friction 0.4 of p, over joints that pull it unequally, is left out."
+
+
 def zero(**tables):
     def change(theirs):
         for table, at in tables.items():
@@ -233,41 +318,43 @@ def zero(**tables):
     return change
 
 
-def no_medium(theirs):
-    theirs.opt.density = theirs.opt.viscosity = 0.0
+def no_ellipsoids(theirs):
+    """Drag of ellipsoids without any of their coefficients; that of the box of the body a stays."""
+    theirs.geom_fluid[:, 1:] = 0.0
 
 
-PAIR = '<joint joint="a" coef="1"/><joint joint="t" coef="2"/>'
 LEFT_OUT = {
-    "tendon p with stiffness 5, damping 0.3, armature 0.1 is": (
-        mjcf(
-            tip(),
-            tail='<tendon><fixed name="p" stiffness="5" damping=".3" armature=".1">'
-            f"{PAIR}</fixed></tendon>",
-        ),
-        zero(tendon_stiffness=0, tendon_damping=0, tendon_armature=0),
-    ),
     "tendon p with stiffness 40": (
         mjcf(
-            tip(geom=GEOM + '<site name="u" pos="0 0 .1"/>'),
-            head="",
+            tip(geom=GEOM + '<site name="u" pos="0 0 .1"/><site name="v"/>'),
             arm=GEOM + '<site name="s" pos="1 0 0"/>',
             tail='<tendon><spatial name="p" stiffness="40"><site site="s"/><site site="u"/>'
-            "</spatial></tendon>",
+            '<site site="v"/></spatial></tendon>',
         ),
         zero(tendon_stiffness=0),
     ),
-    "quadratic stiffness 1 of the joint t": (
-        mjcf(tip('stiffness="4 1 2"')),
-        zero(jnt_stiffnesspoly=(1, 0)),
+    "tendon p with stiffness 5 is": (
+        mjcf(
+            tip(),
+            tail='<tendon><fixed name="p" stiffness="5" springlength=".1 .2" damping=".3">'
+            f"{PAIR}</fixed></tendon>",
+        ),
+        zero(tendon_stiffness=0),
     ),
-    "gravcomp=0.5 of t": (
-        mjcf(tip()).replace('<body name="t"', '<body name="t" gravcomp=".5"'),
-        zero(body_gravcomp=2),
+    "tendon p with stiffnesspoly 2 1, dampingpoly 0.1 0 is": (
+        mjcf(
+            tip(),
+            tail='<tendon><fixed name="p" stiffness="5 2 1" damping=".3 .1">'
+            f"{PAIR}</fixed></tendon>",
+        ),
+        zero(tendon_stiffnesspoly=0, tendon_dampingpoly=0),
     ),
-    "<option density=1000 viscosity=0.5 wind=1 0 0>": (
-        mjcf(tip(), head='<option density="1000" viscosity=".5" wind="1 0 0"/>'),
-        no_medium,
+    "drag acts on the ellipsoids of t": (
+        mjcf(
+            tip(geom=GEOM.replace("<geom", '<geom fluidshape="ellipsoid"')),
+            head='<option density="1000" wind="1 0 0"/>',
+        ),
+        no_ellipsoids,
     ),
     "constraint <connect> of a and t": (
         mjcf(tip(), tail='<equality><connect body1="a" body2="t" anchor="0 0 0"/></equality>'),
@@ -336,7 +423,7 @@ def test_without_mujoco_simple_files_are_read_and_others_refused(tmp_path, monke
     assert without.joints == with_mujoco.joints and without.bodies == with_mujoco.bodies
     np.testing.assert_allclose(without.phi, with_mujoco.phi, atol=1e-12)
     assert [e.effect for e in without.effects] == [e.effect for e in with_mujoco.effects]
-    for what in sorted(TAKEN.keys() - {"gravity", "dry friction"}):
+    for what in sorted(TAKEN.keys() - {"gravity", "dry friction", "a spring that pushes"}):
         with pytest.raises(ModelError, match="MuJoCo, which is not installed") as refused:
             load_model(write(tmp_path, TAKEN[what][0]))
         assert 'pip install "geodrake[mjcf]"' in str(refused.value), what
@@ -441,7 +528,7 @@ def test_a_second_constraint_of_a_joint_is_left_out(tmp_path, monkeypatch, both)
     assert said.startswith("<equality>: the constraint <joint> of ") and said in model.repairs
     assert len(model.joints) == 1
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(ModelError, match="<equality> has follow several, or itself"):
+    with pytest.raises(ModelError, match="<equality> is read by MuJoCo, which is not installed"):
         load_model(path)
 
 
@@ -472,7 +559,8 @@ def test_names_between_joints_are_those_of_no_body(tmp_path, monkeypatch):
     model = assert_as_mujoco(tmp_path, text, "a x y z")
     assert len(set(model.bodies)) == len(model.bodies)
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    assert load_model(write(tmp_path, text)).joints == model.joints
+    with pytest.raises(ModelError, match="a body of several joints is read by MuJoCo"):
+        load_model(write(tmp_path, text))
 
 
 def test_a_yield_of_a_spring_is_told(tmp_path, monkeypatch):

@@ -24,6 +24,7 @@ from geodrake.robot.plant import (
     set_inertial_parameters,
     velocity_limits,
 )
+from geodrake.robot.stated import Spring
 
 MODELS = Path(__file__).parents[2] / "models"
 OWN = ("double_pendulum", "arm6", "arm7")
@@ -184,7 +185,7 @@ def test_sdf(load):
     assert loaded.file_damping == pytest.approx([0.2])
     assert loaded.file_friction == pytest.approx([0.3])
     assert effort_limits(loaded.plant) == pytest.approx([7.0])
-    assert loaded.file_springs[:, 0] == pytest.approx([3.0, 0.0, 0.0, 0.0])
+    assert loaded.file_springs == {0: Spring.linear(3.0)}
     assert loaded.plant.num_force_elements() == 1
 
 

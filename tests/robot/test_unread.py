@@ -49,10 +49,12 @@ def test_gravity_that_is_off(tmp_path, word):
     model = load(tmp_path, SDF, one=off, two=off)
     assert not held(model).any() and not model.repairs
     model = load(tmp_path, SDF, two=off)
-    np.testing.assert_allclose(held(model), held(load(tmp_path, SDF)))
-    (said,) = model.left_out
-    assert said.endswith("line 7: gravity is switched off for l2 there, and acts on it here.")
-    assert said in model.repairs and said in model.notes
+    alone = load(tmp_path, SDF.partition('<link name="l2"')[0] + "</model></world></sdf>")
+    q = np.random.default_rng(0).uniform(-1, 1, (5, 2))
+    weights, still = model.effort(Motion(q, *np.zeros((2, 5, 2)))), np.zeros((2, 5, 1))
+    np.testing.assert_allclose(weights[:, :1], alone.effort(Motion(q[:, :1], *still)))
+    np.testing.assert_allclose(weights[:, 1], 0.0, atol=1e-12)
+    assert not model.left_out and model.total_phi[1, 0] == 1.0
     assert not load(tmp_path, SDF, two="<gravity>true</gravity>").left_out
 
 

@@ -5,12 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, SceneGraph
 from pydrake.lcm import DrakeLcmInterface
 from pydrake.manipulation import ApplyNamedPositionsAsDefaults
-from pydrake.multibody.parsing import ModelDirectives, Parser, ProcessModelDirectives
+from pydrake.multibody.parsing import (
+    FlattenModelDirectives,
+    ModelDirectives,
+    Parser,
+    ProcessModelDirectives,
+)
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
@@ -33,6 +39,7 @@ from geodrake.robot.files.description import drake_errors, drake_messages, model
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.meshes import check_geometry
+from geodrake.robot.mjcf_scene import add_geoms, plain_mjcfs
 from geodrake.robot.robot_instance import RobotInstance, RobotPorts, take_out_stated
 
 _DIRECTIVES = Path("the directives")  # what messages call them
@@ -156,7 +163,13 @@ def _add_plant(builder: DiagramBuilder, scenario: Scenario) -> tuple[MultibodyPl
             includes = Includes(_DIRECTIVES, given.packages)
             for file in model_files(scenario.directives, includes):
                 check_geometry([file], parser.package_map(), given)
-            ProcessModelDirectives(ModelDirectives(directives=scenario.directives), parser)
+            directives = ModelDirectives(directives=scenario.directives)
+            flat = FlattenModelDirectives(directives, parser.package_map())
+            with TemporaryDirectory() as folder:
+                mjcfs = plain_mjcfs(flat, includes, given, Path(folder))
+                ProcessModelDirectives(flat, parser)
+            for name, file in mjcfs.items():
+                add_geoms(plant, name, file, given)
             for name, robot in scenario.robots.items():
                 if robot.model and plant.HasModelInstanceNamed(name):
                     take_out_stated(plant, name)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import ClassVar
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -18,9 +18,11 @@ from geodrake.robot.files.checks import (
     check_links,
     check_numbers,
 )
+from geodrake.robot.files.inertia_text import put_inertia
 from geodrake.robot.files.values import drop, numbers
-from geodrake.robot.files.xml_text import numbered_text, place_of
+from geodrake.robot.files.xml_text import numbered_text
 from geodrake.robot.followers import Follower
+from geodrake.robot.stated import BoxInMedium, Spring, StatedStrut, Tendon
 from geodrake.robot.transmission.statements import Followers, Statement
 
 _LOOPS = ("ball_constraint", "linear_bushing_rpy", "distance_constraint", "weld_constraint")
@@ -31,6 +33,7 @@ class ModelText(abc.ABC):
 
     Attributes:
         kind: Drake's name of the format.
+        numeric: Numbers of the format and what they may be.
         notes: Sentences on what was taken out of the text and matters.
         left_out: Sentences on what bears on efforts, and is not in the text or elsewhere here.
         gravity: (3,) acceleration of gravity that the file states, m/s²; None for Drake's.
@@ -41,10 +44,13 @@ class ModelText(abc.ABC):
         armature: Scoped joint names with their reflected inertia, kg·m² or kg.
         damping_2: Scoped joint names with c of their damping c |v| v, SI.
         damping_3: Scoped joint names with c of their damping c v³, SI.
-        stiffness: Scoped joint names with the stiffness of their spring, N·m/rad or N/m.
-        stiffness_3: Scoped joint names with k of a spring k (q − q₀)³, SI.
-        rest_3: Scoped joint names with q₀ of that spring, rad or m.
-        rest: Scoped joint names with the position at which that spring is at rest, rad or m.
+        springs: Scoped joint names with their spring.
+        tendons: Tendons over several joints, by scoped names.
+        coupled_inertia: Scoped names of two joints, or one twice, and what tendons are there in the
+            mass matrix.
+        carried: Scoped link names with which share of their weight something else carries.
+        boxes: Links as what a medium acts on.
+        struts: Springs and dampers between points of links.
         effort: Scoped joint names with their largest effort, N or N·m.
         followers: Joints that the file has follow others; whether they can is seen in the plant.
         bent: Joints that the file has follow others by a ratio that changes.
@@ -68,10 +74,12 @@ class ModelText(abc.ABC):
         self.armature: dict[str, float] = {}
         self.damping_2: dict[str, float] = {}
         self.damping_3: dict[str, float] = {}
-        self.stiffness: dict[str, float] = {}
-        self.stiffness_3: dict[str, float] = {}
-        self.rest_3: dict[str, float] = {}
-        self.rest: dict[str, float] = {}
+        self.springs: dict[str, Spring] = {}
+        self.tendons: list[Tendon] = []
+        self.coupled_inertia: list[tuple[str, str, float]] = []
+        self.carried: dict[str, float] = {}
+        self.boxes: list[BoxInMedium] = []
+        self.struts: list[StatedStrut] = []
         self.effort: dict[str, float] = {}
         self.between: set[str] = set()
         self.packages: set[str] = set()
@@ -92,9 +100,9 @@ class ModelText(abc.ABC):
                 self.set_inertia(name, None)
 
     @property
-    def link_count(self) -> int:
-        """Number of links."""
-        return len(self._links)
+    def links(self) -> tuple[str, ...]:
+        """Scoped names of the links."""
+        return tuple(self._links)
 
     def stated_inertia(self, link: str) -> Array | None:
         """Inertial parameters (10,) that the file states for a link, possible or not; else None."""
@@ -103,11 +111,7 @@ class ModelText(abc.ABC):
         return self._inertia(self._links[link])
 
     def motors(self) -> tuple[Statement, ...]:
-        """What the file states of motors behind transmissions; see `geodrake.robot.files.motors`.
-
-        Raises:
-            ModelError: It cannot be read.
-        """
+        """Return what the file states of motors behind transmissions; see `files.motors`."""
         return ()
 
     def set_inertia(self, link: str, phi: Array | None) -> bool:
@@ -123,7 +127,7 @@ class ModelText(abc.ABC):
         for inertial in element.findall("inertial"):  # not of the bodies below it in MJCF
             element.remove(inertial)
         if phi is not None:
-            self._write_inertia(SubElement(element, "inertial"), phi)
+            put_inertia(self.root, element, phi)
         return True
 
     def text(self) -> tuple[str, list[str]]:
@@ -136,23 +140,13 @@ class ModelText(abc.ABC):
             drop(self.root, tag)
             self.left_out.append(f"<{tag}> is ignored: the robot is read as an open tree.")
 
-    def _take_weightless(self, off: Mapping[str, Element]) -> None:
-        """Take links on which gravity does not act: if those are all, there is none; else say so.
-
-        Args:
-            off: Scoped link name -> the element that says so.
-        """
-        if not off:
-            return
+    def _take_weightless(self, off: Collection[str]) -> None:
+        """Take scoped names of links on which gravity does not act: if all, there is none."""
         heavy = {name for name, link in self._links.items() if link.find("inertial") is not None}
-        if heavy <= off.keys():
+        if off and heavy.issubset(off):
             self.gravity = np.zeros(3)
-            return
-        for name, element in off.items():
-            self.left_out.append(
-                f"{place_of(element) or self.path}: gravity is switched off for "
-                f"{name.rpartition('::')[2]} there, and acts on it here."
-            )
+        else:
+            self.carried = dict.fromkeys(off, 1.0)
 
     def _take_mimic(self, scope: str, joint: Element) -> None:
         """Takes the <mimic> of a joint out of the text, and what it says in."""
@@ -173,7 +167,3 @@ class ModelText(abc.ABC):
     @abc.abstractmethod
     def _inertia(self, link: Element) -> Array | None:
         """Inertial parameters that the file states for a link."""
-
-    @abc.abstractmethod
-    def _write_inertia(self, inertial: Element, phi: Array) -> None:
-        """Fills an empty inertial element."""

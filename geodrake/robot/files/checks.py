@@ -137,11 +137,6 @@ def check_numbers(root: Element, numeric: Numeric, path: Path) -> None:
 
     Those of an `inertial` are left to the repair of inertias.
 
-    Args:
-        root: Root element of the file.
-        numeric: Which attributes and texts hold numbers, and which numbers may be there.
-        path: The file, for messages.
-
     Raises:
         ModelError: The message has the line, the text and what is wrong with it.
     """
@@ -158,10 +153,6 @@ def check_numbers(root: Element, numeric: Numeric, path: Path) -> None:
 def check_links(links: Mapping[str, Element], path: Path) -> None:
     """Refuses names that Drake takes for a link of another model.
 
-    Args:
-        links: Links by scoped name.
-        path: The file that they are of.
-
     Raises:
         ModelError: The message has the line and the name.
     """
@@ -173,10 +164,7 @@ def check_links(links: Mapping[str, Element], path: Path) -> None:
 def check_inertia(link: Element, phi: Array, path: Path) -> None:
     """Refuses inertial parameters (10,) that are numbers, but larger than anything of a robot.
 
-    Args:
-        link: Element of the link or body.
-        phi: (10,) inertial parameters, SI; what is not finite passes.
-        path: The file, for messages.
+    What is not finite passes.
 
     Raises:
         ModelError: The message has the line, the link and the number.
@@ -189,10 +177,6 @@ def check_inertia(link: Element, phi: Array, path: Path) -> None:
 
 def check_limits(root: Element, path: Path) -> None:
     """Refuses lower limits above upper ones.
-
-    Args:
-        root: Root element of the file.
-        path: The file, for messages.
 
     Raises:
         ModelError: The message has the line and the limits.
@@ -216,10 +200,6 @@ def check_limits(root: Element, path: Path) -> None:
 
 def check_poses(plant: MultibodyPlant, path: Path) -> None:
     """Refuses joints at places that are no numbers, or beyond all that is a robot.
-
-    Args:
-        plant: A finalized plant.
-        path: The file it was made of, for messages.
 
     Raises:
         ModelError: The message has the joint and the place.

@@ -98,11 +98,7 @@ class ModelDescription:
         return tuple(part for text in self.texts for part in text.bent)
 
     def motors(self) -> tuple[Statement, ...]:
-        """Return what the texts state of motors behind transmissions.
-
-        Raises:
-            ModelError: It cannot be read.
-        """
+        """Return what the texts state of motors behind transmissions."""
         return tuple(part for text in self.texts for part in text.motors())
 
     def joint_values(self, name: str) -> Mapping[str, float]:
@@ -116,32 +112,18 @@ class ModelDescription:
         return {name for text in texts for name in named_packages(text)}
 
     def add_packages(self, packages: PackageMap, names: Iterable[str]) -> None:
-        """Makes packages known of which the files name something.
-
-        Args:
-            packages: The map, added to.
-            names: Their names.
-        """
+        """Makes packages known of which the files name something."""
         add_packages(packages, self.path, names, self.given.packages)
 
     def add_every_package(self, packages: PackageMap) -> None:
-        """Makes packages known, geometry's too; folders above the file by their own names.
-
-        Args:
-            packages: The map, added to.
-        """
+        """Makes packages known, geometry's too; folders above the file by their own names."""
         self.add_packages(packages, self.named_packages())
         for folder in self.path.resolve().parents:
             if folder.name and not packages.Contains(folder.name):
                 packages.Add(folder.name, str(folder))
 
     def set_inertia(self, link: str, phi: Array | None) -> bool:
-        """Gives a link inertial parameters (10,), or none; False if no text has the link.
-
-        Args:
-            link: Scoped name of the link.
-            phi: (10,) inertial parameters about Bo, expressed in B; None takes the inertia away.
-        """
+        """Gives a link inertial parameters (10,), or none; False if no text has the link."""
         return any(text.set_inertia(link, phi) for text in self.texts)
 
     def add_to(self, plant: MultibodyPlant) -> None:
@@ -179,10 +161,6 @@ class ModelDescription:
 def read_description(path: Path, given: Given | None = None) -> ModelDescription:
     """Reads a model file of any supported format.
 
-    Args:
-        path: The file.
-        given: How it is to be read.
-
     Raises:
         ModelError: There is no such file, or it does not describe a robot.
     """
@@ -199,7 +177,7 @@ def read_description(path: Path, given: Given | None = None) -> ModelDescription
             advice="Leave it out.",
             path=path,
         )
-    count = sum(text.link_count for text in found.texts)
+    count = sum(len(text.links) for text in found.texts)
     if count > _MOST_LINKS:
         raise ModelError(
             f"{path} has {count} links, and geodrake reads up to {_MOST_LINKS}.",
@@ -228,10 +206,6 @@ def _read_directives(path: Path, given: Given) -> ModelDescription:
 
 def model_files(directives: Iterable[ModelDirective], includes: Includes) -> Iterator[Path]:
     """Yield the model files that directives add, and those that they lead to.
-
-    Args:
-        directives: Directives whose paths are URLs.
-        includes: What follows them.
 
     Raises:
         ModelError: A file cannot be read, or there is no end to them.

@@ -69,11 +69,7 @@ class Includes:
         )
 
     def checked(self, file: Path) -> Path:
-        """Return a file that can be read.
-
-        Raises:
-            ModelError: It cannot.
-        """
+        """Return a file that can be read."""
         what = f"file that {self.path} includes,"
         return regular_file(file, what, ModelError, largest=LARGEST_FILE)
 
@@ -102,11 +98,6 @@ class Includes:
         """Puts models that an SDF includes by relative paths in the place of the include.
 
         Those that it includes by a URL are left to Drake, but followed too.
-
-        Args:
-            root: The SDF; changed.
-            folder: The folder of its file.
-            chain: The files that led to it, and itself.
         """
         chain = chain or (self.path.resolve(),)
         self._count_elements(root)
@@ -139,10 +130,6 @@ class Includes:
         """Puts what the files hold that an MJCF includes in the place of the includes.
 
         Paths are relative to the folder of the model file, whichever file they are in.
-
-        Args:
-            root: The MJCF; changed.
-            chain: The files that led to it, and itself.
         """
         chain = chain or (self.path.resolve(),)
         self._count_elements(root)

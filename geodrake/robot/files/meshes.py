@@ -20,11 +20,7 @@ _ASSETS = ("meshdir", "assetdir", "texturedir")  # settings of MJCF
 
 
 def missing_meshes(description: ModelDescription) -> tuple[str, ...]:
-    """Places of meshes, as the files of a model name them, at which no file is found.
-
-    Args:
-        description: The model file, of URDFs and SDFs; of MJCF files `ModelText.lost` tells.
-    """
+    """Places of meshes, as the files of a model name them, at which no file is found."""
     packages = PackageMap()
     description.add_packages(packages, description.named_packages())
     found: dict[str, None] = {}
@@ -39,11 +35,6 @@ def missing_meshes(description: ModelDescription) -> tuple[str, ...]:
 
 def check_geometry(files: Iterable[Path], packages: PackageMap, given: Given) -> None:
     """Raise if Drake would open what is no file, for the geometry of model files.
-
-    Args:
-        files: URDFs, SDFs and MJCF files.
-        packages: Where packages are.
-        given: How the files are read.
 
     Raises:
         ModelError: It would.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -11,7 +12,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from geodrake.inertia import Array, to_mass_com_inertia
+from geodrake.inertia import Array
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import MJCF_NUMBERS, check_limits, check_numbers
 from geodrake.robot.files.includes import Includes
@@ -21,12 +22,10 @@ from geodrake.robot.files.mjcf_terms import terms_of
 from geodrake.robot.files.mjcf_tree import plain_tree
 from geodrake.robot.files.motors import mjcf_motors
 from geodrake.robot.files.values import (
-    UPPER,
     inertial_parameters_of,
     numbers,
     rotation,
     symmetric,
-    words,
 )
 from geodrake.robot.transmission.statements import Statement
 
@@ -93,6 +92,14 @@ class MjcfText(ModelText):
             if quantity != "damping":
                 of_joints = {f"{scope}::{joint}": value for joint, value in values.items()}
                 setattr(self, quantity, of_joints)
+        self.springs = {f"{scope}::{joint}": spring for joint, spring in terms.springs.items()}
+        self.carried = {f"{scope}::{body}": share for body, share in terms.carried.items()}
+        self.boxes = [replace(box, body=f"{scope}::{box.body}") for box in terms.boxes]
+        self.struts = [each.scoped(scope) for each in terms.struts]
+        self.tendons = [tendon.scoped(scope) for tendon in terms.tendons]
+        self.coupled_inertia = [
+            (f"{scope}::{i}", f"{scope}::{j}", own) for i, j, own in terms.coupled_inertia
+        ]
         self.reference = None if source.lost else terms.reference
         self.compiled, self.gravity = source.model, terms.gravity
         self.followers, self.bent = terms.followers_in(scope), terms.bent_followers
@@ -132,10 +139,6 @@ class MjcfText(ModelText):
         mass = numbers(inertial.get("mass", ""), 1)[0]
         com = numbers(inertial.get("pos", ""), 3)
         return inertial_parameters_of(mass, com, rotation(turn), symmetric(moments))
-
-    def _write_inertia(self, inertial: Element, phi: Array) -> None:
-        mass, com, inertia = to_mass_com_inertia(phi)
-        inertial.attrib.update(pos=words(com), mass=words(mass), fullinertia=words(inertia[UPPER]))
 
 
 def _timestep(root: Element) -> float:

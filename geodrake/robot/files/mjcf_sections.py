@@ -4,35 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from xml.etree.ElementTree import SubElement, fromstring
 
 from geodrake.robot.files.joint_text import mjcf_joints
-from geodrake.robot.files.source_text import SourceText, check_in_itself
+from geodrake.robot.files.source_text import check_in_itself, edited
+from geodrake.robot.files.xml_text import parse_xml_bytes
 
 
 def with_sections(
     data: bytes, path: Path, sections: Mapping[str, Sequence[str]], joints: Iterable[str]
 ) -> bytes:
-    """An MJCF file with more sections, after all others; nameless joints in them get names.
+    """Return an MJCF file with more sections, after all others; nameless joints in them get names.
 
-    Args:
-        data: Bytes of the file.
-        path: Where they are from, for messages, and for the name of a model that has none.
-        sections: Tag of a section -> its elements, a line each; empty ones are left out.
-        joints: Names of the joints that the sections name.
+    Sections are tags with their elements, a line each; empty ones are left out.
 
     Raises:
         ModelError: A joint is not in the file itself.
     """
-    text = SourceText(data, path)
-    scoped = mjcf_joints(text.root, path)
-    there = {name.rpartition("::")[2]: joint for name, joint in scoped.items()}
+    root = parse_xml_bytes(data, path)
+    there = {name.rpartition("::")[2]: own for name, own in mjcf_joints(root, path).items()}
     check_in_itself(joints, there, path)
     for name in joints:
-        if not there[name].attributes.get("name"):
-            text.set_attribute(there[name], "name", name)
-    lines = list[str]()
+        there[name].set("name", there[name].get("name") or name)
     for tag, elements in sections.items():
         if elements:
-            lines += [f"<{tag}>", *(f"  {element}" for element in elements), f"</{tag}>"]
-    text.append(text.root, *lines)
-    return text.edited()
+            SubElement(root, tag).extend(map(fromstring, elements))
+    return edited(data, path, root)

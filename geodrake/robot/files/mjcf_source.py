@@ -391,11 +391,7 @@ def _own_joints(body: Element) -> Iterator[Element]:
 
 
 def unused(taken: set[str | None]) -> Callable[[str], str]:
-    """Return what makes a name that is not taken out of one, and takes it.
-
-    Args:
-        taken: Names; changed.
-    """
+    """Return what makes a name that is not taken out of one, and takes it."""
 
     def name(wanted: str) -> str:
         while wanted in taken:

@@ -1,19 +1,20 @@
 """What a compiled MJCF has beside rigid bodies: at joints, and what no model of geodrake takes.
 
 What is not taken is said with its value, and taken out of the copy of the compiled model that the
-robot is compared with (`geodrake.robot.mujoco_check`), so that what is said explains all of the
-difference. MuJoCo's forces are (its modeling and XML reference, joint, tendon and option)
+robot is compared with (`geodrake.robot.mujoco_check`), as are carried weights, media and struts.
+MuJoCo's forces are (its modeling and XML reference, joint, tendon and option)
 
     spring   −(q − q₀) (k + k₁ (q − q₀) + k₂ (q − q₀)²)      damper   −v (d + d₁ |v| + d₂ v²)
 
 and those of a fixed tendon the same in its length Σ cᵢ qᵢ, so that one of a single joint is a
-spring of c² k there. Contacts and limits of joints are no part of any model.
+spring there. Contacts and limits of joints are no part of any model.
 """
 
 from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, field
+from itertools import combinations_with_replacement
 from types import ModuleType
 from typing import Any
 
@@ -21,11 +22,13 @@ import numpy as np
 
 from geodrake.inertia import Array
 from geodrake.robot.files.mjcf_source import CompiledMjcf
-from geodrake.robot.files.mjcf_tree import fixed_tendon, name_of
+from geodrake.robot.files.mjcf_tree import fixed_tendon, name_of, pose_of
 from geodrake.robot.followers import Follower, leads_back
+from geodrake.robot.stated import BoxInMedium, Spring, StatedStrut, Tendon
 from geodrake.robot.transmission.statements import Followers
 
 _KINDS = ("free", "ball", "slide", "hinge")
+_LEAST_INERTIA = 1e-15  # kg·m², as MuJoCo has it
 
 
 @dataclass(eq=False)
@@ -36,6 +39,12 @@ class MjcfTerms:
         reference: The compiled model without what is left out.
         gravity: (3,) gravity, less what compensates that of all bodies alike, m/s².
         of_joints: Name of a quantity, as in `ModelText` -> joint -> its value, SI.
+        springs: Joint -> its spring.
+        tendons: Tendons over several joints, by their names.
+        coupled_inertia: Two joints, or one twice, and what tendons are there in the mass matrix.
+        carried: Body -> which share of its weight something else carries.
+        boxes: Bodies as what a medium acts on.
+        struts: Spatial tendons between two sites.
         followers: Joint -> leader, ratio and offset.
         bent: Leader -> joint -> coefficients of a polynomial.
         left_out: Sentences on what bears on efforts and no model takes.
@@ -45,17 +54,19 @@ class MjcfTerms:
     reference: Any
     gravity: Array
     of_joints: dict[str, dict[str, float]]
+    springs: dict[str, Spring] = field(default_factory=dict)
+    tendons: list[Tendon] = field(default_factory=list)
+    coupled_inertia: list[tuple[str, str, float]] = field(default_factory=list)
+    carried: dict[str, float] = field(default_factory=dict)
+    boxes: list[BoxInMedium] = field(default_factory=list)
+    struts: list[StatedStrut] = field(default_factory=list)
     followers: list[Follower] = field(default_factory=list)
     bent: dict[str, dict[str, list[float]]] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def followers_in(self, scope: str) -> list[Follower]:
-        """Return the followers with names that have their model's.
-
-        Args:
-            scope: Name of the model.
-        """
+        """Return the followers with names that have their model's."""
         return [
             Follower(f"{scope}::{f.joint}", f"{scope}::{f.leader}", f.ratio, f.offset)
             for f in self.followers
@@ -67,27 +78,11 @@ class MjcfTerms:
         return [Followers(leader, own) for leader, own in self.bent.items()]
 
 
-QUANTITIES = (
-    "friction",
-    "armature",
-    "damping",
-    "damping_2",
-    "damping_3",
-    "stiffness",
-    "stiffness_3",
-    "rest",
-    "rest_3",
-    "effort",
-)
+QUANTITIES = ("friction", "armature", "damping", "damping_2", "damping_3", "effort")
 
 
 def terms_of(source: CompiledMjcf, mujoco: ModuleType) -> MjcfTerms:
-    """Return what a compiled file states of joints, and what is left out.
-
-    Args:
-        source: The compiled file.
-        mujoco: The package.
-    """
+    """Return what a compiled file states of joints, and what is left out."""
     return _Terms(source, mujoco).found
 
 
@@ -108,8 +103,9 @@ class _Terms:
         )
         self._take_tendons()
         self._take_actuators()
-        self._take_gravcomp()
-        self._take_medium()
+        if not (self._disabled(off.mjDSBL_SPRING) and self._disabled(off.mjDSBL_DAMPER)):
+            self._take_gravcomp()  # without both, MuJoCo has no passive forces at all
+            self._take_medium()
         if not self._disabled(off.mjDSBL_EQUALITY, off.mjDSBL_CONSTRAINT):
             self._take_equalities()
         if self.m.nflex:
@@ -174,18 +170,15 @@ class _Terms:
             if len(poly):
                 reference.jnt_stiffnesspoly[joint] = 0.0
             return
-        self._add("stiffness", joint, m.jnt_stiffness[joint])
         rest = float(m.qpos_spring[m.jnt_qposadr[joint]])
-        self.found.of_joints["rest"][self._name("JOINT", joint)] = rest
-        if poly[1]:
-            self._add("stiffness_3", joint, poly[1])
-            self._add("rest_3", joint, rest)
-        if poly[0]:
-            self._leave(f"The quadratic stiffness {poly[0]:g} of the joint {name}")
-            reference.jnt_stiffnesspoly[joint][0] = 0.0
+        self._add_spring(joint, Spring(rest, (0.0, float(m.jnt_stiffness[joint]), *_two(poly))))
         if np.any(_row(m, "jnt_springyield", joint)):
             self._leave(f"The yield of the spring of the joint {name}")
             reference.jnt_springyield[joint] = 0.0
+
+    def _add_spring(self, joint: int, spring: Spring) -> None:
+        name, springs = self._name("JOINT", joint), self.found.springs
+        springs[name] = springs[name] + spring if name in springs else spring
 
     def _take_limit(self, joint: int, count: int) -> None:
         if count == 1 and self.m.jnt_actfrclimited[joint]:
@@ -196,83 +189,126 @@ class _Terms:
         limits[name] = min(most, limits.get(name, np.inf))
 
     def _take_tendons(self) -> None:
-        """Those of one joint are terms of the joint; of others is said what they have."""
-        m, reference = self.m, self.found.reference
-        off = self.mujoco.mjtDisableBit
+        """Fixed tendons of one joint are terms of it; of others is said what no tendon here has."""
+        m, off = self.m, self.mujoco.mjtDisableBit
+        springs = not self._disabled(off.mjDSBL_SPRING)
+        dampers = not self._disabled(off.mjDSBL_DAMPER)
+        rubs = not self._disabled(off.mjDSBL_FRICTIONLOSS, off.mjDSBL_CONSTRAINT)
         for at in range(m.ntendon):
             has = {
-                "stiffness": 0.0 if self._disabled(off.mjDSBL_SPRING) else m.tendon_stiffness[at],
-                "damping": 0.0 if self._disabled(off.mjDSBL_DAMPER) else m.tendon_damping[at],
-                "frictionloss": m.tendon_frictionloss[at],
-                "armature": float(_row(m, "tendon_armature", at)[0]),
+                "stiffness": springs * _row(m, "tendon_stiffness", at),
+                "stiffnesspoly": springs * _row(m, "tendon_stiffnesspoly", at),
+                "damping": dampers * _row(m, "tendon_damping", at),
+                "dampingpoly": dampers * _row(m, "tendon_dampingpoly", at),
+                "frictionloss": rubs * _row(m, "tendon_frictionloss", at),
+                "armature": _row(m, "tendon_armature", at),
+                "springyield": springs * _row(m, "tendon_springyield", at),
             }
-            polys = {
-                f"{what}poly": _row(m, f"tendon_{what}poly", at)
-                for what in ("stiffness", "damping")
-            }
-            polys["springyield"] = _row(m, "tendon_springyield", at)
-            if self._disabled(off.mjDSBL_SPRING):
-                del polys["stiffnesspoly"], polys["springyield"]
-            if self._disabled(off.mjDSBL_DAMPER):
-                del polys["dampingpoly"]
-            if self._disabled(off.mjDSBL_FRICTIONLOSS, off.mjDSBL_CONSTRAINT):
-                has["frictionloss"] = 0.0
-            joints = fixed_tendon(m, self.mujoco, at)
-            if len(joints) == 1 and self._single(next(iter(joints))):
-                ((joint, share),) = joints.items()
-                low, high = (float(x) for x in m.tendon_lengthspring[at])
-                if has["stiffness"] and low == high and share:
-                    self._add_spring(joint, share**2 * has.pop("stiffness"), low / share)
-                self._add("damping", joint, share**2 * has.pop("damping"))
-                self._add("friction", joint, abs(share) * has.pop("frictionloss"))
-                self._add("armature", joint, share**2 * has.pop("armature"))
-            parts = [f"{what} {value:g}" for what, value in has.items() if value]
-            parts += [f"{what} {_list(value)}" for what, value in polys.items() if value.any()]
-            if parts:
-                self._leave(f"The tendon {self._name('TENDON', at)} with {', '.join(parts)}")
-            for what, value in has.items():
-                if value and what != "frictionloss":
-                    getattr(reference, f"tendon_{what}")[at] = 0.0
-            for what, values in polys.items():
-                if values.any():
-                    getattr(reference, f"tendon_{what}")[at] = 0.0
+            low, high = (float(x) for x in m.tendon_lengthspring[at])
+            shares = fixed_tendon(m, self.mujoco, at)
+            name = self._name("TENDON", at)
+            self._take_along(name, shares, has, low if low == high else None)
+            self._take_strut(at, has, low if low == high else None)
+            self._leave_rest(f"The tendon {name}", has, "tendon", at)
 
-    def _add_spring(self, joint: int, stiffness: float, rest: float) -> None:
-        """Two linear springs of a joint are one about their mean."""
-        name, own = self._name("JOINT", joint), self.found.of_joints
-        before = own["stiffness"].get(name, 0.0)
-        total = before + stiffness
-        if total:
-            moments = before * own["rest"].get(name, 0.0) + stiffness * rest
-            own["stiffness"][name], own["rest"][name] = total, moments / total
+    def _take_along(
+        self, name: str, shares: dict[int, float], has: dict[str, Array], length: float | None
+    ) -> None:
+        """Take from what a length Σ c q has (numbers of each kind) all that effects are; L₀ given.
+
+        What is taken is zero in `has` afterwards.
+        """
+        shares = {joint: share for joint, share in shares.items() if share}
+        if not shares or not all(map(self._single, shares)):
+            return
+        stiffness = [0.0] if length is None else _pop(has, "stiffness")
+        damping = _pop(has, "damping")
+        friction, (inertia, *_) = _pop(has, "frictionloss"), _pop(has, "armature")
+        if len(shares) > 1:
+            for pair in combinations_with_replacement(shares, 2) if inertia else ():
+                if self._in_a_chain(*pair):  # as MuJoCo's mass matrix has no other entries
+                    first, second = (self._name("JOINT", joint) for joint in pair)
+                    own = inertia * shares[pair[0]] * shares[pair[1]]
+                    self.found.coupled_inertia.append((first, second, own))
+            named = {self._name("JOINT", joint): share for joint, share in shares.items()}
+            if stiffness[0] or damping[0] or friction[0]:
+                numbers = (stiffness[0], length or 0.0, damping[0], friction[0])
+                self.found.tendons.append(Tendon(name, named, *numbers))
+            return
+        ((joint, share),) = shares.items()
+        powers = [0.0, 0.0] if length is None else _pop(has, "stiffnesspoly")
+        spring = Spring(length or 0.0, (0.0, stiffness[0], *_two(powers)))
+        if not spring.is_none:
+            self._add_spring(joint, spring.through(share, 0.0))
+        for power, value in enumerate((*damping[:1], *_two(_pop(has, "dampingpoly"))), start=1):
+            key = "damping" if power == 1 else f"damping_{power}"
+            self._add(key, joint, abs(share) ** (power + 1) * value)
+        self._add("friction", joint, abs(share) * friction[0])
+        self._add("armature", joint, share**2 * inertia)
+
+    def _take_strut(self, at: int, has: dict[str, Array], length: float | None) -> None:
+        """Take the spring and the damper of a tendon between two sites."""
+        m, first = self.m, int(self.m.tendon_adr[at])
+        wraps = range(first, first + int(m.tendon_num[at]))
+        sites = [int(m.wrap_objid[k]) for k in wraps]
+        kinds = {int(m.wrap_type[k]) for k in wraps}
+        straight = kinds == {int(self.mujoco.mjtWrap.mjWRAP_SITE)} and len(sites) == 2
+        if not straight or has["stiffness"][0] < 0.0:
+            return
+        (stiffness,) = [0.0] if length is None else _pop(has, "stiffness")
+        (damping,) = _pop(has, "damping")
+        one, two = (self._name("BODY", int(m.site_bodyid[site])) for site in sites)
+        points = np.array(m.site_pos[sites[0]]), np.array(m.site_pos[sites[1]])
+        strut = StatedStrut((one, two), points, stiffness, length or 0.0, damping)
+        if stiffness or damping:
+            self.found.struts.append(strut)
+        for what in ("stiffness", "damping"):
+            getattr(self.found.reference, f"tendon_{what}")[at] = 0.0
+
+    def _in_a_chain(self, first: int, second: int) -> bool:
+        """Return whether one of two joints moves the other."""
+        ends = [int(self.m.jnt_bodyid[joint]) for joint in (first, second)]
+        for body, other in (ends, ends[::-1]):
+            while body and body != other:
+                body = int(self.m.body_parentid[body])  # noqa: PLW2901
+            if body == other:
+                return True
+        return False
+
+    def _leave_rest(self, what: str, has: dict[str, Array], kind: str, at: int) -> None:
+        """Say what of a tendon or an actuator is left, and take it out of the reference."""
+        parts = [f"{key} {_list(value)}" for key, value in has.items() if value.any()]
+        if parts:
+            self._leave(f"{what} with {', '.join(parts)}")
+        for key, value in has.items():
+            if value.any() and key != "frictionloss":
+                getattr(self.found.reference, f"{kind}_{key}")[at] = 0.0
 
     def _take_actuators(self) -> None:
         """Limits of efforts, and the armature and damping that motors add to joints."""
-        m, mujoco, reference = self.m, self.mujoco, self.found.reference
-        joints = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        m, mujoco = self.m, self.mujoco
+        at_joints = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        dampers = not self._disabled(mujoco.mjtDisableBit.mjDSBL_DAMPER)
         for at in range(len(m.actuator_trntype)):
             name, on = self._name("ACTUATOR", at), int(m.actuator_trnid[at][0])
-            armature, damping, poly = (
-                _row(m, f"actuator_{what}", at) for what in ("armature", "damping", "dampingpoly")
-            )
-            if self._disabled(mujoco.mjtDisableBit.mjDSBL_DAMPER):
-                damping, poly = np.zeros(1), np.zeros(2)
-            direct = int(m.actuator_trntype[at]) in joints and self._single(on)
-            gear = float(m.actuator_gear[at][0])
-            if direct:
+            kind, gear = int(m.actuator_trntype[at]), float(m.actuator_gear[at][0])
+            has = {
+                "armature": _row(m, "actuator_armature", at),
+                "damping": dampers * _row(m, "actuator_damping", at),
+                "dampingpoly": dampers * _row(m, "actuator_dampingpoly", at),
+            }
+            shares = dict[int, float]()
+            if kind in at_joints and self._single(on):
                 self._limit_of_motor(at, on, gear)
-                self._add("armature", on, gear**2 * armature[0])
-                self._add("damping", on, gear**2 * damping[0])
-                for power, value in zip((2, 3), poly, strict=False):
-                    self._add(f"damping_{power}", on, gear**2 * value)
-                continue
-            parts = {"armature": armature, "damping": damping, "dampingpoly": poly}
-            has = [f"{what} {_list(value)}" for what, value in parts.items() if value.any()]
-            if has:
-                self._leave(f"The actuator {name} with {', '.join(has)}")
-                for what, value in parts.items():
-                    if value.any():
-                        getattr(reference, f"actuator_{what}")[at] = 0.0
+                shares = {on: gear}
+                for power, value in zip((2, 3), _pop(has, "dampingpoly"), strict=True):
+                    self._add(f"damping_{power}", on, gear**2 * value)  # not gear³, as of tendons
+            elif kind == int(mujoco.mjtTrn.mjTRN_TENDON):
+                pulled = fixed_tendon(m, mujoco, on)
+                if all(map(self._single, pulled)):
+                    shares = {joint: gear * share for joint, share in pulled.items()}
+            self._take_along(name, shares, has, None)
+            self._leave_rest(f"The actuator {name}", has, "actuator", at)
 
     def _limit_of_motor(self, at: int, joint: int, gear: float) -> None:
         m, mujoco = self.m, self.mujoco
@@ -289,7 +325,7 @@ class _Terms:
     def _take_gravcomp(self) -> None:
         """Compensation of the weight of all moving bodies alike is less gravity."""
         m, reference = self.m, self.found.reference
-        if not np.any(m.body_gravcomp) or not self.found.gravity.any():
+        if not np.any(m.body_gravcomp > 0.0) or not self.found.gravity.any():  # as MuJoCo counts
             return
         moving = [b for b in range(m.nbody) if m.body_weldid[b] and m.body_mass[b] > 0.0]
         shares = m.body_gravcomp[moving]
@@ -303,20 +339,43 @@ class _Terms:
             )
             return
         for body in moving:
-            if m.body_gravcomp[body]:
+            if m.body_gravcomp[body] and by_motors.any():
                 self._leave(f"gravcomp={m.body_gravcomp[body]:g} of {self._name('BODY', body)}")
+            elif m.body_gravcomp[body]:
+                self.found.carried[self._name("BODY", body)] = float(m.body_gravcomp[body])
         reference.body_gravcomp[:] = 0.0
 
     def _take_medium(self) -> None:
-        option, own = self.m.opt, self.found.reference.opt
+        """Take what a medium does to bodies as boxes; bodies with ellipsoids are told of."""
+        m, option, own = self.m, self.m.opt, self.found.reference.opt
         if not (option.density or option.viscosity):
             return
-        wind = f" wind={_list(option.wind)}" if np.any(option.wind) else ""
-        self._leave(
-            f"The medium of <option density={option.density:g} viscosity={option.viscosity:g}"
-            f"{wind}>, whose drag acts on all bodies,"
-        )
         own.density = own.viscosity = 0.0
+        others = list[str]()
+        for body in range(m.nbody):
+            first, mass = int(m.body_geomadr[body]), float(m.body_mass[body])
+            geoms = range(first, first + int(m.body_geomnum[body]))
+            if any(m.geom_fluid[geom][0] > 0.0 for geom in geoms):
+                others.append(self._name("BODY", body))
+            elif m.body_weldid[body] and mass > 0.0:
+                inertia = np.array(m.body_inertia[body])
+                edges = np.maximum(inertia.sum() - 2.0 * inertia, _LEAST_INERTIA)
+                self.found.boxes.append(
+                    BoxInMedium(
+                        self._name("BODY", body),
+                        np.sqrt(6.0 * edges / mass),
+                        pose_of(m.body_ipos[body], m.body_iquat[body]),
+                        float(option.density),
+                        float(option.viscosity),
+                        np.array(option.wind),
+                    )
+                )
+        if others:
+            wind = f" wind={_list(option.wind)}" if np.any(option.wind) else ""
+            self._leave(
+                f"The medium of <option density={option.density:g} viscosity={option.viscosity:g}"
+                f"{wind}>, whose drag acts on the ellipsoids of {', '.join(others)},"
+            )
 
     def _take_equalities(self) -> None:
         m, kinds = self.m, self.mujoco.mjtEq
@@ -400,6 +459,18 @@ def _row(m: Any, name: str, at: int) -> Array:
     """A row of a compiled model's table, (k,); zeros in versions of MuJoCo without it."""
     table = getattr(m, name, None)
     return np.zeros(2) if table is None else np.atleast_1d(np.array(table[at], float))
+
+
+def _pop(has: dict[str, Array], key: str) -> list[float]:
+    """Return the numbers of a kind, which are zero afterwards; none where there is no such kind."""
+    values = has.get(key, np.zeros(2))
+    has[key] = np.zeros_like(values)
+    return [float(value) for value in values]
+
+
+def _two(values: Any) -> tuple[float, float]:
+    first, second = (float(value) for value in values)
+    return first, second
 
 
 def _list(values: Array) -> str:

@@ -38,14 +38,7 @@ def plain_tree(
 
 
 def name_of(model: Any, mujoco: ModuleType, kind: str, at: int) -> str:
-    """Return the name of a body, joint, tendon or actuator of a compiled model.
-
-    Args:
-        model: The compiled model.
-        mujoco: The package.
-        kind: MuJoCo's word, such as `BODY`.
-        at: Its number.
-    """
+    """Return the name of a body, joint, tendon or actuator of a compiled model."""
     return mujoco.mj_id2name(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind}"), at) or ""
 
 
@@ -70,20 +63,20 @@ class _Tree:
     def _write_body(self, parent: Element, at: int) -> Element:
         m, name = self.model, name_of(self.model, self.mujoco, "BODY", at)
         like = self.source.elements.get(name)
-        pose = _pose(m.body_pos[at], m.body_quat[at])
+        X_PB = pose_of(m.body_pos[at], m.body_quat[at])
         joints = range(m.body_jntadr[at], m.body_jntadr[at] + m.body_jntnum[at])
         for joint in joints:
             own = name_of(m, self.mujoco, "JOINT", joint)
             last = joint == joints[-1]
-            pose = pose @ self._back(joint)
-            where = {"name": name if last else self.free(f"{name}_{own}"), **_pose_words(pose)}
+            X_PB = X_PB @ self._back(joint)
+            where = {"name": name if last else self.free(f"{name}_{own}"), **_pose_words(X_PB)}
             if not last:
                 where["between"] = "true"
             parent = _append(parent, located("body", where, like))
             self._write_joint(parent, joint, own)
-            pose = RigidTransform()
+            X_PB = RigidTransform()
         if not joints:
-            where = {"name": name, **_pose_words(pose)}
+            where = {"name": name, **_pose_words(X_PB)}
             parent = _append(parent, located("body", where, like))
         if m.body_mass[at] > 0.0 and name not in self.source.unknown:
             turn = _rotation(m.body_iquat[at])
@@ -130,7 +123,8 @@ def _append(parent: Element, child: Element) -> Element:
     return child
 
 
-def _pose(position: Array, quaternion: Array) -> RigidTransform:
+def pose_of(position: Array, quaternion: Array) -> RigidTransform:
+    """Return the pose of a position (3,), m, and a quaternion w, x, y, z (4,)."""
     return RigidTransform(RotationMatrix(_rotation(quaternion)), np.array(position))
 
 
@@ -138,9 +132,8 @@ def _rotation(quaternion: Array) -> Array:
     return RotationMatrix(Quaternion(np.array(quaternion, float))).matrix()
 
 
-def _pose_words(pose: RigidTransform) -> dict[str, str]:
-    turn = pose.rotation().ToQuaternion().wxyz()
-    return {"pos": words(pose.translation()), "quat": words(turn)}
+def _pose_words(X: RigidTransform) -> dict[str, str]:
+    return {"pos": words(X.translation()), "quat": words(X.rotation().ToQuaternion().wxyz())}
 
 
 def _write_motors(root: Element, m: Any, mujoco: ModuleType) -> None:

@@ -30,10 +30,6 @@ _REDUCTIONS = ("mechanicalReduction", "mechanical_reduction")
 def urdf_motors(elements: Sequence[Element], path: Path) -> tuple[Statement, ...]:
     """What transmissions of a URDF state.
 
-    Args:
-        elements: The `<transmission>` elements.
-        path: The file, for messages.
-
     Raises:
         ModelError: A number is none or zero, or a name is missing.
     """
@@ -72,10 +68,6 @@ def _transmission(element: Element, path: Path) -> Iterator[Statement]:
 
 def mjcf_motors(root: Element, path: Path) -> tuple[Statement, ...]:
     """What actuators of an MJCF file state: gears at joints, and fixed tendons.
-
-    Args:
-        root: The root element, tendons included.
-        path: The file, for messages.
 
     Raises:
         ModelError: Gears are those of default classes, or tendons do not determine joints.

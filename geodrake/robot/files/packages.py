@@ -40,12 +40,6 @@ def add_packages(
 
     Only those that are asked for are looked up: a manifest that cannot be read does no harm to
     models that do not need it.
-
-    Args:
-        packages: The map, added to.
-        path: The file; folders above it may be packages.
-        names: Names of the packages that it needs.
-        folders: Package -> folder, which come first.
     """
     for name, folder in (folders or {}).items():
         if not packages.Contains(name):
@@ -53,23 +47,14 @@ def add_packages(
     wanted = {name for name in names if not packages.Contains(name)}
     around = _around(path, sorted(wanted))
     while wanted and (place := next(around, None)):
-        found = _package_name(place)
+        found = package_name(place)
         if found in wanted:
             packages.Add(found, str(place))
             wanted.remove(found)
 
 
 def folder_of_package(name: str, path: Path, folders: Mapping[str, Path]) -> Path:
-    """Return the folder of a package that a file names.
-
-    Args:
-        name: Name of the package.
-        path: The file; folders above it may be packages.
-        folders: Package -> folder, which come first.
-
-    Raises:
-        ModelError: It is not found.
-    """
+    """Return the folder of a package that a file names."""
     packages = PackageMap()
     add_packages(packages, path, [name], folders)
     if not packages.Contains(name):
@@ -89,10 +74,10 @@ def _around(path: Path, names: Iterable[str]) -> Iterator[Path]:
             yield from (Path(prefix) / "share" / name for name in names)
     for entry in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep):
         if entry:
-            yield from islice(_packages_below(entry), _MOST_FOLDERS)
+            yield from islice(packages_below(entry), _MOST_FOLDERS)
 
 
-def _packages_below(entry: str) -> Iterator[Path]:
+def packages_below(entry: str | Path) -> Iterator[Path]:
     """Folders from a folder on down; what is within packages and marked folders is left out."""
     seen: set[str] = set()
     for folder, below, files in os.walk(entry, followlinks=True):
@@ -105,7 +90,7 @@ def _packages_below(entry: str) -> Iterator[Path]:
         yield Path(folder)
 
 
-def _package_name(folder: Path) -> str | None:
+def package_name(folder: Path) -> str | None:
     """Return what a folder's manifest calls the package; None if there is none that can be read."""
     manifest = folder / "package.xml"
     with suppress(ModelError):

@@ -19,11 +19,6 @@ def read_model_text(path: Path, given: Given, scope: str | None = None) -> Model
 
     A xacro file is expanded first.
 
-    Args:
-        path: The file.
-        given: How it is to be read.
-        scope: Name of the model instance; the name in the file if None.
-
     Raises:
         ModelError: The file is no XML, or its root is not that of a robot description.
     """
@@ -34,12 +29,6 @@ def model_text_of(
     data: bytes, path: Path, given: Given | None = None, scope: str | None = None
 ) -> ModelText:
     """Reads and simplifies what is, or will be, in a file.
-
-    Args:
-        data: Bytes of the file.
-        path: Where they are from, or will be written to.
-        given: Where packages are, if that is known.
-        scope: Name of the model instance; None for the name in the file.
 
     Raises:
         ModelError: It is no XML, or its root is not that of a robot description.

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from geodrake.errors import ModelError
-from geodrake.inertia import Array, to_mass_com_inertia
+from geodrake.inertia import Array
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import SDF_NUMBERS
 from geodrake.robot.files.includes import Includes
+from geodrake.robot.files.inertia_text import sdf_models
 from geodrake.robot.files.packages import PACKAGE_ADVICE
 from geodrake.robot.files.unread import SDF_UNREAD, is_nothing, unread
 from geodrake.robot.files.values import (
@@ -21,10 +21,9 @@ from geodrake.robot.files.values import (
     numbers,
     rotation,
     symmetric,
-    tensor_words,
-    words,
 )
 from geodrake.robot.files.xml_text import place_of
+from geodrake.robot.stated import Spring
 
 _SPRING = ("stiffness", "reference")
 
@@ -48,7 +47,7 @@ class SdfText(ModelText):
                 drop(link, "collision")
         drop(self.root, "visual", "sensor", "plugin", "drake:collision_filter_group")
         self._drop_loops()
-        for name, model in self._models(self.root, ""):
+        for name, model in sdf_models(self.root, first=self.scope or ""):
             self._links |= {f"{name}::{e.get('name')}": e for e in model.findall("link")}
             for joint in model.findall("joint"):
                 self._take_mimic(name, joint)
@@ -75,17 +74,10 @@ class SdfText(ModelText):
                     path=self.path,
                 )
             self.gravity = vector
-        of_links = {name: link.find("gravity") for name, link in self._links.items()}
+        of_links = {name: link.findtext("gravity") for name, link in self._links.items()}
         self._take_weightless(
-            {name: e for name, e in of_links.items() if e is not None and is_nothing(e.text or "")}
+            [name for name, text in of_links.items() if text is not None and is_nothing(text)]
         )
-
-    def _models(self, parent: Element, scope: str) -> Iterator[tuple[str, Element]]:
-        for model in [*parent.findall("model"), *parent.findall("world/model")]:
-            own = model.get("name", "")
-            name = f"{scope}::{own}" if scope else self.scope or own
-            yield name, model
-            yield from self._models(model, name)
 
     def _read_joint(self, name: str, joint: Element) -> None:
         friction = joint.findtext("axis/dynamics/friction", "0")
@@ -93,7 +85,7 @@ class SdfText(ModelText):
         for dynamics in joint.iter("dynamics"):
             if dynamics is joint.find("axis/dynamics"):
                 stated = (dynamics.findtext(f"spring_{key}", "0") for key in _SPRING)
-                self.stiffness[name], self.rest[name] = (numbers(text, 1)[0] for text in stated)
+                self.springs[name] = Spring.linear(*(float(numbers(t, 1)[0]) for t in stated))
             drop(dynamics, *(f"spring_{key}" for key in _SPRING))
 
     def _inertia(self, link: Element) -> Array | None:
@@ -114,11 +106,3 @@ class SdfText(ModelText):
         )
         mass = numbers(inertial.findtext("mass", "1"), 1)[0]
         return inertial_parameters_of(mass, values[:3], rotation(turn), inertia)
-
-    def _write_inertia(self, inertial: Element, phi: Array) -> None:
-        mass, com, inertia = to_mass_com_inertia(phi)
-        SubElement(inertial, "pose").text = f"{words(com)} 0 0 0"
-        SubElement(inertial, "mass").text = words(mass)
-        tensor = SubElement(inertial, "inertia")
-        for key, word in tensor_words(inertia).items():
-            SubElement(tensor, key).text = word

@@ -38,13 +38,7 @@ _NOTHING = frozenset({"", "false"})
 
 
 def unread(root: Element, table: Mapping[str, Collection[str]], path: Path) -> Iterator[str]:
-    """Yield a sentence on each element that bears on efforts and is not read.
-
-    Args:
-        root: The root element of a file.
-        table: Of its format.
-        path: The file, for messages.
-    """
+    """Yield a sentence on each element that bears on efforts and is not read."""
     for element in root.iter():
         for child in element if element.tag in table else ():
             yield from _of(child, table[element.tag], path)
@@ -73,11 +67,7 @@ def _of(element: Element, tags: Collection[str], path: Path) -> Iterator[str]:
 
 
 def is_nothing(text: str) -> bool:
-    """Return whether a text says that there is none: no text, `false`, or numbers that are 0.
-
-    Args:
-        text: Of an element or attribute.
-    """
+    """Return whether a text says that there is none: no text, `false`, or numbers that are 0."""
     words = text.split()
     if not words or text.strip().lower() in _NOTHING:
         return True

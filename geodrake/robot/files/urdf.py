@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from geodrake.errors import ModelError
-from geodrake.inertia import Array, to_mass_com_inertia
+from geodrake.inertia import Array
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import URDF_NUMBERS
 from geodrake.robot.files.motors import urdf_motors
@@ -21,10 +21,9 @@ from geodrake.robot.files.values import (
     numbers,
     rotation,
     symmetric,
-    tensor_words,
-    words,
 )
 from geodrake.robot.files.xml_text import place_of
+from geodrake.robot.stated import Spring
 from geodrake.robot.transmission.statements import Statement
 
 
@@ -65,14 +64,15 @@ class UrdfText(ModelText):
         Raises:
             ModelError: A spring's number is invalid.
         """
-        off = dict[str, Element]()
+        off = list[str]()
         joints = {e.get("name") for tag in ("joint", "drake:joint") for e in self.root.iter(tag)}
         for element in elements:
             name = f"{scope}::{element.get('reference')}"
             stated = element.findtext("springStiffness", "")
             if element.get("reference") in joints and stated.strip():
-                self.stiffness[name], self.rest[name] = (
-                    self._of_spring(element, tag) for tag in ("springStiffness", "springReference")
+                numbers_of = ("springStiffness", "springReference")
+                self.springs[name] = Spring.linear(
+                    *(self._of_spring(element, t) for t in numbers_of)
                 )
             elif not is_nothing(stated):
                 self.left_out.append(
@@ -82,7 +82,7 @@ class UrdfText(ModelText):
             falls = [is_nothing(each.text or "") for each in element.findall("gravity")]
             falls += [not is_nothing(each.text or "") for each in element.findall("turnGravityOff")]
             if any(falls) and name in self._links:
-                off[name] = element
+                off.append(name)
         self._take_weightless(off)
 
     def _of_spring(self, element: Element, tag: str) -> float:
@@ -113,9 +113,3 @@ class UrdfText(ModelText):
         inertia = symmetric(moments.get(key, "0") for key in TENSOR)
         mass = number(inertial, "mass", "value")
         return inertial_parameters_of(mass, com, rotation(rpy), inertia)
-
-    def _write_inertia(self, inertial: Element, phi: Array) -> None:
-        mass, com, inertia = to_mass_com_inertia(phi)
-        SubElement(inertial, "origin", xyz=words(com), rpy="0 0 0")
-        SubElement(inertial, "mass", value=words(mass))
-        SubElement(inertial, "inertia", tensor_words(inertia))

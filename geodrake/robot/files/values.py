@@ -16,24 +16,14 @@ UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 
 
 def drop(element: Element, *tags: str) -> None:
-    """Removes all elements with these tags below an element.
-
-    Args:
-        element: Where to look; the element itself stays.
-        *tags: Tags of the elements to remove.
-    """
+    """Removes all elements with these tags below an element."""
     for parent in list(element.iter()):
         for child in [child for child in parent if child.tag in tags]:
             parent.remove(child)
 
 
 def numbers(text: str, count: int) -> Array:
-    """Numbers of a text, NaN where there are none; an empty text means zeros.
-
-    Args:
-        text: Words that should be numbers.
-        count: How many there should be.
-    """
+    """Numbers of a text, NaN where there are none; an empty text means zeros."""
     parts = text.split()
     if not parts:
         return np.zeros(count)
@@ -45,13 +35,7 @@ def numbers(text: str, count: int) -> Array:
 
 
 def number(parent: Element, tag: str, attribute: str) -> float:
-    """A number in an attribute of a child; zero where it is left out, NaN where it is none.
-
-    Args:
-        parent: The parent of the element that has the attribute.
-        tag: Tag of that element.
-        attribute: Name of the attribute.
-    """
+    """A number in an attribute of a child; zero where it is left out, NaN where it is none."""
     child = parent.find(tag)
     return float(numbers("" if child is None else child.get(attribute, ""), 1)[0])
 

@@ -79,11 +79,7 @@ class RefusedError(BaseException):
 
 
 def withhold(symbols: MutableMapping[str, Any]) -> None:
-    """Put refusals in the place of functions that lead further than to values.
-
-    Args:
-        symbols: Functions of Python, by their names.
-    """
+    """Put refusals in the place of functions that lead further than to values."""
     for name in _WITHHELD:
         symbols[name] = partial(_refuse, name)
 
@@ -93,11 +89,7 @@ def _refuse(name: str, *_: Any, **__: Any) -> NoReturn:
 
 
 def functions_of(symbols: Mapping[str, Any]) -> list[Callable[..., Any]]:
-    """Return the functions among symbols.
-
-    Args:
-        symbols: Name -> function or value, or a namespace of them.
-    """
+    """Return the functions among symbols."""
     found = []
     for name, value in symbols.items():
         if isinstance(value, dict):

@@ -40,11 +40,7 @@ _ENDS: Mapping[int, str] = {
 
 
 def is_xacro(path: Path) -> bool:
-    """Return whether a model file has elements of xacro.
-
-    Raises:
-        ModelError: It cannot be read.
-    """
+    """Return whether a model file has elements of xacro."""
     return _has_elements(_read(path))
 
 

@@ -24,10 +24,14 @@ class LocatedElement(Element):
     Attributes:
         path: The file.
         line: The line of the file, from one.
+        start: Where its start tag begins, in bytes from the start of the file.
+        end: Where its end tag begins.
     """
 
     path: Path
     line: int
+    start: int
+    end: int
 
 
 def place_of(element: Element) -> str:
@@ -36,21 +40,13 @@ def place_of(element: Element) -> str:
 
 
 def parse_xml(path: Path) -> Element:
-    """Return the root element of a file.
-
-    Raises:
-        ModelError: The file is not XML, or no file at all.
-    """
+    """Return the root element of a file."""
     data = read_regular(path, "model file", ModelError, largest=LARGEST_FILE)
     return parse_xml_bytes(data, path)
 
 
 def parse_xml_bytes(data: bytes, path: Path) -> Element:
     """Return the root element of what is, or will be, in a file.
-
-    Args:
-        data: Bytes of the file.
-        path: Where they are from, for messages.
 
     Raises:
         ModelError: It is not XML, or nested or built beyond all bounds.
@@ -100,6 +96,7 @@ class _Reader:
     def _element(self, tag: str, attributes: dict[str, str]) -> Element:
         element = LocatedElement(tag, attributes)
         element.path, element.line = self.path, self.parser.CurrentLineNumber
+        element.start = self.parser.CurrentByteIndex
         return element
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
@@ -121,7 +118,9 @@ class _Reader:
 
     def _end(self, tag: str) -> None:
         self.depth -= 1
-        self.builder.end(tag)
+        element = self.builder.end(tag)
+        if isinstance(element, LocatedElement):
+            element.end = self.parser.CurrentByteIndex
 
 
 def numbered_text(root: Element) -> tuple[str, list[str]]:

@@ -1,0 +1,149 @@
+"""Robots by their names: the URDF, xacro or MJCF that the package robot_descriptions has of each.
+
+That package clones a robot's repository into its cache when the robot is first asked for
+(`~/.cache/robot_descriptions`, or `ROBOT_DESCRIPTIONS_CACHE`), and reads it there from then on.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+from dataclasses import replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from geodrake.boundary.escaping import printable
+from geodrake.boundary.input_files import read_regular
+from geodrake.errors import ModelError
+from geodrake.robot.files.given import Given
+from geodrake.robot.files.packages import named_packages, package_name, packages_below
+from geodrake.robot.files.xml_text import LARGEST_FILE
+
+_WORD = re.compile(r"[A-Za-z]\w*(-\w+)*", re.ASCII)  # no path, and no file with a suffix
+_FOUND = re.compile(r"\$\(find ([^()\s]+)\)")
+_END = "_description"
+
+
+class RobotFile(NamedTuple):
+    """A model file, how it is to be read, and what is to be known of where it came from."""
+
+    path: Path
+    given: Given
+    notes: tuple[str, ...] = ()
+
+
+def robot_file(path: Path, given: Given) -> RobotFile:
+    """Return the file of a robot that is named, downloaded if need be; a path stays what it is.
+
+    Args:
+        path: A model file; where there is none, a word without folder and suffix is a name.
+        given: How it is to be read; its packages and arguments of xacro come before the robot's.
+
+    Raises:
+        ModelError: There is no robot of that name, or its files cannot be downloaded.
+    """
+    if not _is_name(path):
+        return RobotFile(path, given)
+    module, *others = _descriptions(path)
+    try:
+        robot: Any = importlib.import_module(f"robot_descriptions.{module}")
+    except Exception as error:  # of git, of the network, of the disk
+        words = " ".join(str(getattr(error, "stderr", "") or error).split())
+        reason = printable(words.removeprefix("stderr: "))[:300]
+        raise ModelError(
+            f"The robot {path} cannot be downloaded ({_repository(module).url}): {reason}.",
+            advice="Check the network; it is needed once, as the files are kept in "
+            f"{_folder(module)}.",
+            path=path,
+        ) from error
+    plain = getattr(robot, "URDF_PATH", None) or getattr(robot, "MJCF_PATH", None)
+    file = Path(plain or robot.XACRO_PATH)
+    xacro = {} if plain else {k: str(v) for k, v in getattr(robot, "XACRO_ARGS", {}).items()}
+    own = {name: Path(place) for name, place in getattr(robot, "XACRO_PACKAGE_PATHS", {}).items()}
+    packages = {**_packages(file, Path(robot.REPOSITORY_PATH)), **own, **given.packages}
+    notes = [f"{path} is {module} of robot_descriptions: {file}."]
+    notes += [f"The MJCF of {path} is {other}; the URDF is used." for other in others]
+    given = replace(given, xacro={**xacro, **given.xacro}, packages=packages)
+    return RobotFile(file, given, tuple(notes))
+
+
+def planned_download(path: Path) -> str:
+    """Return what `robot_file` is going to download, as a sentence; "" if nothing.
+
+    Raises:
+        ModelError: There is no robot of that name.
+    """
+    if not _is_name(path):
+        return ""
+    module = _descriptions(path)[0]
+    folder = _folder(module)
+    git: Any = importlib.import_module("git")
+    try:
+        if git.Repo(folder).head.is_valid():
+            return ""
+    except git.exc.GitError:
+        pass  # there is no repository yet
+    return f"Downloading {_repository(module).url} to {folder}, once, as {path} is not there yet."
+
+
+def _is_name(path: Path) -> bool:
+    return _WORD.fullmatch(str(path)) is not None and not os.path.lexists(path)
+
+
+def _descriptions(path: Path) -> list[str]:
+    """Return the names of a robot's URDF and then of its MJCF, or of the one that there is.
+
+    Raises:
+        ModelError: There is none, or robot_descriptions is not installed.
+    """
+    gone = f"The model file {path} does not exist"
+    try:
+        package: Any = importlib.import_module("robot_descriptions")
+    except ImportError as error:
+        advice = 'Check the path; robots by their names need pip install "geodrake[robots]".'
+        raise ModelError(f"{gone}.", advice=advice, path=path) from error
+    name = str(path).lower().replace("-", "_").removesuffix(_END)
+    found = [each for each in (f"{name}{_END}", f"{name}_mj{_END}") if each in package.DESCRIPTIONS]
+    if not found:
+        known = sorted(each.removesuffix(_END) for each in package.DESCRIPTIONS)
+        nearest = ", ".join(get_close_matches(name, known, 3, 0.0))
+        raise ModelError(
+            f"{gone}, and robot_descriptions has no robot of that name.",
+            advice=f"Check the path; the nearest names of robots are {nearest}.",
+            path=path,
+        )
+    return found[:1] if str(path).endswith(_END) else found
+
+
+def _repository(module: str) -> Any:
+    package: Any = importlib.import_module("robot_descriptions._repositories")
+    known: Any = importlib.import_module("robot_descriptions").DESCRIPTIONS
+    return package.REPOSITORIES[known[module].repository]
+
+
+def _folder(module: str) -> Path:
+    """Return where robot_descriptions keeps the repository of a robot."""
+    place = _repository(module).cache_path
+    commit = os.environ.get("ROBOT_DESCRIPTION_COMMIT")
+    cache = os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")
+    return Path(cache).expanduser() / (place if commit is None else f"{place}-{commit}/{place}")
+
+
+def _packages(file: Path, repository: Path) -> dict[str, Path]:
+    """Return the folders of a repository that are packages which a file names.
+
+    A package is a folder with a manifest of that name, or else one that is called so.
+    """
+    text = read_regular(file, "model file", ModelError, largest=LARGEST_FILE).decode("latin-1")
+    above = [each for each in file.parents if each.is_relative_to(repository)]
+    found = dict[str, Path]()
+    for name in sorted(named_packages(text) | set(_FOUND.findall(text))):
+        below = (each / name for each in above if (each / name).is_dir())
+        places = [*above, *below, *packages_below(repository)]
+        stated = [each for each in places if package_name(each) == name]
+        called = [each for each in places if each.name == name]
+        if stated or called:
+            found[name] = (*stated, *called)[0]
+    return found

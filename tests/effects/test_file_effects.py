@@ -1,0 +1,174 @@
+"""Effects that files alone state, wherever a model goes: held joints, followers, motors, files."""
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+from pydrake.systems.framework import DiagramBuilder
+
+from geodrake import load_model, save_model
+from geodrake.effects import FittedEffect, make_effect
+from geodrake.effects.lookup import catalogue, file_effects
+from geodrake.errors import ArgumentError
+from geodrake.logs.motion import Motion
+from geodrake.model import check_dynamics, holding
+from geodrake.robot.stated import Spring, Tendon, entries_through
+
+ARM = """<mujoco model="r"><option density="900" viscosity="2" wind=".3 -.1 .2"/><worldbody>
+<site name="w" pos=".4 .3 .8"/><body name="a" pos="0 0 .3" gravcomp=".4"><site name="s"/>
+<joint name="a" axis="0 1 .2" pos=".02 0 0"/>
+<geom type="box" size=".05 .04 .1" pos=".1 0 .05"/>
+<body name="b" pos=".1 0 .2"><joint name="b" axis="0 1 0" stiffness="3 1 -2" springref="20"/>
+<geom type="capsule" size=".05 .1" pos="0 .1 .05"/>
+<body name="c" pos=".1 0 .2" gravcomp="1.2"><joint name="c" axis="1 0 .3" stiffness="2"/>
+<geom type="box" size=".05 .04 .1" pos=".1 0 .05"/><site name="u" pos=".1 .1 0"/></body></body>
+</body></worldbody><tendon><spatial stiffness="30" damping="2" springlength=".3"><site site="w"/>
+<site site="u"/></spatial><spatial stiffness="9"><site site="s"/><site site="u"/></spatial>
+<fixed name="p" stiffness="5" springlength=".3" damping=".3" armature=".1">
+<joint joint="a" coef="1"/><joint joint="b" coef="2"/><joint joint="c" coef="-.7"/></fixed></tendon>
+{}</mujoco>"""
+FOLLOWS = '<equality><joint joint1="c" joint2="a" polycoef=".2 -.5 0 0 0"/></equality>'
+
+
+@pytest.fixture
+def arm(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM.format(""), encoding="utf-8")
+    return path
+
+
+def theirs(path, q, v, vd):
+    """MuJoCo's efforts (N, nv) of its own coordinates."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    data, found = mujoco.MjData(model), []
+    for data.qpos[:], data.qvel[:], data.qacc[:] in zip(q, v, vd, strict=True):
+        mujoco.mj_inverse(model, data)
+        found.append(np.array(data.qfrc_inverse))
+    return np.array(found)
+
+
+def random(count):
+    return np.random.default_rng(3).uniform(-1, 1, (3, 8, count))
+
+
+def test_a_held_joint_still_pulls(arm):
+    q, v, vd = (
+        np.insert(x, 2, value, axis=1) for x, value in zip(random(2), (0.4, 0, 0), strict=True)
+    )
+    expected = theirs(arm, q, v, vd)[:, :2]
+    own = Motion(q[:, :2], v[:, :2], vd[:, :2])
+    for model in (load_model(arm, lock={"c": 0.4}), holding(load_model(arm), {"c": 0.4})):
+        assert model.joints == ("a", "b")
+        np.testing.assert_allclose(model.effort(own), expected, atol=1e-9)
+        assert not [note for note in model.notes if note.startswith("Left out")]
+
+
+def test_a_held_joint_of_a_model_that_was_changed_is_told_of(arm):
+    model = load_model(arm)
+    offset = FittedEffect(make_effect("effort_offset", ["a"]), np.array([1.0]))
+    held = holding(dataclasses.replace(model, effects=(*model.effects, offset)), {"c": 0.4})
+    (said,) = [note for note in held.notes if note.startswith("Left out")]
+    assert "joint_coupling of a & c" in said and "carried_weight of c" in said
+
+
+def test_what_follows_pulls_at_its_leader(arm):
+    arm.write_text(ARM.format(FOLLOWS), encoding="utf-8")
+    model = load_model(arm)
+    assert model.joints == ("a", "b") and not model.left_out
+    J, (q, v, vd) = np.array([[1, 0], [0, 1], [-0.5, 0]]), random(2)
+    whole = (q @ J.T + [0, 0, 0.2], v @ J.T, vd @ J.T)
+    np.testing.assert_allclose(model.effort(Motion(q, v, vd)), theirs(arm, *whole) @ J, atol=1e-9)
+    assert check_dynamics(model, samples=5).holds
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+def test_what_pulls_at_joints_pulls_at_their_motors(arm, coupled):
+    """Behind a coupled wrist, springs of joints are those of no motor, and are told of."""
+    gears = "gears:\n- {actuator: m, joint: c, ratio: -4, offset: 0.1}\n"
+    wrist = "coupled:\n- {joints: {b: {m1: 0.5, m2: 0.5}, c: {m1: 0.3, m2: -0.3}}}\n"
+    if coupled:
+        text = arm.read_text(encoding="utf-8").replace('stiffness="2"', "")
+        arm.write_text(text.replace('stiffness="3 1 -2"', ""), encoding="utf-8")
+    way = arm.with_name("motors.yaml")
+    way.write_text(wrist if coupled else gears, encoding="utf-8")
+    model = load_model(arm, transmission=way)
+    q, v, vd = random(3)
+    (J,) = model.actuation.jacobian(np.zeros((1, 3)))
+    start = model.actuation.tree_positions(np.zeros((1, 3)))
+    whole = q @ J.T + start, v @ J.T, vd @ J.T
+    np.testing.assert_allclose(model.effort(Motion(q, v, vd)), theirs(arm, *whole) @ J, atol=1e-9)
+    assert not model.left_out
+
+
+def test_a_saved_model_has_them(arm, tmp_path):
+    model, motion = load_model(arm), Motion(*random(3))
+    save_model(model, tmp_path / "model.yaml")
+    again = load_model(tmp_path / "model.yaml")
+    assert [each.effect for each in again.effects] == [each.effect for each in model.effects]
+    np.testing.assert_allclose(again.effort(motion), model.effort(motion), rtol=1e-14)
+
+
+def test_a_simulation_has_them(arm):
+    model, q, v = load_model(arm), *random(3)[:2, 0]
+    builder = DiagramBuilder()
+    model.add_to_builder(builder)
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    context.SetContinuousState(np.concatenate([q, v]))
+    rates = diagram.EvalTimeDerivatives(context).CopyToVector()[3:]
+    data = mujoco.MjData(reference := mujoco.MjModel.from_xml_path(str(arm)))
+    reference.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    data.qpos[:], data.qvel[:] = q, v
+    mujoco.mj_forward(reference, data)
+    np.testing.assert_allclose(rates, data.qacc, rtol=1e-7)
+
+
+def test_nobody_proposes_them():
+    pair = (("a", "b"),)
+    places = {"joint": ("a", 1.0), "joint_pair": pair, "body": ("a",), "body_pair": pair}
+    assert len(file_effects()) == 5 and not set(file_effects()) & set(catalogue())
+    for effect in file_effects():
+        assert not [*effect.candidates(*places[effect.places])]
+        assert effect.law and effect.signature
+    with pytest.raises(ArgumentError, match="no effect 'medium_drags'"):
+        make_effect("medium_drags", ["a"])
+
+
+class TestSpring:
+    first = Spring(0.3, (0.1, 2.0, -1.0, 0.5))
+    second = Spring(-0.6, (0.0, 1.0, 0.2, -0.3))
+    q = np.linspace(-2, 2, 9)
+
+    def test_sum_and_change_of_place(self):
+        both = self.first.effort(self.q) + self.second.effort(self.q)
+        np.testing.assert_allclose((self.first + self.second).effort(self.q), both)
+        np.testing.assert_allclose(self.first.about(4.0).effort(self.q), self.first.effort(self.q))
+
+    def test_two_linear_ones_are_one_at_rest(self):
+        assert Spring.linear(1.0, 0.0) + Spring.linear(3.0, 4.0) == Spring.linear(4.0, 3.0)
+
+    def test_behind_a_gear(self):
+        found = self.first.through(-2.5, 0.4).effort(self.q)
+        np.testing.assert_allclose(found, -2.5 * self.first.effort(-2.5 * self.q + 0.4))
+
+
+def test_a_tendon_over_what_joints_follow():
+    tendon = Tendon("t", {"x": 2.0, "y": -1.0, "z": 3.0}, 5.0, 0.3)
+    rows = {"x": {0: 1.0}, "y": {0: 0.5, 1: 2.0}, "z": {}}
+    found = tendon.through(rows, {"y": 0.1, "z": 0.2})
+    assert found.shares == {0: 1.5, 1: -2.0} and found.length == pytest.approx(0.3 + 0.1 - 0.6)
+
+
+def test_entries_of_a_matrix_go_through_a_jacobian():
+    rng = np.random.default_rng(0)
+    J = rng.normal(size=(4, 3))
+    entries = {(0, 1): 0.3, (1, 3): -2.0, (2, 2): 1.5}
+    M = np.zeros((4, 4))
+    for (i, j), value in entries.items():
+        M[i, j] = M[j, i] = value
+    rows = {k: dict(enumerate(row)) for k, row in enumerate(J.tolist())}
+    found = entries_through(((i, j, value) for (i, j), value in entries.items()), rows)
+    for (i, j), value in found.items():
+        assert i <= j and value == pytest.approx((J.T @ M @ J)[i, j])
