@@ -83,7 +83,7 @@ EXAMPLES = {
         "robot.yaml new_log.csv --report page.html",
     ),
     "add": (
-        "payload robot.urdf log.csv --where flange --save robot.yaml",
+        "payload@flange robot.urdf log.csv --save robot.yaml",
         "viscous_friction robot.urdf log.csv",
     ),
     "explain": (
@@ -190,19 +190,21 @@ def add(options: AddOptions) -> None:
     from geodrake.diagnosis.add import add as work
     from geodrake.report.json_output import explanation_dict
 
+    effect, where = options.addition
+
     def added(given: Input) -> Explanation:
         return work(
-            options.effect,
+            effect,
             given.model,
             given.logs,
-            where=options.where or None,
+            where=where,
             extra=given.extra,
             **given.settings,
         )
 
     command = Command(
         "add",
-        f"Adding {options.effect}",
+        f"Adding {effect}",
         added,
         explanation_dict,
         "render_explanation",

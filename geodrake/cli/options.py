@@ -16,6 +16,7 @@ from geodrake.cli.axis_model import AxisOptions
 from geodrake.cli.guard import guarded
 from geodrake.cli.model_options import ModelOptions
 from geodrake.cli.reading_options import ReadingOptions
+from geodrake.errors import ArgumentError
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -299,7 +300,12 @@ class PlayOptions(LogOptions):
 @dataclass(frozen=True, kw_only=True)
 class _Addition:
     effect: Annotated[
-        str, typer.Argument(metavar="EFFECT", help="Its name; an unknown one such as x lists them.")
+        str,
+        typer.Argument(
+            metavar="EFFECT[@PLACE]",
+            help="Its name (an unknown one such as x lists them), and the joint or body where it "
+            "is, as in payload@flange; j2+j3 is a pair of joints.",
+        ),
     ]
     where: Annotated[
         list[str] | None,
@@ -314,6 +320,21 @@ class _Addition:
 @dataclass(frozen=True, kw_only=True)
 class AddOptions(_Steps, _Addition):
     """Options of add."""
+
+    @property
+    def addition(self) -> tuple[str, list[str] | None]:
+        """Name of the effect, and where it is to be; None if nobody said.
+
+        Raises:
+            ArgumentError: The place is said twice.
+        """
+        name, _, place = self.effect.partition("@")
+        if place and self.where:
+            raise ArgumentError(
+                f"{self.effect} names a place, and --where {' '.join(self.where)} another one.",
+                advice="Say it once.",
+            )
+        return name, place.split("+") if place else self.where or None
 
 
 @dataclass(frozen=True, kw_only=True)

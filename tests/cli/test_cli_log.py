@@ -11,7 +11,9 @@ from typer.testing import CliRunner
 
 from geodrake.cli.app import app
 from geodrake.cli.known_payloads import with_facts
+from geodrake.cli.options import AddOptions
 from geodrake.cli.reading_options import ReadingOptions
+from geodrake.errors import ArgumentError
 from geodrake.logs.files import Reading, read_log, read_mapping
 
 OWN = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
@@ -308,3 +310,15 @@ def test_logs_that_cannot_be_used_are_left_out_and_named(tmp_path):
     assert "short is left out" in result.output
     assert "bad.csv is left out" in result.output
     refused("compare", PENDULUM, short, bad)
+
+
+def test_an_effect_to_add_names_its_place():
+    def addition(effect, *where):
+        return AddOptions(effect=effect, where=list(where), model=PENDULUM, logs=[]).addition
+
+    assert addition("payload@flange") == ("payload", ["flange"])
+    assert addition("coupled_friction@j2+j3") == ("coupled_friction", ["j2", "j3"])
+    assert addition("payload", "flange") == ("payload", ["flange"])
+    assert addition("payload") == ("payload", None)
+    with pytest.raises(ArgumentError, match="payload@flange names a place"):
+        _ = addition("payload@flange", "hand")
