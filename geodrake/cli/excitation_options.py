@@ -115,6 +115,14 @@ class _Robot:
             help="Whether the collision geometry of the file counts.",
         ),
     ] = True
+    floor: Annotated[
+        bool,
+        typer.Option(
+            "--floor/--no-floor",
+            help="Whether nothing may go below the base, as on a table or a floor. A robot that "
+            "hangs below its base where it starts has none.",
+        ),
+    ] = True
 
 
 @dataclass(frozen=True, kw_only=True)

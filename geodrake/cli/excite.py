@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 
 from geodrake.boundary.version import version
 from geodrake.cli.excitation_options import ExciteOptions
@@ -38,12 +39,15 @@ from geodrake.excitation import (
     Objective,
     SplineMotion,
     Target,
+    floor_of,
     make_target,
 )
 from geodrake.excitation.budget import Budget
+from geodrake.excitation.collision_geometry import FLOOR
 from geodrake.excitation.design import design_objective
 from geodrake.excitation.design_results import DesignProgress
 from geodrake.excitation.effect_sizes import SIZE_WORDS, sized_effects
+from geodrake.excitation.trajectory import joint_order
 from geodrake.excitation.trajectory_files import trajectory_content
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.model.robot_model import RobotModel
@@ -51,6 +55,8 @@ from geodrake.report.excitation_json import excitation_dict
 from geodrake.report.json_output import to_json
 from geodrake.robot.files import read_description
 from geodrake.robot.files.meshes import mesh_notes
+
+Array = NDArray[np.float64]
 
 _SAVE = (".csv", ".npz", ".txt", ".yaml", ".yml")
 _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free": ()}
@@ -190,11 +196,11 @@ def _designed(
     """Return the design that options ask for."""
     budget = Budget.of(options.seconds)
     limits = limits_of(options.limits, model)
-    collisions, notes = _collisions(options, model)
+    start = None if options.start is None else joint_values(options.start, model, "--start")
+    collisions, notes = _collisions(options, model, limits, start)
     if options.meshcat is not None:
         notes = (*notes, *mesh_notes(read_description(model.path, model.given)))
     objective, more = _objective(options, model, limits, effects)
-    start = None if options.start is None else joint_values(options.start, model, "--start")
     design = DesignOptions(
         samples=_SAMPLES if options.samples is None else options.samples,
         start=start,
@@ -261,7 +267,10 @@ def noise_of(text: str | None, model: RobotModel) -> tuple[np.ndarray, tuple[str
 
 
 def _collisions(
-    options: ExciteOptions, model: RobotModel
+    options: ExciteOptions,
+    model: RobotModel,
+    limits: MotionLimits,
+    start: NDArray[np.float64] | None,
 ) -> tuple[CollisionWorld | None, tuple[str, ...]]:
     """Return what the robot may not hit, and what to say where that is nothing.
 
@@ -271,11 +280,21 @@ def _collisions(
     if not options.collisions:
         return None, ("collisions of the robot with itself were not looked at, as asked for",)
     try:
-        return CollisionWorld(model, clearance=options.clearance), ()
+        alone = CollisionWorld(model, clearance=options.clearance)
+        if not options.floor:
+            return alone, ()
+        world = CollisionWorld(model, obstacles=(floor_of(model),), clearance=options.clearance)
+        posture = np.clip(np.zeros(len(limits.joints)), limits.lower, limits.upper)
+        posture = posture if start is None else start
+        distance, names = world.distances(posture[None, joint_order(model)])
+        if FLOOR in names[0].split(" and ") and distance[0] < options.clearance:
+            link = next(name for name in names[0].split(" and ") if name != FLOOR)
+            return alone, (f"there is no floor, as {link} is below the base at the start",)
+        return world, ("nothing goes below the base (--no-floor allows it)",)
     except ArgumentError:
         return None, (
             f"{model.path.name} has no collision geometry: nothing keeps the robot from hitting "
-            "itself but the limits of its joints",
+            "itself, or what it stands on, but the limits of its joints",
         )
     except ModelError as error:
         raise ModelError(

@@ -13,7 +13,7 @@ A motion is judged by the eigenvalues of its information matrix, normalized so t
 nor units nor the choice of base parameters matter ([Lee2019] Proposition 4.1).
 """
 
-from geodrake.excitation.collision_geometry import Solid
+from geodrake.excitation.collision_geometry import Solid, floor_of
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.criteria import CRITERIA, Criterion
 from geodrake.excitation.design import design_excitation
@@ -68,6 +68,7 @@ __all__ = [
     "design_reduced_excitation",
     "design_separation",
     "drake_trajectory",
+    "floor_of",
     "identifiable_parameters",
     "log_identifiability",
     "make_rival",

@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from xml.etree.ElementTree import tostring
 
-from pydrake.geometry import SceneGraph, Shape
+from pydrake.geometry import Box, SceneGraph, Shape
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
@@ -49,6 +49,22 @@ class Solid:
         instance(self.name, "name", str)
         instance(self.shape, "shape", Shape)
         instance(self.X_BG, "X_BG", RigidTransform)
+
+
+FLOOR = "floor"
+_HALF = 10.0, 0.5  # m, of the sides and the depth of a floor
+
+
+def floor_of(model: RobotModel) -> Solid:
+    """Return a floor at the height of the origin of the robot's base, level in the world."""
+    plant = model.plant
+    context = plant.CreateDefaultContext()
+    welded = plant.GetBodiesWeldedTo(plant.world_body())
+    bases = [body for body in welded if body.index() != plant.world_body().index()]
+    heights = [plant.EvalBodyPoseInWorld(context, body).translation()[2] for body in bases]
+    depth = min(heights, default=0.0) - _HALF[1]
+    sides = (2.0 * _HALF[0], 2.0 * _HALF[0], 2.0 * _HALF[1])
+    return Solid(FLOOR, Box(*sides), RigidTransform([0.0, 0.0, depth]))
 
 
 def add_collision_plant(

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio
 import pytest
 from typer.testing import CliRunner
 from yaml import safe_load
@@ -339,3 +340,42 @@ def test_unusable_models(tmp_path):
     shape = '<collision><geometry><mesh filename="package://nowhere/a.obj"/></geometry></collision>'
     lost.write_text(BALLS.format(shape=shape, effort=20))
     assert "--no-collisions" in refused(lost, *FAST)
+
+
+STANDING = """<robot name="standing"><link name="base"/>
+  <joint name="yaw" type="revolute"><parent link="base"/><child link="post"/><axis xyz="0 0 1"/>
+    <origin xyz="0 0 0.3"/><limit lower="-2" upper="2" velocity="2" effort="50"/></joint>
+  <link name="post"><inertial><mass value="2"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0"
+    ixz="0" iyz="0"/></inertial></link>
+  <joint name="pitch" type="revolute"><parent link="post"/><child link="arm"/><axis xyz="0 1 0"/>
+    <limit lower="{lower}" upper="3" velocity="3" effort="50"/></joint>
+  <link name="arm"><inertial><origin xyz="0.2 0 0"/><mass value="1"/><inertia ixx="0.01"
+    iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin xyz="0.5 0 0"/><geometry><sphere radius="0.05"/></geometry></collision>
+  </link></robot>"""
+
+
+def lowest_of(folder, *options, lower=-3.0):
+    """Least height of the arm's sphere in a designed motion by Pinocchio, m; and the notes."""
+    model, motion = folder / "standing.urdf", folder / "motion.csv"
+    model.write_text(STANDING.format(lower=lower))
+    command = [*SOON, "--seconds", 30, "--save", motion, *options]
+    result = excite(model, *command)
+    assert result.exit_code == 0, result.output
+    table = np.genfromtxt(motion, delimiter=",", names=True, deletechars="")
+    robot = pinocchio.buildModelFromUrdf(str(model))
+    data, heights = robot.createData(), []
+    for q in np.column_stack([table["yaw.position"], table["pitch.position"]]):
+        pinocchio.forwardKinematics(robot, data, q)
+        heights.append(data.oMi[2].act(np.array([0.5, 0.0, 0.0]))[2] - 0.05)
+    return min(heights), " ".join(result.output.split())
+
+
+def test_a_motion_stays_above_the_floor_that_the_robot_stands_on(tmp_path):
+    height, words = lowest_of(tmp_path)
+    assert height >= 0.01 - 1e-3
+    assert "nothing goes below the base" in words
+    height, words = lowest_of(tmp_path, "--no-floor")
+    assert height < -0.05
+    height, words = lowest_of(tmp_path, lower=1.2)  # hangs where it starts
+    assert "there is no floor, as arm is below the base at the start" in words
