@@ -60,6 +60,7 @@ Array = NDArray[np.float64]
 
 _SAVE = (".csv", ".npz", ".txt", ".yaml", ".yml")
 _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free": ()}
+_MARGIN = 0.9  # of the limits of speed, where nobody says others
 _NOISE_SHARE = 0.01  # of the limits of effort
 _LEAST_SECONDS = 1e-3  # when collision geometry took all
 _UPDATED_EVERY = 5  # evaluations
@@ -195,7 +196,12 @@ def _designed(
 ) -> ExcitationResult:
     """Return the design that options ask for."""
     budget = Budget.of(options.seconds)
-    limits = limits_of(options.limits, model)
+    limits, margins = limits_of(options.limits, model), tuple[str, ...]()
+    said = [part for text in options.limits or () for part in text.split(",") if part]
+    if all("=" in part and "velocity" not in part for part in said):
+        limits = replace(limits, velocity=_MARGIN * limits.velocity)
+        share = f"{100 * _MARGIN:.0f} %"
+        margins = (f"speeds are kept to {share} of their limits (--limits velocity=100%)",)
     start = None if options.start is None else joint_values(options.start, model, "--start")
     collisions, notes = _collisions(options, model, limits, start)
     if options.meshcat is not None:
@@ -218,7 +224,7 @@ def _designed(
         seeds=range(options.seed, options.seed + options.seeds),
         progress=_updating(update, budget, options.seconds),
     )
-    return replace(result, notes=(*result.notes, *notes, *more))
+    return replace(result, notes=(*result.notes, *notes, *margins, *more))
 
 
 def _objective(
