@@ -1,7 +1,10 @@
-"""The version of the package."""
+"""The version of the package, and of those that it is used with."""
 
 import importlib.metadata
+import platform
 from functools import cache
+
+_BESIDE = ("drake", "numpy", "scipy", "numba", "mujoco", "pin", "pandas")
 
 
 @cache
@@ -11,3 +14,16 @@ def version() -> str:
         return importlib.metadata.version("geodrake")
     except importlib.metadata.PackageNotFoundError:
         return "(not installed)"
+
+
+def versions() -> str:
+    """Versions of the package and of what it is used with, in a line for reports of errors."""
+    found = {}
+    for name in _BESIDE:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = "–"
+    beside = ", ".join(f"{name} {number}" for name, number in found.items())
+    system = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
+    return f"geodrake {version()} ({beside}; {system})"

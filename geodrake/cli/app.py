@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from geodrake.boundary.escaping import printable
-from geodrake.boundary.version import version
+from geodrake.boundary.version import versions
 from geodrake.cli.check_options import CheckOptions
 from geodrake.cli.digest_options import DigestOptions
 from geodrake.cli.excitation_options import ExciteOptions, IdentifiableOptions
@@ -339,7 +339,7 @@ def demo(options: DemoOptions) -> None:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        print(f"geodrake {version()}")
+        print(versions())
         raise typer.Exit
 
 
@@ -348,7 +348,10 @@ def _command(
     _version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print the version."
+            "--version",
+            callback=_print_version,
+            is_eager=True,
+            help="Print the version, and those of the packages that it is used with.",
         ),
     ] = False,
 ) -> None:

@@ -209,7 +209,8 @@ def test_module_runs_piped_in_ascii_with_no_more_than_a_word_now_and_then(log, t
 
 
 def test_version_and_help():
-    assert re.match(r"geodrake ", geodrake_command("--version").output)
+    told = geodrake_command("--version").output
+    assert re.match(r"geodrake \S+ \(drake \d.*numpy \d.*Python 3", told)
     text = geodrake_command("--help").output
     for command in ("compare", "diagnose", "add", "explain", "demo"):
         assert command in text
