@@ -1,6 +1,6 @@
-"""The figures of the README: the demo's efforts before and after, and the error falling.
+"""The figures of the README and the tutorial: the demo's efforts, its error, its pages.
 
-With `--pages` also what `geodrake play` shows, as Chromium draws it. Run it as
+With `--pages` also the pages of `explain` and `play`, as Chromium draws them. Run it as
 `python diagrams/readme_figures.py --pages --figures diagrams/figures`.
 """
 
@@ -37,26 +37,35 @@ def explain_demo(*, quick: bool) -> Explanation:
         return explain(load_model(demo / "demo.urdf"), [log])
 
 
-def picture_of_play(found: Explanation, path: Path) -> None:
-    """A picture of the page of `geodrake play` with what the demo finds."""
+def pictures_of_pages(found: Explanation, folder: Path) -> None:
+    """Pictures of the pages of `geodrake explain` and `geodrake play` with what the demo finds."""
+    with as_file(files("geodrake") / "demo") as demo, TemporaryDirectory() as work:
+        page, saved, report = (Path(work) / n for n in ("play.html", "arm.yaml", "report.html"))
+        save_model(found.model, saved)
+        log = demo / "demo.csv"
+        for words in (
+            ("play", saved, log, "--out", page),
+            ("explain", demo / "demo.urdf", log, "--report", report),
+        ):
+            command = [sys.executable, "-m", "geodrake", *map(str, words), "--quiet"]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        _picture(page, folder / "demo_play.png", (1200, 760))
+        _picture(report, folder / "demo_page.png", (1280, 1210))
+
+
+def _picture(page: Path, path: Path, size: tuple[int, int]) -> None:
+    """Draw a page as Chromium shows it."""
     from playwright.sync_api import sync_playwright
 
     browsers = (os.environ.get("CHROMIUM"), shutil.which("chromium"), shutil.which("google-chrome"))
     flags = ["--no-sandbox", "--disable-background-networking", "--enable-unsafe-swiftshader"]
-    with as_file(files("geodrake") / "demo") as demo, TemporaryDirectory() as folder:
-        page, saved = Path(folder) / "play.html", Path(folder) / "arm.yaml"
-        save_model(found.model, saved)
-        words = ("play", saved, demo / "demo.csv", "--out", page, "--quiet")
-        subprocess.run([sys.executable, "-m", "geodrake", *map(str, words)], check=True)
-        with sync_playwright() as driver:
-            browser = driver.chromium.launch(
-                executable_path=next(filter(None, browsers)), args=flags
-            )
-            tab = browser.new_page(viewport={"width": 1200, "height": 760})
-            tab.goto(page.as_uri())
-            tab.wait_for_timeout(4000)  # until meshes are there and the robots have moved
-            tab.screenshot(path=path)
-            browser.close()
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=next(filter(None, browsers)), args=flags)
+        tab = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        tab.goto(page.as_uri())
+        tab.wait_for_timeout(4000)  # until meshes are there and the robots have moved
+        tab.screenshot(path=path)
+        browser.close()
     smaller = Image.open(path).convert("RGB").quantize(128, dither=Image.Dither.NONE)
     smaller.save(path, optimize=True)
 
@@ -78,7 +87,7 @@ def main() -> None:
     for path in save_figures(figures, options.figures):
         print(path)
     if options.pages:
-        picture_of_play(found, options.figures / "demo_play.png")
+        pictures_of_pages(found, options.figures)
     if options.json:
         steps = [{"effect": s.effect, "nrms": s.error_after} for s in found.steps]
         options.json.write_text(json.dumps({"start": found.start.nrms, "steps": steps}, indent=1))

@@ -23,6 +23,7 @@ from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.columns.assignment import Assignment
 from geodrake.diagnosis.columns.evidence import ColumnModel
 from geodrake.diagnosis.columns.samples import column_samples
+from geodrake.effects import FittedEffect, JointElasticity
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import prepared_as_measured
 from geodrake.logs.files import read_log
@@ -320,3 +321,17 @@ def test_one_log_a_joint_makes_no_mistake_likely(seed):
         q += rng.normal(0.0, 1e-5, q.shape)
         logs.append(JointLog(f"joint {moving}", JOINTS, time, q, effort))
     assert check_columns(load_model(PENDULUM), logs) == ()
+
+
+def test_columns_of_a_robot_with_soft_joints_are_checked():
+    """What links give way by follows from samples in time, of which columns have none."""
+    rng, time = np.random.default_rng(0), np.arange(0.0, 20.0, 0.005)
+    q = np.sin(np.outer(time, [1.9, 3.1]))
+    v, vd = [1.9, 3.1] * np.cos(np.outer(time, [1.9, 3.1])), -np.square([1.9, 3.1]) * q
+    effort = body_effort(q, v, vd) + rng.normal(0.0, 0.01, q.shape)
+    model = load_model(PENDULUM)
+    soft = FittedEffect(JointElasticity("elbow"), np.array([1e-4]))
+    model = replace(model, effects=(*model.effects, soft))
+    log = JointLog("log", JOINTS, time, q, -effort * [1.0, -1.0])
+    (found,) = check_columns(model, [log])
+    assert (found.kind, found.joints) == ("effort_sign", ("shoulder",))

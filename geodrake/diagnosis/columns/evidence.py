@@ -317,7 +317,8 @@ class ColumnModel:
 def _is_seen(effect: Effect) -> bool:
     """Return whether an effect's columns need no samples that follow each other."""
     apart = "history" in effect.depends_on or effect.state_count > 0 or effect.places == "log"
-    return bool(effect.parameters) and effect.role is not Role.BODY and not apart
+    apart |= effect.role in (Role.BODY, Role.DEFLECTION)
+    return bool(effect.parameters) and not apart
 
 
 def _information(samples: ColumnSamples) -> Array:
