@@ -60,7 +60,7 @@ def backwards(table):
 
 
 def repeated(table):
-    table[50, 0] = table[49, 0]
+    table[50:900, 0] = table[49:899:2, 0].repeat(2)
     return table
 
 

@@ -3,6 +3,7 @@
 import os
 import socket
 from contextlib import chdir
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from good_files import FLEET
 from hostile import Row, link
 
 from geodrake.cli.app import app
+from geodrake.cli.reading_options import ReadingOptions
 
 DATA = "robot.urdf log.csv"
 EXCITE = "excite robot.urdf --limits acceleration=10 --seeds 1 --iterations 2 --seconds 5 --quiet"
@@ -73,6 +75,7 @@ REFUSED = ("nan", "wide", "many", "1.5", "'a\0b'", "pipe", "socket", "device")
 ENDS = {"--save": ".yaml", "--json": ".json", "--report": ".html", "--out": ".html"}
 ENDS |= {"--meshcat": ".html", "--draft-effect": ".py", "--export": ".urdf", "--ellipsoids": ".png"}
 """Options of files that are written -> how their names end; none of the paths above is one."""
+OF_LOGS = {field.name for field in fields(ReadingOptions)}
 FILES = {"model": "robot.urdf", "logs": "log.csv", "fleet": "fleet.yaml"}
 """Arguments that are files, and what they are in the commands above."""
 
@@ -82,6 +85,8 @@ def parameters():
     for command, made in typer.main.get_command(app).commands.items():
         for each in made.params if command in COMMANDS else ():
             is_file = FILES.get(each.name, "none") in COMMANDS[command]
+            if command == "digest" and each.name in OF_LOGS:
+                continue  # which it says of each log, and goes on
             if each.param_type_name == "argument" and is_file and command != "digest":
                 yield command, each.name, "Path"  # digest goes on with the other logs
             elif each.param_type_name == "option" and not each.is_flag and each.name != "live":

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from geodrake.boundary.arguments import number
 from geodrake.control.export_proof.costs import Cost, Costs, costs_of
 from geodrake.control.export_proof.lost_integral import lost_integrals
 from geodrake.control.export_proof.proof import Proof, prove
@@ -86,6 +87,8 @@ def export_with_proof(
             f"The format {form.name} has efforts and friction at joints, and the model at",
             "Export to python or cpp, or the inertias alone: geodrake identify --export.",
         )
+    if bandwidth is not None:
+        number(bandwidth, "bandwidth", lower=0.0)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth) if len(logs) else None
     tried = len(model.single_joints) == len(model.joints)
     if case is not None:
