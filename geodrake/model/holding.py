@@ -60,7 +60,7 @@ def holding(
         plant=loaded.plant,
         held=loaded.held,
         followers=loaded.followers,
-        transmission=drives,
+        transmission=(*drives, *(loop.drive for loop in loaded.loops if loop.map.actuators)),
     )
     lumping = _Lumping.of(model, bare)
     kept, lost = lumping.effects(model)
@@ -140,6 +140,8 @@ def _at_joints(
     places, stay = dict(held), []
     for drive in model.transmission:
         own = [name for name in drive.actuators if name in held]
+        if drive.is_loop:  # which is made anew
+            continue
         if not own:
             stay.append(drive)
             continue
@@ -210,7 +212,8 @@ class _Lumping:
                     change = self._block(carrier, old) @ rows
                     payloads[carrier] = payloads.get(carrier, 0.0) + change
                 continue
-            places = self.after.bodies if "bod" in fitted.effect.places else self.after.joints
+            joints = (*self.after.joints, *self.after.joints_behind)
+            places = self.after.bodies if "bod" in fitted.effect.places else joints
             if set(places).issuperset(fitted.effect.where):
                 kept.append((fitted, rows))
             elif not set(self.after.held).issuperset(fitted.effect.where):

@@ -171,6 +171,11 @@ class RobotModel(Short):
         """Names of the nv velocities: the joints', or those of the actuators in their place."""
         return self.tree_joints if self.actuation is None else self.actuation.names
 
+    @cached_property
+    def joints_behind(self) -> tuple[str, ...]:
+        """Return names of joints in loops or behind the transmission, which effects may act at."""
+        return () if self.actuation is None else tuple(self.actuation.behind)
+
     def plant_positions(self, q: Array) -> Array:
         """(N, nq of the plant) positions, of those of the model (N, nq)."""
         return self.coordinates.plant_positions(joint_positions(self.tree, q))
@@ -236,18 +241,20 @@ class RobotModel(Short):
         return gradient if self.actuation is None else self.actuation.robot_gradient(q, gradient)
 
     def refuse_transmission(self, what: str, advice: str) -> None:
-        """Refuses what only works at joints.
+        """Refuses what only works at joints of a tree.
 
         Args:
             what: What cannot be done, as the beginning of a sentence.
             advice: What the user can do.
 
         Raises:
-            ModelError: The model has a transmission.
+            ModelError: The model has a transmission, or a closed loop.
         """
         if self.transmission:
             actuators = ", ".join(name for drive in self.transmission for name in drive.actuators)
-            raise ModelError(f"{what} {actuators}, behind a transmission.", advice=advice)
+            loops = all(drive.is_loop for drive in self.transmission)
+            how = "in a closed loop" if loops else "behind a transmission"
+            raise ModelError(f"{what} {actuators}, {how}.", advice=advice)
 
     def place_of(self, joint: Joint) -> int | None:
         """Which velocity of the model a joint of the plant has; None if it has none of its own."""
@@ -497,7 +504,12 @@ class RobotModel(Short):
     def sliding_joints(self) -> tuple[str, ...]:
         """Names of the prismatic joints, whose positions are in m and efforts in N."""
         starts = self.single_places[0]
-        return tuple(self.joints[i] for i in starts if self._types[i] == "prismatic")
+        own = tuple(self.joints[i] for i in starts if self._types[i] == "prismatic")
+        if not self.joints_behind:
+            return own
+        names, slides = joint_names(self.plant), moving_joints(self.plant)
+        at = (int(j.velocity_start()) for j in slides if j.type_name() == "prismatic")
+        return (*own, *(names[k] for k in at if names[k] in self.joints_behind))
 
     @property
     def scoped_joints(self) -> tuple[str, ...]:
@@ -705,7 +717,8 @@ def from_loaded_plant(
     Raises:
         ModelError: The transmission does not fit.
     """
-    drives = instances(transmission, "transmission", Drive)
+    drives = tuple(d for d in instances(transmission, "transmission", Drive) if not d.is_loop)
+    loops = tuple(loop.drive for loop in loaded.loops if loop.map.actuators)
     bent, apart = _bent_drives(loaded, drives)
     drives, notes = (*drives, *bent), list[str]()
     left_out = (*loaded.left_out, *apart)
@@ -717,7 +730,7 @@ def from_loaded_plant(
         held=loaded.held,
         given=loaded.given,
         followers=loaded.followers,
-        transmission=drives,
+        transmission=(*drives, *loops),
         known_joints=loaded.joints,
     )
     effects, own_notes = stated_effects(loaded, bare.tree_joints, bare.joints, bare.actuation)

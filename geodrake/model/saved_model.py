@@ -243,6 +243,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
     """
     base = existing_base(instance(model, "model", RobotModel).path)
     folder = Path(path).resolve().parent
+    own = [drive for drive in model.transmission if not drive.is_loop]
     saved = SavedModel(
         base_model=os.path.relpath(base, folder),
         base_absolute=str(base),
@@ -254,7 +255,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
         packages={
             name: os.path.relpath(place, folder) for name, place in model.given.packages.items()
         },
-        transmission=stated_of(model.transmission) if model.transmission else None,
+        transmission=stated_of(own) if own else None,
         inertial_parameters={
             b: phi.tolist() for b, phi in zip(model.bodies, model.phi, strict=True)
         },
@@ -464,7 +465,7 @@ def _fitted_effect(
     model: RobotModel, saved: SavedEffect, extra: Sequence[type[Effect]]
 ) -> FittedEffect:
     effect = make_effect(saved.name, saved.where, saved.shape, extra)
-    places = model.bodies if effect.places == "body" else model.joints
+    places = model.bodies if effect.places == "body" else (*model.joints, *model.joints_behind)
     for place in saved.where:
         if place not in places:
             raise ModelError(

@@ -2,7 +2,7 @@
 
 Files state them at joints; effects act at actuators. Where one actuator moves a joint by a constant
 ratio J, damping, rotor inertia and stiffness are J² there, and dry friction |J|. Where several do,
-or the ratio changes, no effect at an actuator is the same: the term is left out, which a note says.
+or the ratio changes, as in a closed loop, the effect stays at the joint, τ_q = Jᵀ τ_θ.
 """
 
 from __future__ import annotations
@@ -35,76 +35,78 @@ def stated_effects(
         actuation: How the former follow from the latter; None if they are the same.
     """
     effects, notes = list[FittedEffect](), list[str]()
+    places = _Places(joints, names, actuation, notes)
     for kind in catalogue():
         stated = loaded.stated.get(kind.stated_as, np.zeros(len(joints)))
-        values, lost = _at_actuators(stated, actuation, _WEIGHTS.get(kind.stated_as, np.square))
-        notes += _lost_notes(kind.stated_as, [joints[at] for at in lost])
-        values = _without_negligible(values, kind.stated_as, names, notes)
-        found = [(name, value) for name, value in zip(names, values, strict=True) if value]
-        for name, value in found:
+        found = places.of(stated, kind.stated_as, _WEIGHTS.get(kind.stated_as, np.square))
+        for name, value in found.items():
             effects += [FittedEffect(each, np.array([value])) for each in kind.shaped(name)]
         if found:
-            listed = ", ".join(f"{name} {value:g}" for name, value in found)
+            listed = ", ".join(f"{name} {value:g}" for name, value in found.items())
             notes.append(f"The {kind.stated_as} in the file ({listed}) is kept as {kind.name}.")
     for exponent, stated in zip((2.0, 3.0), loaded.file_powers, strict=True):
         what = f"damping of the power {exponent:g}"
-        weight = partial(_power, exponent=exponent + 1.0)
-        values, lost = _at_actuators(stated, actuation, weight)
-        notes += _lost_notes(what, [joints[at] for at in lost])
-        for name, value in zip(names, values.tolist(), strict=True):
-            if value:
-                drag = Drag(name, exponent=exponent)
-                effects.append(FittedEffect(drag, np.array([value])))
-                notes.append(f"The {what} in the file ({name} {value:g}) is kept as {drag.name}.")
+        for name, value in places.of(
+            stated, what, partial(_power, exponent=exponent + 1.0)
+        ).items():
+            drag = Drag(name, exponent=exponent)
+            effects.append(FittedEffect(drag, np.array([value])))
+            notes.append(f"The {what} in the file ({name} {value:g}) is kept as {drag.name}.")
     stiffness, rest, cubic, rest_3 = loaded.file_springs
-    values, lost = _at_actuators(stiffness, actuation, np.square)
-    if actuation is not None:  # Σ J² k (q − c)² / 2 of several springs is one about their mean
-        moments, _ = actuation.joined(stiffness * (rest - actuation.offsets), lambda J: J)
-        rest = moments / np.where(values > 0.0, values, 1.0)
-    notes += _lost_notes("spring", [joints[at] for at in lost])
-    values = _without_negligible(values, "spring", names, notes)
-    for name, value, center in zip(names, values.tolist(), rest.tolist(), strict=True):
-        if value:
-            spring = Spring(name, center=center)
+    for what, exponent, k, center in (
+        ("spring", 1, stiffness, rest),
+        ("cubic spring", 3, cubic, rest_3),
+    ):
+        centers = places.centers(k, center, exponent)
+        for name, value in places.of(k, what, partial(_power, exponent=exponent + 1)).items():
+            spring = Spring(name, exponent=exponent, center=centers[name])
             effects.append(FittedEffect(spring, np.array([value, 0.0])))
-            notes.append(f"The spring in the file ({name} {value:g}) is kept as {spring.name}.")
-    values, lost = _at_actuators(cubic, actuation, lambda J: J**4)
-    if actuation is not None:
-        moments, _ = actuation.joined(cubic * (rest_3 - actuation.offsets), lambda J: J**3)
-        rest_3 = moments / np.where(values != 0.0, values, 1.0)
-    notes += _lost_notes("cubic spring", [joints[at] for at in lost])
-    for name, value, center in zip(names, values.tolist(), rest_3.tolist(), strict=True):
-        if value:
-            spring = Spring(name, exponent=3, center=center)
-            effects.append(FittedEffect(spring, np.array([value, 0.0])))
-            notes.append(f"The cubic spring in the file ({name} {value:g}) is kept.")
+            notes.append(f"The {what} in the file ({name} {value:g}) is kept as {spring.name}.")
     return effects, notes
+
+
+class _Places:
+    """Where what is stated of the tree's joints acts in the model; says what is negligible."""
+
+    def __init__(
+        self,
+        joints: Sequence[str],
+        names: Sequence[str],
+        actuation: Actuation | None,
+        notes: list[str],
+    ) -> None:
+        self.joints, self.names, self.actuation, self.notes = joints, names, actuation, notes
+
+    def of(self, stated: Array, what: str, weight: Callable[[Array], Array]) -> dict[str, float]:
+        """Actuator or joint -> its coefficient, where it has one, of those (nv of the tree,)."""
+        values, lost = stated, list[int]()
+        if self.actuation is not None:
+            values, lost = self.actuation.joined(stated, weight)
+        found = dict(zip(self.names, values.tolist(), strict=True))
+        for at in lost:
+            found[self.joints[at]] = found.get(self.joints[at], 0.0) + float(stated[at])
+        small = {name: value for name, value in found.items() if 0.0 < abs(value) < _LEAST}
+        if small:
+            listed = ", ".join(f"{name} {value:g}" for name, value in small.items())
+            self.notes.append(f"The {what} in the file ({listed}) is negligible, and counts as 0.")
+        return {name: value for name, value in found.items() if value and name not in small}
+
+    def centers(self, k: Array, center: Array, exponent: int) -> dict[str, float]:
+        """Actuator or joint -> where its spring k (q − c)^n rests, of those of joints.
+
+        Several at an actuator, Σ Jⁿ⁺¹ k (q − c)², are one about their mean.
+        """
+        found = dict(zip(self.joints, center.tolist(), strict=True))
+        if self.actuation is not None:
+            values, _ = self.actuation.joined(k, partial(_power, exponent=exponent + 1))
+            shifted = k * (center - self.actuation.offsets)
+            moments, _ = self.actuation.joined(shifted, lambda J: J**exponent)
+            there = values != 0.0
+            means = np.divide(moments, values, out=np.zeros_like(values), where=there)
+            pairs = zip(self.names, means.tolist(), there, strict=True)
+            found |= {name: mean for name, mean, is_there in pairs if is_there}
+        return found
 
 
 def _power(J: Array, exponent: float) -> Array:
     return np.abs(J) ** exponent
-
-
-def _without_negligible(values: Array, what: str, names: Sequence[str], notes: list[str]) -> Array:
-    """Return values with zeros for negligible ones, which a note tells."""
-    small = (values != 0.0) & (np.abs(values) < _LEAST)
-    if small.any():
-        pairs = zip(names, values, small, strict=True)
-        listed = ", ".join(f"{name} {value:g}" for name, value, is_small in pairs if is_small)
-        notes.append(f"The {what} in the file ({listed}) is negligible, and counts as 0.")
-    return np.where(small, 0.0, values)
-
-
-def _at_actuators(
-    values: Array, actuation: Actuation | None, weight: Callable[[Array], Array]
-) -> tuple[Array, list[int]]:
-    return (values, []) if actuation is None else actuation.joined(values, weight)
-
-
-def _lost_notes(what: str, joints: Sequence[str]) -> list[str]:
-    if not joints:
-        return []
-    return [
-        f"The {what} in the file of {', '.join(joints)} is left out: behind the transmission, no "
-        "effect at an actuator is the same."
-    ]

@@ -38,6 +38,7 @@ from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.followers import Follower, OwnCoordinates, resolved
 from geodrake.robot.holding import Arrangement, checked_held, poses_of, weld_joints, welds_of
+from geodrake.robot.loops import Choice, ClosedLoop, Loops, closed_loops
 from geodrake.robot.mujoco_check import JointTerms, check_against_mujoco
 from geodrake.robot.repairs import Repair, repair_inertias
 from geodrake.robot.several_robots import chosen_robot, robots_of, scoped
@@ -63,6 +64,7 @@ class LoadedPlant:
         file_powers: (2, nv) c of the file's damping c |v| v and c v³, SI.
         file_springs: (4, nv) k, q₀, k₃ and q₃ of the file's springs k (q − q₀) + k₃ (q − q₃)³, SI.
         left_out: Sentences on what of the file bears on efforts, and is in none of these.
+        loops: Closed loops, whose joints are among the plant's own.
         held: Joint that does not move, though it does in the file -> where it is held, rad or m.
         given: How the file was to be read.
         followers: Joints of the plant that follow others.
@@ -89,6 +91,7 @@ class LoadedPlant:
     bent: tuple[Followers, ...] = ()
     geared: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
+    loops: tuple[ClosedLoop, ...] = ()
 
     @property
     def stated(self) -> Mapping[str, Array]:
@@ -112,7 +115,7 @@ def load_plant(
     """Reads a robot from a URDF, SDF, MJCF or Drake directives file.
 
     Geometry does not matter and is not loaded, so meshes and packages may be missing. Closed
-    loops are read as an open tree; joints that follow others are `followers`.
+    loops are open in the plant, and closed by `loops`; joints that follow others are `followers`.
 
     Args:
         path: The model file; the root element, not the suffix, decides between the XML formats.
@@ -136,7 +139,7 @@ def load_plant(
     held = {name: number(value, f"held[{name!r}]") for name, value in held.items()}
     with drake_messages() as messages:
         description = read_description(path, given)
-        draft, arrangement = _draft(description, floating=floating, held=held, given=given)
+        draft, arrangement, loops = _draft(description, floating=floating, held=held, given=given)
         repairs, left_out, changed = repair_inertias(description, draft.plant)
         if phi is not None:
             _write_inertias(description, draft.plant, phi)
@@ -146,7 +149,7 @@ def load_plant(
             built = _build(description, arrangement, into)
         if phi is not None:
             _check_inertias(built.plant, phi, path)
-    notes = [*description.notes, *built.notes, *_follower_notes(arrangement)]
+    notes = [*description.notes, *built.notes, *_follower_notes(arrangement), *loops.notes]
     ignored, apart = _ignored(description, arrangement), list[str]()
     (apart if any(text.kind == "xml" for text in description.texts) else notes).extend(ignored)
     changes = [*map(str, repairs), *left_out, *description.lost, *_relevant(messages)]
@@ -163,13 +166,14 @@ def load_plant(
         coordinates.joined(built.rotor_inertia, 2),
         np.array([coordinates.joined(c, n) for c, n in zip(built.powers, (3, 4), strict=True)]),
         springs,
-        held,
+        {**loops.held, **held},
         given,
         arrangement.followers,
         arrangement.joints,
-        description.bent,
+        tuple(part for part in description.bent if part not in loops.taken),
         _geared(description),
-        tuple(dict.fromkeys([*description.left_out, *apart, *lost])),
+        tuple(dict.fromkeys([*description.left_out, *apart, *lost, *loops.left_out])),
+        loops.loops,
     )
 
 
@@ -213,7 +217,7 @@ def _geared(description: ModelDescription) -> tuple[str, ...]:
 
 def _draft(
     description: ModelDescription, *, floating: bool, held: Mapping[str, float], given: Given
-) -> tuple[_Built, Arrangement]:
+) -> tuple[_Built, Arrangement, Loops]:
     """Return the plant before repairs, of the robot asked for, with its joints held."""
     arrangement = Arrangement(floating)
     draft = _build(description, arrangement)
@@ -227,8 +231,10 @@ def _draft(
     joints = _single_joints(draft.plant)
     followers = resolved(description.followers, [scoped(joint) for joint in joints.values()])
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
-    if held:
-        places = checked_held(joints, followers, held, description.path)
+    loops = _loops(description, draft.plant, Choice(followers, first=tuple(held)))
+    start, still = loops.places(held, description.path)
+    if held or still:
+        places = checked_held(joints, followers, {**still, **held}, description.path)
         if len(places) == draft.plant.num_velocities():
             raise ModelError(
                 f"All joints of {description.path} are held, so nothing moves.",
@@ -241,7 +247,22 @@ def _draft(
             followers=tuple(f for f in followers if f.joint not in places),
         )
         draft = _build(description, arrangement)
-    return draft, arrangement
+        how = Choice(arrangement.followers, start=start)
+        loops = replace(_loops(description, draft.plant, how), held=still)
+    return draft, arrangement, loops
+
+
+def _loops(description: ModelDescription, plant: MultibodyPlant, how: Choice) -> Loops:
+    """Return the closed loops of a plant of a description."""
+    if not description.closures:
+        return Loops()
+    names, own = joint_names(plant), OwnCoordinates(plant, how.followers).own_velocities
+    limited = (a.joint() for a in _actuators(plant) if np.isfinite(a.effort_limit()))
+    driven = {names[joint.velocity_start()] for joint in limited} | description.driven_joints
+    how = replace(how, bent=description.bent, driven=driven)
+    return closed_loops(
+        plant, [names[k] for k in own], description.closures, path=description.path, how=how
+    )
 
 
 def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:

@@ -11,6 +11,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from geodrake.inertia import Array, is_physical
+from geodrake.robot.closure import Closure
 from geodrake.robot.files.checks import (
     Numeric,
     check_inertia,
@@ -48,6 +49,7 @@ class ModelText(abc.ABC):
         effort: Scoped joint names with their largest effort, N or N·m.
         followers: Joints that the file has follow others; whether they can is seen in the plant.
         bent: Joints that the file has follow others by a ratio that changes.
+        closures: What closes loops of the robot, the bodies by their scoped names.
         between: Scoped names of bodies between several joints of one, which weigh nothing.
         packages: Names of packages whose files are left for Drake to include.
         folders: Package -> folder, which come before those that are found.
@@ -77,6 +79,7 @@ class ModelText(abc.ABC):
         self.packages: set[str] = set()
         self.followers: list[Follower] = []
         self.bent: list[Followers] = []
+        self.closures: list[Closure] = []
         self._links: dict[str, Element] = {}
         self._read()
         check_numbers(self.root, self.numeric, path)
@@ -101,6 +104,11 @@ class ModelText(abc.ABC):
         if link in self.set_aside or link not in self._links:
             return self.set_aside.get(link)
         return self._inertia(self._links[link])
+
+    @property
+    def driven_joints(self) -> frozenset[str]:
+        """Names of joints that the file says are driven; see `MjcfText`."""
+        return frozenset()
 
     def motors(self) -> tuple[Statement, ...]:
         """What the file states of motors behind transmissions; see `geodrake.robot.files.motors`.

@@ -27,6 +27,7 @@ from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.yaml_text import yaml_text
 from geodrake.errors import GeodrakeError, ModelError
 from geodrake.inertia import Array
+from geodrake.robot.closure import Closure
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
@@ -96,6 +97,16 @@ class ModelDescription:
     def bent(self) -> tuple[Followers, ...]:
         """Joints that the texts have follow others by a ratio that changes."""
         return tuple(part for text in self.texts for part in text.bent)
+
+    @property
+    def closures(self) -> tuple[Closure, ...]:
+        """Return what closes loops of the robots."""
+        return tuple(closure for text in self.texts for closure in text.closures)
+
+    @property
+    def driven_joints(self) -> frozenset[str]:
+        """Names of joints that the texts say are driven."""
+        return frozenset(name for text in self.texts for name in text.driven_joints)
 
     def motors(self) -> tuple[Statement, ...]:
         """Return what the texts state of motors behind transmissions.

@@ -96,6 +96,7 @@ class MjcfText(ModelText):
         self.reference = None if source.lost else terms.reference
         self.compiled, self.gravity = source.model, terms.gravity
         self.followers, self.bent = terms.followers_in(scope), terms.bent_followers
+        self.closures = terms.closures_in(scope)
         self.left_out += terms.left_out
         self.notes += [*terms.notes, *(f"MuJoCo: {' '.join(each.split())}" for each in source.said)]
         self.lost += source.lost

@@ -70,7 +70,7 @@ class _Tree:
     def _write_body(self, parent: Element, at: int) -> Element:
         m, name = self.model, name_of(self.model, self.mujoco, "BODY", at)
         like = self.source.elements.get(name)
-        pose = _pose(m.body_pos[at], m.body_quat[at])
+        pose = pose_of(m.body_pos[at], m.body_quat[at])
         joints = range(m.body_jntadr[at], m.body_jntadr[at] + m.body_jntnum[at])
         for joint in joints:
             own = name_of(m, self.mujoco, "JOINT", joint)
@@ -130,7 +130,13 @@ def _append(parent: Element, child: Element) -> Element:
     return child
 
 
-def _pose(position: Array, quaternion: Array) -> RigidTransform:
+def pose_of(position: Array, quaternion: Array) -> RigidTransform:
+    """Return a pose of a position (3,) and a quaternion w, x, y, z.
+
+    Args:
+        position: (3,) the position, m.
+        quaternion: (4,) the quaternion.
+    """
     return RigidTransform(RotationMatrix(_rotation(quaternion)), np.array(position))
 
 
