@@ -151,11 +151,14 @@ def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array
     Raises:
         LogError: The loop does not close where the log has it, or the log lacks a motor's effort.
     """
-    at = {joint: log.joints.index(joint) for joint in drive.joints if joint in log.joints}
-    free = [at[name] for name in drive.actuators]
-    others = {joint: k for joint, k in at.items() if joint not in drive.actuators}
+    free = [log.joints.index(name) for name in drive.actuators]
+    others = [joint for joint in drive.joints if joint not in drive.actuators]
+    at = {joint: log.joints.index(joint) for joint in others if joint in log.joints}
+    efforts_of = {joint: log.effort[:, k] for joint, k in at.items()}
+    places_of = {joint: x for joint, x in log.passive.items() if len(x) == len(log)}
+    places_of |= {joint: log.position[:, k] for joint, k in at.items()}
     for joint in loop.driven:
-        if joint not in others or not np.isfinite(log.effort[:, others[joint]]).any():
+        if not np.isfinite(efforts_of.get(joint, np.array([np.nan]))).any():
             raise LogError(
                 f"Log {log.name!r} has no effort of {joint}, which a motor drives beside "
                 f"{', '.join(drive.actuators)} in the closed loop of {loop.name}.",
@@ -164,32 +167,29 @@ def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array
                 joint=joint,
             )
     efforts, notes = np.zeros_like(log.effort), list[str]()
+    seen = [joint for joint in others if joint in places_of]
     there = np.isfinite(log.position[:, free]).all(axis=1)
-    if not others or not there.any():
+    if not seen or not there.any():
         return efforts, notes
+    q, names = log.position[there][:, free], ", ".join(drive.actuators)
     try:
-        theta, G, _ = loop.along(log.position[there][:, free], np.zeros((there.sum(), len(free))))
+        theta, G, _ = loop.along(q, np.zeros_like(q))
     except ArgumentError as error:
         raise LogError(f"Log {log.name!r}: {error.problem}", advice=error.advice) from error
-    for joint, k in others.items():
+    for joint in seen:
         own = drive.joints.index(joint)
-        effort = np.nan_to_num(log.effort[there, k])
+        effort = np.nan_to_num(efforts_of.get(joint, np.zeros(len(log))))[there]
         if effort.any():
             efforts[np.ix_(there, free)] += G[:, own] * effort[:, None]
-            notes.append(
-                f"the effort of {joint} is added to that of {', '.join(drive.actuators)}, as the "
-                "closed loop has it"
-            )
-        apart = readings(log.position[there, k] - theta[:, own])
-        noise = _noise(log.position[there, k]) + np.abs(G[:, own]).max(axis=0) @ [
-            _noise(log.position[there, f]) for f in free
-        ]
+            notes.append(f"the effort of {joint} is added to that of {names}, which it follows")
+        levers = np.abs(G[:, own]).max(axis=0)
+        noise = _noise(places_of[joint][there]) + float(levers @ [_noise(x) for x in q.T])
+        apart = readings(places_of[joint][there] - theta[:, own])
         if len(apart) and np.sqrt(np.mean(apart**2)) > _CLEAR * noise + _STILL:
             notes.append(
-                f"{joint} is not where the closed loop of {loop.name} has it with "
-                f"{', '.join(drive.actuators)}: by {apart.mean():.3g} in the mean and "
-                f"{apart.std():.3g} beside that, where their noise is {noise:.2g} rad or m (check "
-                "zero positions, lengths and the posture of the model file)"
+                f"{joint} is not where the closed loop of {loop.name} has it with {names}: by "
+                f"{apart.mean():.3g} in the mean and {apart.std():.3g} beside that, with noise of "
+                f"{noise:.2g} rad or m (check zero positions and lengths)"
             )
     return efforts, notes
 

@@ -32,6 +32,7 @@ from geodrake.robot.joints import Features, axis_motion, slide_motion
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
 from geodrake.robot.loop_recursion import CLOSURE, Indices, LoopRecords, calc_misses
 from geodrake.robot.recursion import TreeRecords
+from geodrake.robot.transmission.base import times
 from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Followers
@@ -41,6 +42,7 @@ _IDLE = 1e-9  # share of the largest column, of a joint that a loop does not see
 _CLOSED, _NEARLY = 1e-9, 1e-3  # shares of the size by which a loop misses, the latter by rounding
 _STILL = 1e-14  # rad or shares, by which the last iteration moves
 _MOST_ITERATIONS, _LONGEST = 100, 0.3  # on the way to the posture of the file; rad or shares
+_NEAR = 0.2  # rad or shares, up to where loops are tried
 _NUDGE = 0.02  # rad or shares of the size, by which a posture is left to see whether it is singular
 _COEFFICIENTS = 5  # of polynomials by which joints follow others
 _SAME = 1e-3  # rad or shares, by which a joint may be held beside where the loop has it
@@ -54,6 +56,8 @@ class Choice:
         followers: Joints of the plant that follow others.
         bent: Joints that follow others by a ratio that changes.
         driven: Names of joints that motors drive.
+        sprung: Names of joints with springs, the stiffest first: where motors do not determine how
+            a loop moves, these are free beside them, as they hardly move.
         first: Names of joints that are to be free before all others.
         start: Joint -> where it is on the way to the loops' posture, rad or m; otherwise as the
             plant has it.
@@ -62,6 +66,7 @@ class Choice:
     followers: tuple[Follower, ...] = ()
     bent: tuple[Followers, ...] = ()
     driven: Collection[str] = ()
+    sprung: Sequence[str] = ()
     first: Collection[str] = ()
     start: Mapping[str, float] = field(default_factory=dict)
 
@@ -153,6 +158,18 @@ class ClosedLoop:
         names = tuple(self.map.joints[at] for at in self.map.shown)
         within = self.map.range_within(*self.limits[:, free])
         return Drive(self.map.actuators, names, self.map, range=within)
+
+    def some(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+        """Positions and velocities (N, k) of all joints at random near the posture of the file.
+
+        Args:
+            rng: Random numbers.
+            count: N.
+        """
+        free, units = self.map.free, self.map.records[7][self.map.free]
+        q = self.map.reference[free] + _NEAR * units * rng.uniform(-1.0, 1.0, (count, len(free)))
+        theta, G, _ = self.map.solved(self.map.inside(q))
+        return theta, times(G, units * rng.uniform(-1.0, 1.0, q.shape))
 
     def posture(self, held: Mapping[str, float], path: object) -> dict[str, float]:
         """Joint -> where it is if some joints are held.
@@ -308,10 +325,10 @@ class _Finder:
         cuts = [link.closure.cut for link in links if link.closure.cut is not None]
         joints = (*(self.names[v] for v in velocities), *(cut.name for cut in cuts))
         shape = self._shape(velocities, links, ties)
-        wanted = [
-            [n for n in joints if n in some] for some in (self.how.first, self.how.driven, joints)
-        ]
-        order = [joints.index(n) for n in dict.fromkeys(n for some in wanted for n in some)]
+        driven = tuple(n for n in joints if n in self.how.driven)
+        first = [n for n in joints if n in self.how.first]
+        sprung = [n for n in self.how.sprung if driven and n in joints]
+        order = [joints.index(n) for n in dict.fromkeys([*first, *driven, *sprung, *joints])]
         x = np.array([*(self.place[v] for v in velocities), *(0.0 for _ in cuts)])
         own = f"{self.path}: the closed loop of {name}"
         x, miss = shape.closed(x, _following(shape.misses(x)[1], order))
@@ -340,7 +357,6 @@ class _Finder:
                 )
         shown = [k for k in range(len(velocities)) if k in free or k in following]
         records = shape.records(free, following, x)
-        driven = tuple(n for n in joints if n in self.how.driven)
         further = tuple(joints[k] for k in following if joints[k] in driven)
         limits = np.array(
             [*(self.limits[v] for v in velocities), *((-np.inf, np.inf) for _ in cuts)]

@@ -7,7 +7,7 @@ are effects of their own in geodrake; inertias that no body can have are repaire
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -39,11 +39,16 @@ from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.followers import Follower, OwnCoordinates, resolved
 from geodrake.robot.holding import Arrangement, checked_held, poses_of, weld_joints, welds_of
 from geodrake.robot.loops import Choice, ClosedLoop, Loops, closed_loops
-from geodrake.robot.mujoco_check import JointTerms, check_against_mujoco
+from geodrake.robot.mujoco_check import (
+    JointTerms,
+    check_against_mujoco,
+    check_loops_against_mujoco,
+)
 from geodrake.robot.repairs import Repair, repair_inertias
 from geodrake.robot.several_robots import chosen_robot, robots_of, scoped
 from geodrake.robot.transmission.statements import Followers, Gear
 
+_STATES = 3  # random ones at which loops are compared with MuJoCo's
 _SAME = 1e-9  # of the largest of a body's parameters: what text and Drake may change
 
 
@@ -232,6 +237,9 @@ def _draft(
     followers = resolved(description.followers, [scoped(joint) for joint in joints.values()])
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
     loops = _loops(description, draft.plant, Choice(followers, first=tuple(held)))
+    if loops.loops:
+        states = _closed_states(draft.plant, followers, joints, loops)
+        check_loops_against_mujoco(description, draft.plant, states)
     start, still = loops.places(held, description.path)
     if held or still:
         places = checked_held(joints, followers, {**still, **held}, description.path)
@@ -259,10 +267,34 @@ def _loops(description: ModelDescription, plant: MultibodyPlant, how: Choice) ->
     names, own = joint_names(plant), OwnCoordinates(plant, how.followers).own_velocities
     limited = (a.joint() for a in _actuators(plant) if np.isfinite(a.effort_limit()))
     driven = {names[joint.velocity_start()] for joint in limited} | description.driven_joints
-    how = replace(how, bent=description.bent, driven=driven)
+    stiffness = description.joint_values("stiffness")
+    springs = {n: stiffness.get(scoped(j), 0.0) for n, j in _single_joints(plant).items()}
+    sprung = sorted((n for n, k in springs.items() if k > 0.0), key=lambda n: -springs[n])
+    how = replace(how, bent=description.bent, driven=driven, sprung=sprung)
     return closed_loops(
         plant, [names[k] for k in own], description.closures, path=description.path, how=how
     )
+
+
+def _closed_states(
+    plant: MultibodyPlant,
+    followers: Sequence[Follower],
+    joints: Mapping[str, Joint],
+    loops: Loops,
+) -> tuple[Array, Array]:
+    """Positions (N, nq) and velocities (N, nv) of a plant at which its loops are closed."""
+    context, ways = plant.CreateDefaultContext(), OwnCoordinates(plant, tuple(followers))
+    q = np.repeat(plant.GetPositions(context)[None], _STATES, axis=0)
+    v = np.zeros((_STATES, plant.num_velocities()))
+    rng = np.random.default_rng(0)
+    for loop in loops.loops:
+        theta, rates = loop.some(rng, _STATES)
+        for name, places, speeds in zip(loop.map.joints, theta.T, rates.T, strict=True):
+            if name in joints:
+                q[:, joints[name].position_start()] = places
+                v[:, joints[name].velocity_start()] = speeds
+    q, v = q[:, ways.own_positions], v[:, ways.own_velocities]
+    return ways.plant_positions(q), ways.plant_velocities(v)
 
 
 def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:

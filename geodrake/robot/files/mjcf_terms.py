@@ -40,7 +40,8 @@ class MjcfTerms:
         of_joints: Name of a quantity, as in `ModelText` -> joint -> its value, SI.
         followers: Joint -> leader, ratio and offset.
         bent: Leader -> joint -> coefficients of a polynomial.
-        closures: What closes loops, the bodies by their own names.
+        closures: Number of a constraint of MuJoCo's -> how it closes a loop, bodies by their own
+            names.
         left_out: Sentences on what bears on efforts and no model takes.
         notes: Sentences on what was taken otherwise than it is stated.
     """
@@ -50,7 +51,7 @@ class MjcfTerms:
     of_joints: dict[str, dict[str, float]]
     followers: list[Follower] = field(default_factory=list)
     bent: dict[str, dict[str, list[float]]] = field(default_factory=dict)
-    closures: list[Closure] = field(default_factory=list)
+    closures: dict[int, Closure] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -77,7 +78,7 @@ class MjcfTerms:
 
         return [
             replace(each, bodies=(full(each.bodies[0]), full(each.bodies[1])))
-            for each in self.closures
+            for each in self.closures.values()
         ]
 
     @property
@@ -387,7 +388,7 @@ class _Terms:
             return False
         first, second = (self._name("BODY", each) if each else WORLD for each in numbers)
         closure = Closure(name, (first, second), (poses[0], poses[1]), turns)
-        self.found.closures.append(closure)
+        self.found.closures[at] = closure
         return True
 
     def _free_root(self, body: int) -> int:
