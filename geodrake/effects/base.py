@@ -368,7 +368,7 @@ class JointEffect(Effect):
             return self.rows(motion)
         columns = self.columns(motion.joint(self.joint))
         shaped = [np.broadcast_to(column, (len(motion.v),)) for column in columns]
-        return {self.joint: np.stack(shaped, -1)}
+        return motion.efforts_at(self.joint, np.stack(shaped, -1))
 
     def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]] | None:
         """Of each column, its derivatives by `JointMotion` field; fields left out have none.

@@ -121,6 +121,13 @@ def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
                 advice=f"Hold {model.led[joint][0]!r}.",
                 joint=joint,
             )
+        for drive in model.transmission:
+            if joint in drive.joints and joint in model.joints_behind:
+                raise ModelError(
+                    f"Joint {joint!r} cannot be held, as it follows {', '.join(drive.actuators)}.",
+                    advice=f"Hold {', '.join(drive.actuators)}.",
+                    joint=joint,
+                )
         if joint not in model.joints:
             raise ModelError(
                 f"The model has no joint {joint!r} to be held.",

@@ -241,20 +241,18 @@ class RobotModel(Short):
         return gradient if self.actuation is None else self.actuation.robot_gradient(q, gradient)
 
     def refuse_transmission(self, what: str, advice: str) -> None:
-        """Refuses what only works at joints of a tree.
+        """Refuses what only works at joints.
 
         Args:
             what: What cannot be done, as the beginning of a sentence.
             advice: What the user can do.
 
         Raises:
-            ModelError: The model has a transmission, or a closed loop.
+            ModelError: The model has a transmission.
         """
         if self.transmission:
             actuators = ", ".join(name for drive in self.transmission for name in drive.actuators)
-            loops = all(drive.is_loop for drive in self.transmission)
-            how = "in a closed loop" if loops else "behind a transmission"
-            raise ModelError(f"{what} {actuators}, {how}.", advice=advice)
+            raise ModelError(f"{what} {actuators}, behind a transmission.", advice=advice)
 
     def place_of(self, joint: Joint) -> int | None:
         """Which velocity of the model a joint of the plant has; None if it has none of its own."""

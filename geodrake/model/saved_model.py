@@ -175,7 +175,7 @@ def load_model(
         return holding(_read(path, extra, given), lock or {})
     drives, notes = _transmission(path, transmission, given)
     model = load_description(path, floating=floating, given=given, transmission=drives)
-    if lock and not model.transmission:
+    if lock and all(drive.is_loop for drive in model.transmission):
         model = load_description(path, floating=floating, held=lock, given=given)
         return replace(model, notes=(*model.notes, *notes, *held_notes(model.held)))
     return holding(replace(model, notes=(*model.notes, *notes)), lock or {})

@@ -334,9 +334,11 @@ class _Finder:
         x, miss = shape.closed(x, _following(shape.misses(x)[1], order))
         if not miss <= _NEARLY:
             where = ", ".join(f"{n} = {at:.4g}" for n, at in zip(joints, x, strict=True))
+            turns = any(link.closure.turns for link in links)
+            or_turned = f" or {miss:.3g} rad" if turns else ""
             raise ModelError(
                 f"{own} cannot close at the posture of the file: it misses by "
-                f"{miss * shape.size:.3g} m or {miss:.3g} rad, and comes no nearer than {where}.",
+                f"{miss * shape.size:.3g} m{or_turned}, and comes no nearer than {where}.",
                 advice="Correct where its bodies are joined, or the positions of joints there.",
             )
         following = _following(shape.misses(x)[1], order)
