@@ -92,12 +92,12 @@ def leg():
         "knee", ".1 0 -.3", "knee", (0.8, ".02 0 -.02", ".002 .003 .002"), shin, 'armature=".03"'
     )
     rod = (
-        '<body name="rod" pos=".02 .05 -.05"><joint name="rod" type="ball"/>'
-        '<inertial mass=".17" pos=".19 -.01 -.29" diaginertia=".011 .012 .004"/></body>'
+        '<body name="rod" pos=".03 .05 -.25"><joint name="rod" type="ball"/>'
+        '<inertial mass=".17" pos=".15 -.01 -.2" diaginertia=".011 .012 .004"/></body>'
     )
     thigh = body("thigh", "0 0 1", "hip", (5, ".05 .01 -.1", ".05 .06 .02"), knee + rod)
     ends = (
-        '<connect body1="rod" body2="heel" anchor=".32 -.02 -.61"/>'
+        '<connect body1="rod" body2="heel" anchor=".31 -.02 -.41"/>'
         '<connect body1="plantar" body2="foot" anchor=".35 0 .02"/>'
     )
     return mjcf(thigh, ends, "hip knee crank")

@@ -180,7 +180,8 @@ def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array
         own = drive.joints.index(joint)
         effort = np.nan_to_num(efforts_of.get(joint, np.zeros(len(log))))[there]
         if effort.any():
-            efforts[np.ix_(there, free)] += G[:, own] * effort[:, None]
+            rows = np.flatnonzero(there)
+            efforts[np.ix_(rows, free)] += G[:, own] * effort[:, None]
             notes.append(f"the effort of {joint} is added to that of {names}, which it follows")
         levers = np.abs(G[:, own]).max(axis=0)
         noise = _noise(places_of[joint][there]) + float(levers @ [_noise(x) for x in q.T])
@@ -216,7 +217,8 @@ def _check_sides(model: RobotModel, logs: Sequence[JointLog], silent: Sequence[s
             missing = [name for name in drive.actuators if name in silent]
             there = [joint for joint in drive.joints if joint in (*log.joints, *log.standing)]
             if drive.is_loop:
-                there = [j for j in there if j in log.joints and _moves(log, j)]
+                others = set(there).difference(drive.actuators).intersection(log.joints)
+                there = [joint for joint in there if joint in others and _moves(log, joint)]
             if missing and there and drive.is_loop:
                 raise LogError(
                     f"Log {log.name!r} has {', '.join(there)} of a closed loop in which "

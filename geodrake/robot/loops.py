@@ -139,8 +139,8 @@ class ClosedLoop:
         told = [f"In the closed loop of {self.map.name}, {_listed(others, free)}."]
         if passive := [name for name in free if self.driven and name not in self.driven]:
             told.append(
-                f"{', '.join(passive)} of that loop moves freely, as no motor of the file "
-                "determines where it is: it counts as a joint of its own."
+                f"No motor of the file determines where {', '.join(passive)} of that loop is, "
+                "which counts as a joint of its own."
             )
         if further := self.map.driven:
             told.append(
