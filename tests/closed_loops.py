@@ -182,3 +182,49 @@ class Constrained:
         K = np.block([[M, J.T], [J, np.zeros((len(J), len(J)))]])
         right = np.concatenate([effort - drift, -(rates[0] - rates[1]) / (2.0 * h)])
         return np.linalg.lstsq(K, right, rcond=1e-12)[0][: m.nv]
+
+
+def sdf(links, joints):
+    """An SDF of links (name, place, inertial) and joints (name, type, ends, place, axis, terms)."""
+    text = '<link name="base"/><joint name="fixed" type="fixed"><parent>world</parent>'
+    text += "<child>base</child></joint>"
+    for name, place, (mass, com, moments) in links:
+        xx, yy, zz = moments.split()
+        text += (
+            f'<link name="{name}"><pose>{place} 0 0 0</pose><inertial><pose>{com} 0 0 0</pose>'
+            f"<mass>{mass}</mass><inertia><ixx>{xx}</ixx><iyy>{yy}</iyy><izz>{zz}</izz></inertia>"
+            "</inertial></link>"
+        )
+    for name, kind, (parent, child), place, axis, terms in joints:
+        moves = "" if kind in ("ball", "fixed") else f"<axis><xyz>{axis}</xyz>{terms}</axis>"
+        text += (
+            f'<joint name="{name}" type="{kind}"><pose relative_to="{parent}">{place} 0 0 0</pose>'
+            f"<parent>{parent}</parent><child>{child}</child>{moves}</joint>"
+        )
+    return f'<sdf version="1.9"><model name="r">{text}</model></sdf>'
+
+
+BARS = (
+    ("crank_link", "0 0 0", (0.5, ".05 0 .01", ".001 .002 .0015")),
+    ("coupler_link", "0.1 0 0", (0.8, ".15 .01 .02", ".003 .004 .0025")),
+    ("rocker_link", "0.3 0 -0.1", (1.1, ".02 0 .1", ".005 .004 .0035")),
+)
+
+
+def dynamics(**terms):
+    words = "".join(f"<{name}>{value}</{name}>" for name, value in terms.items())
+    return f"<dynamics>{words}</dynamics>"
+
+
+def four_bar_sdf(pin=("revolute", ""), limits=None):
+    """`four_bar` as SDF, with one joint too many for a tree; but for the rocker's armature."""
+    rocker = dynamics(damping=0.1, spring_stiffness=2, spring_reference=0.2)
+    joints = [
+        ("crank", "revolute", ("base", "crank_link"), "0 0 0", ""),
+        ("coupler", "revolute", ("crank_link", "coupler_link"), "0.1 0 0", dynamics(damping=0.02)),
+        ("rocker", "revolute", ("base", "rocker_link"), "0.3 0 -0.1", rocker),
+        ("pin", pin[0], ("coupler_link", "rocker_link"), "0.25 0 0.1", pin[1]),
+    ]
+    limit = "<limit><effort>{}</effort></limit>"
+    effort = {name: limit.format(value) for name, value in (limits or {}).items()}
+    return sdf(BARS, [(*own, "0 1 0", terms + effort.get(own[0], "")) for *own, terms in joints])

@@ -81,9 +81,9 @@ class RobotBodies:
             v: (N, nv) velocities.
             vd: (N, nv) accelerations.
         """
-        tree, (theta, rates, _, accelerations), J = joint_samples(self.tree, self.q, v, vd)
-        unit = np.eye(tree.num_velocities)[None] if J is None else J
-        return theta, rates, accelerations, unit
+        if isinstance(self.tree, DrivenTree):
+            return self.tree.actuation.all_samples(self.q, v, vd)
+        return self.q, v, vd, np.eye(self.tree.num_velocities)[None]
 
     def motion(self, body: str) -> BodyMotion:
         """Pose and Jacobian of a body.

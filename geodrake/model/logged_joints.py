@@ -152,7 +152,7 @@ def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array
         LogError: The loop does not close where the log has it, or the log lacks a motor's effort.
     """
     free = [log.joints.index(name) for name in drive.actuators]
-    others = [joint for joint in drive.joints if joint not in drive.actuators]
+    others = [joint for joint in loop.joints if joint not in drive.actuators]
     at = {joint: log.joints.index(joint) for joint in others if joint in log.joints}
     efforts_of = {joint: log.effort[:, k] for joint, k in at.items()}
     places_of = {joint: x for joint, x in log.passive.items() if len(x) == len(log)}
@@ -173,15 +173,15 @@ def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array
         return efforts, notes
     q, names = log.position[there][:, free], ", ".join(drive.actuators)
     try:
-        theta, G, _ = loop.along(q, np.zeros_like(q))
+        theta, G, _ = loop.of_all(q, np.zeros_like(q))
     except ArgumentError as error:
         raise LogError(f"Log {log.name!r}: {error.problem}", advice=error.advice) from error
     for joint in seen:
-        own = drive.joints.index(joint)
+        own = loop.joints.index(joint)
         effort = np.nan_to_num(efforts_of.get(joint, np.zeros(len(log))))[there]
         if effort.any():
-            rows = np.flatnonzero(there)
-            efforts[np.ix_(rows, free)] += G[:, own] * effort[:, None]
+            block = np.ix_(np.flatnonzero(there), np.array(free))
+            efforts[block] += G[:, own] * effort[:, None]
             notes.append(f"the effort of {joint} is added to that of {names}, which it follows")
         levers = np.abs(G[:, own]).max(axis=0)
         noise = _noise(places_of[joint][there]) + float(levers @ [_noise(x) for x in q.T])

@@ -68,6 +68,7 @@ from geodrake.robot.transmission.limits import (
     actuator_positions_between,
     actuator_rates,
 )
+from geodrake.robot.transmission.loop import LoopTransmission
 
 Array = NDArray[np.float64]
 
@@ -507,7 +508,9 @@ class RobotModel(Short):
             return own
         names, slides = joint_names(self.plant), moving_joints(self.plant)
         at = (int(j.velocity_start()) for j in slides if j.type_name() == "prismatic")
-        return (*own, *(names[k] for k in at if names[k] in self.joints_behind))
+        loops = (d.map for d in self.transmission if isinstance(d.map, LoopTransmission))
+        closing = (loop.joints[k] for loop in loops for k in loop.cut if loop.slides[k])
+        return (*own, *(names[k] for k in at if names[k] in self.joints_behind), *closing)
 
     @property
     def scoped_joints(self) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ or the ratio changes, as in a closed loop, the effect stays at the joint, τ_q =
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -35,7 +35,7 @@ def stated_effects(
         actuation: How the former follow from the latter; None if they are the same.
     """
     effects, notes = list[FittedEffect](), list[str]()
-    places = _Places(joints, names, actuation, notes)
+    places = _Places(joints, names, actuation, loaded.closing, notes)
     for kind in catalogue():
         stated = loaded.stated.get(kind.stated_as, np.zeros(len(joints)))
         found = places.of(stated, kind.stated_as, _WEIGHTS.get(kind.stated_as, np.square))
@@ -73,9 +73,11 @@ class _Places:
         joints: Sequence[str],
         names: Sequence[str],
         actuation: Actuation | None,
+        closing: Mapping[str, Mapping[str, float]],
         notes: list[str],
     ) -> None:
         self.joints, self.names, self.actuation, self.notes = joints, names, actuation, notes
+        self.closing = closing
 
     def of(self, stated: Array, what: str, weight: Callable[[Array], Array]) -> dict[str, float]:
         """Actuator or joint -> its coefficient, where it has one, of those (nv of the tree,)."""
@@ -85,6 +87,7 @@ class _Places:
         found = dict(zip(self.names, values.tolist(), strict=True))
         for at in lost:
             found[self.joints[at]] = found.get(self.joints[at], 0.0) + float(stated[at])
+        found |= {joint: stated.get(what, 0.0) for joint, stated in self.closing.items()}
         small = {name: value for name, value in found.items() if 0.0 < abs(value) < _LEAST}
         if small:
             listed = ", ".join(f"{name} {value:g}" for name, value in small.items())
@@ -97,6 +100,7 @@ class _Places:
         Several at an actuator, Σ Jⁿ⁺¹ k (q − c)², are one about their mean.
         """
         found = dict(zip(self.joints, center.tolist(), strict=True))
+        found |= {joint: stated["rest"] for joint, stated in self.closing.items()}
         if self.actuation is not None:
             values, _ = self.actuation.joined(k, partial(_power, exponent=exponent + 1))
             shifted = k * (center - self.actuation.offsets)

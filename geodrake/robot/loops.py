@@ -37,7 +37,7 @@ from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Followers
 
-_WELL, _FREE = 0.1, 1e-5  # shares of a column that others leave, at which it is none of theirs
+_WELL, _FREE = 0.01, 1e-5  # shares of a column that others leave, at which it is none of theirs
 _IDLE = 1e-9  # share of the largest column, of a joint that a loop does not see
 _CLOSED, _NEARLY = 1e-9, 1e-3  # shares of the size by which a loop misses, the latter by rounding
 _STILL = 1e-14  # rad or shares, by which the last iteration moves
@@ -135,7 +135,8 @@ class ClosedLoop:
     def notes(self) -> tuple[str, ...]:
         """Return how its joints move, in words."""
         free = self.map.actuators
-        others = [self.map.joints[k] for k in self.map.shown if self.map.joints[k] not in free]
+        shown = [*self.map.shown, *self.map.cut]
+        others = [self.map.joints[k] for k in shown if self.map.joints[k] not in free]
         told = [f"In the closed loop of {self.map.name}, {_listed(others, free)}."]
         if passive := [name for name in free if self.driven and name not in self.driven]:
             told.append(
@@ -364,7 +365,15 @@ class _Finder:
             [*(self.limits[v] for v in velocities), *((-np.inf, np.inf) for _ in cuts)]
         )
         return ClosedLoop(
-            LoopTransmission(name, joints, records, np.array(shown, np.int64), further),
+            LoopTransmission(
+                name,
+                joints,
+                records,
+                np.array(shown, np.int64),
+                further,
+                tuple(range(len(velocities), len(joints))),
+                shape.slides,
+            ),
             np.array(limits).T,
             driven,
             miss * shape.size if miss > _CLOSED else 0.0,
@@ -411,7 +420,8 @@ class _Finder:
             row[velocities.index(self.names.index(part.leader)), : len(polynomial)] = polynomial
             row[velocities.index(self.names.index(joint)), 1] -= 1.0
         rows = sum(6 if link.closure.turns else 3 for link in links) + len(couplings)
-        return _Shape((tree, closures, table, couplings), units, rows)
+        slide = tuple(k in slides for k in range(count))
+        return _Shape((tree, closures, table, couplings), units, rows, slide)
 
 
 @dataclass(frozen=True)
@@ -422,11 +432,13 @@ class _Shape:
         parts: Its mobilizers, closures, sides and couplings for compiled code.
         units: (k + 1,) how far joints go that move as far as a radian, m or rad, and the size.
         rows: How many equations it has.
+        slides: (k) whether each joint slides.
     """
 
     parts: tuple[TreeRecords, NDArray[np.void], Indices, Array]
     units: Array
     rows: int
+    slides: tuple[bool, ...]
 
     @property
     def size(self) -> float:

@@ -8,7 +8,7 @@ are effects of their own in geodrake; inertias that no body can have are repaire
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,7 @@ from geodrake.inertia import (
     to_spatial_inertia,
 )
 from geodrake.inertia.bodies import lumped_bodies
+from geodrake.robot.cut_joints import OpenedLoop, open_loops
 from geodrake.robot.files import Given, ModelDescription, read_description
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages
@@ -70,6 +71,8 @@ class LoadedPlant:
         file_springs: (4, nv) k, q₀, k₃ and q₃ of the file's springs k (q − q₀) + k₃ (q − q₃)³, SI.
         left_out: Sentences on what of the file bears on efforts, and is in none of these.
         loops: Closed loops, whose joints are among the plant's own.
+        closing: Joint that closes a loop, and is none of the plant -> what the file states of it,
+            by its name in `stated`, and `spring` and `rest`, SI.
         held: Joint that does not move, though it does in the file -> where it is held, rad or m.
         given: How the file was to be read.
         followers: Joints of the plant that follow others.
@@ -97,6 +100,7 @@ class LoadedPlant:
     geared: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
     loops: tuple[ClosedLoop, ...] = ()
+    closing: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def stated(self) -> Mapping[str, Array]:
@@ -174,11 +178,12 @@ def load_plant(
         {**loops.held, **held},
         given,
         arrangement.followers,
-        arrangement.joints,
+        (*arrangement.joints, *_closing(description, built, loops)),
         tuple(part for part in description.bent if part not in loops.taken),
         _geared(description),
         tuple(dict.fromkeys([*description.left_out, *apart, *lost, *loops.left_out])),
         loops.loops,
+        _closing(description, built, loops),
     )
 
 
@@ -236,7 +241,7 @@ def _draft(
     joints = _single_joints(draft.plant)
     followers = resolved(description.followers, [scoped(joint) for joint in joints.values()])
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
-    loops = _loops(description, draft.plant, Choice(followers, first=tuple(held)))
+    loops = _loops(description, draft, Choice(followers, first=tuple(held)))
     if loops.loops:
         states = _closed_states(draft.plant, followers, joints, loops)
         check_loops_against_mujoco(description, draft.plant, states)
@@ -256,24 +261,52 @@ def _draft(
         )
         draft = _build(description, arrangement)
         how = Choice(arrangement.followers, start=start)
-        loops = replace(_loops(description, draft.plant, how), held=still)
+        loops = replace(_loops(description, draft, how), held=still)
     return draft, arrangement, loops
 
 
-def _loops(description: ModelDescription, plant: MultibodyPlant, how: Choice) -> Loops:
+def _loops(description: ModelDescription, built: _Built, how: Choice) -> Loops:
     """Return the closed loops of a plant of a description."""
-    if not description.closures:
+    plant, closures = built.plant, [*description.closures, *(o.closure for o in built.opened)]
+    if not closures:
         return Loops()
     names, own = joint_names(plant), OwnCoordinates(plant, how.followers).own_velocities
     limited = (a.joint() for a in _actuators(plant) if np.isfinite(a.effort_limit()))
     driven = {names[joint.velocity_start()] for joint in limited} | description.driven_joints
+    driven |= {each.closure.cut.name for each in built.opened if each.driven and each.closure.cut}
     stiffness = description.joint_values("stiffness")
     springs = {n: stiffness.get(scoped(j), 0.0) for n, j in _single_joints(plant).items()}
     sprung = sorted((n for n, k in springs.items() if k > 0.0), key=lambda n: -springs[n])
     how = replace(how, bent=description.bent, driven=driven, sprung=sprung)
-    return closed_loops(
-        plant, [names[k] for k in own], description.closures, path=description.path, how=how
+    found = closed_loops(plant, [names[k] for k in own], closures, path=description.path, how=how)
+    if found.left_out and built.opened:
+        raise ModelError(
+            f"{description.path}: {found.left_out[0]}",
+            advice="Give the loop joints that turn about or slide along one axis.",
+            path=description.path,
+        )
+    return found
+
+
+def _closing(
+    description: ModelDescription, built: _Built, loops: Loops
+) -> dict[str, dict[str, float]]:
+    """Return what the file states of joints that close loops which move."""
+    moving = {loop.map.joints[k] for loop in loops.loops for k in loop.map.cut}
+    friction, stiffness, rest, armature = (
+        description.joint_values(name) for name in ("friction", "stiffness", "rest", "armature")
     )
+    return {
+        each.closure.cut.name: {
+            "damping": each.damping,
+            "dry friction": friction.get(each.scoped_name, 0.0),
+            "reflected rotor inertia": armature.get(each.scoped_name, each.rotor_inertia),
+            "spring": stiffness.get(each.scoped_name, 0.0),
+            "rest": rest.get(each.scoped_name, 0.0),
+        }
+        for each in built.opened
+        if each.closure.cut is not None and each.closure.cut.name in moving
+    }
 
 
 def _closed_states(
@@ -331,9 +364,10 @@ def _last(name: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Built(JointTerms):
-    """A plant, and notes on how it was read."""
+    """A plant, notes on how it was read, and the joints that closed its loops."""
 
     notes: tuple[str, ...]
+    opened: tuple[OpenedLoop, ...]
 
 
 def _build(
@@ -342,6 +376,7 @@ def _build(
     plant = MultibodyPlant(time_step=0.0) if plant is None else plant
     description.add_to(plant)
     with drake_errors(description.path):
+        opened = open_loops(plant)
         weld_joints(plant, arrangement.held)
         weld_joints(plant, arrangement.aside, aside=True)
         notes = [*_root_notes(plant, arrangement)]
@@ -386,6 +421,7 @@ def _build(
     return _Built(
         plant,
         notes=tuple(notes),
+        opened=opened,
         damping=per_velocity(damping),
         friction=per_velocity(of_text("friction")),
         rotor_inertia=per_velocity(rotor),
@@ -447,6 +483,7 @@ def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:
         plant: A plant that is not finalized, such as one with geometry; changed.
         other: The finalized plant of a model.
     """
+    open_loops(plant)
     weld_joints(plant, welds_of(other))
     weld_joints(plant, welds_of(other, aside=True), aside=True)
     standing = {

@@ -4,7 +4,17 @@ import time
 
 import numpy as np
 import pytest
-from closed_loops import CONNECT, Constrained, four_bar, gripper, leg
+from closed_loops import (
+    BARS,
+    CONNECT,
+    Constrained,
+    dynamics,
+    four_bar,
+    four_bar_sdf,
+    gripper,
+    leg,
+    sdf,
+)
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
@@ -335,3 +345,99 @@ def test_what_holds_a_free_body_is_left_out(tmp_path):
     model = load(tmp_path, text.replace("</worldbody>", free))
     assert model.joints == ("crank",)
     assert any("<weld> of cup and coupler" in words for words in model.left_out)
+
+
+def twins(folder, text, tail="", **options):
+    """A model of an SDF, and the one of the four-bar of its names in MJCF."""
+    (folder / "robot.sdf").write_text(text)
+    other = four_bar(rocker='damping=".1"').replace("</mujoco>", f"{tail}</mujoco>")
+    return load_model(folder / "robot.sdf", **options), Constrained.of(mujoco, other, ["crank"])
+
+
+def assert_twins(model, constrained, count=5):
+    assert model.joints == ("crank",) and not model.left_out
+    for q, v, vd in zip(*states(model, count), strict=True):
+        ours = in_mujoco(model, constrained, q)
+        qpos, G = constrained.closed(ours)
+        assert np.abs(qpos - ours).max() < 1e-10
+        qacc = G @ vd + constrained.bias(qpos, G, v)
+        expected = G.T @ constrained.inverse(qpos, G @ v, qacc)
+        found = model.effort(Motion(q[None], v[None], vd[None]))[0]
+        assert np.abs(found - expected).max() <= 1e-6 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("pin", ["revolute", "ball"])
+def test_a_loop_of_an_sdf_is_that_of_its_twin(tmp_path, pin):
+    model, constrained = twins(tmp_path, four_bar_sdf((pin, "")))
+    assert_twins(model, constrained)
+    assert any("the joint pin" in note for note in model.notes)
+    assert check_dynamics(model).holds
+    save_model(model, tmp_path / "saved.yaml")
+    again, motion = load_model(tmp_path / "saved.yaml"), Motion(*states(model))
+    np.testing.assert_array_equal(again.effort(motion), model.effort(motion))
+
+
+def test_what_the_file_states_of_the_joint_that_closes_a_loop_counts(tmp_path):
+    terms = dynamics(damping=0.3, spring_stiffness=1.5, spring_reference=0.1)
+    turns = (("rocker", 1), ("crank", -1), ("coupler", -1))  # how far the pin does
+    joints = "".join(f'<joint joint="{name}" coef="{share}"/>' for name, share in turns)
+    tendon = f'<fixed name="pin" damping=".3" stiffness="1.5" springlength=".1">{joints}</fixed>'
+    model, constrained = twins(
+        tmp_path, four_bar_sdf(("revolute", terms)), f"<tendon>{tendon}</tendon>"
+    )
+    assert {f.effect.place for f in model.effects} == {"coupler", "rocker", "pin"}
+    assert_twins(model, constrained)
+
+
+def test_a_prismatic_joint_may_close_a_loop(tmp_path):
+    bars = (*BARS[:2], ("slider_link", "0.35 0 0.1", (0.4, "0 0 0", "1e-4 1e-4 1e-4")))
+    limit = "<limit><effort>9</effort></limit>"
+    joints = [
+        ("crank", "revolute", ("base", "crank_link"), "0 0 0", "0 1 0", limit),
+        ("coupler", "revolute", ("crank_link", "coupler_link"), "0.1 0 0", "0 1 0", limit),
+        ("pin", "revolute", ("coupler_link", "slider_link"), "0.25 0 0.1", "0 1 0", limit),
+        ("slide", "prismatic", ("base", "slider_link"), "0.35 0 0.1", "1 0 0", dynamics(damping=2)),
+    ]
+    (tmp_path / "robot.sdf").write_text(sdf(bars, joints))
+    model = load_model(tmp_path / "robot.sdf")
+    text = four_bar()
+    at = text.index('<body name="rocker"')
+    slider = (
+        '<body name="rocker" pos="0.35 0 0.1"><joint name="slide" type="slide" axis="1 0 0" '
+        'damping="2"/><inertial mass=".4" pos="0 0 0" diaginertia="1e-4 1e-4 1e-4"/></body>'
+    )
+    plain = text[:at] + slider + text[text.index("</worldbody>") :]
+    plain = plain.replace('damping=".02"', "")
+    (tmp_path / "robot.xml").write_text(plain)
+    other = load_model(tmp_path / "robot.xml")
+    assert model.joints == other.joints == ("crank",) and "slide" in model.sliding_joints
+    motion = Motion(*states(model))
+    np.testing.assert_allclose(model.effort(motion), other.effort(motion), rtol=1e-9)
+    constrained = Constrained.of(mujoco, plain, ["crank"])
+    for q, v, vd in zip(motion.q, motion.v, motion.vd, strict=True):
+        qpos, G = constrained.closed(in_mujoco(other, constrained, q))
+        expected = G.T @ constrained.inverse(qpos, G @ v, G @ vd + constrained.bias(qpos, G, v))
+        found = model.effort(Motion(q[None], v[None], vd[None]))[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_the_joint_with_a_motor_leads(tmp_path):
+    (tmp_path / "robot.sdf").write_text(four_bar_sdf(limits={"pin": 5.0}))
+    model = load_model(tmp_path / "robot.sdf")
+    assert model.joints == ("pin",)
+    (tmp_path / "robot.sdf").write_text(four_bar_sdf(limits={"rocker": 5.0}))
+    assert load_model(tmp_path / "robot.sdf").joints == ("rocker",)
+
+
+def test_a_loop_of_an_sdf_that_cannot_be_used_is_refused(tmp_path):
+    text = four_bar_sdf(("ball", "")).replace(
+        '<joint name="coupler" type="revolute">', '<joint name="coupler" type="ball">'
+    )
+    (tmp_path / "robot.sdf").write_text(text)
+    with pytest.raises(ModelError, match="coupler_link moves there by a joint of several degrees"):
+        load_model(tmp_path / "robot.sdf")
+    axes = "<xyz>0 1 0</xyz></axis>", "<xyz>0 1 0</xyz></axis><axis2><xyz>1 0 0</xyz></axis2>"
+    text = four_bar_sdf(("universal", "")).replace(*axes)
+    (tmp_path / "robot.sdf").write_text(text)
+    with pytest.raises(ModelError, match="joint 'pin' of type universal closes a loop"):
+        load_model(tmp_path / "robot.sdf")

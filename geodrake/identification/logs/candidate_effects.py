@@ -16,7 +16,6 @@ from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.transmission.base import times
 
 Array = NDArray[np.float64]
 
@@ -107,15 +106,15 @@ def _speeds_behind(model: RobotModel, segments: Sequence[Segment]) -> dict[str, 
     actuation, found = model.actuation, dict[str, float]()
     if actuation is None or actuation.constant is not None:
         return found
-    bent = [p.drive for p in actuation.places if p.drive.map.constant_jacobian is None]
-    joints = [name for drive in bent for name in drive.joints if name in actuation.behind]
+    constant = [p.drive for p in actuation.places if p.drive.map.constant_jacobian is not None]
+    aside = {joint for drive in constant for joint in drive.joints}
     for segment in segments:
-        J = actuation.jacobian(model.positions(segment.position))
-        peaks = np.abs(times(J, segment.velocity)).max(axis=0, initial=0.0)
-        for joint in joints:
+        q, v = model.positions(segment.position), segment.velocity
+        peaks = np.abs(actuation.all_samples(q, v, np.zeros_like(v))[1]).max(axis=0, initial=0.0)
+        for joint in set(actuation.behind).difference(aside):
             peak = float(peaks[actuation.behind[joint][1]])
             found[joint] = max(found.get(joint, 0.0), peak)
-    return {joint: peak for joint, peak in found.items() if peak > 0.0}
+    return {joint: found[joint] for joint in actuation.behind if found.get(joint, 0.0) > 0.0}
 
 
 def _at_joint(

@@ -19,6 +19,7 @@ from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.transmission.base import times
 from geodrake.robot.transmission.drive import Drive
+from geodrake.robot.transmission.loop import LoopTransmission
 
 Indices = NDArray[np.intp]
 
@@ -221,6 +222,32 @@ class Actuation:
         theta, rates, accelerations = (contiguous(x) for x in samples)
         return theta, rates, accelerations, J
 
+    def all_samples(self, q: Array, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
+        """`tree_samples` with joints beyond the tree, which close loops; see `behind`.
+
+        Args:
+            q: (N, nq) positions.
+            v: (N, nv) velocities.
+            vd: (N, nv) accelerations.
+        """
+        theta, rates, accelerations, J = self.tree_samples(q, v, vd)
+        for place, loop in self._loops:
+            at, own = list(loop.cut), place.actuator_v
+            places, G, rate = loop.of_all(q[:, place.actuator_q], v[:, own])
+            more = np.zeros((len(q), len(at), self.num_velocities))
+            more[:, :, own] = G[:, at]
+            bias = times(rate[:, at], v[:, own])
+            theta, J = np.hstack([theta, places[:, at]]), np.concatenate([J, more], axis=1)
+            rates = np.hstack([rates, times(more, v)])
+            accelerations = np.hstack([accelerations, times(more, vd) + bias])
+        return theta, rates, accelerations, J
+
+    @cached_property
+    def _loops(self) -> list[tuple[Places, LoopTransmission]]:
+        """The loops that joints beyond the tree close."""
+        maps = ((place, place.drive.map) for place in self.places)
+        return [(p, m) for p, m in maps if isinstance(m, LoopTransmission) and m.cut]
+
     def inside(self, q: Array) -> Array:
         """Positions (N, nq) of the robot with its actuators where their maps are known."""
         q = q.copy()
@@ -313,8 +340,12 @@ class Actuation:
 
     @cached_property
     def behind(self) -> dict[str, tuple[int, int]]:
-        """Joint of a drive that is no actuator -> its position and velocity in the tree's."""
-        return {
+        """Joint of a drive that is no actuator -> its position and velocity in the tree's.
+
+        Those of joints that close loops come after them, as `all_samples` has them.
+        """
+        beyond = (loop.joints[k] for _, loop in self._loops for k in loop.cut)
+        tree = {
             joint: (int(at_q), int(at_v))
             for place in self.places
             for joint, at_q, at_v in zip(
@@ -322,6 +353,8 @@ class Actuation:
             )
             if joint not in self.names
         }
+        first, second = self.sizes
+        return tree | {name: (first + k, second + k) for k, name in enumerate(beyond)}
 
     @cached_property
     def _standing(self) -> dict[int, int]:

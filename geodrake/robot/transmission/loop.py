@@ -32,6 +32,8 @@ class LoopTransmission(Transmission, Short):
         records: The loop for compiled code.
         shown: Numbers of the joints that it moves in the tree.
         driven: Names of joints that follow, though motors drive them, too.
+        cut: Numbers of the joints that close the loop, and are none of the tree.
+        slides: (k) whether each joint slides.
     """
 
     name: str
@@ -39,6 +41,8 @@ class LoopTransmission(Transmission, Short):
     records: LoopRecords
     shown: Indices
     driven: tuple[str, ...] = ()
+    cut: tuple[int, ...] = ()
+    slides: tuple[bool, ...] = ()
 
     @property
     def free(self) -> Indices:
@@ -79,11 +83,20 @@ class LoopTransmission(Transmission, Short):
 
     def along(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
         """θ = T(q), J and J̇ along a motion, by one solution."""
-        q = self._checked(q, "q", self.num_actuators)
-        theta, G = self._closed(q)
+        theta, G, rate = self.of_all(q, v)
+        return theta[:, self.shown], G[:, self.shown], rate[:, self.shown]
+
+    def of_all(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Positions (N, k) of all k joints, G and Ġ (N, k, n).
+
+        Args:
+            q: (N, n) positions of the free joints.
+            v: (N, n) their velocities.
+        """
+        theta, G = self._closed(self._checked(q, "q", self.num_actuators))
         rate = np.zeros_like(G)
         calc_loop_rates(self.records, theta, G, contiguous(v), rate)
-        return theta[:, self.shown], G[:, self.shown], rate[:, self.shown]
+        return theta, G, rate
 
     def joint_positions(self, q: Array) -> Array:
         """θ = T(q), by Newton's method."""
