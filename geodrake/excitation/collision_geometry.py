@@ -19,7 +19,6 @@ from geodrake.boundary.arguments import instance
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collision_meshes import in_memory, replace_stl
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.cut_joints import open_loops
 from geodrake.robot.files import read_description
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.meshes import check_geometry
@@ -121,8 +120,6 @@ def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
     )
     with drake_messages(), errors, TemporaryDirectory() as folder:
         _parse(parser, model, Path(folder))
-        open_loops(plant)
-        plant.Finalize()
         for i in range(plant.num_bodies()):
             body = plant.get_body(BodyIndex(i))
             solids = []

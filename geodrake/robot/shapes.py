@@ -17,7 +17,6 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake.errors import ModelError
-from geodrake.robot.cut_joints import open_loops
 from geodrake.robot.files.description import drake_errors, drake_messages, read_description
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.meshes import check_geometry
@@ -122,8 +121,6 @@ def _read(
         _prepare(root, parser.package_map(), path, folder, lost)
         kind = "urdf" if root.tag == "robot" else "sdf"
         parser.AddModelsFromString(tostring(root, encoding="unicode"), kind)
-    open_loops(plant)
-    plant.Finalize()
     inspector, links = scene.model_inspector(), {}
     for role in (Role.kProximity, Role.kIllustration):  # of links that have both, the latter
         for i in range(plant.num_bodies()):
