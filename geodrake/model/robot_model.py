@@ -720,6 +720,14 @@ def from_loaded_plant(
     """
     drives = tuple(d for d in instances(transmission, "transmission", Drive) if not d.is_loop)
     loops = tuple(loop.drive for loop in loaded.loops if loop.map.actuators)
+    for loop in loops:
+        if both := {joint for drive in drives for joint in drive.joints}.intersection(loop.joints):
+            raise ModelError(
+                f"The transmission moves {', '.join(sorted(both))}, which a closed loop of "
+                f"{loaded.path.name} moves, too: {', '.join(loop.joints)}.",
+                advice="Let logs have the joints of the loop, and leave this part of the "
+                "transmission out.",
+            )
     bent, apart = _bent_drives(loaded, drives)
     drives, notes = (*drives, *bent), list[str]()
     left_out = (*loaded.left_out, *apart)

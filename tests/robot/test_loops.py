@@ -421,6 +421,57 @@ def test_a_prismatic_joint_may_close_a_loop(tmp_path):
         np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
+BALL = (
+    '<drake:ball_constraint><drake:ball_constraint_body_A name="coupler_link"/>'
+    '<drake:ball_constraint_body_B name="rocker_link"/>'
+    '<drake:ball_constraint_p_AP value="0.25 0 0.1"/>'
+    '<drake:ball_constraint_p_BQ value="0.05 0 0.2"/></drake:ball_constraint>'
+)
+
+
+def four_bar_urdf(ball=BALL):
+    links = "".join(
+        f'<link name="{name}"><inertial><origin xyz="{com}"/><mass value="{mass}"/><inertia '
+        'ixx="{}" iyy="{}" izz="{}" ixy="0" ixz="0" iyz="0"/></inertial></link>'.format(
+            *moments.split()
+        )
+        for name, _, (mass, com, moments) in BARS
+    )
+    parents = {"crank": "base", "coupler": "crank_link", "rocker": "base"}
+    places = {"crank": "0 0 0", "coupler": "0.1 0 0", "rocker": "0.3 0 -0.1"}
+    joints = "".join(
+        f'<joint name="{name}" type="continuous"><parent link="{parents[name]}"/><child '
+        f'link="{name}_link"/><origin xyz="{place}"/><axis xyz="0 1 0"/></joint>'
+        for name, place in places.items()
+    )
+    return (
+        '<robot name="r" xmlns:drake="http://drake.mit.edu"><link name="base"/>'
+        f"{links}{joints}{ball}</robot>"
+    )
+
+
+def test_drakes_ball_constraint_closes_a_loop_of_a_urdf(tmp_path):
+    (tmp_path / "robot.urdf").write_text(four_bar_urdf())
+    model = load_model(tmp_path / "robot.urdf")
+    bare = [(name, "revolute", ends, at, "0 1 0", "") for name, ends, at in (
+        ("crank", ("base", "crank_link"), "0 0 0"),
+        ("coupler", ("crank_link", "coupler_link"), "0.1 0 0"),
+        ("rocker", ("base", "rocker_link"), "0.3 0 -0.1"),
+        ("pin", ("coupler_link", "rocker_link"), "0.25 0 0.1"),
+    )]  # fmt: skip
+    (tmp_path / "robot.sdf").write_text(sdf(BARS, bare))
+    other = load_model(tmp_path / "robot.sdf")
+    assert model.joints == other.joints == ("crank",) and not model.left_out
+    motion = Motion(*states(model))
+    np.testing.assert_allclose(model.effort(motion), other.effort(motion), rtol=1e-9)
+    (tmp_path / "robot.urdf").write_text(four_bar_urdf(BALL.replace("rocker_link", "nobody")))
+    with pytest.raises(ModelError, match="has a body 'nobody', which there is not"):
+        load_model(tmp_path / "robot.urdf")
+    (tmp_path / "robot.urdf").write_text(four_bar_urdf(BALL.replace('name="rocker_link"', "")))
+    with pytest.raises(ModelError, match="does not name its two bodies"):
+        load_model(tmp_path / "robot.urdf")
+
+
 def test_the_joint_with_a_motor_leads(tmp_path):
     (tmp_path / "robot.sdf").write_text(four_bar_sdf(limits={"pin": 5.0}))
     model = load_model(tmp_path / "robot.sdf")

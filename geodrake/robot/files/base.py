@@ -9,7 +9,9 @@ from typing import ClassVar
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+from pydrake.math import RigidTransform
 
+from geodrake.errors import ModelError
 from geodrake.inertia import Array, is_physical
 from geodrake.robot.closure import Closure
 from geodrake.robot.files.checks import (
@@ -24,7 +26,8 @@ from geodrake.robot.files.xml_text import numbered_text, place_of
 from geodrake.robot.followers import Follower
 from geodrake.robot.transmission.statements import Followers, Statement
 
-_LOOPS = ("ball_constraint", "linear_bushing_rpy", "distance_constraint", "weld_constraint")
+_BALL = "drake:ball_constraint"
+_LOOPS = ("linear_bushing_rpy", "distance_constraint", "weld_constraint")
 
 
 class ModelText(abc.ABC):
@@ -137,6 +140,32 @@ class ModelText(abc.ABC):
     def text(self) -> tuple[str, list[str]]:
         """The simplified description, and for each of its lines where that is in the file."""
         return numbered_text(self.root)
+
+    def _take_balls(self, scope: str, model: Element) -> None:
+        """Take Drake's constraints of points that are one, which close loops, out of a model.
+
+        Raises:
+            ModelError: One does not name its bodies.
+        """
+        for ball in model.findall(_BALL):
+            model.remove(ball)
+
+            def stated(key: str, ball: Element = ball) -> str:
+                found = ball.find(f"{_BALL}_{key}")
+                words = "" if found is None else found.get("name") or found.get("value")
+                return (words or (found.text if found is not None else "") or "").strip()
+
+            first, second = stated("body_A"), stated("body_B")
+            bodies = f"{scope}::{first}", f"{scope}::{second}"
+            if not first or not second:
+                raise ModelError(
+                    f"{place_of(ball) or self.path}: <{_BALL}> does not name its two bodies.",
+                    advice="Correct the file there.",
+                    path=self.path,
+                )
+            points = [RigidTransform(numbers(stated(key), 3)) for key in ("p_AP", "p_BQ")]
+            name = f"<{_BALL}> of {first} and {second}"
+            self.closures.append(Closure(name, bodies, (points[0], points[1]), False))
 
     def _drop_loops(self) -> None:
         tags = {f"{prefix}{tag}" for tag in _LOOPS for prefix in ("drake:", "")}
