@@ -60,7 +60,7 @@ def holding(
         plant=loaded.plant,
         held=loaded.held,
         followers=loaded.followers,
-        transmission=drives,
+        transmission=(*drives, *(loop.drive for loop in loaded.loops if loop.map.actuators)),
     )
     lumping = _Lumping.of(model, bare)
     kept, lost = lumping.effects(model)
@@ -124,6 +124,13 @@ def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
                 advice=f"Hold {model.led[joint][0]!r}.",
                 joint=joint,
             )
+        for drive in model.transmission:
+            if joint in drive.joints and joint in model.joints_behind:
+                raise ModelError(
+                    f"Joint {joint!r} cannot be held, as it follows {', '.join(drive.actuators)}.",
+                    advice=f"Hold {', '.join(drive.actuators)}.",
+                    joint=joint,
+                )
         if joint not in model.joints:
             raise ModelError(
                 f"The model has no joint {joint!r} to be held.",
@@ -143,6 +150,8 @@ def _at_joints(
     places, stay = dict(held), []
     for drive in model.transmission:
         own = [name for name in drive.actuators if name in held]
+        if drive.is_loop:  # which is made anew
+            continue
         if not own:
             stay.append(drive)
             continue
@@ -214,7 +223,8 @@ class _Lumping:
                     payloads[carrier] = payloads.get(carrier, 0.0) + change
                 continue
             bodies = (*self.after.bodies, "world")
-            places = bodies if "bod" in fitted.effect.places else self.after.joints
+            joints = (*self.after.joints, *self.after.joints_behind)
+            places = bodies if "bod" in fitted.effect.places else joints
             if set(places).issuperset(fitted.effect.where):
                 kept.append((fitted, rows))
             elif "bod" in fitted.effect.places or not held.issuperset(fitted.effect.where):

@@ -68,6 +68,7 @@ from geodrake.robot.transmission.limits import (
     actuator_positions_between,
     actuator_rates,
 )
+from geodrake.robot.transmission.loop import LoopTransmission
 
 Array = NDArray[np.float64]
 
@@ -170,6 +171,11 @@ class RobotModel(Short):
     def joints(self) -> tuple[str, ...]:
         """Names of the nv velocities: the joints', or those of the actuators in their place."""
         return self.tree_joints if self.actuation is None else self.actuation.names
+
+    @cached_property
+    def joints_behind(self) -> tuple[str, ...]:
+        """Return names of joints in loops or behind the transmission, which effects may act at."""
+        return () if self.actuation is None else tuple(self.actuation.behind)
 
     def plant_positions(self, q: Array) -> Array:
         """(N, nq of the plant) positions, of those of the model (N, nq)."""
@@ -497,7 +503,14 @@ class RobotModel(Short):
     def sliding_joints(self) -> tuple[str, ...]:
         """Names of the prismatic joints, whose positions are in m and efforts in N."""
         starts = self.single_places[0]
-        return tuple(self.joints[i] for i in starts if self._types[i] == "prismatic")
+        own = tuple(self.joints[i] for i in starts if self._types[i] == "prismatic")
+        if not self.joints_behind:
+            return own
+        names, slides = joint_names(self.plant), moving_joints(self.plant)
+        at = (int(j.velocity_start()) for j in slides if j.type_name() == "prismatic")
+        loops = (d.map for d in self.transmission if isinstance(d.map, LoopTransmission))
+        closing = (loop.joints[k] for loop in loops for k in loop.cut if loop.slides[k])
+        return (*own, *(names[k] for k in at if names[k] in self.joints_behind), *closing)
 
     @property
     def scoped_joints(self) -> tuple[str, ...]:
@@ -705,7 +718,16 @@ def from_loaded_plant(
     Raises:
         ModelError: The transmission does not fit.
     """
-    drives = instances(transmission, "transmission", Drive)
+    drives = tuple(d for d in instances(transmission, "transmission", Drive) if not d.is_loop)
+    loops = tuple(loop.drive for loop in loaded.loops if loop.map.actuators)
+    for loop in loops:
+        if both := {joint for drive in drives for joint in drive.joints}.intersection(loop.joints):
+            raise ModelError(
+                f"The transmission moves {', '.join(sorted(both))}, which a closed loop of "
+                f"{loaded.path.name} moves, too: {', '.join(loop.joints)}.",
+                advice="Let logs have the joints of the loop, and leave this part of the "
+                "transmission out.",
+            )
     bent, apart = _bent_drives(loaded, drives)
     drives, notes = (*drives, *bent), list[str]()
     left_out = (*loaded.left_out, *apart)
@@ -717,7 +739,7 @@ def from_loaded_plant(
         held=loaded.held,
         given=loaded.given,
         followers=loaded.followers,
-        transmission=drives,
+        transmission=(*drives, *loops),
         known_joints=loaded.joints,
     )
     stated = stated_effects(loaded, bare.tree_joints, bare.joints, bare.actuation)

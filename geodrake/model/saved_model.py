@@ -178,7 +178,7 @@ def load_model(
     drives, notes = _transmission(path, transmission, given)
     notes = [*origin, *notes]
     model = load_description(path, floating=floating, given=given, transmission=drives)
-    if lock and not model.transmission:
+    if lock and all(drive.is_loop for drive in model.transmission):
         model = load_description(path, floating=floating, held=lock, given=given)
         return replace(model, notes=(*model.notes, *notes, *held_notes(model.held)))
     return holding(replace(model, notes=(*model.notes, *notes)), lock or {})
@@ -246,6 +246,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
     """
     base = existing_base(instance(model, "model", RobotModel).path)
     folder = Path(path).resolve().parent
+    own = [drive for drive in model.transmission if not drive.is_loop]
     saved = SavedModel(
         base_model=os.path.relpath(base, folder),
         base_absolute=str(base),
@@ -257,7 +258,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
         packages={
             name: os.path.relpath(place, folder) for name, place in model.given.packages.items()
         },
-        transmission=stated_of(model.transmission) if model.transmission else None,
+        transmission=stated_of(own) if own else None,
         inertial_parameters={
             b: phi.tolist() for b, phi in zip(model.bodies, model.phi, strict=True)
         },
@@ -467,7 +468,8 @@ def _fitted_effect(
     model: RobotModel, saved: SavedEffect, extra: Sequence[type[Effect]]
 ) -> FittedEffect:
     effect = make_effect(saved.name, saved.where, saved.shape, extra)
-    places = model.bodies if "bod" in effect.places else model.joints
+    joints = (*model.joints, *model.joints_behind)
+    places = model.bodies if "bod" in effect.places else joints
     places = (*places, "world") if effect.places == "body_pair" else places
     for place in saved.where:
         if place not in places:

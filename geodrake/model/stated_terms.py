@@ -1,10 +1,10 @@
 """What a model file states of joints, tendons, weights and a medium, as effects of a model.
 
 Files state joints' terms at joints; effects act at actuators. Where one actuator moves a joint by a
-constant ratio J, damping, rotor inertia and stiffness are J² there, and dry friction |J|. A joint
-that several move is to them what a tendon Σ cᵢ qᵢ is to joints: its energy ½ k (Σ cᵢ qᵢ − L₀)² is
-that of a spring at each, and of a coupling of each two; damping and inertia likewise. Where a ratio
-changes, no effect at an actuator is the same: the term is left out, which is said.
+constant ratio J, damping, rotor inertia and stiffness are J² there, and dry friction |J|. Where
+several do, or the ratio changes, as in a closed loop, the effect stays at the joint, τ_q = Jᵀ τ_θ.
+A tendon's energy ½ k (Σ cᵢ qᵢ − L₀)² is that of a spring at each joint, and of a coupling of each
+two; damping and inertia likewise. Tendons are followed through ratios that are constant.
 """
 
 from __future__ import annotations
@@ -90,44 +90,43 @@ def stated_effects(
         actuation: How the former follow from the latter; None if they are the same.
     """
     found = StatedEffects()
-    at_joints = {what: np.array(values) for what, values in loaded.stated.items()}
+    places = _Places(joints, names, actuation, loaded.closing)
+    values = {
+        what: places.of(own, what, _WEIGHTS.get(what, np.square))
+        for what, own in loaded.stated.items()
+    }
     rows, shifts = _rows(actuation, len(joints))
-    shared = _shared(rows, at_joints, loaded.file_springs, joints)
-    values = {}
-    for what, own in at_joints.items():
-        values[what], lost = _at_actuators(own, actuation, _WEIGHTS.get(what, np.square))
-        found.left_out += (f"The {what} in the file of {joints[at]} {_BEHIND}" for at in lost)
-    own_springs = {k: s for k, s in loaded.file_springs.items() if k not in shared.springs}
-    springs = _springs_through(own_springs, rows, shifts)
-    lost = [at for at in own_springs if len(rows.get(at, {})) != 1]
-    found.left_out += (f"The spring in the file of {joints[at]} {_BEHIND}" for at in lost)
-    tendons = list(shared.tendons)
-    for tendon in loaded.file_tendons:
-        if rows.keys() >= tendon.shares.keys():
-            tendons.append(tendon)
-        else:
-            found.left_out.append(f"The tendon {tendon.name} in the file {_BEHIND}")
-    entries = [*shared.inertias, *((i, j, x) for (i, j), x in loaded.file_inertias.items())]
+    springs = dict[str, stated.Spring]()
+    for at, spring in loaded.file_springs.items():
+        ((to, ratio),) = row.items() if len(row := rows.get(at, {})) == 1 else ((-1, 1.0),)
+        own = spring if to < 0 else spring.through(ratio, shifts.get(at, 0.0))
+        _add(springs, joints[at] if to < 0 else names[to], own)
+    for joint, of_loop in loaded.closing.items():
+        _add(springs, joint, stated.Spring.linear(of_loop.get("spring", 0.0), of_loop["rest"]))
+    tendons = [each for each in loaded.file_tendons if rows.keys() >= each.shares.keys()]
+    found.left_out += (
+        f"The tendon {tendon.name} in the file {_BEHIND}"
+        for tendon in loaded.file_tendons
+        if tendon not in tendons
+    )
+    entries = ((i, j, x) for (i, j), x in loaded.file_inertias.items())
     inertias = stated.entries_through(entries, rows)
-    for at in range(len(names)):
-        values[_ROTOR][at] += inertias.pop((at, at), 0.0)
+    for at, name in enumerate(names):
+        values[_ROTOR][name] = values[_ROTOR].get(name, 0.0) + inertias.pop((at, at), 0.0)
     own_tendons = [each.through(rows, shifts) for each in tendons]
     across = _across(own_tendons, values, springs, inertias, names)
     for kind in catalogue():
         if kind.stated_as in values:
-            own = _without_negligible(values[kind.stated_as], kind.stated_as, names, found.notes)
-            single = zip(names, own.tolist(), strict=True)
+            single = _without_negligible(values[kind.stated_as], kind.stated_as, found.notes)
             found.keep(
                 kind.stated_as,
-                [(n, each, [x]) for n, x in single if x for each in kind.shaped(n)],
+                [(n, each, [x]) for n, x in single.items() for each in kind.shaped(n)],
             )
-    for exponent, own in zip((2.0, 3.0), loaded.file_powers, strict=True):
+    for exponent, of_power in zip((2.0, 3.0), loaded.file_powers, strict=True):
         what = f"damping of the power {exponent:g}"
-        powers, lost = _at_actuators(own, actuation, partial(_power, exponent=exponent + 1.0))
-        found.left_out += (f"The {what} in the file of {joints[at]} {_BEHIND}" for at in lost)
-        single = zip(names, powers.tolist(), strict=True)
-        found.keep(what, [(n, Drag(n, exponent=exponent), [x]) for n, x in single if x])
-    _keep_springs(springs, names, found)
+        single = places.of(of_power, what, partial(_power, exponent=exponent + 1.0))
+        found.keep(what, [(n, Drag(n, exponent=exponent), [x]) for n, x in single.items() if x])
+    _keep_springs(springs, found)
     for what, placed in across.kept.items():
         found.keep(what, placed)
     found.left_out += across.lost
@@ -145,76 +144,47 @@ def stated_effects(
     return found
 
 
-def _springs_through(
-    springs: Mapping[int, stated.Spring],
-    rows: Mapping[int, Mapping[int, float]],
-    shifts: Mapping[int, float],
-) -> dict[int, stated.Spring]:
-    """Return springs at the actuators that alone move their joints by a constant ratio."""
-    found = dict[int, stated.Spring]()
-    for at, spring in springs.items():
-        row = rows.get(at, {})
-        for to, ratio in row.items() if len(row) == 1 else ():
-            _add(found, to, spring.through(ratio, shifts.get(at, 0.0)))
-    return found
+@dataclass(frozen=True)
+class _Places:
+    """Where what is stated of the tree's joints acts in the model.
+
+    Attributes:
+        joints: Names of the velocities of the tree.
+        names: Names of the model's velocities.
+        actuation: How the former follow from the latter.
+        closing: Joint that closes a loop -> what is stated of it.
+    """
+
+    joints: Sequence[str]
+    names: Sequence[str]
+    actuation: Actuation | None
+    closing: Mapping[str, Mapping[str, float]]
+
+    def of(self, own: Array, what: str, weight: Callable[[Array], Array]) -> dict[str, float]:
+        """Return actuator or joint -> its coefficient, of those (nv of the tree,) of the joints."""
+        values, lost = own, list[int]()
+        if self.actuation is not None:
+            values, lost = self.actuation.joined(own, weight)
+        found = dict(zip(self.names, values.tolist(), strict=True))
+        for at in lost:
+            found[self.joints[at]] = found.get(self.joints[at], 0.0) + float(own[at])
+        return found | {joint: each.get(what, 0.0) for joint, each in self.closing.items()}
 
 
-def _keep_springs(
-    springs: Mapping[int, stated.Spring], names: Sequence[str], found: StatedEffects
-) -> None:
-    own_springs = [(names[at], spring) for at, spring in sorted(springs.items())]
-    simple = [(n, s) for n, s in own_springs if _is_simple(s) and any(s.coefficients)]
+def _keep_springs(springs: Mapping[str, stated.Spring], found: StatedEffects) -> None:
+    simple = [(n, s) for n, s in springs.items() if _is_simple(s) and any(s.coefficients)]
     placed = [(n, Spring(n, center=s.center), s.coefficients[1::-1]) for n, s in simple]
     found.keep("spring", placed)
     others = [
-        (n, Polynomial(n, s.center), s.coefficients) for n, s in own_springs if not _is_simple(s)
+        (n, Polynomial(n, s.center), s.coefficients)
+        for n, s in springs.items()
+        if not _is_simple(s)
     ]
     found.keep("spring", others)
 
 
-@dataclass(frozen=True)
-class _Shared:
-    """What joints that several actuators move have, as tendons over those; and whose springs."""
-
-    tendons: list[stated.Tendon]
-    inertias: list[tuple[int, int, float]]
-    springs: set[int]
-
-
-def _shared(
-    rows: Mapping[int, Mapping[int, float]],
-    values: Mapping[str, Array],
-    springs: Mapping[int, stated.Spring],
-    joints: Sequence[str],
-) -> _Shared:
-    """Return what is linear at joints that several actuators move by constant ratios.
-
-    Args:
-        rows: Velocity of the tree -> actuator -> ratio.
-        values: What in the file -> values (nv of the tree,); those that are taken become zero.
-        springs: Velocity of the tree -> spring.
-        joints: Names of the tree's velocities.
-    """
-    found = _Shared([], [], set())
-    for at in (at for at, row in rows.items() if len(row) > 1):
-        taken = {what: float(own[at]) for what, own in values.items()}
-        for own in values.values():
-            own[at] = 0.0
-        preload, stiffness, rest = 0.0, 0.0, 0.0
-        if at in springs and _is_simple(springs[at]) and springs[at].coefficients[1]:
-            found.springs.add(at)
-            preload, stiffness, *_ = springs[at].coefficients
-            rest = springs[at].center - preload / stiffness
-        if stiffness or taken[_DAMPING] or taken[_FRICTION]:
-            numbers = stiffness, rest, taken[_DAMPING], taken[_FRICTION]
-            found.tendons.append(stated.Tendon(joints[at], {at: 1.0}, *numbers))
-        if taken[_ROTOR]:
-            found.inertias.append((at, at, taken[_ROTOR]))
-    return found
-
-
-def _add(springs: dict[int, stated.Spring], at: int, spring: stated.Spring) -> None:
-    springs[at] = springs[at] + spring if at in springs else spring
+def _add(springs: dict[str, stated.Spring], name: str, spring: stated.Spring) -> None:
+    springs[name] = springs[name] + spring if name in springs else spring
 
 
 def _is_simple(spring: stated.Spring) -> bool:
@@ -254,8 +224,8 @@ class _Across:
 
 def _across(
     tendons: Sequence[stated.Tendon],
-    values: Mapping[str, Array],
-    springs: dict[int, stated.Spring],
+    values: Mapping[str, dict[str, float]],
+    springs: dict[str, stated.Spring],
     inertias: stated.Entries,
     names: Sequence[str],
 ) -> _Across:
@@ -263,8 +233,8 @@ def _across(
 
     Args:
         tendons: By velocities of the model.
-        values: What in the file -> (nv,) values; changed.
-        springs: Velocity -> spring; changed.
+        values: What in the file -> joint or actuator -> value; changed.
+        springs: Joint or actuator -> spring; changed.
         inertias: What tendons are in the mass matrix between two joints.
         names: Names of the velocities.
     """
@@ -275,15 +245,15 @@ def _across(
         shares = {at: share for at, share in sorted(tendon.shares.items()) if share}
         k, length = tendon.stiffness, tendon.length
         for at, share in shares.items():
-            values[_DAMPING][at] += share**2 * tendon.damping
+            values[_DAMPING][names[at]] += share**2 * tendon.damping
             if k:
-                _add(springs, at, stated.Spring.linear(share**2 * k, length / share))
+                _add(springs, names[at], stated.Spring.linear(share**2 * k, length / share))
         for pair in combinations(shares, 2):
             both = shares[pair[0]] * shares[pair[1]]
             couplings[pair] += (both * k, both * tendon.damping)
         sizes = {abs(share) for share in shares.values()}
         if tendon.friction and len(shares) == 1:
-            values[_FRICTION][next(iter(shares))] += next(iter(sizes)) * tendon.friction
+            values[_FRICTION][names[next(iter(shares))]] += next(iter(sizes)) * tendon.friction
         elif tendon.friction and len(shares) == 2 and len(sizes) == 1:
             (i, first), (j, second) = shares.items()
             rubs[i, j, 1 if first == second else -1] += abs(first) * tendon.friction
@@ -314,17 +284,12 @@ def _power(J: Array, exponent: float) -> Array:
     return np.abs(J) ** exponent
 
 
-def _without_negligible(values: Array, what: str, names: Sequence[str], notes: list[str]) -> Array:
-    """Return values with zeros for negligible ones, which a note tells."""
-    small = (values != 0.0) & (np.abs(values) < _LEAST)
-    if small.any():
-        pairs = zip(names, values, small, strict=True)
-        listed = ", ".join(f"{name} {value:g}" for name, value, is_small in pairs if is_small)
+def _without_negligible(
+    values: Mapping[str, float], what: str, notes: list[str]
+) -> dict[str, float]:
+    """Return values without zeros and negligible ones, which a note tells."""
+    small = {name: value for name, value in values.items() if 0.0 < abs(value) < _LEAST}
+    if small:
+        listed = ", ".join(f"{name} {value:g}" for name, value in small.items())
         notes.append(f"The {what} in the file ({listed}) is negligible, and counts as 0.")
-    return np.where(small, 0.0, values)
-
-
-def _at_actuators(
-    values: Array, actuation: Actuation | None, weight: Callable[[Array], Array]
-) -> tuple[Array, list[int]]:
-    return (values, []) if actuation is None else actuation.joined(values, weight)
+    return {name: value for name, value in values.items() if value and name not in small}

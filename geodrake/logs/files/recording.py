@@ -95,9 +95,11 @@ class Recording:
         time, notes = self._seconds(self.time[:rows])
         kept, torn = self.torn.settle(time)
         values = {quantity: numbers[:rows] for quantity, numbers in self.values.items()}
+        passive = {joint: numbers[:rows] for joint, numbers in self._standing.items()}
         if kept is not None:
             time = time[kept]
             values = {quantity: numbers[kept] for quantity, numbers in values.items()}
+            passive = {joint: numbers[kept] for joint, numbers in passive.items()}
         return JointLog(
             path.stem,
             self.columns.joints,
@@ -109,6 +111,7 @@ class Recording:
             (*self.columns.notes, *notes, *torn),
             effort_uncertainty=self.columns.reading.effort_uncertainty(self.columns.joints),
             standing={joint: self._place(joint, rows) for joint in self._standing},
+            passive=passive,
             command=values.get("command"),
             effort_kinds=self.columns.kinds,
             temperature=values.get("temperature"),

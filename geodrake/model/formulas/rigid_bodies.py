@@ -38,7 +38,8 @@ def joint_formulas(tree: RobotTree, q: Formulas) -> Formulas:
     actuation = tree.actuation
     if actuation.constant is None:
         raise ModelError(
-            "Source code cannot have a transmission whose ratios change with the position.",
+            "Source code cannot have a closed loop, or a transmission whose ratios change with the "
+            "position.",
             advice="Write the formula of the joints, and map it in your own code.",
         )
     whole = Symbols.of(np.zeros(actuation.sizes[0]))
@@ -194,6 +195,15 @@ def _phis(tree: KinematicTree, phi: Array) -> list[Array]:
 @dataclass(frozen=True, eq=False)
 class BodyFormulas(RobotBodies):
     """The bodies of a robot in one configuration of symbols; `q` is (1, nq)."""
+
+    def tree_samples(self, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
+        """Positions, velocities and accelerations (1, ·) of the joints of the tree, and J."""
+        theta = joint_formulas(self.tree, Symbols.of(self.q)[0])
+        J = np.eye(v.shape[1])
+        if isinstance(self.tree, DrivenTree):
+            J = self.tree.actuation.jacobian(np.zeros(self.q.shape))[0]
+        rates, accelerations = (Symbols.of([J @ x[0]]) for x in (v, vd))
+        return theta[None], rates, accelerations, J[None]
 
     @cached_property
     def _motions(self) -> dict[str, BodyMotion]:

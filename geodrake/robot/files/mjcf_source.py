@@ -22,6 +22,7 @@ import numpy as np
 from geodrake.boundary.input_files import read_regular
 from geodrake.errors import ModelError
 from geodrake.robot.files.includes import Includes
+from geodrake.robot.files.mjcf_balls import split_balls
 from geodrake.robot.files.values import drop
 from geodrake.robot.files.xml_text import (
     LARGEST_FILE,
@@ -95,6 +96,7 @@ class CompiledMjcf:
         touching: Names of bodies of whose meshes that are not there some touch others.
         plugins: Places of plugins, which are left out.
         said: What MuJoCo warned of.
+        split: Sentences on ball joints of closed loops, which are three hinges.
     """
 
     model: Any
@@ -104,6 +106,7 @@ class CompiledMjcf:
     touching: tuple[str, ...] = ()
     plugins: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
+    split: tuple[str, ...] = ()
 
 
 def compiled(root: Element, path: Path, mujoco: ModuleType, *, geoms: bool = False) -> CompiledMjcf:
@@ -173,6 +176,9 @@ class _Compiler:
             _name_joints(spec)
             absent = self._take_meshes(spec)
             model = spec.compile()
+            free = unused({joint.name for joint in spec.joints})
+            if split := split_balls(spec, model, self.mujoco, free):
+                model = spec.compile()
         self._check_finite(model)
         return CompiledMjcf(
             model,
@@ -182,6 +188,7 @@ class _Compiler:
             tuple(absent.touching),
             tuple(self.plugins),
             tuple(said),
+            split,
         )
 
     def _prepare(self, root: Element, path: Path, prefix: str, chain: tuple[Path, ...]) -> Sizes:

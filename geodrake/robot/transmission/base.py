@@ -55,6 +55,15 @@ class Transmission(abc.ABC):
         far = self.jacobian(q + 2 * step) - self.jacobian(q - 2 * step)
         return (8 * near - far) / (12 * _STEP) * speed[:, :, None]
 
+    def along(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
+        """θ (N, k), J and J̇ (N, k, n) along a motion of the actuators.
+
+        Args:
+            q: (N, n) actuator coordinates.
+            v: (N, n) their velocities.
+        """
+        return self.joint_positions(q), self.jacobian(q), self.jacobian_rate(q, v)
+
     @property
     def constant_jacobian(self) -> Array | None:
         """J (k, n) where it is the same everywhere; None where it depends on q."""

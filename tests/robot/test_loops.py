@@ -1,0 +1,494 @@
+"""Closed loops against MuJoCo's constrained dynamics, and against differences of positions."""
+
+import time
+
+import numpy as np
+import pytest
+from closed_loops import (
+    BARS,
+    CONNECT,
+    Constrained,
+    dynamics,
+    four_bar,
+    four_bar_sdf,
+    gripper,
+    leg,
+    sdf,
+)
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from geodrake import load_model, save_model
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.logs import Motion
+from geodrake.model import holding
+from geodrake.model.dynamics_check import check_dynamics
+
+mujoco = pytest.importorskip("mujoco")
+
+COUPLER, ROCKER = 'diaginertia=".003 .004 .0025"/>', 'diaginertia=".005 .004 .0035"/>'
+
+
+def welded():
+    """The same four-bar, closed by a further link that is welded to the rocker."""
+    text = four_bar('<weld body1="link" body2="rocker"/>')
+    link = '<body name="link" pos=".25 0 .1"><joint name="end" axis="0 1 0"/>'
+    inertial = '<inertial mass=".2" pos=".01 0 0" diaginertia="1e-4 1e-4 1e-4"/></body>'
+    return text.replace(
+        'diaginertia=".003 .004 .0025"/>', f'diaginertia=".003 .004 .0025"/>{link}{inertial}'
+    )
+
+
+def by_sites():
+    site = '<site name="{}" pos="{}" euler="1 2 3"/>'
+    text = four_bar('<connect site1="p" site2="q"/>')
+    text = text.replace(COUPLER, COUPLER + site.format("p", ".25 0 .1"))
+    return text.replace(ROCKER, ROCKER + site.format("q", ".05 0 .2"))
+
+
+ROBOTS = {
+    "a four-bar": (four_bar(), "crank"),
+    "closed by a weld": (welded(), "crank"),
+    "closed at sites": (by_sites(), "crank"),
+    "driven at the rocker": (four_bar(motors="rocker"), "rocker"),
+    "a parallel gripper": (gripper(), "arm left"),
+    "fingers that follow by a polynomial": (gripper("0 -1 .3 .1 0"), "arm left"),
+}
+
+
+def load(folder, text, **options):
+    path = folder / "robot.xml"
+    path.write_text(text)
+    return load_model(path, **options)
+
+
+def states(model, count=6, seed=0, spread=0.6):
+    rng, nv = np.random.default_rng(seed), len(model.joints)
+    lower, upper = (np.clip(ends, -spread, spread) for ends in model.position_limits)
+    return rng.uniform(lower, upper, (count, nv)), *rng.uniform(-2, 2, (2, count, nv))
+
+
+def in_mujoco(model, constrained, q):
+    """Positions in MuJoCo's order of a posture (nq,) of the model, whose joints have its names."""
+    qpos, places = np.array(constrained.m.qpos0), model.plant_positions(q[None])[0]
+    for index in model.plant.GetJointIndices():
+        joint = model.plant.get_joint(index)
+        if joint.num_positions() == 1:
+            at = constrained.m.joint(joint.name()).qposadr[0]
+            qpos[at] = places[joint.position_start()]
+    return qpos
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_efforts_are_those_of_mujoco_through_its_own_constraints(tmp_path, name):
+    text, free = ROBOTS[name]
+    model, constrained = load(tmp_path, text), Constrained.of(mujoco, text, free.split())
+    assert model.joints == tuple(free.split()) and not model.left_out
+    for q, v, vd in zip(*states(model), strict=True):
+        ours = in_mujoco(model, constrained, q)
+        qpos, G = constrained.closed(ours)
+        assert np.abs(qpos - ours).max() < 1e-10
+        qacc = G @ vd + constrained.bias(qpos, G, v)
+        expected = G.T @ constrained.inverse(qpos, G @ v, qacc)
+        found = model.effort(Motion(q[None], v[None], vd[None]))[0]
+        assert np.abs(found - expected).max() <= 1e-6 * np.abs(expected).max()
+
+
+def rod_motion(angles, rates, accelerations, axes):
+    """Quaternion, ω and α of a body in itself, turned about three of its axes in turn."""
+    R, w, wd = np.eye(3), np.zeros(3), np.zeros(3)
+    for axis, angle, rate, acceleration in zip(axes, angles, rates, accelerations, strict=True):
+        K = np.cross(np.eye(3), axis)
+        turn = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+        R, w, wd = R @ turn, turn.T @ w, turn.T @ wd
+        wd, w = wd + acceleration * axis + np.cross(w, rate * axis), w + rate * axis
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, R.ravel())
+    return quaternion, w, wd
+
+
+def test_a_leg_with_a_rod_between_balls_is_mujocos(tmp_path):
+    model = load(tmp_path, leg())
+    constrained = Constrained.of(mujoco, leg(), ())
+    m = constrained.m
+    free = ("hip", "knee", "shin", "heel", "crank", "rod_spin")
+    assert set(model.joints) == set(free)
+    assert any("rod_1, rod_2, rod_spin" in note for note in model.notes)
+    axis = np.array([0.31, -0.02, -0.41]) / np.linalg.norm([0.31, -0.02, -0.41])
+    names = [j.name() for j in (model.plant.get_joint(i) for i in model.plant.GetJointIndices())]
+    axes = [
+        model.plant.GetJointByName(name).revolute_axis() for name in ("rod_1", "rod_2", "rod_spin")
+    ]
+    assert np.allclose(axes[2], axis) and len(names) == len(set(names))
+    ball, dof = m.joint("rod").qposadr[0], m.joint("rod").dofadr[0]
+    for q, v, vd in zip(*states(model, spread=0.15), strict=True):
+        theta, rates, acc, J = model.actuation.tree_samples(q[None], v[None], vd[None])
+        at = {name: k for k, name in enumerate(model.tree_joints)}
+        qpos, qvel, qacc = np.array(m.qpos0), np.zeros(m.nv), np.zeros(m.nv)
+        for name, k in at.items():
+            if not name.startswith("rod"):
+                own = m.joint(name)
+                qpos[own.qposadr[0]] = theta[0, k]
+                qvel[own.dofadr[0]], qacc[own.dofadr[0]] = rates[0, k], acc[0, k]
+        three = [at[name] for name in ("rod_1", "rod_2", "rod_spin")]
+        turned = [x[0, three] for x in (theta, rates, acc)]
+        qpos[ball : ball + 4], qvel[dof : dof + 3], qacc[dof : dof + 3] = rod_motion(*turned, axes)
+        data = mujoco.MjData(m)
+        data.qpos[:] = qpos
+        rows, misses = constrained.equations(data)
+        assert np.abs(misses).max() < 1e-12
+        assert np.abs(rows @ qvel).max() < 1e-11
+        near = []
+        for sign in (1.0, -1.0):
+            data.qpos[:] = qpos
+            mujoco.mj_integratePos(m, data.qpos, qvel, sign * 1e-5)
+            near.append(constrained.equations(data)[0] @ qvel)
+        assert np.abs(rows @ qacc + (near[0] - near[1]) / 2e-5).max() < 1e-7
+        effort = constrained.inverse(qpos, qvel, qacc)
+        # Along a motion that the constraints allow, the efforts do the same work.
+        expected = []
+        for k in range(len(model.joints)):
+            own = np.zeros(m.nv)
+            for name, row in at.items():
+                if not name.startswith("rod"):
+                    own[m.joint(name).dofadr[0]] = J[0, row, k]
+            own[dof : dof + 3] = rod_motion(turned[0], J[0, three, k], np.zeros(3), axes)[1]
+            assert np.abs(rows @ own).max() < 1e-11
+            expected.append(effort @ own)
+        found = model.effort(Motion(q[None], v[None], vd[None]))[0]
+        assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("name", ["a four-bar", "fingers that follow by a polynomial"])
+def test_g_and_its_rate_are_derivatives_of_the_positions(tmp_path, name):
+    model = load(tmp_path, ROBOTS[name][0])
+    (drive,) = model.transmission
+    n, h = drive.map.num_actuators, 1e-5
+    q = np.random.default_rng(0).uniform(-0.5, 0.5, (5, n))
+    v = np.random.default_rng(1).uniform(-1, 1, (5, n))
+    theta, J, rate = drive.map.along(q, v)
+    np.testing.assert_array_equal(theta, drive.map.joint_positions(q))
+    for k in range(n):
+        step = h * np.eye(n)[k]
+        slopes = drive.map.joint_positions(q + step) - drive.map.joint_positions(q - step)
+        np.testing.assert_allclose(J[:, :, k], slopes / (2 * h), atol=1e-9)
+    near = drive.map.jacobian(q + h * v) - drive.map.jacobian(q - h * v)
+    np.testing.assert_allclose(rate, near / (2 * h), atol=1e-8)
+
+
+def test_ten_thousand_samples_take_a_moment(tmp_path):
+    model = load(tmp_path, four_bar())
+    q = np.sin(np.linspace(0, 40, 10_000))[:, None]
+    motion = Motion(q, np.cos(q), np.zeros_like(q))
+    model.effort(motion)
+    began = time.perf_counter()
+    model.effort(motion)
+    assert time.perf_counter() - began < 0.5  # 0.03 s here
+
+
+def test_a_loop_keeps_its_branch_whatever_the_order_of_samples(tmp_path):
+    model = load(tmp_path, four_bar())
+    (drive,) = model.transmission
+    q = np.linspace(-6.0, 6.0, 301)[:, None]  # the crank goes around
+    theta = drive.map.joint_positions(q)
+    assert np.abs(np.diff(theta, axis=0)).max() < 0.2
+    order = np.random.default_rng(0).permutation(len(q))
+    np.testing.assert_allclose(drive.map.joint_positions(q[order]), theta[order], atol=1e-12)
+    again = drive.map.joint_positions(q + 2.0 * np.pi)
+    turns = (again - drive.map.joint_positions(q)) / (2.0 * np.pi)
+    np.testing.assert_allclose(turns, np.broadcast_to(np.round(turns[0]), turns.shape), atol=1e-9)
+
+
+def test_a_loop_that_reaches_its_end_says_where(tmp_path):
+    model = load(tmp_path, four_bar().replace('pos="0.3 0 -0.1"', 'pos="0.42 0 0"'))
+    (drive,) = model.transmission
+    (low,), (high,) = drive.limits
+    assert np.isfinite([low, high]).all() and low < 0.0 < high
+    at_end = drive.map.jacobian(np.array([[low], [high]]))
+    assert np.abs(at_end).max() > 3.0  # near a dead point
+    with pytest.raises(ArgumentError, match=r"does not close at crank = .*it ends at crank ="):
+        drive.map.joint_positions(np.array([[high + 0.1]]))
+    assert (drive.map.inside(np.array([[9.0]])) <= high + 1e-6).all()
+    assert model.position_limits[1][0] == pytest.approx(high, abs=1e-2)
+    assert check_dynamics(model).holds
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_forward_dynamics_are_those_with_mujocos_constraint_forces(tmp_path, name):
+    text, free = ROBOTS[name]
+    model, constrained = load(tmp_path, text), Constrained.of(mujoco, text, free.split())
+    driving = model.driving(np.full(len(model.joints), 1e-9))
+    for q, v, effort in zip(*states(model, 3), strict=True):
+        qpos, G = constrained.closed(in_mujoco(model, constrained, q))
+        applied = np.zeros(constrained.m.nv)
+        applied[constrained.free] = effort
+        expected = constrained.acceleration(qpos, G @ v, applied)[constrained.free]
+        found = driving.acceleration(q, v, effort, 0.0)
+        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+def test_a_simulation_goes_with_mujocos(tmp_path):
+    model = load(tmp_path, four_bar())
+    builder = DiagramBuilder()
+    robot = model.add_to_builder(builder)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    context = simulator.get_mutable_context()
+    robot.effort.FixValue(robot.effort.get_system().GetMyContextFromRoot(context), [0.2])
+    simulator.AdvanceTo(0.5)
+    m = mujoco.MjModel.from_xml_string(four_bar())
+    m.opt.timestep, m.opt.integrator = 1e-5, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    m.eq_solref[:], m.eq_solimp[:] = [1e-4, 1], [0.9999, 0.9999, 0.001, 0.5, 2]
+    data = mujoco.MjData(m)
+    data.ctrl[0] = 0.2
+    for _ in range(50_000):
+        mujoco.mj_step(m, data)
+    state = robot.state.Eval(robot.state.get_system().GetMyContextFromRoot(context))
+    crank = data.joint("crank")
+    assert abs(crank.qpos[0]) > 0.1
+    np.testing.assert_allclose(state, [crank.qpos[0], crank.qvel[0]], rtol=1e-3, atol=1e-4)
+
+
+def test_check_holds_and_sees_a_loop_that_is_not_mujocos(tmp_path, monkeypatch):
+    found = check_dynamics(load(tmp_path, gripper()))
+    assert found.holds and found.second is not None and found.second.relative < 1e-10
+    monkeypatch.setattr("geodrake.robot.files.mjcf_terms.pose_of", wrong_pose)
+    with pytest.raises(ModelError, match="does not close its loops as MuJoCo does"):
+        load(tmp_path, by_sites())
+
+
+def wrong_pose(position, quaternion):
+    from geodrake.robot.files.mjcf_tree import pose_of
+
+    return pose_of(np.array(position) + 0.01, quaternion)
+
+
+def test_a_saved_model_has_its_loop_and_terms_again(tmp_path):
+    model = load(tmp_path, gripper())
+    save_model(model, tmp_path / "saved.yaml")
+    again = load_model(tmp_path / "saved.yaml")
+    motion = Motion(*states(model))
+    np.testing.assert_array_equal(again.effort(motion), model.effort(motion))
+    assert {f.effect.place for f in again.effects} == {"left", "left_bar", "right_bar"}
+
+
+def test_a_held_joint_holds_all_of_its_loop(tmp_path):
+    model, constrained = load(tmp_path, gripper()), Constrained.of(mujoco, gripper(), ["left"])
+    q, v, vd = states(model, 3)
+    for held in (holding(model, {"left": 0.3}), load(tmp_path, gripper(), lock={"left": 0.3})):
+        assert held.joints == ("arm",)
+        at = [np.column_stack([x[:, :1], np.full(3, y)]) for x, y in ((q, 0.3), (v, 0), (vd, 0))]
+        expected = model.effort(Motion(*at))[:, :1]
+        found = held.effort(Motion(q[:, :1], v[:, :1], vd[:, :1]))
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+        save_model(held, tmp_path / "held.yaml")
+        again = load_model(tmp_path / "held.yaml").effort(Motion(q[:, :1], v[:, :1], vd[:, :1]))
+        np.testing.assert_array_equal(again, found)
+    assert constrained.m.neq == 3
+    with pytest.raises(ModelError, match=r"not close with left at 0\.3, left_bar at 0\.9"):
+        load(tmp_path, gripper(), lock={"left": 0.3, "left_bar": 0.9})
+
+
+def test_springs_hold_what_motors_do_not_determine(tmp_path):
+    model = load(tmp_path, leg())
+    assert any("tarsus, rod_1, rod_2 follow knee, shin, heel" in note for note in model.notes)
+    assert any("determines where shin, heel of that loop is" in note for note in model.notes)
+    rigid = load(tmp_path, leg(), lock={"shin": 0.0, "heel": 0.0, "rod_spin": 0.0})
+    assert rigid.joints == ("hip", "knee", "crank")
+    q, v, vd = states(rigid, 3, spread=0.3)
+    held = holding(model, {"shin": 0.0, "heel": 0.0, "rod_spin": 0.0})
+    np.testing.assert_allclose(
+        held.effort(Motion(q, v, vd)), rigid.effort(Motion(q, v, vd)), rtol=1e-10
+    )
+
+
+def test_what_does_not_move_is_held_and_said(tmp_path):
+    other = '<body name="x"><joint name="x"/><geom size=".1"/></body></worldbody>'
+    text = four_bar(CONNECT + '<weld body1="crank"/>', motors="")
+    model = load(tmp_path, text.replace("</worldbody>", other))
+    assert model.joints == ("x",) and set(model.held) == {"crank", "coupler", "rocker"}
+    assert any("Held, as closed loops let them not move: crank at 0" in n for n in model.notes)
+
+
+def test_an_equality_that_is_not_active_is_not_used(tmp_path):
+    off = CONNECT.replace("/>", ' active="false"/>')
+    model = load(tmp_path, four_bar(off))
+    assert set(model.joints) == {"crank", "coupler", "rocker"} and not model.left_out
+    assert any("<connect> of coupler and rocker is not active" in note for note in model.notes)
+    off = '<option><flag equality="disable"/></option>'
+    model = load(tmp_path, four_bar().replace("<worldbody>", f"{off}<worldbody>"))
+    assert set(model.joints) == {"crank", "coupler", "rocker"}
+
+
+FAR = by_sites().replace('pos=".25 0 .1"', 'pos=".9 0 .1"')
+FLAT = four_bar().replace('pos="0.3 0 -0.1"', 'pos="0.45 0 0"').replace(".25 0 0.1", ".25 0 0")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            FAR,
+            "<connect> of p and q cannot close at the posture of the file: it misses by 0.498 m",
+        ),
+        (FLAT, "is singular where crank, coupler, rocker are in the file"),
+    ],
+)
+def test_loops_that_cannot_be_are_refused_with_names_and_values(tmp_path, text, words):
+    with pytest.raises(ModelError, match=words):
+        load(tmp_path, text)
+
+
+def test_what_holds_a_free_body_is_left_out(tmp_path):
+    free = '<body name="cup" pos="0 0 2"><freejoint/><geom size=".1"/></body></worldbody>'
+    text = four_bar(CONNECT + '<weld body1="cup" body2="coupler"/>')
+    model = load(tmp_path, text.replace("</worldbody>", free))
+    assert model.joints == ("crank",)
+    assert any("<weld> of cup and coupler" in words for words in model.left_out)
+
+
+def twins(folder, text, tail="", **options):
+    """A model of an SDF, and the one of the four-bar of its names in MJCF."""
+    (folder / "robot.sdf").write_text(text)
+    other = four_bar(rocker='damping=".1"').replace("</mujoco>", f"{tail}</mujoco>")
+    return load_model(folder / "robot.sdf", **options), Constrained.of(mujoco, other, ["crank"])
+
+
+def assert_twins(model, constrained, count=5):
+    assert model.joints == ("crank",) and not model.left_out
+    for q, v, vd in zip(*states(model, count), strict=True):
+        ours = in_mujoco(model, constrained, q)
+        qpos, G = constrained.closed(ours)
+        assert np.abs(qpos - ours).max() < 1e-10
+        qacc = G @ vd + constrained.bias(qpos, G, v)
+        expected = G.T @ constrained.inverse(qpos, G @ v, qacc)
+        found = model.effort(Motion(q[None], v[None], vd[None]))[0]
+        assert np.abs(found - expected).max() <= 1e-6 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("pin", ["revolute", "ball"])
+def test_a_loop_of_an_sdf_is_that_of_its_twin(tmp_path, pin):
+    model, constrained = twins(tmp_path, four_bar_sdf((pin, "")))
+    assert_twins(model, constrained)
+    assert any("the joint pin" in note for note in model.notes)
+    assert check_dynamics(model).holds
+    save_model(model, tmp_path / "saved.yaml")
+    again, motion = load_model(tmp_path / "saved.yaml"), Motion(*states(model))
+    np.testing.assert_array_equal(again.effort(motion), model.effort(motion))
+
+
+def test_what_the_file_states_of_the_joint_that_closes_a_loop_counts(tmp_path):
+    terms = dynamics(damping=0.3, spring_stiffness=1.5, spring_reference=0.1)
+    turns = (("rocker", 1), ("crank", -1), ("coupler", -1))  # how far the pin does
+    joints = "".join(f'<joint joint="{name}" coef="{share}"/>' for name, share in turns)
+    tendon = f'<fixed name="pin" damping=".3" stiffness="1.5" springlength=".1">{joints}</fixed>'
+    model, constrained = twins(
+        tmp_path, four_bar_sdf(("revolute", terms)), f"<tendon>{tendon}</tendon>"
+    )
+    assert {f.effect.place for f in model.effects} == {"coupler", "rocker", "pin"}
+    assert_twins(model, constrained)
+
+
+def test_a_prismatic_joint_may_close_a_loop(tmp_path):
+    bars = (*BARS[:2], ("slider_link", "0.35 0 0.1", (0.4, "0 0 0", "1e-4 1e-4 1e-4")))
+    limit = "<limit><effort>9</effort></limit>"
+    joints = [
+        ("crank", "revolute", ("base", "crank_link"), "0 0 0", "0 1 0", limit),
+        ("coupler", "revolute", ("crank_link", "coupler_link"), "0.1 0 0", "0 1 0", limit),
+        ("pin", "revolute", ("coupler_link", "slider_link"), "0.25 0 0.1", "0 1 0", limit),
+        ("slide", "prismatic", ("base", "slider_link"), "0.35 0 0.1", "1 0 0", dynamics(damping=2)),
+    ]
+    (tmp_path / "robot.sdf").write_text(sdf(bars, joints))
+    model = load_model(tmp_path / "robot.sdf")
+    text = four_bar()
+    at = text.index('<body name="rocker"')
+    slider = (
+        '<body name="rocker" pos="0.35 0 0.1"><joint name="slide" type="slide" axis="1 0 0" '
+        'damping="2"/><inertial mass=".4" pos="0 0 0" diaginertia="1e-4 1e-4 1e-4"/></body>'
+    )
+    plain = text[:at] + slider + text[text.index("</worldbody>") :]
+    plain = plain.replace('damping=".02"', "")
+    (tmp_path / "robot.xml").write_text(plain)
+    other = load_model(tmp_path / "robot.xml")
+    assert model.joints == other.joints == ("crank",) and "slide" in model.sliding_joints
+    motion = Motion(*states(model))
+    np.testing.assert_allclose(model.effort(motion), other.effort(motion), rtol=1e-9)
+    constrained = Constrained.of(mujoco, plain, ["crank"])
+    for q, v, vd in zip(motion.q, motion.v, motion.vd, strict=True):
+        qpos, G = constrained.closed(in_mujoco(other, constrained, q))
+        expected = G.T @ constrained.inverse(qpos, G @ v, G @ vd + constrained.bias(qpos, G, v))
+        found = model.effort(Motion(q[None], v[None], vd[None]))[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+BALL = (
+    '<drake:ball_constraint><drake:ball_constraint_body_A name="coupler_link"/>'
+    '<drake:ball_constraint_body_B name="rocker_link"/>'
+    '<drake:ball_constraint_p_AP value="0.25 0 0.1"/>'
+    '<drake:ball_constraint_p_BQ value="0.05 0 0.2"/></drake:ball_constraint>'
+)
+
+
+def four_bar_urdf(ball=BALL):
+    links = "".join(
+        f'<link name="{name}"><inertial><origin xyz="{com}"/><mass value="{mass}"/><inertia '
+        'ixx="{}" iyy="{}" izz="{}" ixy="0" ixz="0" iyz="0"/></inertial></link>'.format(
+            *moments.split()
+        )
+        for name, _, (mass, com, moments) in BARS
+    )
+    parents = {"crank": "base", "coupler": "crank_link", "rocker": "base"}
+    places = {"crank": "0 0 0", "coupler": "0.1 0 0", "rocker": "0.3 0 -0.1"}
+    joints = "".join(
+        f'<joint name="{name}" type="continuous"><parent link="{parents[name]}"/><child '
+        f'link="{name}_link"/><origin xyz="{place}"/><axis xyz="0 1 0"/></joint>'
+        for name, place in places.items()
+    )
+    return (
+        '<robot name="r" xmlns:drake="http://drake.mit.edu"><link name="base"/>'
+        f"{links}{joints}{ball}</robot>"
+    )
+
+
+def test_drakes_ball_constraint_closes_a_loop_of_a_urdf(tmp_path):
+    (tmp_path / "robot.urdf").write_text(four_bar_urdf())
+    model = load_model(tmp_path / "robot.urdf")
+    bare = [(name, "revolute", ends, at, "0 1 0", "") for name, ends, at in (
+        ("crank", ("base", "crank_link"), "0 0 0"),
+        ("coupler", ("crank_link", "coupler_link"), "0.1 0 0"),
+        ("rocker", ("base", "rocker_link"), "0.3 0 -0.1"),
+        ("pin", ("coupler_link", "rocker_link"), "0.25 0 0.1"),
+    )]  # fmt: skip
+    (tmp_path / "robot.sdf").write_text(sdf(BARS, bare))
+    other = load_model(tmp_path / "robot.sdf")
+    assert model.joints == other.joints == ("crank",) and not model.left_out
+    motion = Motion(*states(model))
+    np.testing.assert_allclose(model.effort(motion), other.effort(motion), rtol=1e-9)
+    (tmp_path / "robot.urdf").write_text(four_bar_urdf(BALL.replace("rocker_link", "nobody")))
+    with pytest.raises(ModelError, match="has a body 'nobody', which there is not"):
+        load_model(tmp_path / "robot.urdf")
+    (tmp_path / "robot.urdf").write_text(four_bar_urdf(BALL.replace('name="rocker_link"', "")))
+    with pytest.raises(ModelError, match="does not name its two bodies"):
+        load_model(tmp_path / "robot.urdf")
+
+
+def test_the_joint_with_a_motor_leads(tmp_path):
+    (tmp_path / "robot.sdf").write_text(four_bar_sdf(limits={"pin": 5.0}))
+    model = load_model(tmp_path / "robot.sdf")
+    assert model.joints == ("pin",)
+    (tmp_path / "robot.sdf").write_text(four_bar_sdf(limits={"rocker": 5.0}))
+    assert load_model(tmp_path / "robot.sdf").joints == ("rocker",)
+
+
+def test_a_loop_of_an_sdf_that_cannot_be_used_is_refused(tmp_path):
+    text = four_bar_sdf(("ball", "")).replace(
+        '<joint name="coupler" type="revolute">', '<joint name="coupler" type="ball">'
+    )
+    (tmp_path / "robot.sdf").write_text(text)
+    with pytest.raises(ModelError, match="coupler_link moves there by a joint of several degrees"):
+        load_model(tmp_path / "robot.sdf")
+    axes = "<xyz>0 1 0</xyz></axis>", "<xyz>0 1 0</xyz></axis><axis2><xyz>1 0 0</xyz></axis2>"
+    text = four_bar_sdf(("universal", "")).replace(*axes)
+    (tmp_path / "robot.sdf").write_text(text)
+    with pytest.raises(ModelError, match="joint 'pin' of type universal closes a loop"):
+        load_model(tmp_path / "robot.sdf")
