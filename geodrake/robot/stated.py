@@ -17,6 +17,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
 
+_ROUNDING = 1e-14  # of what two springs have, where they have nothing together
+
 
 @dataclass(frozen=True)
 class Spring:
@@ -56,7 +58,8 @@ class Spring:
         if own + more and own and more:
             center = (own * self.center + more * other.center) / (own + more)
         parts = (self.about(center).coefficients, other.about(center).coefficients)
-        return Spring(center, _four(np.sum(parts, axis=0)))
+        total, size = np.sum(parts, axis=0), np.abs(parts).sum(axis=0)
+        return Spring(center, _four(np.where(np.abs(total) > _ROUNDING * size, total, 0.0)))
 
     @property
     def is_none(self) -> bool:
