@@ -1,6 +1,7 @@
 """Closed loops against MuJoCo's constrained dynamics, and against differences of positions."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,10 +20,15 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake import load_model, save_model
+from geodrake.control.regressor import ControlModel
 from geodrake.errors import ArgumentError, ModelError
+from geodrake.excitation.regressor_gradient import inverse_dynamics_regressor_gradient
 from geodrake.logs import Motion
 from geodrake.model import holding
 from geodrake.model.dynamics_check import check_dynamics
+from geodrake.robot import inverse_dynamics_regressor
+from geodrake.robot.effort_slopes import effort_slopes
+from geodrake.robot.regressor import inverse_dynamics
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -492,3 +498,80 @@ def test_a_loop_of_an_sdf_that_cannot_be_used_is_refused(tmp_path):
     (tmp_path / "robot.sdf").write_text(text)
     with pytest.raises(ModelError, match="joint 'pin' of type universal closes a loop"):
         load_model(tmp_path / "robot.sdf")
+
+
+def slopes_of(function, x, step=1e-5):
+    """∂function/∂x of functions of N samples (N, ·), sample by sample."""
+    columns = [
+        (function(x + step * unit) - function(x - step * unit)) / (2 * step)
+        for unit in np.eye(x.shape[1])
+    ]
+    return np.stack(columns, axis=-1)
+
+
+def test_slopes_and_gradients_through_a_loop_are_differences(tmp_path):
+    model = load(tmp_path, gripper())
+    q, v, vd = states(model)
+    tree, phi = model.tree, model.total_phi
+    slopes = effort_slopes(tree, q, v, vd, phi)
+    for found, function, x in (
+        (slopes.position, lambda x: inverse_dynamics(tree, x, v, vd, phi), q),
+        (slopes.velocity, lambda x: inverse_dynamics(tree, q, x, vd, phi), v),
+        (slopes.acceleration, lambda x: inverse_dynamics(tree, q, v, x, phi), vd),
+    ):
+        np.testing.assert_allclose(found, slopes_of(function, x), rtol=1e-5, atol=1e-5)
+    place = lambda x: model.motion(Motion(x, v, vd)).bodies.motion("left_tip").position  # noqa: E731
+    tip = model.motion(Motion(q, v, vd)).bodies.motion("left_tip")
+    np.testing.assert_allclose(tip.linear, slopes_of(place, q), atol=1e-8)
+    W = np.random.default_rng(1).normal(size=(len(q), 2, phi.size))
+    found = inverse_dynamics_regressor_gradient(tree, q, v, vd, W)
+    at = {"q": q, "v": v, "vd": vd}
+    for key, x in at.items():
+        value = lambda x, key=key: np.einsum(  # noqa: E731
+            "nij,nij->n", W, inverse_dynamics_regressor(tree, *(at | {key: x}).values())
+        )
+        np.testing.assert_allclose(getattr(found, key), slopes_of(value, x), rtol=1e-5, atol=1e-5)
+
+
+def test_controllers_have_what_acts_in_a_loop(tmp_path):
+    model = load(tmp_path, gripper())
+    control, h = ControlModel.of(model), 1e-5
+    q, v, a = (x[0] for x in states(model))
+    p, zero = control.prior, np.zeros(2)
+    expected = model.effort(Motion(q[None], v[None], a[None]))[0]
+    np.testing.assert_allclose(control.at(q, v, v, a).effort(p), expected, rtol=1e-10)
+    bodies = ControlModel.of(replace(model, effects=()))
+    p = bodies.prior
+    M = lambda t: bodies.at(q + t * v, v, v, zero).mass_matrix(p)  # noqa: E731
+    gravity = bodies.at(q, zero, zero, zero).effort(p)
+    C = np.array([bodies.at(q, v, u, zero).effort(p) - gravity for u in np.eye(2)]).T
+    rate = (M(h) - M(-h)) / (2 * h)
+    np.testing.assert_allclose(rate - 2 * C, -(rate - 2 * C).T, atol=1e-6)
+
+
+def test_limits_are_those_of_all_joints_and_motors_of_the_free_ones(tmp_path):
+    limits = {"crank": 5.0, "rocker": 3.0}
+    text = four_bar_sdf(limits=limits).replace(
+        "<effort>3.0</effort>", "<effort>3.0</effort><lower>-0.2</lower><velocity>2</velocity>"
+    )
+    (tmp_path / "robot.sdf").write_text(text)
+    model = load_model(tmp_path / "robot.sdf")
+    assert model.effort_limits.tolist() == [5.0]
+    low, high = model.position_limits
+    q = np.linspace(low[0], high[0], 50)[:, None]
+    rocker = model.transmission[0].joints.index("rocker")
+    theta = model.transmission[0].map.joint_positions(q)[:, rocker]
+    assert theta.min() == pytest.approx(-0.2, abs=0.01) and theta.min() >= -0.2 - 1e-9
+    lever = np.abs(model.transmission[0].map.jacobian(q)[:, rocker, 0]).max()
+    assert model.velocity_limits[0] == pytest.approx(2.0 / lever, rel=0.01)
+
+
+def test_a_leg_may_float(tmp_path):
+    pelvis = (
+        '<body name="pelvis" pos="0 0 1.2"><freejoint/><inertial mass="10" pos="0 0 0" '
+        'diaginertia=".1 .1 .1"/><body name="thigh" pos="0 0 -.2">'
+    )
+    text = leg().replace('<body name="thigh" pos="0 0 1">', pelvis)
+    model = load(tmp_path, text.replace("</worldbody>", "</body></worldbody>"), floating=True)
+    assert len(model.joints) == 12 and not model.left_out
+    assert check_dynamics(model, samples=10).holds

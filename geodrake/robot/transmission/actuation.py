@@ -85,7 +85,7 @@ class Actuation:
         for number, drive in enumerate(drives):
             own = [by_name[joint] for joint in drive.joints]
             seats |= dict.fromkeys(own, None)  # of joints that have no actuator of their own
-            seats |= {at: (number, i) for i, at in enumerate(_seats(drive, own))}
+            seats |= {at: (number, i) for i, at in enumerate(seated_at(drive, own))}
         names = [
             joints[at] if seat is _KEPT else drives[seat[0]].actuators[seat[1]]
             for at, seat in seats.items()
@@ -360,7 +360,7 @@ class Actuation:
     def _standing(self) -> dict[int, int]:
         found = dict(zip(self.kept_v[1].tolist(), self.kept_v[0].tolist(), strict=True))
         for place in self.places:
-            own = _seats(place.drive, place.joint_v.tolist())
+            own = seated_at(place.drive, place.joint_v.tolist())
             found |= dict(zip(own, place.actuator_v.tolist(), strict=True))
         return found
 
@@ -395,8 +395,13 @@ class Actuation:
         return J
 
 
-def _seats(drive: Drive, joints: Sequence[int]) -> list[int]:
-    """Velocities of the tree, among those of a drive's joints, in whose place its actuators are."""
+def seated_at(drive: Drive, joints: Sequence[int]) -> list[int]:
+    """Velocities of the tree, among those of a drive's joints, in whose place its actuators are.
+
+    Args:
+        drive: The drive.
+        joints: Velocities of its joints in the tree.
+    """
     at = dict(zip(drive.joints, joints, strict=True))
     if set(drive.actuators) <= set(drive.joints):
         return [at[name] for name in drive.actuators]

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from geodrake.inertia import Array
-from geodrake.robot.transmission.actuation import Actuation, Places, middle
+from geodrake.robot.transmission.actuation import Actuation, Places, middle, seated_at
 from geodrake.robot.transmission.drive import Drive
 
 _FAR = 10.0  # rad or m, up to where limits are looked for where the map has none
@@ -54,12 +54,18 @@ def actuator_effort_limits(
 ) -> Array:
     """Largest efforts (nv,) of a robot's actuators, of those of its joints; see `actuator_rates`.
 
+    Free joints of a closed loop have their own: a motor at another joint adds to what is possible.
+
     Args:
         actuation: How its joints follow from its actuators.
         limits: (nv of the tree,) those of the joints.
         within: Least and greatest positions (nq,) of the robot.
     """
-    return _each(actuation, limits, within, _efforts)
+    found = _each(actuation, limits, within, _efforts)
+    for place in actuation.places:
+        if place.drive.is_loop:
+            found[place.actuator_v] = limits[seated_at(place.drive, place.joint_v.tolist())]
+    return found
 
 
 def _each(
