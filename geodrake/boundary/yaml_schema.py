@@ -66,7 +66,7 @@ def _children(content: object, schema: Any) -> Iterable[tuple[Any, object, Any]]
 def _refusal(place: str, value: object, schema: Any) -> ArgumentError:
     what = place or "it"
     fields = list(get_type_hints(schema)) if hasattr(schema, "__struct_fields__") else []
-    advice = f"Its fields are: {', '.join(fields)}." if fields else None
+    advice = f"Its fields are: {', '.join(fields)}." if fields else ""
     odd = [key for key in value if key not in fields] if isinstance(value, dict) and fields else []
     if odd:
         near = difflib.get_close_matches(str(odd[0]), fields, 1)

@@ -90,10 +90,11 @@ def _plain(value: Any) -> Any:
     elif isinstance(value, np.ndarray | np.generic):
         array = np.ascontiguousarray(value)
         plain = [str(array.dtype), array.shape, hashlib.sha256(array.tobytes()).hexdigest()]
-    elif dataclasses.is_dataclass(value) or isinstance(value, msgspec.Struct):
-        schema = isinstance(value, msgspec.Struct)
-        names = value.__struct_fields__ if schema else [f.name for f in dataclasses.fields(value)]
-        plain = [type(value).__qualname__, {name: _plain(getattr(value, name)) for name in names}]
+    elif dataclasses.is_dataclass(value):
+        own = {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        plain = [type(value).__qualname__, own]
+    elif isinstance(value, msgspec.Struct):
+        plain = [type(value).__qualname__, _plain(msgspec.structs.asdict(value))]
     elif isinstance(value, Mapping):
         plain = {str(key): _plain(each) for key, each in value.items()}
     elif isinstance(value, set | frozenset):  # whose order changes from run to run

@@ -197,7 +197,7 @@ class RobotInstance:
         return RobotPorts(
             tuple(joints),
             self.state_port(builder, joints),
-            _selected(builder, acceleration, at_v),
+            selected(builder, acceleration, at_v),
             effort.get_input_port(),
         )
 
@@ -216,7 +216,7 @@ class RobotInstance:
         at_v = _places(self.velocities[order], v)
         which = () if self.index is None else (self.index,)
         port = self.plant.get_state_output_port(*which)
-        return _selected(builder, port, np.concatenate([at_q, len(q) + at_v]))
+        return selected(builder, port, np.concatenate([at_q, len(q) + at_v]))
 
     def to_plant(self, joints: Sequence[str]) -> Array:
         """(nv, n) matrix that puts efforts at joints to the plant's velocities.
@@ -464,8 +464,8 @@ def add_generalized_force(
     builder.Connect(force, port)
 
 
-def _selected(builder: DiagramBuilder, port: OutputPort, places: NDArray[np.intp]) -> OutputPort:
-    """Return the values of a port at some places."""
+def selected(builder: DiagramBuilder, port: OutputPort, places: NDArray[np.intp]) -> OutputPort:
+    """Return an output with the values of a port at some places."""
     if np.array_equal(places, np.arange(port.size())):
         return port
     gain = builder.AddSystem(MatrixGain(np.eye(port.size())[places]))

@@ -7,7 +7,7 @@ part names are their own actuators.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, get_type_hints
 
 import msgspec
 import numpy as np
@@ -307,6 +307,5 @@ class Stated(Schema):
 
     def add(self, part: Statement) -> None:
         """Adds a part to the list of its kind."""
-        kinds = (Gear, Coupled, RollingJoint, Followers)
-        kinds = (*kinds, Polynomial, PositionTable, FourBarLinkage, LinearActuator)
-        getattr(self, self.__struct_fields__[kinds.index(type(part))]).append(part)
+        kinds = get_type_hints(type(self)).items()
+        getattr(self, next(name for name, kind in kinds if kind == list[type(part)])).append(part)
