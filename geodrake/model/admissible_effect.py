@@ -25,10 +25,6 @@ _LEAST = 1e-9  # of a parameter beyond a bound, in its unit
 def check_body(what: str, phi: Array) -> None:
     """Refuses inertial parameters (10,) of no body.
 
-    Args:
-        what: What they are, for the message.
-        phi: The parameters.
-
     Raises:
         ModelError: The message has the values.
     """

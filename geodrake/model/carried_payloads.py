@@ -76,10 +76,6 @@ def joints_with_known_gain(model: RobotModel, logs: Sequence[Payloads]) -> tuple
 def payload_notes(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
     """What is done about known payloads, in words.
 
-    Args:
-        model: The model.
-        logs: The logs, with the payloads known in each.
-
     Raises:
         ArgumentError: The model has no such body, or it does not move.
     """

@@ -123,10 +123,5 @@ class EffortSignal:
 
 
 def signal_of(signals: Iterable[EffortSignal], joint: str) -> EffortSignal | None:
-    """The signal in the place of a joint's efforts; None where these are measured.
-
-    Args:
-        signals: Of some joints.
-        joint: The joint.
-    """
+    """The signal in the place of a joint's efforts; None where these are measured."""
     return next((signal for signal in signals if signal.joint == joint), None)

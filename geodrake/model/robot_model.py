@@ -238,10 +238,6 @@ class RobotModel(Short):
     def refuse_transmission(self, what: str, advice: str) -> None:
         """Refuses what only works at joints.
 
-        Args:
-            what: What cannot be done, as the beginning of a sentence.
-            advice: What the user can do.
-
         Raises:
             ModelError: The model has a transmission.
         """
@@ -781,14 +777,6 @@ def load_description(
     given: Given | None = None,
     transmission: Sequence[Drive] = (),
 ) -> RobotModel:
-    """Return the model of a URDF, SDF, MJCF or Drake directives file.
-
-    Args:
-        path: The file.
-        floating: As in `geodrake.robot.load_plant`.
-        held: Likewise.
-        given: Likewise.
-        transmission: What moves its joints in their place.
-    """
+    """Return the model of a URDF, SDF, MJCF or Drake directives file."""
     loaded = load_plant(path, floating=floating, held=held, given=given)
     return from_loaded_plant(loaded, floating=floating, transmission=transmission)

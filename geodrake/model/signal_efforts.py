@@ -61,12 +61,7 @@ def in_efforts(
 
 
 def kind_of(log: JointLog, joint: str) -> str:
-    """What stands for the effort of a joint: of `KINDS`.
-
-    Args:
-        log: The log.
-        joint: One of its joints.
-    """
+    """What stands for the effort of a joint: of `KINDS`."""
     at = log.joints.index(joint)
     told = log.command is not None and np.isfinite(log.command[:, at]).any()
     if told and joint not in log.effort_kinds and not np.isfinite(log.effort[:, at]).any():
@@ -104,13 +99,7 @@ def servo_effort(
 
 
 def integral_effort(log: JointLog, at: int, signal: EffortSignal) -> Array:
-    """(N,) what the integral of a servo makes of its effort, N·m or N, by the efforts of a log.
-
-    Args:
-        log: The log, with efforts.
-        at: Which of its joints.
-        signal: Its gains.
-    """
+    """(N,) what the integral of a servo makes of its effort, N·m or N, by the efforts of a log."""
     return _parts(log, at, signal, log.effort[:, at])[1]
 
 

@@ -278,9 +278,6 @@ class RobotInstance:
     def plant_parameters(self, phi: ArrayLike) -> Array:
         """(nb, 10) inertial parameters of the whole plant, with those of the robot in their places.
 
-        Args:
-            phi: As for `set_inertial_parameters`.
-
         Raises:
             ArgumentError: The shape does not fit, or a value is not finite.
         """

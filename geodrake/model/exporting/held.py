@@ -91,11 +91,7 @@ def held_by(
 
 
 def reasons(effects: Sequence[FittedEffect]) -> list[str]:
-    """Return why no model file can hold some effects, of those that are none of the robot's.
-
-    Args:
-        effects: Effects that a file is without.
-    """
+    """Return why no model file can hold some effects, of those that are none of the robot's."""
     pushing, passing = dict[str, list[str]](), list[str]()
     for effect in (fitted.effect for fitted in effects):
         if effect.by_drive:

@@ -204,9 +204,6 @@ class _EffectForce(ScalarSystem):
 
         That is the load of a steady motion; their velocities are those of the motors. Without soft
         joints nothing changes.
-
-        Args:
-            root: Context of the whole diagram.
         """
         soft, plant = self.law.soft, self.law.plant.plant
         if not soft:

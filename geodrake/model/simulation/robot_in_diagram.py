@@ -115,11 +115,7 @@ class RobotInDiagram:
         return RobotPorts(self.joints, self.state, None, self.effort)
 
     def set_inertias(self, root: Context) -> None:
-        """Gives the robot the model's inertial parameters, payloads included.
-
-        Args:
-            root: Context of the whole diagram.
-        """
+        """Gives the robot the model's inertial parameters, payloads included."""
         if self.driving is None:  # else the plant has them by default
             self.set_parameters(root, phi=self.total_phi)
 

@@ -147,10 +147,6 @@ class Terms:
     def record(self, states: int, parameters: Parameters) -> Formulas:
         """Return the effort (nv,) as formulas; inertial parameters are numbers in them.
 
-        Args:
-            states: Number of all hidden states.
-            parameters: Of the effects and of the bodies.
-
         Raises:
             ModelError: An effect cannot be recorded.
         """

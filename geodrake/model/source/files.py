@@ -126,10 +126,6 @@ def python_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
 def cpp_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
     """A C++17 header with a function effort(q, v, vd); it includes the standard library alone.
 
-    Args:
-        model: The model.
-        sign_width: As for `python_source`.
-
     Raises:
         ModelError: An effect cannot be written as source code.
     """
