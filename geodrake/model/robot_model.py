@@ -34,7 +34,7 @@ from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.effort_signal import EffortSignal, signal_of
-from geodrake.model.simulation.driven_robot import Driving, add_driven_robot
+from geodrake.model.simulation.driven_robot import Driving
 from geodrake.model.simulation.robot_in_diagram import (
     DiagramOptions,
     FittedRobot,
@@ -586,10 +586,8 @@ class RobotModel(Short):
             self.sign_widths(sign_width),
             log,
         )
-        driving = self.driving(self.sign_widths(sign_width), log)
-        if driving is not None:
-            return add_driven_robot(builder, self._as_fitted(), options, driving)
-        return add_robot(builder, self._as_fitted(), options)
+        driving = self.driving(options.sign_width, log)
+        return add_robot(builder, self._as_fitted(), options, driving)
 
     def add_to_scene(
         self,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import abc
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from geodrake.effects.delays import delays_of
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.simulation.delayed_effort import DelayedEffort
+from geodrake.model.simulation.driven_robot import ActuatorState, Driving, JointEffort
 from geodrake.model.simulation.effect_force import EffectForce
 from geodrake.robot.files import Given
 from geodrake.robot.plant import load_plant
@@ -55,24 +55,6 @@ class FittedRobot:
     joints: tuple[str, ...]
 
 
-class Driven(abc.ABC):
-    """How a plant moves with a model whose coordinates are others."""
-
-    @property
-    @abc.abstractmethod
-    def sizes(self) -> tuple[int, int, int, int]:
-        """Nq and nv of the plant, then of the model."""
-
-    @abc.abstractmethod
-    def plant_state(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Positions and velocities of the plant, of those of the model.
-
-        Args:
-            q: (nq,) positions of the model.
-            v: (nv,) velocities of the model.
-        """
-
-
 @dataclass(frozen=True, eq=False)
 class RobotInDiagram:
     """A model that was added to a builder: its systems and its ports.
@@ -103,7 +85,7 @@ class RobotInDiagram:
     state: OutputPort
     logged_effort: OutputPort
     notes: tuple[str, ...] = ()
-    driving: Driven | None = None
+    driving: Driving | None = None
 
     @property
     def plant(self) -> MultibodyPlant:
@@ -129,22 +111,20 @@ class RobotInDiagram:
             q: (nq,) positions in Drake's order, of the robot alone.
             v: (nv,) velocities; None for rest.
         """
-        plant = self.plant
-        context = plant.GetMyMutableContextFromRoot(root)
-        if self.driving is not None:
-            _, _, nq, nv = self.driving.sizes
-            q = real_array(q, "q", (nq,))
-            v = real_array(np.zeros(nv) if v is None else v, "v", (nv,))
-            state = self.driving.plant_state(q, v)
-            plant.SetPositionsAndVelocities(context, np.concatenate(state))
+        plant, driving = self.plant, self.driving
+        nq, nv = plant.num_positions(), plant.num_velocities()
+        if driving is not None:
+            nq, nv = driving.sizes[2:]
         elif self.robot.name is not None:
-            q = real_array(q, "q", (len(self.joints),))
-            v = np.zeros(len(q)) if v is None else real_array(v, "v", (len(q),))
+            nq = nv = len(self.joints)
+        q = real_array(q, "q", (nq,))
+        v = real_array(np.zeros(nv) if v is None else v, "v", (nv,))
+        context = plant.GetMyMutableContextFromRoot(root)
+        if self.robot.name is not None:
             self.robot.set_state(context, self.joints, np.concatenate([q, v]))
         else:
-            plant.SetPositions(context, real_array(q, "q", (plant.num_positions(),)))
-            v = np.zeros(plant.num_velocities()) if v is None else v
-            plant.SetVelocities(context, real_array(v, "v", (plant.num_velocities(),)))
+            state = (q, v) if driving is None else driving.plant_state(q, v)
+            plant.SetPositionsAndVelocities(context, np.concatenate(state))
         if self.effect_force is not None:
             self.effect_force.deflect(root)
 
@@ -197,7 +177,10 @@ class DiagramOptions:
 
 
 def add_robot(
-    builder: DiagramBuilder, robot: FittedRobot, options: DiagramOptions
+    builder: DiagramBuilder,
+    robot: FittedRobot,
+    options: DiagramOptions,
+    driving: Driving | None = None,
 ) -> RobotInDiagram:
     """Adds a model to a builder; see `RobotModel.add_to_builder`.
 
@@ -205,26 +188,13 @@ def add_robot(
         builder: The diagram's builder.
         robot: The model.
         options: How.
+        driving: How its plant moves, if that has other coordinates.
     """
-    plant, scene_graph, notes = add_plant(builder, robot, options)
-    added = _acting(builder, RobotInstance(plant), robot, options)
-    return replace(added, scene_graph=scene_graph, notes=(*notes, *added.notes))
-
-
-def add_plant(
-    builder: DiagramBuilder, robot: FittedRobot, options: DiagramOptions
-) -> tuple[MultibodyPlant, SceneGraph | None, tuple[str, ...]]:
-    """Adds the plant of a model alone, its SceneGraph if there is one, and what cannot be shown.
-
-    Args:
-        builder: The diagram's builder.
-        robot: The model.
-        options: How.
-    """
-    name = options.name
     plant = MultibodyPlant(options.time_step)
-    plant.set_name(name)
-    scene_graph = _scene_graph(builder, options)
+    plant.set_name(options.name)
+    scene_graph: SceneGraph | None = options.scene_graph or None
+    if options.scene_graph is True:
+        scene_graph = builder.AddNamedSystem(f"{options.name}_scene_graph", SceneGraph())
     if scene_graph is not None:
         plant.RegisterAsSourceForSceneGraph(scene_graph)
     load_plant(
@@ -239,21 +209,21 @@ def add_plant(
     notes: tuple[str, ...] = ()
     if scene_graph is not None:
         notes = add_visuals(plant, scene_graph, robot.path, robot.given)
-        _show(builder, plant, scene_graph)
-    return plant, scene_graph, notes
+        source = scene_graph.get_source_pose_port(plant.get_source_id())
+        builder.Connect(plant.get_geometry_pose_output_port(), source)
+        builder.Connect(scene_graph.get_query_output_port(), plant.get_geometry_query_input_port())
+    place = RobotInstance(plant)
+    if driving is None:
+        added = _acting(builder, place, robot, options)
+    else:
+        added = _driven(builder, place, robot, options, driving.in_plant(plant))
+    return replace(added, scene_graph=scene_graph, notes=(*notes, *added.notes))
 
 
 def add_robot_to_scene(
     builder: DiagramBuilder, robot: FittedRobot, place: RobotInstance, options: DiagramOptions
 ) -> RobotInDiagram:
-    """Makes a robot in a larger plant move as a model; see `RobotModel.add_to_scene`.
-
-    Args:
-        builder: The diagram's builder, which has the plant.
-        robot: The model.
-        place: The robot in the plant.
-        options: How.
-    """
+    """Makes a robot in a larger plant move as a model; see `RobotModel.add_to_scene`."""
     stated = place.stated_terms
     if stated:
         raise ArgumentError(
@@ -272,10 +242,7 @@ def _acting(
 ) -> RobotInDiagram:
     """Connects effects and delays of a model with its plant."""
     name, plant, joints = options.name, place.plant, robot.joints
-    effort = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(len(joints))))
-    delays = delays_of([fitted.effect for fitted in robot.effects], joints)
-    logged = late(builder, f"{name}_logged_effort", effort.get_output_port(), delays)
-    acting = late(builder, f"{name}_acting_effort", effort.get_output_port(), -delays)
+    effort, acting, logged = _efforts(builder, robot, name)
     state = plant.get_state_output_port()
     if place.name is not None:
         state = place.state_port(builder, joints)
@@ -301,22 +268,49 @@ def _acting(
         force,
         joints,
         robot.total_phi,
-        effort.get_input_port(),
+        effort,
         state,
         logged,
         notes,
     )
 
 
-def late(builder: DiagramBuilder, name: str, effort: OutputPort, delays: Array) -> OutputPort:
-    """An effort, late by those of some delays that are positive.
+def _driven(
+    builder: DiagramBuilder,
+    place: RobotInstance,
+    robot: FittedRobot,
+    options: DiagramOptions,
+    driving: Driving,
+) -> RobotInDiagram:
+    """Connects a plant with a model of other coordinates."""
+    name, plant = options.name, place.plant
+    effort, acting, logged = _efforts(builder, robot, name)
+    seen = builder.AddNamedSystem(f"{name}_state", ActuatorState(driving))
+    force = builder.AddNamedSystem(f"{name}_joint_effort", JointEffort(driving))
+    for system in (seen, force):
+        builder.Connect(plant.get_state_output_port(), system.GetInputPort("plant_state"))
+    builder.Connect(acting, force.GetInputPort("effort"))
+    builder.Connect(force.get_output_port(), plant.get_applied_generalized_force_input_port())
+    state, phi = seen.get_output_port(), robot.total_phi
+    return RobotInDiagram(
+        place, None, None, robot.joints, phi, effort, state, logged, driving=driving
+    )
 
-    Args:
-        builder: The diagram's builder.
-        name: Name of what makes it late.
-        effort: Port of the effort (nv,).
-        delays: (nv,) delays, s.
-    """
+
+def _efforts(
+    builder: DiagramBuilder, robot: FittedRobot, name: str
+) -> tuple[InputPort, OutputPort, OutputPort]:
+    """Return the input of efforts, and outputs of those that act and those that are logged."""
+    joints = robot.joints
+    effort = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(len(joints))))
+    delays, port = delays_of([f.effect for f in robot.effects], joints), effort.get_output_port()
+    logged = late(builder, f"{name}_logged_effort", port, delays)
+    acting = late(builder, f"{name}_acting_effort", port, -delays)
+    return effort.get_input_port(), acting, logged
+
+
+def late(builder: DiagramBuilder, name: str, effort: OutputPort, delays: Array) -> OutputPort:
+    """Return an effort (nv,), late by those of some delays (nv,), s, that are positive."""
     delays = np.maximum(delays, 0.0)
     if not delays.any():
         return effort
@@ -324,16 +318,3 @@ def late(builder: DiagramBuilder, name: str, effort: OutputPort, delays: Array) 
     late: System = builder.AddNamedSystem(name, DelayedEffort(delays, period=period))
     builder.Connect(effort, late.get_input_port())
     return late.get_output_port()
-
-
-def _scene_graph(builder: DiagramBuilder, options: DiagramOptions) -> SceneGraph | None:
-    if options.scene_graph is True:
-        return builder.AddNamedSystem(f"{options.name}_scene_graph", SceneGraph())
-    return options.scene_graph or None
-
-
-def _show(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
-    """Connects a plant with the SceneGraph that it is a source of."""
-    source = scene_graph.get_source_pose_port(plant.get_source_id())
-    builder.Connect(plant.get_geometry_pose_output_port(), source)
-    builder.Connect(scene_graph.get_query_output_port(), plant.get_geometry_query_input_port())
