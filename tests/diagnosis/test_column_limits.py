@@ -21,9 +21,8 @@ from geodrake.diagnosis.columns.kinds import KINDS, words_of
 from geodrake.diagnosis.columns.limits import likely_limits, spread
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
-from geodrake.model.effort_signal import EffortSignal
+from geodrake.model.effort_signal import EffortSignal, MotorLimit
 from geodrake.model.exporting.joints import exported_joints
-from geodrake.model.motor_limit import MotorLimit
 from geodrake.model.saved_model import save_model
 from geodrake.model.signal_efforts import in_efforts
 from geodrake.report.numbers import Units

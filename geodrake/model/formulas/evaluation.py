@@ -60,8 +60,8 @@ def evaluated(formulas: Formulas, inputs: Mapping[str, Scalars], scalar: type) -
             name, place = node.operands
             known[node] = inputs[name][place]
         else:
-            values = (known[x] if isinstance(x, Symbol) else x for x in node.operands)
-            known[node] = apply(node.operation, *values)
+            operands = (known[x] if isinstance(x, Symbol) else x for x in node.operands)
+            known[node] = apply(node.operation, *operands)
     values = [known[x] if isinstance(x, Symbol) else x for x in flat]
     found = np.empty(len(flat), object)
     found[:] = [x if isinstance(x, scalar) else scalar(x) for x in values]

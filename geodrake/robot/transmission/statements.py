@@ -7,7 +7,7 @@ part names are their own actuators.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar, Literal, get_type_hints
+from typing import ClassVar, Literal, get_args, get_type_hints
 
 import msgspec
 import numpy as np
@@ -307,5 +307,6 @@ class Stated(Schema):
 
     def add(self, part: Statement) -> None:
         """Adds a part to the list of its kind."""
-        kinds = get_type_hints(type(self)).items()
-        getattr(self, next(name for name, kind in kinds if kind == list[type(part)])).append(part)
+        for name, kind in get_type_hints(type(self)).items():
+            if get_args(kind)[0] is type(part):
+                getattr(self, name).append(part)
