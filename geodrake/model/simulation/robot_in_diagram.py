@@ -102,12 +102,12 @@ class RobotInDiagram:
             self.set_parameters(root, phi=self.total_phi)
 
     def set_state(self, root: Context, q: ArrayLike, v: ArrayLike | None = None) -> None:
-        """Sets where the robot starts, as it is measured.
+        """Sets where the robot starts, as it is measured, in the whole diagram's Context.
 
         Links of soft joints are where a steady load has them.
 
         Args:
-            root: Context of the whole diagram.
+            root: The Context.
             q: (nq,) positions in Drake's order, of the robot alone.
             v: (nv,) velocities; None for rest.
         """
@@ -197,14 +197,8 @@ def add_robot(
         scene_graph = builder.AddNamedSystem(f"{options.name}_scene_graph", SceneGraph())
     if scene_graph is not None:
         plant.RegisterAsSourceForSceneGraph(scene_graph)
-    load_plant(
-        robot.path,
-        floating=robot.floating,
-        held=robot.held,
-        given=robot.given,
-        phi=robot.total_phi,
-        into=plant,
-    )
+    how = {"floating": robot.floating, "held": robot.held, "given": robot.given}
+    load_plant(robot.path, **how, phi=robot.total_phi, into=plant)
     builder.AddSystem(plant)
     notes: tuple[str, ...] = ()
     if scene_graph is not None:
@@ -262,17 +256,8 @@ def _acting(
         notes = force.notes
         if force.soft_joints:
             state = force.state_port(builder, joints)
-    return RobotInDiagram(
-        place,
-        None,
-        force,
-        joints,
-        robot.total_phi,
-        effort,
-        state,
-        logged,
-        notes,
-    )
+    phi = robot.total_phi
+    return RobotInDiagram(place, None, force, joints, phi, effort, state, logged, notes)
 
 
 def _driven(

@@ -108,9 +108,8 @@ def _words(fitted: FittedEffect) -> str:
 def _by_joint(model: RobotModel, q: Symbols) -> Symbols:
     """(1, nv) position belonging to each velocity, NaN for joints of several degrees."""
     found = Symbols.of(np.full((1, len(model.joints)), np.nan))
-    places = model.position_places
-    for velocity, position in places.items():
-        found[0, velocity] = q[position]
+    at_velocity, at_position = model.single_places
+    found[0, at_velocity] = q[at_position]
     return found
 
 
