@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
@@ -18,7 +17,7 @@ from geodrake.effects import Effect
 from geodrake.errors import ArgumentError
 from geodrake.model.export import repair_comments
 from geodrake.model.exporting.held import HeldModel
-from geodrake.model.exporting.joints import exported_joints
+from geodrake.model.exporting.isaac import isaac_files
 from geodrake.model.exporting.model_text import model_file, own_kind, tilt_rotation, written_kind
 from geodrake.model.file_terms import (
     Damping,
@@ -26,7 +25,6 @@ from geodrake.model.file_terms import (
     DryFriction,
     Rotor,
     Spring,
-    StaticFriction,
     Tilt,
 )
 from geodrake.model.robot_model import RobotModel
@@ -128,46 +126,8 @@ def _source(language: str) -> Write:
     return write
 
 
-def _isaac_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
-    """Return a robot's URDF, and the values that Isaac Lab's actuators take.
-
-    Viscous friction is `viscous_friction`, since `damping` is a gain; static `friction` is what
-    Stribeck friction makes of the dynamic one at rest. Stiffness and damping are those of servos,
-    0 for joints that are moved by efforts. `delay` is that of what a drive is told, in seconds:
-    `min_delay` and `max_delay` of a DelayedPDActuatorCfg are it in steps of the simulation.
-    `effort_delay` is that of measured efforts, which drives do not have.
-    """
-    name, data, notes = model_file(held.model, "urdf", folder)
-    stem, held_joints = name.removesuffix(".urdf"), exported_joints(held.model)
-    at_rest = {  # by how much friction exceeds that of a moving joint
-        fitted.effect.where[0]: float(fitted.parameters[0])
-        for fitted in model.effects
-        if isinstance(fitted.effect, StaticFriction)
-    }
-    joints = {}
-    for joint, drive in exported_joints(model).items():
-        numbers = held_joints[joint]
-        joints[joint] = {
-            "effort_limit": drive.effort if np.isfinite(drive.effort) else None,
-            "velocity_limit": drive.velocity if np.isfinite(drive.velocity) else None,
-            "stiffness": drive.kp,
-            "damping": drive.kd,
-            "armature": numbers.armature,
-            "friction": numbers.friction + at_rest.get(joint, 0.0),
-            "dynamic_friction": numbers.friction,
-            "viscous_friction": numbers.damping,
-            "delay": drive.delay,
-            "effort_delay": drive.measured_late,
-        }
-    table: dict[str, Any] = {"urdf": name, "units": "SI; delays in s", "joints": joints}
-    if repairs := repair_comments(model):
-        table["notes"] = repairs  # as JSON has no comments
-    values = (json.dumps(table, indent=2) + "\n").encode()
-    note = (
-        f"the values of {stem} are named as fields of Isaac Lab's ActuatorBaseCfg; stiffness and "
-        "damping there are gains of a drive, 0 for joints that are moved by efforts"
-    )
-    return Exported({name: data, f"{stem}.actuators.json": values}, (*notes, note))
+def _isaac(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
+    return Exported(*isaac_files(model, held.model, folder))
 
 
 def _drake_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
@@ -252,7 +212,7 @@ FORMATS = {
             "mjcf", _holding("xml", beside=(Tilt, Delay)), _file("xml"), ("mujoco",), servos=True
         ),
         ExportFormat("drake", _OF_DRAKE, _drake_files, ("drake",)),
-        ExportFormat("isaac", _OF_ISAAC, _isaac_files, _URDF_ENGINES, servos=True),
+        ExportFormat("isaac", _OF_ISAAC, _isaac, _URDF_ENGINES, servos=True),
         ExportFormat("python", lambda _: is_written, _source("python"), ("python",), True),
         ExportFormat("cpp", lambda _: is_written, _source("cpp"), at_actuators=True),
     )

@@ -10,7 +10,7 @@ from pydrake.common.eigen_geometry import AngleAxis
 
 from geodrake.inertia import Array
 from geodrake.model.export import export_bodies, file_kind
-from geodrake.model.exporting.anew import SUFFIXES, written_anew
+from geodrake.model.exporting.from_plant import SUFFIXES, from_plant
 from geodrake.model.exporting.joints import changed_numbers, exported_joints
 from geodrake.model.exporting.mjcf_actuators import with_actuators
 from geodrake.model.file_terms import Tilt
@@ -60,7 +60,7 @@ def model_file(model: RobotModel, kind: str, folder: Path) -> tuple[str, bytes, 
         f"{name} is made of the bodies and joints of {model.path.name}, without geometry; links "
         "that are welded together are one"
     )
-    data = written_anew(model, kind, _tilted_gravity(model))
+    data = from_plant(model, kind, _tilted_gravity(model))
     if kind != "xml":
         return name, data, (note,)
     data, more = with_actuators(data, folder / name, model, anew=True)

@@ -1,4 +1,4 @@
-"""A robot written anew, in another format than that of its own file: bodies and joints alone."""
+"""A robot in another format than that of its own file: bodies and joints of its plant alone."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def _refusal(joint: Joint, problem: str) -> ModelError:
     )
 
 
-def written_anew(model: RobotModel, kind: str, gravity: Array) -> bytes:
+def from_plant(model: RobotModel, kind: str, gravity: Array) -> bytes:
     """Return a robot's bodies and joints, without geometry.
 
     Args:
