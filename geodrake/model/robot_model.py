@@ -35,13 +35,7 @@ from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.effort_signal import EffortSignal, signal_of
 from geodrake.model.simulation.driven_robot import Driving
-from geodrake.model.simulation.robot_in_diagram import (
-    DiagramOptions,
-    FittedRobot,
-    RobotInDiagram,
-    add_robot,
-    add_robot_to_scene,
-)
+from geodrake.model.simulation.robot_in_diagram import DiagramRobot, RobotInDiagram
 from geodrake.model.stated_terms import stated_effects
 from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_positions
 from geodrake.robot.files import Given
@@ -566,9 +560,9 @@ class RobotModel(Short):
         if scene_graph is not None:
             instance(scene_graph, "scene_graph", (SceneGraph, bool))
         step, name = number(time_step, "time_step", lower=0.0), instance(name, "name", str)
-        options = DiagramOptions(step, scene_graph, name, self.sign_widths(sign_width), log)
-        driving = self.driving(options.sign_width, log)
-        return add_robot(builder, self._as_fitted(), options, driving)
+        robot = self._in_diagram(name, sign_width, log)
+        driving = self.driving(robot.sign_width, log)
+        return robot.add(builder, step, scene_graph, driving)
 
     def add_to_scene(
         self,
@@ -613,15 +607,13 @@ class RobotModel(Short):
         sees_world = any(isinstance(fitted.effect, RobotEffect) for fitted in self.effects)
         place.check_base(self.joint_tree, self.joints, turned=sees_world)
         name = "plant" if place.name is None else place.name
-        options = DiagramOptions(0.0, None, name, self.sign_widths(sign_width), log)
-        return add_robot_to_scene(builder, self._as_fitted(), place, options)
+        return self._in_diagram(name, sign_width, log).add_to_scene(builder, place)
 
-    def _as_fitted(self) -> FittedRobot:
+    def _in_diagram(self, name: str, sign_width: ArrayLike, log: str | None) -> DiagramRobot:
         """Return what a diagram needs to know."""
-        how = self.held, self.given
-        return FittedRobot(
-            self.path, self.floating, self.total_phi, self.effects, *how, self.joints
-        )
+        file = self.path, self.floating, self.held, self.given
+        fitted, width = (self.total_phi, self.effects, self.joints), self.sign_widths(sign_width)
+        return DiagramRobot(*file, *fitted, name, width, log)
 
     def with_fit(
         self,

@@ -33,29 +33,6 @@ FORCES = (Role.FORCE, Role.SCALE, Role.EPISODE, Role.DEFLECTION)
 
 
 @dataclass(frozen=True, eq=False)
-class FittedRobot:
-    """What a diagram needs to know of a model to simulate it.
-
-    Attributes:
-        path: The model file.
-        floating: Whether free roots float instead of being welded to the world.
-        total_phi: (nb, 10) inertial parameters, payloads included.
-        effects: Effects with their parameters.
-        held: Joint that is held -> where, rad or m.
-        given: How the model file was read.
-        joints: Names of the velocities.
-    """
-
-    path: Path
-    floating: bool
-    total_phi: Array
-    effects: tuple[FittedEffect, ...]
-    held: Mapping[str, float]
-    given: Given
-    joints: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class RobotInDiagram:
     """A model that was added to a builder: its systems and its ports.
 
@@ -166,132 +143,131 @@ class RobotInDiagram:
 
 
 @dataclass(frozen=True, eq=False)
-class DiagramOptions:
-    """How a model is put into a diagram; see `RobotModel.add_to_builder`."""
+class DiagramRobot:
+    """A model that a diagram is to simulate, as `RobotModel` gives it.
 
-    time_step: float
-    scene_graph: SceneGraph | bool | None
+    Attributes:
+        path: The model file.
+        floating: Whether free roots float instead of being welded to the world.
+        held: Joint that is held -> where, rad or m.
+        given: How the model file was read.
+        total_phi: (nb, 10) inertial parameters, payloads included.
+        effects: Effects with their parameters.
+        joints: Names of the velocities.
+        name: Name in the diagram.
+        sign_width: (nv,) speed below which dry friction fades, rad/s or m/s.
+        log: Name of the log that is simulated, if it is one.
+    """
+
+    path: Path
+    floating: bool
+    held: Mapping[str, float]
+    given: Given
+    total_phi: Array
+    effects: tuple[FittedEffect, ...]
+    joints: tuple[str, ...]
     name: str
     sign_width: Array
     log: str | None
 
-
-def add_robot(
-    builder: DiagramBuilder,
-    robot: FittedRobot,
-    options: DiagramOptions,
-    driving: Driving | None = None,
-) -> RobotInDiagram:
-    """Adds a model to a builder; see `RobotModel.add_to_builder`.
-
-    Args:
-        builder: The diagram's builder.
-        robot: The model.
-        options: How.
-        driving: How its plant moves, if that has other coordinates.
-    """
-    plant = MultibodyPlant(options.time_step)
-    plant.set_name(options.name)
-    scene_graph: SceneGraph | None = options.scene_graph or None
-    if options.scene_graph is True:
-        scene_graph = builder.AddNamedSystem(f"{options.name}_scene_graph", SceneGraph())
-    if scene_graph is not None:
-        plant.RegisterAsSourceForSceneGraph(scene_graph)
-    how = {"floating": robot.floating, "held": robot.held, "given": robot.given}
-    load_plant(robot.path, **how, phi=robot.total_phi, into=plant)
-    builder.AddSystem(plant)
-    notes: tuple[str, ...] = ()
-    if scene_graph is not None:
-        notes = add_visuals(plant, scene_graph, robot.path, robot.given)
-        source = scene_graph.get_source_pose_port(plant.get_source_id())
-        builder.Connect(plant.get_geometry_pose_output_port(), source)
-        builder.Connect(scene_graph.get_query_output_port(), plant.get_geometry_query_input_port())
-    place = RobotInstance(plant)
-    if driving is None:
-        added = _acting(builder, place, robot, options)
-    else:
-        added = _driven(builder, place, robot, options, driving.in_plant(plant))
-    return replace(added, scene_graph=scene_graph, notes=(*notes, *added.notes))
-
-
-def add_robot_to_scene(
-    builder: DiagramBuilder, robot: FittedRobot, place: RobotInstance, options: DiagramOptions
-) -> RobotInDiagram:
-    """Makes a robot in a larger plant move as a model; see `RobotModel.add_to_scene`."""
-    stated = place.stated_terms
-    if stated:
-        raise ArgumentError(
-            f"{', '.join(stated)} of {place.name!r} would count twice, in the plant and as effects "
-            "of the model.",
-            advice="Call geodrake.robot.take_out_stated(plant, name) before plant.Finalize().",
+    def add(
+        self,
+        builder: DiagramBuilder,
+        time_step: float,
+        scene_graph: SceneGraph | bool | None,
+        driving: Driving | None,
+    ) -> RobotInDiagram:
+        """Adds it to a builder; `driving` is how its plant moves, if with other coordinates."""
+        plant = MultibodyPlant(time_step)
+        plant.set_name(self.name)
+        scene = scene_graph or None
+        if scene is True:
+            scene = builder.AddNamedSystem(f"{self.name}_scene_graph", SceneGraph())
+        if scene is not None:
+            plant.RegisterAsSourceForSceneGraph(scene)
+        load_plant(
+            self.path,
+            floating=self.floating,
+            held=self.held,
+            given=self.given,
+            phi=self.total_phi,
+            into=plant,
         )
-    return _acting(builder, place, robot, options)
+        builder.AddSystem(plant)
+        notes: tuple[str, ...] = ()
+        if scene is not None:
+            notes = add_visuals(plant, scene, self.path, self.given)
+            source = scene.get_source_pose_port(plant.get_source_id())
+            builder.Connect(plant.get_geometry_pose_output_port(), source)
+            builder.Connect(scene.get_query_output_port(), plant.get_geometry_query_input_port())
+        place = RobotInstance(plant)
+        if driving is None:
+            added = self._acting(builder, place)
+        else:
+            added = self._driven(builder, place, driving.in_plant(plant))
+        return replace(added, scene_graph=scene, notes=(*notes, *added.notes))
 
+    def add_to_scene(self, builder: DiagramBuilder, place: RobotInstance) -> RobotInDiagram:
+        """Makes a robot in a larger plant move as the model."""
+        if stated := place.stated_terms:
+            raise ArgumentError(
+                f"{', '.join(stated)} of {place.name!r} would count twice, in the plant and as "
+                "effects of the model.",
+                advice="Call geodrake.robot.take_out_stated(plant, name) before plant.Finalize().",
+            )
+        return self._acting(builder, place)
 
-def _acting(
-    builder: DiagramBuilder,
-    place: RobotInstance,
-    robot: FittedRobot,
-    options: DiagramOptions,
-) -> RobotInDiagram:
-    """Connects effects and delays of a model with its plant."""
-    name, plant, joints = options.name, place.plant, robot.joints
-    effort, acting, logged = _efforts(builder, robot, name)
-    state = plant.get_state_output_port()
-    if place.name is not None:
-        state = place.state_port(builder, joints)
-        gain = builder.AddNamedSystem(f"{name}_in_plant", MatrixGain(place.to_plant(joints)))
-        builder.Connect(acting, gain.get_input_port())
-        acting = gain.get_output_port()
-    add_generalized_force(builder, plant, acting)
-    forces = [fitted for fitted in robot.effects if fitted.effect.role in FORCES]
-    force, notes = None, tuple[str, ...]()
-    if forces:
-        phi = None if place.name is None else place.plant_parameters(robot.total_phi)
-        force = EffectForce(place, forces, sign_width=options.sign_width, phi=phi, log=options.log)
-        builder.AddNamedSystem(f"{name}_effects", force)
-        builder.Connect(plant.get_state_output_port(), force.GetInputPort("state"))
-        builder.Connect(acting, force.GetInputPort("applied_effort"))
-        add_generalized_force(builder, plant, force.GetOutputPort("generalized_force"))
-        notes = force.notes
-        if force.soft_joints:
-            state = force.state_port(builder, joints)
-    phi = robot.total_phi
-    return RobotInDiagram(place, None, force, joints, phi, effort, state, logged, notes)
+    def _acting(self, builder: DiagramBuilder, place: RobotInstance) -> RobotInDiagram:
+        """Connects effects and delays with the plant."""
+        name, plant, joints = self.name, place.plant, self.joints
+        effort, acting, logged = self._efforts(builder)
+        state = plant.get_state_output_port()
+        if place.name is not None:
+            state = place.state_port(builder, joints)
+            gain = builder.AddNamedSystem(f"{name}_in_plant", MatrixGain(place.to_plant(joints)))
+            builder.Connect(acting, gain.get_input_port())
+            acting = gain.get_output_port()
+        add_generalized_force(builder, plant, acting)
+        forces = [fitted for fitted in self.effects if fitted.effect.role in FORCES]
+        force, notes, phi = None, tuple[str, ...](), self.total_phi
+        if forces:
+            own = None if place.name is None else place.plant_parameters(phi)
+            force = EffectForce(place, forces, sign_width=self.sign_width, phi=own, log=self.log)
+            builder.AddNamedSystem(f"{name}_effects", force)
+            builder.Connect(plant.get_state_output_port(), force.GetInputPort("state"))
+            builder.Connect(acting, force.GetInputPort("applied_effort"))
+            add_generalized_force(builder, plant, force.GetOutputPort("generalized_force"))
+            notes = force.notes
+            if force.soft_joints:
+                state = force.state_port(builder, joints)
+        return RobotInDiagram(place, None, force, joints, phi, effort, state, logged, notes)
 
+    def _driven(
+        self, builder: DiagramBuilder, place: RobotInstance, driving: Driving
+    ) -> RobotInDiagram:
+        """Connects a plant of other coordinates."""
+        effort, acting, logged = self._efforts(builder)
+        seen = builder.AddNamedSystem(f"{self.name}_state", ActuatorState(driving))
+        force = builder.AddNamedSystem(f"{self.name}_joint_effort", JointEffort(driving))
+        for system in (seen, force):
+            port = system.GetInputPort("plant_state")
+            builder.Connect(place.plant.get_state_output_port(), port)
+        builder.Connect(acting, force.GetInputPort("effort"))
+        port = place.plant.get_applied_generalized_force_input_port()
+        builder.Connect(force.get_output_port(), port)
+        ports = effort, seen.get_output_port(), logged
+        return RobotInDiagram(
+            place, None, None, self.joints, self.total_phi, *ports, driving=driving
+        )
 
-def _driven(
-    builder: DiagramBuilder,
-    place: RobotInstance,
-    robot: FittedRobot,
-    options: DiagramOptions,
-    driving: Driving,
-) -> RobotInDiagram:
-    """Connects a plant with a model of other coordinates."""
-    name, plant = options.name, place.plant
-    effort, acting, logged = _efforts(builder, robot, name)
-    seen = builder.AddNamedSystem(f"{name}_state", ActuatorState(driving))
-    force = builder.AddNamedSystem(f"{name}_joint_effort", JointEffort(driving))
-    for system in (seen, force):
-        builder.Connect(plant.get_state_output_port(), system.GetInputPort("plant_state"))
-    builder.Connect(acting, force.GetInputPort("effort"))
-    builder.Connect(force.get_output_port(), plant.get_applied_generalized_force_input_port())
-    state, phi = seen.get_output_port(), robot.total_phi
-    return RobotInDiagram(
-        place, None, None, robot.joints, phi, effort, state, logged, driving=driving
-    )
-
-
-def _efforts(
-    builder: DiagramBuilder, robot: FittedRobot, name: str
-) -> tuple[InputPort, OutputPort, OutputPort]:
-    """Return the input of efforts, and outputs of those that act and those that are logged."""
-    joints = robot.joints
-    effort = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(len(joints))))
-    delays, port = delays_of([f.effect for f in robot.effects], joints), effort.get_output_port()
-    logged = late(builder, f"{name}_logged_effort", port, delays)
-    acting = late(builder, f"{name}_acting_effort", port, -delays)
-    return effort.get_input_port(), acting, logged
+    def _efforts(self, builder: DiagramBuilder) -> tuple[InputPort, OutputPort, OutputPort]:
+        """Return the input of efforts, and outputs of those that act and those that are logged."""
+        count, name = len(self.joints), self.name
+        effort = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(count)))
+        delays = delays_of([fitted.effect for fitted in self.effects], self.joints)
+        logged = late(builder, f"{name}_logged_effort", effort.get_output_port(), delays)
+        acting = late(builder, f"{name}_acting_effort", effort.get_output_port(), -delays)
+        return effort.get_input_port(), acting, logged
 
 
 def late(builder: DiagramBuilder, name: str, effort: OutputPort, delays: Array) -> OutputPort:
