@@ -217,10 +217,7 @@ class RobotInstance:
     def set_state(self, context: Context, joints: Sequence[str], state: ArrayLike) -> None:
         """Puts the robot somewhere in a Context of its plant; all else stays.
 
-        Args:
-            context: The plant's Context, changed.
-            joints: Names of all the robot's joints.
-            state: (2 n,) their positions and then velocities.
+        The state (2 n,) is positions and then velocities of all joints in order.
 
         Raises:
             ArgumentError: They are not the robot's joints, or the state is not theirs.
@@ -235,14 +232,10 @@ class RobotInstance:
         self.plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
 
     def set_inertial_parameters(self, context: Context, phi: ArrayLike) -> None:
-        """Gives the robot's bodies inertial parameters in a Context of its plant.
+        """Gives the robot's bodies inertial parameters (nb, 10) in a Context of its plant.
 
-        What other model instances weld to a body, as a gripper, stays beside them.
-
-        Args:
-            context: The plant's Context, changed.
-            phi: (nb, 10) parameters of the robot's bodies, in the order of `lumped_bodies` of a
-                plant of its own.
+        Their order is that of `lumped_bodies` of a plant of its own. What other model instances
+        weld to a body, as a gripper, stays beside them.
 
         Raises:
             ArgumentError: The shape does not fit, or a value is not finite.
@@ -285,12 +278,8 @@ class RobotInstance:
     ) -> None:
         """Checks that gravity acts on the robot's base as it does in a model of the robot.
 
-        A base may stand anywhere and be turned about the vertical, as efforts are then the same.
-
-        Args:
-            tree: Kinematics of the model.
-            joints: Names of its velocities.
-            turned: Whether a turn about the vertical matters too, as to what acts in world axes.
+        A base may stand anywhere and be turned about the vertical, as efforts are then the same;
+        not so where `turned`, as a turn matters to what acts in world axes.
 
         Raises:
             ArgumentError: The joints are others, or the base moves, or leans otherwise than that of

@@ -105,11 +105,7 @@ class _EffectForce(ScalarSystem):
         return self._parameters(context)[self._part(effect)]
 
     def set_effect_parameters(self, context: Context, values: Mapping[Effect, ArrayLike]) -> None:
-        """Changes linear parameters of effects in a Context.
-
-        Args:
-            context: The system's own Context.
-            values: Effect -> (k,) parameters μ, SI; effects that are left out keep theirs.
+        """Changes linear parameters μ (k,), SI, of effects in a Context; others keep theirs.
 
         Raises:
             ArgumentError: An effect is none of `effects`, or cannot have these parameters.
@@ -122,11 +118,9 @@ class _EffectForce(ScalarSystem):
         self._set(context.get_mutable_numeric_parameter(_PARAMETERS), mu)
 
     def set_inertial_parameters(self, context: Context, phi: ArrayLike) -> None:
-        """Changes what the inertial parameters of the plant are taken to be, in a Context.
+        """Changes what inertial parameters (nb, 10) the plant is taken to have, in a Context.
 
-        Args:
-            context: The system's own Context.
-            phi: (nb, 10) parameters, as `set_inertial_parameters` writes them into the plant's.
+        They are those that `set_inertial_parameters` writes into the plant's.
 
         Raises:
             ArgumentError: The shape does not fit.
@@ -136,11 +130,7 @@ class _EffectForce(ScalarSystem):
         self._set(context.get_mutable_numeric_parameter(_PHI), phi.ravel())
 
     def set_hidden_states(self, context: Context, states: Mapping[Effect, ArrayLike]) -> None:
-        """Sets hidden states, such as a motion leaves them by `Effect.states_along`.
-
-        Args:
-            context: The system's own Context.
-            states: Effect -> (s,) its state; effects that are left out keep theirs.
+        """Sets hidden states (s,), such as `Effect.states_along` leaves them; others keep theirs.
 
         Raises:
             ArgumentError: An effect has no hidden states here, or not as many.
@@ -158,12 +148,9 @@ class _EffectForce(ScalarSystem):
         context.SetContinuousState(whole)
 
     def set_motors(self, context: Context, lag: ArrayLike, speed: ArrayLike) -> None:
-        """Sets where the motors of soft joints are.
+        """Sets where the motors of `soft_joints` are, by lags and speeds (m,).
 
-        Args:
-            context: The system's own Context.
-            lag: (m,) their positions less those of their links, rad or m; see `soft_joints`.
-            speed: (m,) their velocities, rad/s or m/s.
+        A lag is the position of a motor less that of its link, rad or m.
 
         Raises:
             ArgumentError: They are not as many as the soft joints.
@@ -184,11 +171,8 @@ class _EffectForce(ScalarSystem):
     ) -> Array:
         """Return positions (m,) of the motors of soft joints less those of links that follow them.
 
-        Args:
-            context: The system's own Context, for its parameters.
-            q: (nq,) positions of the motors.
-            v: (nv,) their velocities.
-            vd: (nv,) their accelerations; none if None.
+        Positions (nq,), velocities (nv,) and accelerations are those of the motors; parameters
+        those of the Context.
 
         Raises:
             ArgumentError: The Context is another's, or they are not as many.
@@ -216,11 +200,7 @@ class _EffectForce(ScalarSystem):
         plant.SetPositions(context, q)
 
     def state_port(self, builder: DiagramBuilder, joints: Sequence[str]) -> OutputPort:
-        """Return an output (2 n) of measured positions and then velocities of a robot.
-
-        Args:
-            builder: The builder that system and plant are in.
-            joints: Names of all the robot's joints, in the order of the output.
+        """Return an output (2 n) of measured positions and then velocities of all joints in order.
 
         Raises:
             ArgumentError: They are not the robot's joints, or one has several degrees of freedom.

@@ -59,11 +59,24 @@ class Statement(Schema):
         return None
 
 
-class Gear(Statement):
-    """A gear, belt or screw: θ = q / ratio + offset.
+class OneActuator(Statement):
+    """A part of one actuator.
 
     Attributes:
         actuator: Column of the log.
+    """
+
+    actuator: str
+
+    def actuator_names(self) -> tuple[str, ...]:
+        """Return the one."""
+        return (self.actuator,)
+
+
+class Gear(OneActuator):
+    """A gear, belt or screw: θ = q / ratio + offset.
+
+    Attributes:
         joint: The joint that it turns.
         ratio: Turns of the motor for one of the joint; negative where they turn against each other;
             for a screw, rad of the motor for one m.
@@ -74,17 +87,12 @@ class Gear(Statement):
         kind: How the actuator moves.
     """
 
-    actuator: str
     joint: str
     ratio: float = 1.0
     offset: float = 0.0
     rotor: str = ""
     side: Literal["motor", "joint"] = "motor"
     kind: Kind = ""
-
-    def actuator_names(self) -> tuple[str, ...]:
-        """Return the one."""
-        return (self.actuator,)
 
     def joint_names(self) -> tuple[str, ...]:
         """Return the joint, then that of the rotor."""
@@ -135,22 +143,16 @@ class Coupled(Statement):
         return LinearTransmission.of(J, [self.offsets.get(j, 0.0) for j in self.joints])
 
 
-class RollingJoint(Statement):
-    """Two bodies that roll on each other: two parallel joints, turned by one actuator.
+class RollingJoint(OneActuator):
+    """Two bodies that roll on each other: two parallel joints, turned by the whole angle.
 
     Attributes:
-        actuator: Column of the log: the whole angle.
         joints: The two joints, the inboard one first.
         share: Share of the first joint, r₂ / (r₁ + r₂).
     """
 
-    actuator: str
     joints: list[str]
     share: float = 0.5
-
-    def actuator_names(self) -> tuple[str, ...]:
-        """Return the one."""
-        return (self.actuator,)
 
     def joint_names(self) -> tuple[str, ...]:
         """Return the two."""
@@ -187,22 +189,12 @@ class Followers(Statement):
         return InSequence((LinearTransmission.of([[1.0]] * len(maps)), SideBySide(maps)))
 
 
-class OneJoint(Statement):
-    """One actuator and one joint; further fields but `kind` are those of a map θ = f(q).
-
-    Attributes:
-        actuator: Column of the log.
-        joint: The joint.
-    """
+class OneJoint(OneActuator):
+    """One actuator and one joint; further fields but `kind` are those of a map θ = f(q)."""
 
     map_of: ClassVar[type[ScalarTransmission]]
 
-    actuator: str
     joint: str
-
-    def actuator_names(self) -> tuple[str, ...]:
-        """Return the one."""
-        return (self.actuator,)
 
     def joint_names(self) -> tuple[str, ...]:
         """Return the one."""
