@@ -206,7 +206,7 @@ class OneJoint(OneActuator):
         own = [x for name, x in fields.items() if name not in ("actuator", "joint", "kind")]
         return self.map_of(*(np.array(x, float) if isinstance(x, list) else x for x in own))
 
-    def range(self) -> tuple[float, float]:
+    def range(self) -> tuple[float, float] | None:
         """Return where f is known."""
         return self.transmission().range
 
@@ -217,6 +217,10 @@ class Polynomial(OneJoint):
     map_of = PolynomialTransmission
 
     coefficients: list[float]
+
+    def range(self) -> None:
+        """Return that it holds everywhere."""
+        return
 
 
 class PositionTable(OneJoint):
