@@ -101,8 +101,20 @@ def export_model(model: RobotModel) -> Export:
         ModelError: The model's file cannot take the inertias.
     """
     exported = export_bodies(instance(model, "model", RobotModel))
-    notes = *_left_out(model), *exported.notes, *_relative_note(exported.content, model.path)
-    return Export(exported.content, exported.links, notes)
+    before, after = list[str](), list[str]()
+    names = dict.fromkeys(f.effect.name for f in model.effects if f.effect.role is not Role.BODY)
+    if names:
+        before += [
+            f"the exported file has the inertias only, not {', '.join(names)} (damping, friction "
+            "and armature in it stay as they are): --save keeps everything",
+            *reasons(model.effects),
+        ]
+    if _RELATIVE.search(exported.content):
+        after.append(
+            f"{model.path.name} names other files by relative paths, so the exported file belongs "
+            "into the same folder"
+        )
+    return Export(exported.content, exported.links, (*before, *exported.notes, *after))
 
 
 def export_bodies(model: RobotModel) -> Export:
@@ -138,7 +150,15 @@ def export_bodies(model: RobotModel) -> Export:
     content = with_comments(content, model.path, repair_comments(model))
     _check(content, model.path, written)
     links = tuple(name.rpartition("::")[2] for name in written)
-    return Export(content, links, (*_body_notes(model, absent), *shared, *_file_notes(data, model)))
+    notes = [*_body_notes(model, absent), *shared]
+    if is_xacro(model.path):
+        notes.append(f"the exported file is what {model.path.name} expands to, without its macros")
+    elif anew:
+        notes.append(
+            f"settings of {model.path.name} by which MuJoCo changes masses are not in the exported "
+            "file, which states all inertias"
+        )
+    return Export(content, links, tuple(notes))
 
 
 def repair_comments(model: RobotModel) -> list[str]:
@@ -231,20 +251,8 @@ def _check(content: bytes, path: Path, written: Mapping[str, Array]) -> None:
             )
 
 
-def _left_out(model: RobotModel) -> list[str]:
-    """Return a note on what a file of inertias cannot carry."""
-    names = dict.fromkeys(f.effect.name for f in model.effects if f.effect.role is not Role.BODY)
-    if not names:
-        return []
-    return [
-        f"the exported file has the inertias only, not {', '.join(names)} (damping, friction "
-        "and armature in it stay as they are): --save keeps everything",
-        *reasons(model.effects),
-    ]
-
-
 def _body_notes(model: RobotModel, absent: Sequence[str]) -> list[str]:
-    """Notes on payloads, and on bodies that the file has no place for."""
+    """Return notes on payloads, and on bodies that the file has no place for."""
     notes = []
     carried = [f.effect.where[0] for f in model.effects if f.effect.role is Role.BODY]
     if carried:
@@ -255,26 +263,6 @@ def _body_notes(model: RobotModel, absent: Sequence[str]) -> list[str]:
             "that MuJoCo puts there, so the exported file has no place for its inertia"
         )
     return notes
-
-
-def _relative_note(data: bytes, path: Path) -> list[str]:
-    if not _RELATIVE.search(data):
-        return []
-    return [
-        f"{path.name} names other files by relative paths, so the exported file belongs into "
-        "the same folder"
-    ]
-
-
-def _file_notes(data: bytes, model: RobotModel) -> list[str]:
-    if is_xacro(model.path):
-        return [f"the exported file is what {model.path.name} expands to, without its macros"]
-    if data == without_mass_settings(data, model.path):
-        return []
-    return [
-        f"settings of {model.path.name} by which MuJoCo changes masses are not in the exported "
-        "file, which states all inertias"
-    ]
 
 
 def file_kind(model: RobotModel) -> str:
