@@ -263,7 +263,8 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
         bandwidths={log: list(both) for log, both in model.bandwidths.items()},
         information=[] if model.information is None else model.information.tolist(),
     )
-    stated = {name: x for name, x in to_builtins(saved).items() if x is not None}
+    plain = to_builtins(saved, enc_hook=lambda value: value.item())  # of NumPy's numbers
+    stated = {name: value for name, value in plain.items() if value is not None}
     return str(yaml.dump(stated, Dumper=_Dumper, default_flow_style=None, sort_keys=False))
 
 

@@ -95,7 +95,9 @@ def fitted(tmp_path):
     p = model.phi.size + sum(len(e.parameters) for e in effects)
     root = rng.normal(size=(p, p))
     fading = np.array([0.0, 0.01, 1 / 3, 0.0, 0.0, 0.0])
-    return replace(model, fading_speed=fading, bandwidths={"abc": (3.0, 10 / 3)}).with_fit(
+    signal = EffortSignal(model.joints[0], "current", np.float64(0.7), deviation=np.float64(0.1))
+    known = {"bandwidths": {"abc": (3.0, np.float64(10 / 3))}, "effort_signals": (signal,)}
+    return replace(model, fading_speed=fading, **known).with_fit(
         model.phi * rng.uniform(1.0, 1.1, (len(model.bodies), 1)),
         effects,
         information=root @ root.T,
@@ -121,6 +123,7 @@ def test_comes_back_exactly(fitted, saved):
     np.testing.assert_array_equal(again.delays, fitted.delays)
     assert fitted.delays.any()
     assert again.bandwidths == fitted.bandwidths
+    assert again.effort_signals == fitted.effort_signals
     assert again.notes == fitted.notes
 
 
