@@ -100,17 +100,23 @@ def why_no_place(model: RobotModel, name: str) -> str:
 def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
     for joint in held:
         if joint in model.held:
-            problem = f"Joint {joint!r} is held already, at {model.held[joint]:g}."
-            advice = "Load the model file again to hold it elsewhere."
-        elif joint in model.led:
-            problem = f"Joint {joint!r} cannot be held, as it follows {model.led[joint][0]!r}."
-            advice = f"Hold {model.led[joint][0]!r}."
-        elif joint not in model.joints:
-            problem = f"The model has no joint {joint!r} to be held."
-            advice = f"Joints are: {', '.join(model.joints)}."
-        else:
-            continue
-        raise ModelError(problem, advice=advice, joint=joint)
+            raise ModelError(
+                f"Joint {joint!r} is held already, at {model.held[joint]:g}.",
+                advice="Load the model file again to hold it elsewhere.",
+                joint=joint,
+            )
+        if joint in model.led:
+            raise ModelError(
+                f"Joint {joint!r} cannot be held, as it follows {model.led[joint][0]!r}.",
+                advice=f"Hold {model.led[joint][0]!r}.",
+                joint=joint,
+            )
+        if joint not in model.joints:
+            raise ModelError(
+                f"The model has no joint {joint!r} to be held.",
+                advice=f"Joints are: {', '.join(model.joints)}.",
+                joint=joint,
+            )
 
 
 def _at_joints(

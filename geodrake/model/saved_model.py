@@ -254,7 +254,9 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
             name: os.path.relpath(place, folder) for name, place in model.given.packages.items()
         },
         transmission=stated_of(model.transmission) if model.transmission else None,
-        inertial_parameters=dict(zip(model.bodies, model.phi.tolist(), strict=True)),
+        inertial_parameters={
+            b: phi.tolist() for b, phi in zip(model.bodies, model.phi, strict=True)
+        },
         effects=[_saved_effect(fitted, folder) for fitted in model.effects],
         effort_signals=[SavedEffortSignal(**dataclasses.asdict(s)) for s in model.effort_signals],
         effort_noise=_by_joint(model, model.effort_noise),

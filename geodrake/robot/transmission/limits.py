@@ -43,7 +43,13 @@ def actuator_rates(actuation: Actuation, limits: Array, within: tuple[Array, Arr
 def actuator_effort_limits(
     actuation: Actuation, limits: Array, within: tuple[Array, Array]
 ) -> Array:
-    """Largest efforts (nv,) of actuators, of those of the joints; see `actuator_rates`."""
+    """Largest efforts (nv,) of a robot's actuators, of those of its joints; see `actuator_rates`.
+
+    Args:
+        actuation: How its joints follow from its actuators.
+        limits: (nv of the tree,) those of the joints.
+        within: Least and greatest positions (nq,) of the robot.
+    """
     return _each(actuation, limits, within, _efforts)
 
 
