@@ -10,7 +10,7 @@ from geodrake.control.rollout import case_rollout
 from geodrake.control.rollout.acting import told_joints
 from geodrake.errors import LogError, ModelError
 from geodrake.identification.logs.case import Case
-from geodrake.model.exporting.formats import ExportFormat
+from geodrake.model.exporting.export_format import ExportFormat
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import servos_of
 

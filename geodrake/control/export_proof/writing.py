@@ -11,7 +11,8 @@ from geodrake.boundary.whole_files import Content, made_folder, write_together
 from geodrake.control.export_proof.export import ProvenExport, export_with_proof
 from geodrake.errors import OutputError
 from geodrake.logs.motion import JointLog
-from geodrake.model.exporting.formats import ExportFormat, export_format
+from geodrake.model.exporting.export_format import ExportFormat
+from geodrake.model.exporting.formats import export_format
 from geodrake.model.exporting.held import HeldModel
 from geodrake.model.robot_model import RobotModel
 

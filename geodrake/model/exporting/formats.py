@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from geodrake.boundary.escaping import printable
 from geodrake.effects import Effect
 from geodrake.errors import ArgumentError
 from geodrake.model.export import repair_comments
+from geodrake.model.exporting.export_format import Exported, ExportFormat, Holding, Write
 from geodrake.model.exporting.held import HeldModel
 from geodrake.model.exporting.isaac import isaac_files
 from geodrake.model.exporting.model_text import model_file, own_kind, tilt_rotation, written_kind
@@ -35,49 +35,8 @@ _WITH_SPRINGS = frozenset({"sdf", "xml"})  # formats of files that have springs
 _DRAKE_KINDS = ("sdf", "urdf")  # of files that directives add, the usual one first
 
 
-@dataclass(frozen=True)
-class Exported:
-    """The files of an export.
-
-    Attributes:
-        files: Name in the folder -> content; what a simulator loads first.
-        notes: What is worth knowing about them.
-    """
-
-    files: Mapping[str, bytes]
-    notes: tuple[str, ...] = ()
-
-
-Holding = Callable[[RobotModel], Callable[[Effect], bool]]
-"""For a model, whether the files hold one of its effects as it is."""
-
 Able = Callable[[RobotModel], bool]
 """Whether the files of a model can hold something."""
-
-Write = Callable[[RobotModel, HeldModel, Path], Exported]
-"""Writes a model: the whole one, what the format holds of it, and the folder of the files."""
-
-
-@dataclass(frozen=True)
-class ExportFormat:
-    """A format.
-
-    Attributes:
-        name: What it is called, as in `--to`.
-        holding: What tells, for a model, whether the files hold an effect as it is; inertias and
-            payloads they always hold.
-        write: Makes the files.
-        engines: Names of the simulators in which the files are tried.
-        at_actuators: Whether the files have the efforts of actuators behind a transmission, too.
-        servos: Whether the files have the gains of servos.
-    """
-
-    name: str
-    holding: Holding
-    write: Write
-    engines: tuple[str, ...] = ()
-    at_actuators: bool = False
-    servos: bool = False
 
 
 def _holding(
@@ -124,10 +83,6 @@ def _source(language: str) -> Write:
         return Exported({source.file_name: source.text.encode()}, notes)
 
     return write
-
-
-def _isaac(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
-    return Exported(*isaac_files(model, held.model, folder))
 
 
 def _drake_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
@@ -212,7 +167,7 @@ FORMATS = {
             "mjcf", _holding("xml", beside=(Tilt, Delay)), _file("xml"), ("mujoco",), servos=True
         ),
         ExportFormat("drake", _OF_DRAKE, _drake_files, ("drake",)),
-        ExportFormat("isaac", _OF_ISAAC, _isaac, _URDF_ENGINES, servos=True),
+        ExportFormat("isaac", _OF_ISAAC, isaac_files, _URDF_ENGINES, servos=True),
         ExportFormat("python", lambda _: is_written, _source("python"), ("python",), True),
         ExportFormat("cpp", lambda _: is_written, _source("cpp"), at_actuators=True),
     )

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 
 from geodrake.model.export import repair_comments
+from geodrake.model.exporting.export_format import Exported
+from geodrake.model.exporting.held import HeldModel
 from geodrake.model.exporting.joints import exported_joints
 from geodrake.model.exporting.model_text import model_file
 from geodrake.model.file_terms import StaticFriction
 from geodrake.model.robot_model import RobotModel
 
 
-def isaac_files(
-    model: RobotModel, held: RobotModel, folder: Path
-) -> tuple[dict[str, bytes], tuple[str, ...]]:
-    """Return a robot's URDF and the values that Isaac Lab's actuators take, by name, and notes.
+def isaac_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
+    """Return a robot's URDF and the values that Isaac Lab's actuators take, by name.
 
     Viscous friction is `viscous_friction`, since `damping` is a gain; static `friction` is what
     Stribeck friction makes of the dynamic one at rest. Stiffness and damping are those of servos,
@@ -26,8 +26,8 @@ def isaac_files(
     `min_delay` and `max_delay` of a DelayedPDActuatorCfg are it in steps of the simulation.
     `effort_delay` is that of measured efforts, which drives do not have.
     """
-    name, data, notes = model_file(held, "urdf", folder)
-    stem, held_joints = name.removesuffix(".urdf"), exported_joints(held)
+    name, data, notes = model_file(held.model, "urdf", folder)
+    stem, held_joints = name.removesuffix(".urdf"), exported_joints(held.model)
     at_rest = {  # by how much friction exceeds that of a moving joint
         fitted.effect.where[0]: float(fitted.parameters[0])
         for fitted in model.effects
@@ -56,4 +56,4 @@ def isaac_files(
         f"the values of {stem} are named as fields of Isaac Lab's ActuatorBaseCfg; stiffness and "
         "damping there are gains of a drive, 0 for joints that are moved by efforts"
     )
-    return {name: data, f"{stem}.actuators.json": values}, (*notes, note)
+    return Exported({name: data, f"{stem}.actuators.json": values}, (*notes, note))
