@@ -85,23 +85,13 @@ def holding(
 
 
 def held_notes(held: Mapping[str, float], why: str = "so that they do not move") -> list[str]:
-    """That joints are held, and where, in words.
-
-    Args:
-        held: Joint -> where it is held, rad or m.
-        why: Why they are.
-    """
+    """That joints are held, and where (rad or m), in words."""
     words = ", ".join(f"{joint} at {value:.4g}" for joint, value in held.items())
     return [f"Held, {why}: {words}."] if words else []
 
 
 def why_no_place(model: RobotModel, name: str) -> str:
-    """Return why a joint or link of the file is none of the model's, in a sentence before a space.
-
-    Args:
-        model: The model.
-        name: Name of a joint or link; nothing is returned for one that there is not at all.
-    """
+    """Return why a joint or link of the file is none of the model's; nothing if there is none."""
     if name in model.held:
         return f"{name} is held, by --lock or as it hardly moves (--no-auto-lock keeps it). "
     for body in lumped_bodies(model.plant):
@@ -255,12 +245,7 @@ class _Lumping:
 
 
 def schur_complement(information: Array, A: Array) -> Array:
-    """(q, q) information about y = A x, of that about x: the least of xᵀ Λ x with A x = y.
-
-    Args:
-        information: (p, p) Λ, positive semidefinite.
-        A: (q, p) of rank q.
-    """
+    """(q, q) information about y = A x, A (q, p) of rank q, of that Λ (p, p) ⪰ 0 about x."""
     size = np.sqrt(np.maximum(np.diagonal(information), 0.0))
     scale = np.divide(1.0, size, out=np.ones_like(size), where=size > 0.0)  # parameters have units
     information = scale[:, None] * information * scale

@@ -34,14 +34,8 @@ from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.effort_signal import EffortSignal, signal_of
-from geodrake.model.simulation.driven_robot import Driving, add_driven_robot
-from geodrake.model.simulation.robot_in_diagram import (
-    DiagramOptions,
-    FittedRobot,
-    RobotInDiagram,
-    add_robot,
-    add_robot_to_scene,
-)
+from geodrake.model.simulation.driven_robot import Driving
+from geodrake.model.simulation.robot_in_diagram import DiagramRobot, RobotInDiagram
 from geodrake.model.stated_terms import stated_effects
 from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_positions
 from geodrake.robot.files import Given
@@ -182,12 +176,7 @@ class RobotModel(Short):
         return self.coordinates.plant_positions(joint_positions(self.tree, q))
 
     def plant_velocities(self, q: Array, v: Array) -> Array:
-        """(N, nv of the plant) velocities, of positions (N, nq) and velocities of the model.
-
-        Args:
-            q: (N, nq) positions of the model.
-            v: (N, nv) its velocities.
-        """
+        """(N, nv of the plant) velocities, of positions (N, nq) and velocities (N, nv)."""
         if self.actuation is not None:
             v = times(self.actuation.jacobian(q), v)
         return self.coordinates.plant_velocities(v)
@@ -232,21 +221,12 @@ class RobotModel(Short):
         return Driving(self.tree, self.coordinates, self.total_phi, self.joints, needed, gain)
 
     def robot_gradient(self, q: Array, gradient: Array) -> Array:
-        """(N, nq) gradient with the model's positions q, of that with the plant's (N, ·).
-
-        Args:
-            q: (N, nq) positions of the model.
-            gradient: (N, nq of the plant) gradient.
-        """
+        """(N, nq) gradient with the positions q (N, nq), of that with the plant's (N, ·)."""
         gradient = self.coordinates.robot_gradient(gradient)
         return gradient if self.actuation is None else self.actuation.robot_gradient(q, gradient)
 
     def refuse_transmission(self, what: str, advice: str) -> None:
         """Refuses what only works at joints.
-
-        Args:
-            what: What cannot be done, as the beginning of a sentence.
-            advice: What the user can do.
 
         Raises:
             ModelError: The model has a transmission.
@@ -288,10 +268,8 @@ class RobotModel(Short):
     @cached_property
     def acceleration_limits(self) -> Array:
         """Largest accelerations (nv,), rad/s² or m/s²; infinite where there is no limit."""
-        plant = self.plant
-        return self._rates(
-            np.minimum(plant.GetAccelerationUpperLimits(), -plant.GetAccelerationLowerLimits())
-        )
+        lower, upper = self.plant.GetAccelerationLowerLimits, self.plant.GetAccelerationUpperLimits
+        return self._rates(np.minimum(upper(), -lower()))
 
     def _rates(self, limits: Array) -> Array:
         limits = self.coordinates.rate_limits(limits)
@@ -390,36 +368,34 @@ class RobotModel(Short):
             load = real_array(load, "load", motion.v.shape)
         else:
             load = inverse_dynamics(self.tree, *samples, self.total_phi)
-        q = np.full(motion.v.shape, np.nan)
-        at_velocity, at_position = self.single_places
-        q[:, at_velocity] = motion.q[:, at_position]
-        width = self.sign_widths(sign_width)
         seen = RobotMotion(
             self.joints,
-            q,
+            self._by_velocity(motion.q),
             motion.v,
             motion.vd,
             load,
-            width,
+            self.sign_widths(sign_width),
             lambda body: body_regressor(self.tree, *samples, self.bodies.index(body)),
             RobotBodies(self.tree, motion.q, self.total_phi),
             motion.time,
         )
         if motion.before is not None:
-            before = np.full((len(motion.before), len(self.joints)), np.nan)
-            before[:, at_velocity] = motion.before[:, at_position]
-            seen = replace(seen, before=before)
+            seen = replace(seen, before=self._by_velocity(motion.before))
         if motion.temperature is not None:
             seen = replace(seen, temperature=motion.temperature)
         return replace(seen, effort=cache(lambda: self._unscaled_effort(seen)))
 
-    def effort(self, motion: Motion, *, sign_width: ArrayLike = 0.0) -> Array:
-        """Effort that a motion needs, (N, nv), N·m or N; delays are not applied.
+    def _by_velocity(self, q: Array) -> Array:
+        """(N, nv) positions by velocity, of q (N, nq); NaN for joints of several degrees."""
+        found = np.full((len(q), len(self.joints)), np.nan)
+        at_velocity, at_position = self.single_places
+        found[:, at_velocity] = q[:, at_position]
+        return found
 
-        Args:
-            motion: N samples in Drake's order.
-            sign_width: Speed below which dry friction fades, rad/s or m/s; one for all velocities
-                or (nv,).
+    def effort(self, motion: Motion, *, sign_width: ArrayLike = 0.0) -> Array:
+        """Effort that N samples in Drake's order need, (N, nv), N·m or N; delays are not applied.
+
+        Dry friction fades below the speed `sign_width`, rad/s or m/s, one for all or (nv,).
         """
         size = max(1, LARGEST_REGRESSOR // (len(self.joints) * self.phi.size))
         effort = np.empty(instance(motion, "motion", Motion).v.shape)
@@ -596,17 +572,10 @@ class RobotModel(Short):
         instance(builder, "builder", DiagramBuilder)
         if scene_graph is not None:
             instance(scene_graph, "scene_graph", (SceneGraph, bool))
-        options = DiagramOptions(
-            number(time_step, "time_step", lower=0.0),
-            scene_graph,
-            instance(name, "name", str),
-            self.sign_widths(sign_width),
-            log,
-        )
-        driving = self.driving(self.sign_widths(sign_width), log)
-        if driving is not None:
-            return add_driven_robot(builder, self._as_fitted(), options, driving)
-        return add_robot(builder, self._as_fitted(), options)
+        step, name = number(time_step, "time_step", lower=0.0), instance(name, "name", str)
+        robot = self._in_diagram(name, sign_width, log)
+        driving = self.driving(robot.sign_width, log)
+        return robot.add(builder, step, scene_graph, driving)
 
     def add_to_scene(
         self,
@@ -648,27 +617,16 @@ class RobotModel(Short):
                 advice="Use model.add_to_builder, or hold them: geodrake.model.holding.",
             )
         place = instance(robot, "robot", RobotInstance)
-        place.check_base(self.joint_tree, self.joints, turned=self._sees_world)
+        sees_world = any(isinstance(fitted.effect, RobotEffect) for fitted in self.effects)
+        place.check_base(self.joint_tree, self.joints, turned=sees_world)
         name = "plant" if place.name is None else place.name
-        options = DiagramOptions(0.0, None, name, self.sign_widths(sign_width), log)
-        return add_robot_to_scene(builder, self._as_fitted(), place, options)
+        return self._in_diagram(name, sign_width, log).add_to_scene(builder, place)
 
-    @property
-    def _sees_world(self) -> bool:
-        """Return whether an effect depends on how the base is turned about the vertical."""
-        return any(isinstance(fitted.effect, RobotEffect) for fitted in self.effects)
-
-    def _as_fitted(self) -> FittedRobot:
+    def _in_diagram(self, name: str, sign_width: ArrayLike, log: str | None) -> DiagramRobot:
         """Return what a diagram needs to know."""
-        return FittedRobot(
-            self.path,
-            self.floating,
-            self.total_phi,
-            self.effects,
-            self.held,
-            self.given,
-            self.joints,
-        )
+        file = self.path, self.floating, self.held, self.given
+        fitted, width = (self.total_phi, self.effects, self.joints), self.sign_widths(sign_width)
+        return DiagramRobot(*file, *fitted, name, width, log)
 
     def with_fit(
         self,
@@ -678,13 +636,7 @@ class RobotModel(Short):
         information: Array,
         effort_noise: Array,
     ) -> RobotModel:
-        """Return the model with fitted parameters in place of its own.
-
-        Args:
-            phi: (nb, 10) inertial parameters without payloads.
-            effects: Effects and their parameters.
-            information: (p, p) information matrix of all of them.
-            effort_noise: (nv,) held-out RMS that the fit leaves.
+        """Return the model with fitted parameters, as in its attributes, in place of its own.
 
         Raises:
             ArgumentError: A value is not finite, or a shape does not fit the model.
@@ -695,14 +647,8 @@ class RobotModel(Short):
         information = real_array(information, "information", (p, p), finite=False)
         if not np.isfinite(information).all():
             raise ArgumentError("information must be finite.")
-        effort_noise = real_array(effort_noise, "effort_noise", (len(self.joints),))
-        return replace(
-            self,
-            phi=phi,
-            effects=effects,
-            information=information,
-            effort_noise=effort_noise,
-        )
+        noise = real_array(effort_noise, "effort_noise", (len(self.joints),))
+        return replace(self, phi=phi, effects=effects, information=information, effort_noise=noise)
 
 
 def from_loaded_plant(
@@ -813,14 +759,6 @@ def load_description(
     given: Given | None = None,
     transmission: Sequence[Drive] = (),
 ) -> RobotModel:
-    """Return the model of a URDF, SDF, MJCF or Drake directives file.
-
-    Args:
-        path: The file.
-        floating: As in `geodrake.robot.load_plant`.
-        held: Likewise.
-        given: Likewise.
-        transmission: What moves its joints in their place.
-    """
+    """Return the model of a URDF, SDF, MJCF or Drake directives file."""
     loaded = load_plant(path, floating=floating, held=held, given=given)
     return from_loaded_plant(loaded, floating=floating, transmission=transmission)

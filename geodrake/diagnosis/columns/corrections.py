@@ -14,8 +14,7 @@ from geodrake.diagnosis.columns.finding import ColumnFinding
 from geodrake.diagnosis.columns.kinds import KINDS
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
-from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal
-from geodrake.model.motor_limit import MotorLimit
+from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, MotorLimit
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.signal_efforts import kind_of, limited_effort
 

@@ -22,13 +22,7 @@ _POINTS = 4001
 def actuator_positions_between(
     actuation: Actuation, lower: Array, upper: Array
 ) -> tuple[Array, Array]:
-    """Least and greatest positions (nq,) of a robot, of those (nq of the tree,) of its joints.
-
-    Args:
-        actuation: How its joints follow from its actuators.
-        lower: (nq of the tree,) least positions of the joints.
-        upper: (nq of the tree,) greatest ones.
-    """
+    """Least and greatest positions (nq,) of a robot, of those (nq of the tree,) of its joints."""
     low, high = np.full((2, actuation.num_positions), np.nan)
     own, tree = actuation.kept_q
     low[own], high[own] = lower[tree], upper[tree]
@@ -39,12 +33,9 @@ def actuator_positions_between(
 
 
 def actuator_rates(actuation: Actuation, limits: Array, within: tuple[Array, Array]) -> Array:
-    """Largest speeds or accelerations (nv,) of a robot, of those of its joints.
+    """Largest speeds or accelerations (nv,) of a robot, of those (nv of the tree,) of its joints.
 
-    Args:
-        actuation: How its joints follow from its actuators.
-        limits: (nv of the tree,) those of the joints.
-        within: Least and greatest positions (nq,) of the robot.
+    `within` are its least and greatest positions (nq,).
     """
     return _each(actuation, limits, within, lambda J, most: _box(np.abs(J).max(axis=0), most))
 
@@ -76,12 +67,8 @@ def _each(
 ) -> Array:
     """Limits (nv,) of a robot, of those (nv of the tree,) of its joints.
 
-    Args:
-        actuation: How its joints follow from its actuators.
-        limits: (nv of the tree,) those of the joints.
-        within: Least and greatest positions (nq,) of the robot.
-        of: What a drive's J (N, k, n) where its actuators may be, and the limits (k,) of its
-            joints, make of those (n,) of its actuators.
+    `of` makes those (n,) of a drive's actuators of its J (N, k, n) where they may be, and of the
+    limits (k,) of its joints.
     """
     found = np.full(actuation.num_velocities, np.inf)
     own, tree = actuation.kept_v
@@ -124,9 +111,7 @@ def _positions(drive: Drive, lower: Array, upper: Array) -> tuple[Array, Array]:
                 low[i], high[i] = max(low[i], first), min(high[i], last)
         return low, high
     finite = np.isfinite(lower) & np.isfinite(upper)
-    center_of = np.where(
-        finite, 0.5 * (np.where(finite, lower, 0.0) + np.where(finite, upper, 0)), 0
-    )
+    center_of = middle(np.where(finite, lower, np.nan), np.where(finite, upper, np.nan))
     center = np.linalg.pinv(J) @ center_of
     off = np.abs(J @ center - center_of)
     room = np.where(finite, np.maximum(0.5 * (upper - lower) - off, 0.0), np.inf)

@@ -72,12 +72,7 @@ class ScalarTransmission(Transmission):
         return np.clip(q, low + off, high - off)
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
-        """J̇ = f″(q) q̇.
-
-        Args:
-            q: (N, 1) actuator coordinates.
-            v: (N, 1) their velocities.
-        """
+        """J̇ = f″(q) q̇, of q and q̇ (N, 1)."""
         rate = self.curvature(self._checked(q, "q", 1)[:, 0]) * self._checked(v, "v", 1)[:, 0]
         return rate[:, None, None]
 
