@@ -18,7 +18,13 @@ from geodrake.model.export import repair_comments
 from geodrake.model.exporting.export_format import Exported, ExportFormat, Holding, Write
 from geodrake.model.exporting.held import HeldModel
 from geodrake.model.exporting.isaac import isaac_files
-from geodrake.model.exporting.model_text import model_file, own_kind, tilt_rotation, written_kind
+from geodrake.model.exporting.model_text import (
+    model_file,
+    own_kind,
+    stands_as_it_is,
+    tilt_rotation,
+    written_kind,
+)
 from geodrake.model.file_terms import (
     Damping,
     Delay,
@@ -53,6 +59,8 @@ def _holding(
     def holding(model: RobotModel) -> Callable[[Effect], bool]:
         springs = written_kind(model, kinds) in _WITH_SPRINGS
         more = beside if beside and able(model) else ()
+        if stands_as_it_is(model, kinds[0]):
+            return lambda effect: True
 
         def holds(effect: Effect) -> bool:
             if isinstance(effect, Spring):
@@ -68,7 +76,8 @@ def _file(kind: str) -> Write:
     """Writes one file of a format."""
 
     def write(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
-        name, data, notes = model_file(held.model, kind, folder)
+        stands = stands_as_it_is(model, kind)
+        name, data, notes = model_file(held.model, kind, folder, stands=stands)
         return Exported({name: data}, notes)
 
     return write

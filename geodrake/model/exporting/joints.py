@@ -103,6 +103,14 @@ def exported_joints(model: RobotModel) -> dict[str, ExportedJoint]:
     return found
 
 
+def all_numbers(model: RobotModel) -> dict[str, dict[str, float]]:
+    """Return what a model has at its joints, by scoped name and name of the number."""
+    return {
+        joint.scoped: {name: getattr(joint, name) for name in _NUMBERS}
+        for joint in exported_joints(model).values()
+    }
+
+
 def changed_numbers(model: RobotModel) -> dict[str, dict[str, float]]:
     """Return what a model has otherwise than its own file, by scoped name and name of the number.
 

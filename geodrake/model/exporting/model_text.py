@@ -11,11 +11,11 @@ from pydrake.common.eigen_geometry import AngleAxis
 from geodrake.inertia import Array
 from geodrake.model.export import export_bodies, file_kind
 from geodrake.model.exporting.from_plant import SUFFIXES, from_plant
-from geodrake.model.exporting.joints import changed_numbers, exported_joints
+from geodrake.model.exporting.joints import all_numbers, changed_numbers, exported_joints
 from geodrake.model.exporting.mjcf_actuators import with_actuators
 from geodrake.model.file_terms import Tilt
-from geodrake.model.robot_model import RobotModel
-from geodrake.robot.files.joint_text import with_gravity, with_joint_numbers
+from geodrake.model.robot_model import RobotModel, as_in_file, read_again
+from geodrake.robot.files.joint_text import with_gravity, with_joint_numbers, without_passive_forces
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.reading import model_text_of
 from geodrake.robot.files.references import with_references
@@ -38,7 +38,14 @@ def own_kind(model: RobotModel) -> str:
     return "" if model.path.suffix.lower() in (".yaml", ".yml") else file_kind(model)
 
 
-def model_file(model: RobotModel, kind: str, folder: Path) -> tuple[str, bytes, tuple[str, ...]]:
+def stands_as_it_is(model: RobotModel, kind: str) -> bool:
+    """Return whether a model has the effects of its own file, which an export of a kind copies."""
+    return kind == "xml" == own_kind(model) and as_in_file(model, read_again(model))
+
+
+def model_file(
+    model: RobotModel, kind: str, folder: Path, *, stands: bool = False
+) -> tuple[str, bytes, tuple[str, ...]]:
     """Return the name of a robot's file with all that it can hold of a model, the file, and notes.
 
     That is a copy of the user's own file if it has the format, expanded if it is of xacro, and
@@ -48,6 +55,7 @@ def model_file(model: RobotModel, kind: str, folder: Path) -> tuple[str, bytes, 
         model: The model, of effects that the format holds.
         kind: The format: urdf, sdf, or xml for MJCF.
         folder: Where the file will be: relative paths in it lead from there.
+        stands: Whether the model has the effects of its own file.
 
     Raises:
         ModelError: The file cannot take the numbers, or the robot cannot be written anew.
@@ -55,7 +63,7 @@ def model_file(model: RobotModel, kind: str, folder: Path) -> tuple[str, bytes, 
     name = f"{model.path.name.partition('.')[0]}{SUFFIXES[kind]}"
     if own_kind(model) == kind:
         macros = model.path.suffix.lower() == ".xacro"
-        return name if macros else model.path.name, *_edited(model, folder)
+        return name if macros else model.path.name, *_edited(model, folder, stands)
     note = (
         f"{name} is made of the bodies and joints of {model.path.name}, without geometry; links "
         "that are welded together are one"
@@ -67,15 +75,21 @@ def model_file(model: RobotModel, kind: str, folder: Path) -> tuple[str, bytes, 
     return name, data, (note, *more)
 
 
-def _edited(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]:
-    """Return the user's file with what it holds of a model, and notes; the rest stays."""
+def _edited(model: RobotModel, folder: Path, stands: bool) -> tuple[bytes, tuple[str, ...]]:
+    """Return the user's file with what it holds of a model, and notes; the rest stays.
+
+    Of an MJCF, forces that are no joint's own only stay where the model has all effects of it.
+    """
     exported = export_bodies(model)
     data, path = exported.content, model.path
-    changes = changed_numbers(model)
+    changes = {} if stands else changed_numbers(model)
+    bare = data if stands else without_passive_forces(data, path)
+    if bare != data:
+        data, changes = bare, all_numbers(model)
     text = model_text_of(read_expanded(path, model.given), path)
     if isinstance(text, MjcfText) and text.degrees:
         for joint in exported_joints(model).values():
-            if joint.turns and "rest" in changes[joint.scoped]:
+            if joint.turns and "rest" in changes.get(joint.scoped, {}):
                 changes[joint.scoped]["rest"] = float(np.rad2deg(joint.rest))
     data = with_joint_numbers(data, path, changes)
     acting = _notes_on_limits(model)
