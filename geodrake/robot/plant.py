@@ -39,7 +39,7 @@ from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.followers import Follower, OwnCoordinates, resolved
 from geodrake.robot.holding import Arrangement, checked_held, poses_of, weld_joints, welds_of
-from geodrake.robot.loops import Choice, ClosedLoop, Loops, closed_loops
+from geodrake.robot.loops import ClosedLoop, LoopJoints, Loops, closed_loops
 from geodrake.robot.mujoco_check import (
     JointTerms,
     check_against_mujoco,
@@ -241,7 +241,7 @@ def _draft(
     joints = _single_joints(draft.plant)
     followers = resolved(description.followers, [scoped(joint) for joint in joints.values()])
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
-    loops = _loops(description, draft, Choice(followers, first=tuple(held)))
+    loops = _loops(description, draft, LoopJoints(followers, first=tuple(held)))
     if loops.loops:
         states = _closed_states(draft.plant, followers, joints, loops)
         check_loops_against_mujoco(description, draft.plant, states)
@@ -260,12 +260,12 @@ def _draft(
             followers=tuple(f for f in followers if f.joint not in places),
         )
         draft = _build(description, arrangement)
-        how = Choice(arrangement.followers, start=start)
+        how = LoopJoints(arrangement.followers, start=start)
         loops = replace(_loops(description, draft, how), held=still)
     return draft, arrangement, loops
 
 
-def _loops(description: ModelDescription, built: _Built, how: Choice) -> Loops:
+def _loops(description: ModelDescription, built: _Built, how: LoopJoints) -> Loops:
     """Return the closed loops of a plant of a description."""
     plant, closures = built.plant, [*description.closures, *(o.closure for o in built.opened)]
     if not closures:

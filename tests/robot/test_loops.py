@@ -575,3 +575,54 @@ def test_a_leg_may_float(tmp_path):
     model = load(tmp_path, text.replace("</worldbody>", "</body></worldbody>"), floating=True)
     assert len(model.joints) == 12 and not model.left_out
     assert check_dynamics(model, samples=10).holds
+
+
+TERMS = 'damping=".2"', 'armature=".03"', 'stiffness="3" springref=".1"', ""
+
+
+def random_robot(seed):
+    """Two chains of joints about and along any axes, their ends joined, on a joint of its own."""
+    rng = np.random.default_rng(seed)
+    words = lambda x: " ".join(f"{value:.12g}" for value in x)  # noqa: E731
+
+    def chain(name, count, inner=""):
+        text = inner
+        for k in reversed(range(count)):
+            kind = "slide" if rng.random() < 0.25 else "hinge"
+            place, turn = words(rng.uniform(-0.3, 0.3, 3)), words(rng.uniform(-1, 1, 3))
+            axis, com = words(rng.normal(size=3)), words(rng.uniform(-0.1, 0.1, 3))
+            joint = f'<joint name="{name}{k}" type="{kind}" axis="{axis}" {rng.choice(TERMS)}/>'
+            inertial = f'<inertial mass="1.5" pos="{com}" diaginertia=".02 .03 .025"/>'
+            where = f'<body name="{name}{k}" pos="{place}" euler="{turn}">'
+            text = f"{where}{joint}{inertial}{text}</body>"
+        return text
+
+    welds = rng.random() < 0.5
+    count = 4 if welds else 3
+    base = chain("base", 1, chain("a", count) + chain("b", count))
+    anchor = "" if welds else f'anchor="{words(rng.uniform(-0.2, 0.2, 3))}"'
+    ends = f'body1="a{count - 1}" body2="b{count - 1}" {anchor}'
+    return (
+        f'<mujoco model="r"><compiler angle="radian"/><worldbody>{base}</worldbody>'
+        f"<equality><{'weld' if welds else 'connect'} {ends}/></equality></mujoco>"
+    )
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_random_loops_in_space_are_mujocos(tmp_path, seed):
+    text = random_robot(seed)
+    model = load(tmp_path, text)
+    constrained = Constrained.of(mujoco, text, model.joints)
+    assert len(model.joints) == 1 + (2 if "<weld" in text else 3) and not model.left_out
+    (drive,) = model.transmission
+    q, v, vd = states(model, 4, seed, spread=0.2)
+    own = [model.joints.index(name) for name in drive.actuators]
+    q[:, own] = drive.map.inside(q[:, own])
+    for state in zip(q, v, vd, strict=True):
+        ours = in_mujoco(model, constrained, state[0])
+        qpos, G = constrained.closed(ours)
+        assert np.abs(qpos - ours).max() < 1e-9
+        qacc = G @ state[2] + constrained.bias(qpos, G, state[1])
+        expected = G.T @ constrained.inverse(qpos, G @ state[1], qacc)
+        found = model.effort(Motion(*(x[None] for x in state)))[0]
+        assert np.abs(found - expected).max() <= 1e-5 * np.abs(expected).max()
