@@ -385,8 +385,11 @@ def _build(
             j: np.array(joint.default_damping_vector()) for j, joint in enumerate(_joints(plant))
         }
         rotor = _take_rotor_inertia(plant, description)
+        starts = description.joint_values("start")
         for joint in _joints(plant):
             joint.set_default_damping_vector(np.zeros(joint.num_velocities()))
+            if (start := starts.get(scoped(joint), 0.0)) and joint.num_positions() == 1:
+                joint.set_default_positions([start])
         plant.Finalize()
         check_poses(plant, description.path)
     if plant.num_velocities() == 0:

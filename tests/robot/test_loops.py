@@ -626,3 +626,24 @@ def test_random_loops_in_space_are_mujocos(tmp_path, seed):
         expected = G.T @ constrained.inverse(qpos, G @ state[1], qacc)
         found = model.effort(Motion(*(x[None] for x in state)))[0]
         assert np.abs(found - expected).max() <= 1e-5 * np.abs(expected).max()
+
+
+def test_a_loop_begins_where_the_file_draws_it(tmp_path):
+    text = four_bar()
+    for joint, ref in (("crank", 0.7), ("coupler", -0.4), ("rocker", 1.1)):
+        text = text.replace(f'<joint name="{joint}"', f'<joint name="{joint}" ref="{ref}"')
+    model, constrained = load(tmp_path, text), Constrained.of(mujoco, text, ["crank"])
+    plain = load(tmp_path, four_bar())
+    assert model.default_position("crank") == pytest.approx(0.7)
+    there = model.plant_positions(np.array([[0.7]]))[0]
+    np.testing.assert_allclose(there, [0.7, -0.4, 1.1], atol=1e-12)
+    for q, v, vd in zip(*states(model, 3), strict=True):
+        qpos, G = constrained.closed(in_mujoco(model, constrained, q))
+        qacc = G @ vd + constrained.bias(qpos, G, v)
+        expected = G.T @ constrained.inverse(qpos, G @ v, qacc)
+        found = model.effort(Motion(q[None], v[None], vd[None]))[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+    motion = Motion(*states(plain, 3))
+    bare = [replace(m, effects=()) for m in (model, plain)]
+    moved = Motion(motion.q + 0.7, motion.v, motion.vd)
+    np.testing.assert_allclose(bare[0].effort(moved), bare[1].effort(motion), rtol=1e-9)

@@ -49,6 +49,7 @@ class ModelText(abc.ABC):
         stiffness_3: Scoped joint names with k of a spring k (q − q₀)³, SI.
         rest_3: Scoped joint names with q₀ of that spring, rad or m.
         rest: Scoped joint names with the position at which that spring is at rest, rad or m.
+        start: Scoped joint names with where the file has them by default, rad or m; otherwise at 0.
         effort: Scoped joint names with their largest effort, N or N·m.
         followers: Joints that the file has follow others; whether they can is seen in the plant.
         bent: Joints that the file has follow others by a ratio that changes.
@@ -77,6 +78,7 @@ class ModelText(abc.ABC):
         self.stiffness_3: dict[str, float] = {}
         self.rest_3: dict[str, float] = {}
         self.rest: dict[str, float] = {}
+        self.start: dict[str, float] = {}
         self.effort: dict[str, float] = {}
         self.between: set[str] = set()
         self.packages: set[str] = set()

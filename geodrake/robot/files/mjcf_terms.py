@@ -97,6 +97,7 @@ QUANTITIES = (
     "stiffness_3",
     "rest",
     "rest_3",
+    "start",
     "effort",
 )
 
@@ -173,6 +174,8 @@ class _Terms:
             if springs and m.jnt_stiffness[joint] + np.abs(self._poly(joint)).sum():
                 self._take_spring(joint, name, count)
             self._take_limit(joint, count)
+            if count == 1:
+                self._add("start", joint, m.qpos0[m.jnt_qposadr[joint]])
 
     def _leave_of_free(self, dof: int, name: str) -> None:
         m = self.m
