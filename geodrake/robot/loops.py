@@ -142,10 +142,10 @@ class ClosedLoop:
         others = [self.map.joints[k] for k in shown if self.map.joints[k] not in free]
         told = [f"In the closed loop of {self.map.name}, {_listed(others, free)}."]
         if passive := [name for name in free if self.driven and name not in self.driven]:
-            told.append(
-                f"No motor of the file determines where {', '.join(passive)} of that loop is, "
-                "which counts as a joint of its own."
-            )
+            where = f"{passive[0]} of that loop is: it counts as a joint of its own."
+            if passive[1:]:
+                where = f"{', '.join(passive)} of that loop are: they count as joints of their own."
+            told.append(f"No motor of the file determines where {where}")
         if further := self.map.driven:
             told.append(
                 f"The loop has more motors than it moves freely: efforts of {', '.join(further)} "

@@ -298,7 +298,7 @@ def test_a_held_joint_holds_all_of_its_loop(tmp_path):
 def test_springs_hold_what_motors_do_not_determine(tmp_path):
     model = load(tmp_path, leg())
     assert any("tarsus, rod_1, rod_2 follow knee, shin, heel" in note for note in model.notes)
-    assert any("determines where shin, heel of that loop is" in note for note in model.notes)
+    assert any("determines where shin, heel of that loop are" in note for note in model.notes)
     rigid = load(tmp_path, leg(), lock={"shin": 0.0, "heel": 0.0, "rod_spin": 0.0})
     assert rigid.joints == ("hip", "knee", "crank")
     q, v, vd = states(rigid, 3, spread=0.3)
