@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.robot.closure import WORLD, Closure
 from geodrake.robot.followers import Follower, OwnCoordinates
+from geodrake.robot.holding import moving_joints
 from geodrake.robot.joints import Features, axis_motion, slide_motion
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
 from geodrake.robot.loop_recursion import CLOSURE, Indices, LoopRecords, calc_misses
@@ -37,7 +39,8 @@ from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Followers
 
-_WELL, _FREE = 0.01, 1e-5  # shares of a column that others leave, at which it is none of theirs
+_FREE = 1e-5  # share of the largest column, at which one counts as no combination of others
+_WELL = 0.1, 0.01, 0.0  # shares of itself that others leave of a column, in the order of trials
 _IDLE = 1e-9  # share of the largest column, of a joint that a loop does not see
 _CLOSED, _NEARLY = 1e-9, 1e-3  # shares of the size by which a loop misses, the latter by rounding
 _STILL = 1e-14  # rad or shares, by which the last iteration moves
@@ -49,7 +52,7 @@ _SAME = 1e-3  # rad or shares, by which a joint may be held beside where the loo
 
 
 @dataclass(frozen=True)
-class Choice:
+class LoopJoints:
     """What is known of joints beside what closes loops.
 
     Attributes:
@@ -139,10 +142,10 @@ class ClosedLoop:
         others = [self.map.joints[k] for k in shown if self.map.joints[k] not in free]
         told = [f"In the closed loop of {self.map.name}, {_listed(others, free)}."]
         if passive := [name for name in free if self.driven and name not in self.driven]:
-            told.append(
-                f"No motor of the file determines where {', '.join(passive)} of that loop is, "
-                "which counts as a joint of its own."
-            )
+            where = f"{passive[0]} of that loop is: it counts as a joint of its own."
+            if passive[1:]:
+                where = f"{', '.join(passive)} of that loop are: they count as joints of their own."
+            told.append(f"No motor of the file determines where {where}")
         if further := self.map.driven:
             told.append(
                 f"The loop has more motors than it moves freely: efforts of {', '.join(further)} "
@@ -206,7 +209,7 @@ def closed_loops(
     closures: Sequence[Closure],
     *,
     path: object,
-    how: Choice,
+    how: LoopJoints,
 ) -> Loops:
     """Return the closed loops of a plant.
 
@@ -222,7 +225,7 @@ def closed_loops(
     Raises:
         ModelError: A loop does not close at the posture of the file, or is singular there.
     """
-    return _Finder(plant, tuple(names), path, how).loops(closures) if closures else Loops()
+    return _LoopFinder(plant, tuple(names), path, how).loops(closures) if closures else Loops()
 
 
 @dataclass(frozen=True)
@@ -234,13 +237,13 @@ class _Link:
     sides: Mapping[int, int]
 
 
-class _Finder:
+class _LoopFinder:
     def __init__(
         self,
         plant: MultibodyPlant,
         names: tuple[str, ...],
         path: object,
-        how: Choice,
+        how: LoopJoints,
     ) -> None:
         self.plant, self.names, self.path, self.how = plant, names, path, how
         self.tree = KinematicTree.from_plant(plant, how.followers)
@@ -248,9 +251,9 @@ class _Finder:
         q = plant.GetPositions(plant.CreateDefaultContext())[coordinates.own_positions]
         lower, upper = coordinates.position_limits()
         self.place, self.limits = dict[int, float](), dict[int, tuple[float, float]]()
-        for mobilizer in self.tree.mobilizers:
-            if _is_single(mobilizer):
-                v, at = mobilizer.velocities.start, mobilizer.positions.start
+        for joint in moving_joints(plant):
+            if joint.num_velocities() == joint.num_positions() == 1:
+                v, at = coordinates.velocity_of(joint), coordinates.position_of(joint)
                 self.place[v] = how.start.get(names[v], float(q[at]))
                 self.limits[v] = float(lower[at]), float(upper[at])
         self.bodies = self._bodies()
@@ -273,9 +276,10 @@ class _Finder:
         links, left_out = list[_Link](), list[str]()
         for closure in closures:
             link = self._link(closure)
-            several = [i for i in link.sides if not _is_single(self.tree.mobilizers[i])]
+            several = [i for i in link.sides if self._velocity(i) not in self.place]
             if several:
-                bodies = (self.tree.bodies[self.tree.mobilizers[i].body] for i in several)
+                moved = (self.tree.mobilizers[i].body for i in several)
+                bodies = dict.fromkeys(self.tree.bodies[body] for body in moved if body >= 0)
                 left_out.append(
                     f"The closed loop of {closure.name} is left out, and the robot read as an open "
                     f"tree: {', '.join(bodies)} moves there by a joint of several degrees."
@@ -329,7 +333,8 @@ class _Finder:
         driven = tuple(n for n in joints if n in self.how.driven)
         first = [n for n in joints if n in self.how.first]
         sprung = [n for n in self.how.sprung if driven and n in joints]
-        order = [joints.index(n) for n in dict.fromkeys([*first, *driven, *sprung, *joints])]
+        ranks = [first, list(driven), sprung, list(joints)]
+        order = [[joints.index(n) for n in names] for names in ranks]
         x = np.array([*(self.place[v] for v in velocities), *(0.0 for _ in cuts)])
         own = f"{self.path}: the closed loop of {name}"
         x, miss = shape.closed(x, _following(shape.misses(x)[1], order))
@@ -342,42 +347,25 @@ class _Finder:
                 f"{miss * shape.size:.3g} m{or_turned}, and comes no nearer than {where}.",
                 advice="Correct where its bodies are joined, or the positions of joints there.",
             )
-        following = _following(shape.misses(x)[1], order)
-        idle, free, rank = set(range(len(x))) - set(following), list[int](), len(following)
-        for sign in (0.0, 1.0, -1.0):  # whether it is the same nearby
-            map_ = LoopTransmission(name, joints, shape.records(idle, following, x), _none())
-            near, _, reached = map_.solved(
-                x[sorted(idle)][None] + sign * _NUDGE * shape.units[sorted(idle)]
+        free, following = _free_and_following(shape, x, order)
+        if free is None:
+            raise ModelError(
+                f"{own} is singular where {', '.join(joints)} are in the file: it is not told how "
+                "it moves from there.",
+                advice="Let the file have it in another posture.",
             )
-            J = shape.misses(near[0])[1]
-            seen = np.abs(J).max(axis=0) > _IDLE * np.abs(J).max()
-            free += [k for k in idle if seen[k] and k not in free]
-            if reached[0] < 1.0 or len(_following(J, order)) != rank:
-                raise ModelError(
-                    f"{own} is singular where {', '.join(joints)} are in the file: it is not told "
-                    "how it moves from there.",
-                    advice="Let the file have it in another posture.",
-                )
         shown = [k for k in range(len(velocities)) if k in free or k in following]
-        records = shape.records(free, following, x)
-        further = tuple(joints[k] for k in following if joints[k] in driven)
-        limits = np.array(
-            [*(self.limits[v] for v in velocities), *((-np.inf, np.inf) for _ in cuts)]
+        limits = [self.limits[v] for v in velocities] + [(-np.inf, np.inf)] * len(cuts)
+        found = LoopTransmission(
+            name,
+            joints,
+            shape.records(free, following, x),
+            shown=np.array(shown, np.int64),
+            driven=tuple(joints[k] for k in following if joints[k] in driven),
+            cut=tuple(range(len(velocities), len(joints))),
+            slides=shape.slides,
         )
-        return ClosedLoop(
-            LoopTransmission(
-                name,
-                joints,
-                records,
-                np.array(shown, np.int64),
-                further,
-                tuple(range(len(velocities), len(joints))),
-                shape.slides,
-            ),
-            np.array(limits).T,
-            driven,
-            miss * shape.size if miss > _CLOSED else 0.0,
-        )
+        return ClosedLoop(found, np.array(limits).T, driven, miss * shape.size * (miss > _CLOSED))
 
     def _shape(
         self, velocities: list[int], links: Sequence[_Link], ties: Sequence[Followers]
@@ -407,9 +395,7 @@ class _Finder:
                 closure["mobilizers"][k], closure["positions"][k] = at, X.translation()
                 closure["rotations"][k] = X.rotation().matrix()
             closure["turns"] = link.closure.turns
-        arms = [m.p_MoBo_B for m in mobilizers] + [m.motion.offset for m in mobilizers]
-        arms += [place for closure in closures for place in closure["positions"]]
-        size = float(np.linalg.norm(arms, axis=1).max(initial=0.0)) or 1.0
+        size = _size(mobilizers, closures)
         tree = replace(self.tree, mobilizers=tuple(mobilizers)).records
         table = np.array([[each.get(i, 0) for i in range(len(mobilizers))] for each in sides])
         units = np.array([*(size if k in slides else 1.0 for k in range(count)), size])
@@ -469,34 +455,67 @@ class _Shape:
         return x, float(np.abs(self.misses(x)[0]).max(initial=0.0))
 
 
+def _free_and_following(
+    shape: _Shape, x: Array, order: Sequence[Sequence[int]]
+) -> tuple[list[int] | None, list[int]]:
+    """Joints that are free at a posture (k,), and those that follow; None where it is singular.
+
+    Joints that the loop does not see, as a rod that turns about itself, are neither.
+    """
+    following = _following(shape.misses(x)[1], order)
+    others = [k for k in range(len(x)) if k not in following]
+    free, records = set[int](), shape.records(others, following, x)
+    nearby = LoopTransmission("", (), records, np.zeros(0, np.int64))
+    units = shape.units[others]
+    moved = np.abs(nearby.solved(x[others][None])[1][0] @ units / shape.units[:-1])
+    for sign in (0.0, 1.0, -1.0):  # whether it is the same there
+        q = x[others] + sign * _NUDGE * units / max(1.0, moved.max(initial=0.0))
+        theta, _, (reached,) = nearby.solved(q[None])
+        J = shape.misses(theta[0])[1]
+        free |= {k for k in others if np.abs(J[:, k]).max() > _IDLE * np.abs(J).max()}
+        if reached < 1.0 or len(_following(J, order)) != len(following):
+            return None, following
+    return sorted(free), following
+
+
 def _listed(others: Sequence[str], free: Sequence[str]) -> str:
     """Return that joints follow others, in words."""
     follow = "follows" if len(others) == 1 else "follow"
     return f"{', '.join(others)} {follow} {', '.join(free)}" if free else "nothing moves"
 
 
-def _none() -> Indices:
-    return np.zeros(0, np.int64)
+def _following(J: Array, order: Sequence[Sequence[int]]) -> list[int]:
+    """Joints whose columns of J (m, k) are a basis of them all.
 
-
-def _following(J: Array, order: Sequence[int]) -> list[int]:
-    """Joints whose columns of J (m, k) are a basis of them all, the last ones in an order."""
+    Those of the last ranks follow if they can, in a rank the last ones that others leave most of.
+    """
     sizes, found, basis = np.linalg.norm(J, axis=0), list[int](), np.zeros((len(J), 0))
-    for well in (True, False):  # first those that others leave most of
-        for at in reversed(order):
+    least, before = _FREE * float(sizes.max(initial=0.0)), set[int]()
+    ranks = list[list[int]]()
+    for rank in order:
+        ranks.insert(0, [at for at in rank if at not in before])
+        before |= set(rank)
+    for rank, well in product(ranks, _WELL):
+        for at in reversed(rank):
             rest = J[:, at]
             for _ in range(2):
                 rest = rest - basis @ (basis.T @ rest)
-            left, least = float(np.linalg.norm(rest)), _FREE * float(sizes.max())
-            if at not in found and left > max(least, _WELL * sizes[at] if well else 0.0):
+            left = float(np.linalg.norm(rest))
+            if at not in found and left > max(least, well * sizes[at]):
                 found.append(at)
                 basis = np.column_stack([basis, rest / left])
     return sorted(found)
 
 
-def _is_single(mobilizer: Mobilizer) -> bool:
-    q, v = mobilizer.positions, mobilizer.velocities
-    return q.stop - q.start == v.stop - v.start == 1
+def _size(mobilizers: Sequence[Mobilizer], closures: NDArray[np.void]) -> float:
+    """Length of the longest part of a loop, m; 1 where all of it is at one point."""
+    at_base = [m.motion.offset for m in mobilizers if m.parent < 0]
+    arms = [m.p_MoBo_B for m in mobilizers]
+    arms += [m.motion.offset - (at_base[0] if m.parent < 0 else 0.0) for m in mobilizers]
+    for closure in closures:
+        for at, place in zip(closure["mobilizers"], closure["positions"], strict=True):
+            arms.append(place - (at_base[0] if at < 0 else 0.0))
+    return float(np.linalg.norm(arms, axis=1).max(initial=0.0)) or 1.0
 
 
 def _alone(mobilizer: Mobilizer, local: Mapping[int, int], at: int) -> Mobilizer:

@@ -40,7 +40,7 @@ from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.named_robots import robot_file
 from geodrake.robot.followers import Follower, OwnCoordinates, resolved
 from geodrake.robot.holding import Arrangement, checked_held, poses_of, weld_joints, welds_of
-from geodrake.robot.loops import Choice, ClosedLoop, Loops, closed_loops
+from geodrake.robot.loops import ClosedLoop, LoopJoints, Loops, closed_loops
 from geodrake.robot.mujoco_check import (
     JointTerms,
     check_against_mujoco,
@@ -291,7 +291,7 @@ def _draft(
     joints = _single_joints(draft.plant)
     followers = resolved(description.followers, [scoped(joint) for joint in joints.values()])
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
-    loops = _loops(description, draft, Choice(followers, first=tuple(held)))
+    loops = _loops(description, draft, LoopJoints(followers, first=tuple(held)))
     if loops.loops:
         states = _closed_states(draft.plant, followers, joints, loops)
         check_loops_against_mujoco(description, draft.plant, states)
@@ -311,12 +311,12 @@ def _draft(
             followers=tuple(f for f in followers if f.joint not in places),
         )
         draft = _build(description, arrangement)
-        how = Choice(arrangement.followers, start=start)
+        how = LoopJoints(arrangement.followers, start=start)
         loops = replace(_loops(description, draft, how), held=still)
     return draft, arrangement, loops
 
 
-def _loops(description: ModelDescription, built: _Built, how: Choice) -> Loops:
+def _loops(description: ModelDescription, built: _Built, how: LoopJoints) -> Loops:
     """Return the closed loops of a plant of a description."""
     plant, closures = built.plant, [*description.closures, *(o.closure for o in built.opened)]
     if not closures:
@@ -436,8 +436,11 @@ def _build(
             j: np.array(joint.default_damping_vector()) for j, joint in enumerate(_joints(plant))
         }
         rotor = _take_rotor_inertia(plant, description)
+        starts = description.joint_values("start")
         for joint in _joints(plant):
             joint.set_default_damping_vector(np.zeros(joint.num_velocities()))
+            if (start := starts.get(scoped(joint), 0.0)) and joint.num_positions() == 1:
+                joint.set_default_positions([start])
         plant.Finalize()
         check_poses(plant, description.path)
     if plant.num_velocities() == 0:

@@ -1,8 +1,10 @@
 """Closed loops from logs to names: MuJoCo moves a four-bar, and geodrake says what it lacks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from closed_loops import four_bar, gripper
+from closed_loops import four_bar, four_bar_sdf, gripper
 
 from geodrake import load_model
 from geodrake.control.rollout import roll_out
@@ -116,6 +118,19 @@ def test_a_log_that_contradicts_the_loop_is_told(tmp_path):
     np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=head, comments="")
     found = compare(model, [tmp_path / "log.csv"])
     assert any("rocker is not where the closed loop" in note for note in found.notes)
+
+
+def test_the_joint_that_closes_a_loop_may_be_logged(tmp_path):
+    (tmp_path / "robot.sdf").write_text(four_bar_sdf())
+    model = load_model(tmp_path / "robot.sdf")
+    joints = ("crank", "coupler", "rocker")
+    time, places, effort = simulated(four_bar(), seconds=2.0, joints=joints)
+    pin = places[:, 2] - places[:, 0] - places[:, 1]
+    both = np.column_stack([places[:, 0], pin])
+    log = JointLog("log", ("crank", "pin"), time, both, np.column_stack([effort, 0.0 * effort]))
+    assert log_of_model(log, model).joints == ("crank",) and not odd(log, model)
+    (said,) = odd(replace(log, position=both * [1.0, -1.0]), model)
+    assert "pin is not where the closed loop of the joint pin has it" in said
 
 
 def test_a_log_of_another_joint_of_the_loop_is_refused(tmp_path):

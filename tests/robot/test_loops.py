@@ -298,7 +298,7 @@ def test_a_held_joint_holds_all_of_its_loop(tmp_path):
 def test_springs_hold_what_motors_do_not_determine(tmp_path):
     model = load(tmp_path, leg())
     assert any("tarsus, rod_1, rod_2 follow knee, shin, heel" in note for note in model.notes)
-    assert any("determines where shin, heel of that loop is" in note for note in model.notes)
+    assert any("determines where shin, heel of that loop are" in note for note in model.notes)
     rigid = load(tmp_path, leg(), lock={"shin": 0.0, "heel": 0.0, "rod_spin": 0.0})
     assert rigid.joints == ("hip", "knee", "crank")
     q, v, vd = states(rigid, 3, spread=0.3)
@@ -575,3 +575,75 @@ def test_a_leg_may_float(tmp_path):
     model = load(tmp_path, text.replace("</worldbody>", "</body></worldbody>"), floating=True)
     assert len(model.joints) == 12 and not model.left_out
     assert check_dynamics(model, samples=10).holds
+
+
+TERMS = 'damping=".2"', 'armature=".03"', 'stiffness="3" springref=".1"', ""
+
+
+def random_robot(seed):
+    """Two chains of joints about and along any axes, their ends joined, on a joint of its own."""
+    rng = np.random.default_rng(seed)
+    words = lambda x: " ".join(f"{value:.12g}" for value in x)  # noqa: E731
+
+    def chain(name, count, inner=""):
+        text = inner
+        for k in reversed(range(count)):
+            kind = "slide" if rng.random() < 0.25 else "hinge"
+            place, turn = words(rng.uniform(-0.3, 0.3, 3)), words(rng.uniform(-1, 1, 3))
+            axis, com = words(rng.normal(size=3)), words(rng.uniform(-0.1, 0.1, 3))
+            joint = f'<joint name="{name}{k}" type="{kind}" axis="{axis}" {rng.choice(TERMS)}/>'
+            inertial = f'<inertial mass="1.5" pos="{com}" diaginertia=".02 .03 .025"/>'
+            where = f'<body name="{name}{k}" pos="{place}" euler="{turn}">'
+            text = f"{where}{joint}{inertial}{text}</body>"
+        return text
+
+    welds = rng.random() < 0.5
+    count = 4 if welds else 3
+    base = chain("base", 1, chain("a", count) + chain("b", count))
+    anchor = "" if welds else f'anchor="{words(rng.uniform(-0.2, 0.2, 3))}"'
+    ends = f'body1="a{count - 1}" body2="b{count - 1}" {anchor}'
+    return (
+        f'<mujoco model="r"><compiler angle="radian"/><worldbody>{base}</worldbody>'
+        f"<equality><{'weld' if welds else 'connect'} {ends}/></equality></mujoco>"
+    )
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_random_loops_in_space_are_mujocos(tmp_path, seed):
+    text = random_robot(seed)
+    model = load(tmp_path, text)
+    constrained = Constrained.of(mujoco, text, model.joints)
+    assert len(model.joints) == 1 + (2 if "<weld" in text else 3) and not model.left_out
+    (drive,) = model.transmission
+    q, v, vd = states(model, 4, seed, spread=0.2)
+    own = [model.joints.index(name) for name in drive.actuators]
+    q[:, own] = drive.map.inside(q[:, own])
+    for state in zip(q, v, vd, strict=True):
+        ours = in_mujoco(model, constrained, state[0])
+        qpos, G = constrained.closed(ours)
+        assert np.abs(qpos - ours).max() < 1e-9
+        qacc = G @ state[2] + constrained.bias(qpos, G, state[1])
+        expected = G.T @ constrained.inverse(qpos, G @ state[1], qacc)
+        found = model.effort(Motion(*(x[None] for x in state)))[0]
+        assert np.abs(found - expected).max() <= 1e-5 * np.abs(expected).max()
+
+
+def test_a_loop_begins_where_the_file_draws_it(tmp_path):
+    text = four_bar()
+    for joint, ref in (("crank", 0.7), ("coupler", -0.4), ("rocker", 1.1)):
+        text = text.replace(f'<joint name="{joint}"', f'<joint name="{joint}" ref="{ref}"')
+    model, constrained = load(tmp_path, text), Constrained.of(mujoco, text, ["crank"])
+    plain = load(tmp_path, four_bar())
+    assert model.default_position("crank") == pytest.approx(0.7)
+    there = model.plant_positions(np.array([[0.7]]))[0]
+    np.testing.assert_allclose(there, [0.7, -0.4, 1.1], atol=1e-12)
+    for q, v, vd in zip(*states(model, 3), strict=True):
+        qpos, G = constrained.closed(in_mujoco(model, constrained, q))
+        qacc = G @ vd + constrained.bias(qpos, G, v)
+        expected = G.T @ constrained.inverse(qpos, G @ v, qacc)
+        found = model.effort(Motion(q[None], v[None], vd[None]))[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+    motion = Motion(*states(plain, 3))
+    bare = [replace(m, effects=()) for m in (model, plain)]
+    moved = Motion(motion.q + 0.7, motion.v, motion.vd)
+    np.testing.assert_allclose(bare[0].effort(moved), bare[1].effort(motion), rtol=1e-9)

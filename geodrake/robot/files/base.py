@@ -55,6 +55,7 @@ class ModelText(abc.ABC):
         carried: Scoped link names with which share of their weight something else carries.
         boxes: Links as what a medium acts on.
         struts: Springs and dampers between points of links.
+        start: Scoped joint names with where the file has them by default, rad or m; otherwise at 0.
         effort: Scoped joint names with their largest effort, N or N·m.
         followers: Joints that the file has follow others; whether they can is seen in the plant.
         bent: Joints that the file has follow others by a ratio that changes.
@@ -85,6 +86,7 @@ class ModelText(abc.ABC):
         self.carried: dict[str, float] = {}
         self.boxes: list[BoxInMedium] = []
         self.struts: list[StatedStrut] = []
+        self.start: dict[str, float] = {}
         self.effort: dict[str, float] = {}
         self.between: set[str] = set()
         self.packages: set[str] = set()

@@ -98,7 +98,7 @@ class MjcfTerms:
         return [Followers(leader, own) for leader, own in self.bent.items()]
 
 
-QUANTITIES = ("friction", "armature", "damping", "damping_2", "damping_3", "effort")
+QUANTITIES = ("friction", "armature", "damping", "damping_2", "damping_3", "start", "effort")
 
 
 def terms_of(source: CompiledMjcf, mujoco: ModuleType) -> MjcfTerms:
@@ -169,6 +169,8 @@ class _Terms:
             if springs and m.jnt_stiffness[joint] + np.abs(self._poly(joint)).sum():
                 self._take_spring(joint, name, count)
             self._take_limit(joint, count)
+            if count == 1:
+                self._add("start", joint, m.qpos0[m.jnt_qposadr[joint]])
 
     def _leave_of_free(self, dof: int, name: str) -> None:
         m = self.m

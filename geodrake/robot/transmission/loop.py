@@ -76,7 +76,7 @@ class LoopTransmission(Transmission, Short):
             q: (N, n) positions of the free joints.
         """
         q = contiguous(q)
-        theta = np.empty((len(q), len(self.joints)))
+        theta = np.empty((len(q), len(self.reference)))
         G, reached = np.empty((*theta.shape, self.num_actuators)), np.empty(len(q))
         calc_loop(self.records, q, theta, G, reached)
         return theta, G, reached
