@@ -191,7 +191,11 @@ def test_base_of_another_robot_is_refused(fitted, saved):
         ("name: viscous_friction", "name: viscous_fiction", "viscous_friction"),
         ("sign: -1", "sign: -2", "sign 1 or −1"),
         ("exponent: 2.5", "exponent: heavy", r"effects\[4\]\.shape\.exponent = heavy: expected"),
-        ("parameters: [", "parameters: [x, ", r"effects\[0\]\.parameters\[0\] = x: expected float"),
+        (
+            "parameters: [",
+            "parameters: [x, ",
+            r"effects\[0\]\.parameters\[0\] = x: expected a number",
+        ),
         ("parameters: [", "parmeters: [", r"'parmeters', which is none \(was parameters meant\?\)"),
     ],
 )
