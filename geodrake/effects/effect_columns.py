@@ -123,7 +123,7 @@ class EffectColumns:
         """What each effect depends on."""
         own = [dependencies(e, self.trial, len(self.joints)) for e in self.effects]
         return tuple(
-            names | _BEHIND if sees_joint_only(e) and e.joint not in self._indices else names
+            names | _BEHIND if e.at_motor and not self._indices.keys() >= {*e.where} else names
             for names, e in zip(own, self.effects, strict=True)
         )
 

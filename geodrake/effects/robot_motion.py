@@ -110,6 +110,13 @@ class RobotMotion(Short):
         moving = np.flatnonzero(J[:, at].any(axis=0))
         return {self.joints[i]: J[:, at, i, None] * columns for i in moving}
 
+    def at_both(self, joints: tuple[str, str], first: Array, second: Array) -> Mapping[str, Array]:
+        """Return columns by joint, of those (N, k) of efforts at two joints."""
+        found = dict(self.efforts_at(joints[0], first))
+        for joint, columns in self.efforts_at(joints[1], second).items():
+            found[joint] = found[joint] + columns if joint in found else columns
+        return found
+
     def _behind(self, name: str) -> tuple[tuple[Array, Array, Array, Array], int, int] | None:
         """Motion of the tree, and where in it a joint is that is none of these; None for others."""
         if name in self.joints or self.bodies is None:

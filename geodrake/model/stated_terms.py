@@ -4,7 +4,7 @@ Files state joints' terms at joints; effects act at actuators. Where one actuato
 constant ratio J, damping, rotor inertia and stiffness are J² there, and dry friction |J|. Where
 several do, or the ratio changes, as in a closed loop, the effect stays at the joint, τ_q = Jᵀ τ_θ.
 A tendon's energy ½ k (Σ cᵢ qᵢ − L₀)² is that of a spring at each joint, and of a coupling of each
-two; damping and inertia likewise. Tendons are followed through ratios that are constant.
+two; damping and inertia likewise.
 """
 
 from __future__ import annotations
@@ -42,8 +42,6 @@ _DAMPING, _FRICTION, _ROTOR = "damping", "dry friction", "reflected rotor inerti
 _WEIGHTS: Mapping[str, Callable[[Array], Array]] = {_FRICTION: np.abs}
 Placed = tuple[str, Effect, Sequence[float]]
 """Where an effect is, in words, the effect, and its values."""
-
-_BEHIND = "is left out: behind the transmission, no effect at an actuator is the same."
 
 
 @dataclass
@@ -95,26 +93,19 @@ def stated_effects(
         what: places.of(own, what, _WEIGHTS.get(what, np.square))
         for what, own in loaded.stated.items()
     }
-    rows, shifts = _rows(actuation, len(joints))
+    rows, shifts = _rows(joints, names, actuation)
     springs = dict[str, stated.Spring]()
     for at, spring in loaded.file_springs.items():
-        ((to, ratio),) = row.items() if len(row := rows.get(at, {})) == 1 else ((-1, 1.0),)
-        own = spring if to < 0 else spring.through(ratio, shifts.get(at, 0.0))
-        _add(springs, joints[at] if to < 0 else names[to], own)
+        for to, ratio in rows[at].items():
+            _add(springs, to, spring.through(ratio, shifts.get(at, 0.0)))
     for joint, of_loop in loaded.closing.items():
         _add(springs, joint, stated.Spring.linear(of_loop.get("spring", 0.0), of_loop["rest"]))
-    tendons = [each for each in loaded.file_tendons if rows.keys() >= each.shares.keys()]
-    found.left_out += (
-        f"The tendon {tendon.name} in the file {_BEHIND}"
-        for tendon in loaded.file_tendons
-        if tendon not in tendons
-    )
     entries = ((i, j, x) for (i, j), x in loaded.file_inertias.items())
     inertias = stated.entries_through(entries, rows)
-    for at, name in enumerate(names):
-        values[_ROTOR][name] = values[_ROTOR].get(name, 0.0) + inertias.pop((at, at), 0.0)
-    own_tendons = [each.through(rows, shifts) for each in tendons]
-    across = _across(own_tendons, values, springs, inertias, names)
+    for name in [name for name, other in inertias if name == other]:
+        values[_ROTOR][name] = values[_ROTOR].get(name, 0.0) + inertias.pop((name, name))
+    tendons = [each.through(rows, shifts) for each in loaded.file_tendons]
+    across = _across(tendons, values, springs, inertias, names)
     for kind in catalogue():
         if kind.stated_as in values:
             single = _without_negligible(values[kind.stated_as], kind.stated_as, found.notes)
@@ -194,24 +185,24 @@ def _is_simple(spring: stated.Spring) -> bool:
 
 
 def _rows(
-    actuation: Actuation | None, count: int
-) -> tuple[dict[int, dict[int, float]], dict[int, float]]:
-    """Return how velocities of a tree follow actuators, where ratios are constant, and from where.
+    joints: Sequence[str], names: Sequence[str], actuation: Actuation | None
+) -> tuple[dict[int, dict[str, float]], dict[int, float]]:
+    """Return which actuator moves each velocity of the tree, by which constant ratio, from where.
+
+    Where several do, or the ratio changes, that is the joint itself.
 
     Returns:
-        Velocity of the tree -> actuator -> ratio; and its position where those are at zero.
+        Velocity -> name of the actuator, or of the joint -> ratio; and position with it at zero.
     """
-    if actuation is None:
-        return {at: {at: 1.0} for at in range(count)}, {}
-    rows = dict[int, dict[int, float]]()
-    for at, unit in enumerate(np.eye(count)):
-        if actuation.constant is not None:
-            ratios, lost = actuation.constant[at], list[int]()
-        else:
+    rows: dict[int, dict[str, float]] = {at: {name: 1.0} for at, name in enumerate(joints)}
+    shifts = dict[int, float]()
+    if actuation is not None:
+        for at, unit in enumerate(np.eye(len(joints))):
             ratios, lost = actuation.joined(unit, lambda J: J)
-        if not lost:
-            rows[at] = {int(to): float(ratios[to]) for to in np.flatnonzero(ratios)}
-    return rows, dict(enumerate(actuation.offsets.tolist()))
+            if not lost:
+                rows[at] = {names[int(to)]: float(ratios[to]) for to in np.flatnonzero(ratios)}
+                shifts[at] = float(actuation.offsets[at])
+    return rows, shifts
 
 
 @dataclass
@@ -226,36 +217,38 @@ def _across(
     tendons: Sequence[stated.Tendon],
     values: Mapping[str, dict[str, float]],
     springs: dict[str, stated.Spring],
-    inertias: stated.Entries,
+    inertias: stated.Entries[str],
     names: Sequence[str],
 ) -> _Across:
     """Add what tendons are at each joint to values and springs; return what they are between them.
 
     Args:
-        tendons: By velocities of the model.
+        tendons: By joints or actuators.
         values: What in the file -> joint or actuator -> value; changed.
         springs: Joint or actuator -> spring; changed.
         inertias: What tendons are in the mass matrix between two joints.
         names: Names of the velocities.
     """
-    couplings = defaultdict[tuple[int, int], Array](lambda: np.zeros(2))
-    rubs = defaultdict[tuple[int, int, int], float](float)
+    couplings = defaultdict[tuple[str, str], Array](lambda: np.zeros(2))
+    rubs = defaultdict[tuple[str, str, int], float](float)
     lost = list[str]()
     for tendon in tendons:
-        shares = {at: share for at, share in sorted(tendon.shares.items()) if share}
+        shares = {name: share for name, share in tendon.shares.items() if share}
         k, length = tendon.stiffness, tendon.length
-        for at, share in shares.items():
-            values[_DAMPING][names[at]] += share**2 * tendon.damping
+        for name, share in shares.items():
+            values[_DAMPING][name] = values[_DAMPING].get(name, 0.0) + share**2 * tendon.damping
             if k:
-                _add(springs, names[at], stated.Spring.linear(share**2 * k, length / share))
-        for pair in combinations(shares, 2):
+                _add(springs, name, stated.Spring.linear(share**2 * k, length / share))
+        for pair in combinations(sorted(shares), 2):
             both = shares[pair[0]] * shares[pair[1]]
             couplings[pair] += (both * k, both * tendon.damping)
-        sizes = {abs(share) for share in shares.values()}
+        sizes, own = {abs(share) for share in shares.values()}, set(names).issuperset(shares)
         if tendon.friction and len(shares) == 1:
-            values[_FRICTION][names[next(iter(shares))]] += next(iter(sizes)) * tendon.friction
-        elif tendon.friction and len(shares) == 2 and len(sizes) == 1:
-            (i, first), (j, second) = shares.items()
+            (name,) = shares
+            rubbing = values[_FRICTION].get(name, 0.0) + abs(shares[name]) * tendon.friction
+            values[_FRICTION][name] = rubbing
+        elif tendon.friction and len(shares) == 2 and len(sizes) == 1 and own:
+            (i, first), (j, second) = sorted(shares.items())
             rubs[i, j, 1 if first == second else -1] += abs(first) * tendon.friction
         elif tendon.friction and shares:
             lost.append(
@@ -264,7 +257,7 @@ def _across(
             )
 
     def placed(make: Callable[..., Effect], found: Mapping[Any, Sequence[float]]) -> list[Placed]:
-        every = [((names[i], names[j]), sign, own) for (i, j, *sign), own in found.items()]
+        every = [((i, j), sign, own) for (i, j, *sign), own in found.items()]
         return [(" & ".join(p), make(p, *sign), own) for p, sign, own in every if any(own)]
 
     kept = {

@@ -111,7 +111,7 @@ class LoadedPlant:
     file_powers: Array
     file_springs: Mapping[int, Spring]
     file_tendons: tuple[Tendon, ...]
-    file_inertias: Entries
+    file_inertias: Entries[int]
     file_weights: tuple[Weight, ...]
     file_boxes: tuple[BoxInMedium, ...]
     file_struts: tuple[StatedStrut, ...]
