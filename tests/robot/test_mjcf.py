@@ -324,6 +324,13 @@ def no_ellipsoids(theirs):
 
 
 LEFT_OUT = {
+    "drag acts on the ellipsoids of a, t": (
+        mjcf(
+            tip(geom='<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>' + GEOM),
+            head='<default><geom fluidshape="ellipsoid"/></default><option density="90"/>',
+        ),
+        no_ellipsoids,
+    ),
     "tendon p with stiffness 40": (
         mjcf(
             tip(geom=GEOM + '<site name="u" pos="0 0 .1"/><site name="v"/>'),

@@ -347,7 +347,9 @@ def _take_folders(root: Element) -> tuple[str, str]:
 
 
 def _drop_idle_geoms(root: Element) -> None:
-    """Drops geoms that have no part in inertias, whose meshes need not be there then."""
+    """Drop geoms that have no part in inertias or in a medium, whose meshes need not be there."""
+    if any(element.get("fluidshape") for element in root.iter()):
+        return
     settings = [each.get("inertiafromgeom") for each in root.findall("compiler")]
     always = next((each for each in reversed(settings) if each), "auto") == "true"
     wrapped = {e.get("geom") for group in root.findall("tendon") for e in group.iter("geom")}
