@@ -22,7 +22,7 @@ from geodrake.boundary.arguments import (
     real_array,
 )
 from geodrake.boundary.showing import Short
-from geodrake.effects import RobotMotion, Role
+from geodrake.effects import Effect, RobotMotion, Role
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.delays import delays_of
 from geodrake.effects.effect_columns import EffectColumns
@@ -793,6 +793,15 @@ def read_again(model: RobotModel) -> RobotModel:
         given=model.given,
         transmission=model.transmission,
     )
+
+
+def is_of_file(model: RobotModel) -> bool:
+    """Return whether a model has the effects that its file states, and no others."""
+
+    def stated(model: RobotModel) -> list[tuple[Effect, list[float]]]:
+        return [(fitted.effect, fitted.parameters.tolist()) for fitted in model.effects]
+
+    return stated(model) == stated(read_again(model))
 
 
 def load_description(

@@ -100,6 +100,7 @@ class SavedModel:
         held: Joint that is held -> where, rad or m.
         xacro: Arguments of a xacro file.
         packages: Package of ROS -> its folder, relative to this file, for those that were given.
+        leading: Names of joints that are free in closed loops, before those that motors drive.
         transmission: What moves joints in their place, if anything does.
         inertial_parameters: Body -> [m, hx, hy, hz, Ixx, Iyy, Izz, Ixy, Iyz, Izx].
         effects: The effects.
@@ -120,6 +121,7 @@ class SavedModel:
     held: dict[str, float] = dc.field(default_factory=dict)
     xacro: dict[str, str] = dc.field(default_factory=dict)
     packages: dict[str, str] = dc.field(default_factory=dict)
+    leading: list[str] = dc.field(default_factory=list)
     transmission: Optional[Stated] = None  # noqa: UP045 - Drake reads no other spelling
     inertial_parameters: dict[str, list[float]] = dc.field(default_factory=dict)
     effects: list[SavedEffect] = dc.field(default_factory=list)
@@ -255,6 +257,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
         packages={
             name: os.path.relpath(place, folder) for name, place in model.given.packages.items()
         },
+        leading=list(model.given.leading),
         transmission=stated_of(own) if own else None,
         inertial_parameters={
             b: phi.tolist() for b, phi in zip(model.bodies, model.phi, strict=True)
@@ -368,7 +371,8 @@ def _given_with(path: Path, saved: SavedModel, given: Given) -> Given:
         )
     remembered = {name: folder / where for name, where in saved.packages.items()}
     there = {name: where for name, where in remembered.items() if where.is_dir()}
-    return Given(robot, {**there, **given.packages}, saved.xacro, given.trust_xacro)
+    packages = {**there, **given.packages}
+    return Given(robot, packages, saved.xacro, given.trust_xacro, tuple(saved.leading))
 
 
 def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]]) -> None:

@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.tree import Joint
 
-from geodrake.effects.base import Effect
 from geodrake.errors import ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.model.file_terms import DryFriction
-from geodrake.model.robot_model import RobotModel, read_again
+from geodrake.model.robot_model import RobotModel, is_of_file
 from geodrake.robot.files import read_description
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.description import drake_messages
@@ -79,7 +78,7 @@ def second_opinion(
     try:
         with drake_messages():
             (text, *_) = read_description(model.path, model.given).texts
-        own = isinstance(text, MjcfText) and _stated(model) != _stated(read_again(model))
+        own = isinstance(text, MjcfText) and not is_of_file(model)
     except ModelError as error:
         return f"the model's file cannot be read again: {error.problem.rstrip('.')}"
     bodies_differ = not np.array_equal(model.total_phi, inertial_parameters(model.plant))
@@ -98,10 +97,6 @@ def second_opinion(
         return found
     by, efforts = found
     return SecondOpinion(by, times(np.swapaxes(jacobians, 1, 2), efforts(*plant_states)), ours)
-
-
-def _stated(model: RobotModel) -> list[tuple[Effect, list[float]]]:
-    return [(fitted.effect, fitted.parameters.tolist()) for fitted in model.effects]
 
 
 def _held(model: RobotModel, text: ModelText) -> Places:

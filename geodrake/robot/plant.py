@@ -241,7 +241,8 @@ def _draft(
     joints = _single_joints(draft.plant)
     followers = resolved(description.followers, [scoped(joint) for joint in joints.values()])
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
-    loops = _loops(description, draft, LoopJoints(followers, first=tuple(held)))
+    first = (*held, *given.leading)
+    loops = _loops(description, draft, LoopJoints(followers, first=first))
     if loops.loops:
         states = _closed_states(draft.plant, followers, joints, loops)
         check_loops_against_mujoco(description, draft.plant, states)
@@ -260,7 +261,7 @@ def _draft(
             followers=tuple(f for f in followers if f.joint not in places),
         )
         draft = _build(description, arrangement)
-        how = LoopJoints(arrangement.followers, start=start)
+        how = LoopJoints(arrangement.followers, first=given.leading, start=start)
         loops = replace(_loops(description, draft, how), held=still)
     return draft, arrangement, loops
 
