@@ -111,7 +111,9 @@ def check_loops_against_mujoco(
             numbers.append((joint, at))
     for at in range(m.neq):
         data.eq_active[at] = at in text.closing
-    size = float(np.abs(m.body_pos).max(initial=1e-3))
+    closing = list(text.closing)
+    places = np.concatenate([m.body_pos.ravel(), m.eq_data[closing, :6].ravel()])
+    size = float(np.abs(places).max(initial=1e-3))
     for q, v in zip(*states, strict=True):
         for joint, at in numbers:
             data.qpos[m.jnt_qposadr[at]] = q[joint.position_start()]

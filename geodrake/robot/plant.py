@@ -249,6 +249,12 @@ def _draft(
     start, still = loops.places(held, description.path)
     if held or still:
         places = checked_held(joints, followers, {**still, **held}, description.path)
+        if len(places) == draft.plant.num_velocities() and still:
+            raise ModelError(
+                f"No joint moves in {description.path}: closed loops hold {', '.join(still)}.",
+                advice="Correct what closes them; a constraint too many holds a linkage.",
+                path=description.path,
+            )
         if len(places) == draft.plant.num_velocities():
             raise ModelError(
                 f"All joints of {description.path} are held, so nothing moves.",

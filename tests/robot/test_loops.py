@@ -326,6 +326,7 @@ def test_an_equality_that_is_not_active_is_not_used(tmp_path):
     assert set(model.joints) == {"crank", "coupler", "rocker"}
 
 
+HELD = four_bar(CONNECT + '<weld body1="coupler" body2="rocker"/>')
 FAR = by_sites().replace('pos=".25 0 .1"', 'pos=".9 0 .1"')
 FLAT = four_bar().replace('pos="0.3 0 -0.1"', 'pos="0.45 0 0"').replace(".25 0 0.1", ".25 0 0")
 
@@ -337,12 +338,24 @@ FLAT = four_bar().replace('pos="0.3 0 -0.1"', 'pos="0.45 0 0"').replace(".25 0 0
             FAR,
             "<connect> of p and q cannot close at the posture of the file: it misses by 0.498 m",
         ),
+        (
+            four_bar(CONNECT.replace("0.25", "nan")),
+            "is at nan 0 0.1 of coupler, where no",
+        ),
+        (four_bar(CONNECT.replace("0.25", "1e300")), r"is at 1e\+300 0 0.1 of coupler, where"),
+        (HELD, "No joint moves in .*: closed loops hold crank, coupler, rocker"),
         (FLAT, "is singular where crank, coupler, rocker are in the file"),
     ],
 )
 def test_loops_that_cannot_be_are_refused_with_names_and_values(tmp_path, text, words):
     with pytest.raises(ModelError, match=words):
         load(tmp_path, text)
+
+
+def test_a_constraint_that_holds_nothing_is_none(tmp_path):
+    model = load(tmp_path, four_bar('<connect body1="rocker" anchor="0 0 0"/>'))
+    assert set(model.joints) == {"crank", "coupler", "rocker"} and not model.transmission
+    assert not any("loop" in note for note in model.notes)
 
 
 def test_what_holds_a_free_body_is_left_out(tmp_path):
