@@ -83,7 +83,7 @@ class Loops:
         loops: They.
         left_out: Sentences on closures that cannot be used.
         taken: Joints that follow others by a ratio that changes within them.
-        held: Joint -> where it is held as loops let it not move, rad or m.
+        held: Joint -> where it is held as loops and other constraints let it not move, rad or m.
     """
 
     loops: tuple[ClosedLoop, ...] = ()
@@ -95,7 +95,7 @@ class Loops:
     def notes(self) -> tuple[str, ...]:
         """Return what is worth knowing of them, in words."""
         held = ", ".join(f"{joint} at {place:.4g}" for joint, place in self.held.items())
-        still = (f"Held, as closed loops let them not move: {held}.",) if held else ()
+        still = (f"Held, as constraints of the file let them not move: {held}.",) if held else ()
         return (*(note for loop in self.loops for note in loop.notes), *still)
 
     def places(

@@ -241,6 +241,9 @@ def _draft(
     joints = _single_joints(draft.plant)
     followers = resolved(description.followers, [scoped(joint) for joint in joints.values()])
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
+    stated = description.joint_values("fixed")
+    fixed = {name: stated[scoped(j)] for name, j in joints.items() if scoped(j) in stated}
+    held = {**fixed, **held}
     first = (*held, *given.leading)
     loops = _loops(description, draft, LoopJoints(followers, first=first))
     if loops.loops:
@@ -249,9 +252,10 @@ def _draft(
     start, still = loops.places(held, description.path)
     if held or still:
         places = checked_held(joints, followers, {**still, **held}, description.path)
+        still = {**fixed, **still}
         if len(places) == draft.plant.num_velocities() and still:
             raise ModelError(
-                f"No joint moves in {description.path}: closed loops hold {', '.join(still)}.",
+                f"No joint moves in {description.path}: constraints hold {', '.join(still)}.",
                 advice="Correct what closes them; a constraint too many holds a linkage.",
                 path=description.path,
             )

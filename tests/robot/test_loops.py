@@ -313,7 +313,9 @@ def test_what_does_not_move_is_held_and_said(tmp_path):
     text = four_bar(CONNECT + '<weld body1="crank"/>', motors="")
     model = load(tmp_path, text.replace("</worldbody>", other))
     assert model.joints == ("x",) and set(model.held) == {"crank", "coupler", "rocker"}
-    assert any("Held, as closed loops let them not move: crank at 0" in n for n in model.notes)
+    assert any(
+        "Held, as constraints of the file let them not move: crank at 0" in n for n in model.notes
+    )
 
 
 def test_an_equality_that_is_not_active_is_not_used(tmp_path):
@@ -343,13 +345,29 @@ FLAT = four_bar().replace('pos="0.3 0 -0.1"', 'pos="0.45 0 0"').replace(".25 0 0
             "is at nan 0 0.1 of coupler, where no",
         ),
         (four_bar(CONNECT.replace("0.25", "1e300")), r"is at 1e\+300 0 0.1 of coupler, where"),
-        (HELD, "No joint moves in .*: closed loops hold crank, coupler, rocker"),
+        (HELD, "No joint moves in .*: constraints hold crank, coupler, rocker"),
         (FLAT, "is singular where crank, coupler, rocker are in the file"),
     ],
 )
 def test_loops_that_cannot_be_are_refused_with_names_and_values(tmp_path, text, words):
     with pytest.raises(ModelError, match=words):
         load(tmp_path, text)
+
+
+def test_an_equality_of_one_joint_holds_it(tmp_path):
+    fixed = '<joint joint1="arm" polycoef="0.3 0 0 0 0"/>'
+    text = gripper().replace("</equality>", f"{fixed}</equality>")
+    text = text.replace('<joint name="arm"', '<joint name="arm" ref="0.2"')
+    model = load(tmp_path, text)
+    assert model.joints == ("left",) and model.held == {"arm": 0.5} and not model.left_out
+    assert any("let them not move: arm at 0.5" in note for note in model.notes)
+    plain = load(tmp_path, gripper().replace('<joint name="arm"', '<joint name="arm" ref="0.2"'))
+    q, v, vd = (x[:, 1:] for x in states(plain))
+    at = [np.column_stack([np.full(len(q), y), x]) for x, y in ((q, 0.5), (v, 0.0), (vd, 0.0))]
+    expected = plain.effort(Motion(*at))[:, 1:]
+    np.testing.assert_allclose(model.effort(Motion(q, v, vd)), expected, rtol=1e-9)
+    save_model(model, tmp_path / "saved.yaml")
+    assert load_model(tmp_path / "saved.yaml").held == {"arm": 0.5}
 
 
 def test_a_constraint_that_holds_nothing_is_none(tmp_path):

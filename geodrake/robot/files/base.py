@@ -50,6 +50,7 @@ class ModelText(abc.ABC):
         rest_3: Scoped joint names with q₀ of that spring, rad or m.
         rest: Scoped joint names with the position at which that spring is at rest, rad or m.
         start: Scoped joint names with where the file has them by default, rad or m; otherwise at 0.
+        fixed: Scoped joint names with where a constraint holds them, rad or m.
         effort: Scoped joint names with their largest effort, N or N·m.
         followers: Joints that the file has follow others; whether they can is seen in the plant.
         bent: Joints that the file has follow others by a ratio that changes.
@@ -79,6 +80,7 @@ class ModelText(abc.ABC):
         self.rest_3: dict[str, float] = {}
         self.rest: dict[str, float] = {}
         self.start: dict[str, float] = {}
+        self.fixed: dict[str, float] = {}
         self.effort: dict[str, float] = {}
         self.between: set[str] = set()
         self.packages: set[str] = set()
