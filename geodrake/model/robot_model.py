@@ -81,8 +81,8 @@ class RobotModel(Short):
     """What is known about a robot: effort needed = Y_rb φ + Σ_e Y_e μ_e.
 
     Attributes:
-        plant: Finalized MultibodyPlant of the rigid bodies alone, inertias as in its file;
-            `create_context` has the model's.
+        plant: Finalized MultibodyPlant of the rigid bodies alone, inertias as in its file, closed
+            loops open; `create_context` has the model's.
         path: The model file that the plant came from.
         floating: Whether free roots float instead of being welded to the world.
         phi: (nb, 10) inertial parameters, those of fitted payloads left out.
@@ -100,8 +100,9 @@ class RobotModel(Short):
         held: Joint of the file that is held, and none of the model -> where, rad or m.
         given: How the file was to be read.
         followers: Joints of the plant that follow others, and are none of the model.
-        transmission: What moves joints of the plant in their place; joints without a drive move
-            by themselves. All that is the model's, q, v, efforts and effects, is at the actuators.
+        transmission: What moves joints of the plant in their place, closed loops among it; joints
+            without a drive move by themselves. All that is the model's, q, v, efforts and effects,
+            is at the actuators.
         effort_signals: Of joints whose logs have currents, voltages or commands in the place of
             efforts, or efforts that motors are asked for, what makes efforts of them.
         known_joints: Names of the joints that logs may have: the model's, those that are held, and

@@ -100,8 +100,8 @@ def check_loops_against_mujoco(
     Raises:
         ModelError: Some are not closed by MuJoCo's constraints, or come apart.
     """
-    mujoco, text = mujoco_or_none(), description.texts[0]
-    if mujoco is None or not isinstance(text, MjcfText) or text.reference is None:
+    mujoco, (text, *others) = mujoco_or_none(), description.texts
+    if mujoco is None or others or not isinstance(text, MjcfText) or text.reference is None:
         return
     m = text.compiled
     data, numbers = mujoco.MjData(m), list[tuple[Joint, int]]()

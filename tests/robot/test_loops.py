@@ -517,6 +517,26 @@ def test_the_joint_with_a_motor_leads(tmp_path):
     assert load_model(tmp_path / "robot.sdf").joints == ("rocker",)
 
 
+def test_two_robots_in_directives_have_their_own_loops(tmp_path):
+    damped = four_bar_sdf(("revolute", dynamics(damping=0.2)))
+    (tmp_path / "robot.sdf").write_text(damped)
+    (tmp_path / "robot.xml").write_text(four_bar())
+    models = "".join(
+        f"- add_model: {{name: {name}, file: file://{tmp_path / file}}}\n"
+        for name, file in (("a", "robot.sdf"), ("b", "robot.sdf"), ("c", "robot.xml"))
+    )
+    (tmp_path / "all.dmd.yaml").write_text(f"directives:\n{models}")
+    model = load_model(tmp_path / "all.dmd.yaml")
+    assert set(model.joints) == {"a_crank", "b_crank", "c_crank"}
+    assert {"a_pin", "b_pin"} <= {f.effect.place for f in model.effects}
+    motion = Motion(*states(model))
+    found = model.effort(motion)
+    for name, file in (("a", "robot.sdf"), ("b", "robot.sdf"), ("c", "robot.xml")):
+        at = [model.joints.index(f"{name}_crank")]
+        own = load_model(tmp_path / file).effort(Motion(*(x[:, at] for x in states(model))))
+        np.testing.assert_allclose(found[:, at], own, rtol=1e-9)
+
+
 def test_a_loop_of_an_sdf_that_cannot_be_used_is_refused(tmp_path):
     text = four_bar_sdf(("ball", "")).replace(
         '<joint name="coupler" type="revolute">', '<joint name="coupler" type="ball">'
