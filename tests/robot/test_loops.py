@@ -15,6 +15,7 @@ from closed_loops import (
     gripper,
     leg,
     sdf,
+    underactuated,
 )
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -59,6 +60,7 @@ ROBOTS = {
     "driven at the rocker": (four_bar(motors="rocker"), "rocker"),
     "a parallel gripper": (gripper(), "arm left"),
     "fingers that follow by a polynomial": (gripper("0 -1 .3 .1 0"), "arm left"),
+    "an underactuated gripper": (underactuated(), "right_bar left left_bar"),
 }
 
 
