@@ -228,3 +228,45 @@ def four_bar_sdf(pin=("revolute", ""), limits=None):
     limit = "<limit><effort>{}</effort></limit>"
     effort = {name: limit.format(value) for name, value in (limits or {}).items()}
     return sdf(BARS, [(*own, "0 1 0", terms + effort.get(own[0], "")) for *own, terms in joints])
+
+
+def underactuated():
+    """A hand of two tied fingers of four joints each, of which springs hold one."""
+
+    def side(name, sign):
+        coupler = body(
+            f"{name}_coupler", "0 .0315 -.0041", f"{name}_coupler",
+            (0.014, "0 .003 .0232", "4e-6 3.5e-6 9e-7"),
+        )  # fmt: skip
+        driver = body(
+            f"{name}_driver", f"0 {sign * 0.0306} .0549", name,
+            (0.009, "0 .0177 .001", "1.7e-6 1.6e-6 3.2e-7"), coupler,
+            'range="0 .8" armature=".005" damping=".1"',
+        )  # fmt: skip
+        follower = body(
+            f"{name}_follower", "0 .055 .0375", f"{name}_follower",
+            (0.0125, "0 -.011 .0125", "2.7e-6 2.5e-6 6e-7"),
+        )  # fmt: skip
+        spring = body(
+            f"{name}_bar", f"0 {sign * 0.0132} .0609", f"{name}_bar",
+            (0.022, "0 .018 .0213", "9e-6 6.7e-6 2.6e-6"), follower,
+            'range="-.29 .8" stiffness=".05" springref="2.62" damping=".00125"',
+        )  # fmt: skip
+        turned = "" if sign > 0 else ' quat="0 0 0 1"'
+        text = (driver + spring).replace('axis="0 1 0"', 'axis="1 0 0"')
+        return text.replace('.0549"', f'.0549"{turned}').replace('.0609"', f'.0609"{turned}')
+
+    hand = (
+        '<body name="hand"><inertial mass=".78" pos="0 0 .035" diaginertia="3e-4 2e-4 1.5e-4"/>'
+        f"{side('right', 1)}{side('left', -1)}</body>"
+    )
+    ends = "".join(
+        f'<connect body1="{name}_follower" body2="{name}_coupler" anchor="0 -.024 .0115"/>'
+        for name in ("right", "left")
+    )
+    tie = '<joint joint1="right" joint2="left" polycoef="0 1 0 0 0"/>'
+    text = mjcf(hand, ends + tie, "")
+    shares = "".join(f'<joint joint="{name}" coef=".5"/>' for name in ("right", "left"))
+    split = f'<fixed name="split">{shares}</fixed>'
+    motor = '<actuator><motor tendon="split"/></actuator>'
+    return text.replace("<actuator></actuator>", f"<tendon>{split}</tendon>{motor}")

@@ -21,7 +21,7 @@ from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.inertia.kernels import calc_change_frame
-from geodrake.model.robot_model import RobotModel, as_in_file, from_loaded_plant, read_again
+from geodrake.model.robot_model import RobotModel, from_loaded_plant, is_of_file
 from geodrake.robot.plant import load_plant
 from geodrake.robot.transmission.drive import Drive
 
@@ -64,7 +64,7 @@ def holding(
     )
     lumping = _Lumping.of(model, bare)
     kept, lost = lumping.effects(model)
-    if lost and model.information is None and as_in_file(model, read_again(model)):
+    if lost and model.information is None and is_of_file(model):
         stated = from_loaded_plant(loaded, floating=model.floating, transmission=drives).effects
         kept, lost = [(fitted, np.zeros((0, 0))) for fitted in stated], []
     after = replace(

@@ -13,7 +13,7 @@ from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.motion import JointLog, match_joints
 from geodrake.logs.resting import LARGEST, logged_ranges, readings, resting, travels
 from geodrake.model.holding import holding
-from geodrake.model.robot_model import RobotModel
+from geodrake.model.robot_model import RobotModel, is_of_file, read_again
 from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
 
@@ -43,6 +43,7 @@ def model_of_logs(
     """
     instance(model, "model", RobotModel)
     logs = instances(logs, "logs", JointLog)
+    model = _led_by(model, logs)
     silent = [j for j in model.single_joints if not any(_says(log, j) for log in logs)]
     _check_sides(model, logs, silent)
     if len(silent) == len(model.joints):
@@ -52,6 +53,25 @@ def model_of_logs(
         why = "as no log has their efforts (--lock JOINT=VALUE says where)"
         model = holding(model, places, why=why)
     return holding_resting(model, logs) if hold_resting else model
+
+
+def _led_by(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
+    """Return the model with other joints of closed loops free where logs have those in their place.
+
+    A model that is no longer that of its file keeps its own.
+    """
+    leading = list[str]()
+    for drive in model.transmission:
+        if drive.is_loop and not any(j in log.joints for log in logs for j in drive.actuators):
+            leading += (j for j in drive.joints if all(_moves(log, j) for log in logs))
+    own = model.information is None and not model.fitted_to
+    if not leading or not own or not is_of_file(model):
+        return model
+    given = replace(model.given, leading=(*leading, *model.given.leading))
+    found = read_again(replace(model, given=given))
+    added = (note for note in model.notes if note not in read_again(model).notes)
+    note = f"In closed loops {', '.join(leading)} moves freely, as logs have it."
+    return replace(found, notes=(*found.notes, *added, note))
 
 
 def holding_resting(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
@@ -237,7 +257,9 @@ def _check_sides(model: RobotModel, logs: Sequence[JointLog], silent: Sequence[s
 
 
 def _moves(log: JointLog, joint: str) -> bool:
-    """Return whether a log has a joint under efforts that change."""
+    """Return whether a log has a joint, under efforts that change."""
+    if joint not in log.joints:
+        return False
     effort = readings(log.effort[:, log.joints.index(joint)])
     return len(effort) > 0 and bool(np.ptp(effort) > 0.0)
 

@@ -22,7 +22,7 @@ from geodrake.boundary.arguments import (
     real_array,
 )
 from geodrake.boundary.showing import Short
-from geodrake.effects import RobotMotion, Role
+from geodrake.effects import Effect, RobotMotion, Role
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.delays import delays_of
 from geodrake.effects.effect_columns import EffectColumns
@@ -75,8 +75,8 @@ class RobotModel(Short):
     """What is known about a robot: effort needed = Y_rb φ + Σ_e Y_e μ_e.
 
     Attributes:
-        plant: Finalized MultibodyPlant of the rigid bodies alone, inertias as in its file;
-            `create_context` has the model's.
+        plant: Finalized MultibodyPlant of the rigid bodies alone, inertias as in its file, closed
+            loops open; `create_context` has the model's.
         path: The model file that the plant came from.
         floating: Whether free roots float instead of being welded to the world.
         phi: (nb, 10) inertial parameters, those of fitted payloads left out.
@@ -94,8 +94,9 @@ class RobotModel(Short):
         held: Joint of the file that is held, and none of the model -> where, rad or m.
         given: How the file was to be read.
         followers: Joints of the plant that follow others, and are none of the model.
-        transmission: What moves joints of the plant in their place; joints without a drive move
-            by themselves. All that is the model's, q, v, efforts and effects, is at the actuators.
+        transmission: What moves joints of the plant in their place, closed loops among it; joints
+            without a drive move by themselves. All that is the model's, q, v, efforts and effects,
+            is at the actuators.
         effort_signals: Of joints whose logs have currents, voltages or commands in the place of
             efforts, or efforts that motors are asked for, what makes efforts of them.
         known_joints: Names of the joints that logs may have: the model's, those that are held, and
@@ -742,13 +743,13 @@ def read_again(model: RobotModel) -> RobotModel:
     )
 
 
-def as_in_file(model: RobotModel, again: RobotModel) -> bool:
-    """Return whether a model has the effects of its file, read again, with their values."""
-    own, stated = (
-        [(fitted.effect, fitted.parameters.tolist()) for fitted in each.effects]
-        for each in (model, again)
-    )
-    return own == stated
+def is_of_file(model: RobotModel) -> bool:
+    """Return whether a model has the effects that its file states, and no others."""
+
+    def stated(model: RobotModel) -> list[tuple[Effect, list[float]]]:
+        return [(fitted.effect, fitted.parameters.tolist()) for fitted in model.effects]
+
+    return stated(model) == stated(read_again(model))
 
 
 def load_description(

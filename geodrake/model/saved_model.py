@@ -107,6 +107,7 @@ class SavedModel(Schema):
         held: Joint that is held -> where, rad or m.
         xacro: Arguments of a xacro file.
         packages: Package of ROS -> its folder, relative to this file, for those that were given.
+        leading: Names of joints that are free in closed loops, before those that motors drive.
         transmission: What moves joints in their place, if anything does.
         inertial_parameters: Body -> [m, hx, hy, hz, Ixx, Iyy, Izz, Ixy, Iyz, Izx].
         effort_signals: What stands for efforts in logs, where these are not measured.
@@ -126,6 +127,7 @@ class SavedModel(Schema):
     held: dict[str, float] = {}
     xacro: dict[str, str] = {}
     packages: dict[str, str] = {}
+    leading: list[str] = []
     transmission: Stated | None = None
     inertial_parameters: dict[str, list[float]] = {}
     effects: list[SavedEffect] = []
@@ -257,6 +259,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
         packages={
             name: os.path.relpath(place, folder) for name, place in model.given.packages.items()
         },
+        leading=list(model.given.leading),
         transmission=stated_of(own) if own else None,
         inertial_parameters={
             b: phi.tolist() for b, phi in zip(model.bodies, model.phi, strict=True)
@@ -345,7 +348,8 @@ def _given_with(path: Path, saved: SavedModel, given: Given) -> Given:
         )
     remembered = {name: folder / where for name, where in saved.packages.items()}
     there = {name: where for name, where in remembered.items() if where.is_dir()}
-    return Given(robot, {**there, **given.packages}, saved.xacro, given.trust_xacro)
+    packages = {**there, **given.packages}
+    return Given(robot, packages, saved.xacro, given.trust_xacro, tuple(saved.leading))
 
 
 def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]]) -> None:

@@ -6,6 +6,7 @@ far as an effort limit tells, or near the base; of the others the last ones clos
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -65,7 +66,12 @@ def open_loops(plant: MultibodyPlant) -> tuple[OpenedLoop, ...]:
 
     ends = _closing(plant, sorted(joints, key=rank))
     ends.sort(key=lambda joint: int(joint.index()))
-    opened = tuple(_opened(joint, actuators.get(int(joint.index()), [])) for joint in ends)
+    counts = Counter(joint.name() for joint in joints)
+    names = (j.name() if counts[j.name()] == 1 else scoped(j).replace("::", "_") for j in ends)
+    opened = tuple(
+        _opened(joint, name, actuators.get(int(joint.index()), []))
+        for joint, name in zip(ends, names, strict=True)
+    )
     for joint in ends:
         remove_joint(plant, joint)
     return opened
@@ -138,9 +144,9 @@ def _is_driven(actuators: list[JointActuator]) -> bool:
     return any(np.isfinite(actuator.effort_limit()) for actuator in actuators)
 
 
-def _opened(joint: Joint, actuators: list[JointActuator]) -> OpenedLoop:
+def _opened(joint: Joint, name: str, actuators: list[JointActuator]) -> OpenedLoop:
     X_BF, cut, turns = RigidTransform(), None, True
-    name, axis_of = joint.name(), list[Callable[[], np.ndarray]]()
+    axis_of = list[Callable[[], np.ndarray]]()
     match joint:
         case RevoluteJoint():
             axis_of.append(joint.revolute_axis)

@@ -48,6 +48,7 @@ _MOST_ITERATIONS, _LONGEST = 100, 0.3  # on the way to the posture of the file; 
 _NEAR = 0.2  # rad or shares, up to where loops are tried
 _NUDGE = 0.02  # rad or shares of the size, by which a posture is left to see whether it is singular
 _COEFFICIENTS = 5  # of polynomials by which joints follow others
+_FARTHEST = 1e6  # m, of a closure from its body
 _SAME = 1e-3  # rad or shares, by which a joint may be held beside where the loop has it
 
 
@@ -82,7 +83,7 @@ class Loops:
         loops: They.
         left_out: Sentences on closures that cannot be used.
         taken: Joints that follow others by a ratio that changes within them.
-        held: Joint -> where it is held as loops let it not move, rad or m.
+        held: Joint -> where it is held as loops and other constraints let it not move, rad or m.
     """
 
     loops: tuple[ClosedLoop, ...] = ()
@@ -94,7 +95,7 @@ class Loops:
     def notes(self) -> tuple[str, ...]:
         """Return what is worth knowing of them, in words."""
         held = ", ".join(f"{joint} at {place:.4g}" for joint, place in self.held.items())
-        still = (f"Held, as closed loops let them not move: {held}.",) if held else ()
+        still = (f"Held, as constraints of the file let them not move: {held}.",) if held else ()
         return (*(note for loop in self.loops for note in loop.notes), *still)
 
     def places(
@@ -297,7 +298,8 @@ class _LoopFinder:
             ties = [each for each in members if isinstance(each, Followers)]
             if own:
                 taken += ties
-                found.append(self._loop(sorted(velocities), own, ties))
+                loop = self._loop(sorted(velocities), own, ties)
+                found += [loop] if len(loop.map.shown) else []
         return Loops(tuple(found), tuple(left_out), tuple(taken))
 
     def _velocity(self, mobilizer: int) -> int:
@@ -310,6 +312,13 @@ class _LoopFinder:
                 raise ModelError(
                     f"{self.path}: {closure.name} has a body {body.rpartition('::')[2]!r}, which "
                     "there is not.",
+                    advice="Correct the file there.",
+                )
+            place = X_BP.translation()
+            if not (np.abs(place) <= _FARTHEST).all():
+                raise ModelError(
+                    f"{self.path}: {closure.name} is at {' '.join(f'{x:g}' for x in place)} of "
+                    f"{body.rpartition('::')[2]}, where no loop closes.",
                     advice="Correct the file there.",
                 )
             at, X_RB = self.bodies[body]

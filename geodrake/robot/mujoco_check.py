@@ -109,8 +109,8 @@ def check_loops_against_mujoco(
     Raises:
         ModelError: Some are not closed by MuJoCo's constraints, or come apart.
     """
-    mujoco, text = mujoco_or_none(), description.texts[0]
-    if mujoco is None or not isinstance(text, MjcfText) or text.reference is None:
+    mujoco, (text, *others) = mujoco_or_none(), description.texts
+    if mujoco is None or others or not isinstance(text, MjcfText) or text.reference is None:
         return
     m = text.compiled
     data, numbers = mujoco.MjData(m), list[tuple[Joint, int]]()
@@ -120,7 +120,9 @@ def check_loops_against_mujoco(
             numbers.append((joint, at))
     for at in range(m.neq):
         data.eq_active[at] = at in text.closing
-    size = float(np.abs(m.body_pos).max(initial=1e-3))
+    closing = list(text.closing)
+    places = np.concatenate([m.body_pos.ravel(), m.eq_data[closing, :6].ravel()])
+    size = float(np.abs(places).max(initial=1e-3))
     for q, v in zip(*states, strict=True):
         for joint, at in numbers:
             data.qpos[m.jnt_qposadr[at]] = q[joint.position_start()]

@@ -291,13 +291,24 @@ def _draft(
     joints = _single_joints(draft.plant)
     followers = resolved(description.followers, [scoped(joint) for joint in joints.values()])
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
-    loops = _loops(description, draft, LoopJoints(followers, first=tuple(held)))
+    stated = description.joint_values("fixed")
+    fixed = {name: stated[scoped(j)] for name, j in joints.items() if scoped(j) in stated}
+    held = {**fixed, **held}
+    first = (*held, *given.leading)
+    loops = _loops(description, draft, LoopJoints(followers, first=first))
     if loops.loops:
         states = _closed_states(draft.plant, followers, joints, loops)
         check_loops_against_mujoco(description, draft.plant, states)
     start, still = loops.places(held, description.path)
     if held or still:
         places = checked_held(joints, followers, {**still, **held}, description.path)
+        still = {**fixed, **still}
+        if len(places) == draft.plant.num_velocities() and still:
+            raise ModelError(
+                f"No joint moves in {description.path}: constraints hold {', '.join(still)}.",
+                advice="Correct what closes them; a constraint too many holds a linkage.",
+                path=description.path,
+            )
         if len(places) == draft.plant.num_velocities():
             raise ModelError(
                 f"All joints of {description.path} are held, so nothing moves.",
@@ -311,7 +322,7 @@ def _draft(
             followers=tuple(f for f in followers if f.joint not in places),
         )
         draft = _build(description, arrangement)
-        how = LoopJoints(arrangement.followers, start=start)
+        how = LoopJoints(arrangement.followers, first=given.leading, start=start)
         loops = replace(_loops(description, draft, how), held=still)
     return draft, arrangement, loops
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from closed_loops import four_bar, four_bar_sdf, gripper
 
-from geodrake import load_model
+from geodrake import load_model, save_model
 from geodrake.control.rollout import roll_out
 from geodrake.diagnosis import explain
 from geodrake.errors import LogError
@@ -136,8 +136,28 @@ def test_the_joint_that_closes_a_loop_may_be_logged(tmp_path):
 def test_a_log_of_another_joint_of_the_loop_is_refused(tmp_path):
     time, places, effort = simulated(four_bar(), seconds=2.0, joints=("rocker",))
     log = JointLog("log", ("rocker",), time, places, effort[:, None])
+    fitted = replace(model_of(tmp_path), fitted_to=("other",))
     with pytest.raises(LogError, match="has rocker of a closed loop in which crank moves"):
-        model_of_logs(model_of(tmp_path), [log])
+        model_of_logs(fitted, [log])
+    with pytest.raises(LogError, match="no effort of crank, which a motor drives beside rocker"):
+        log_of_model(log, model_of_logs(model_of(tmp_path), [log]))
+
+
+def test_joints_lead_that_logs_have(tmp_path):
+    model = model_of(tmp_path, four_bar(motors=""))
+    time, places, effort = simulated(four_bar(), seconds=4.0, joints=("crank", "rocker"))
+    log = JointLog("log", ("rocker",), time, places[:, 1:], effort[:, None])
+    led = model_of_logs(model, [log])
+    assert model.joints == ("crank",) and led.joints == ("rocker",)
+    assert any("rocker moves freely, as logs have it" in note for note in led.notes)
+    save_model(led, tmp_path / "led.yaml")
+    assert load_model(tmp_path / "led.yaml").joints == ("rocker",)
+    q = np.linspace(-0.2, 0.4, 5)[:, None]  # below, the rocker turns back
+    still = np.zeros_like(q)
+    theta = model.actuation.tree_samples(q, still + 1.0, still)[0]
+    rocker, at = model.tree_joints.index("rocker"), led.tree_joints.index("crank")
+    again = led.actuation.tree_positions(theta[:, [rocker]])
+    np.testing.assert_allclose(again[:, at], q[:, 0], atol=1e-9)
 
 
 def test_a_log_beyond_the_loop_says_where(tmp_path):

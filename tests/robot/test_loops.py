@@ -15,6 +15,7 @@ from closed_loops import (
     gripper,
     leg,
     sdf,
+    underactuated,
 )
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -59,6 +60,7 @@ ROBOTS = {
     "driven at the rocker": (four_bar(motors="rocker"), "rocker"),
     "a parallel gripper": (gripper(), "arm left"),
     "fingers that follow by a polynomial": (gripper("0 -1 .3 .1 0"), "arm left"),
+    "an underactuated gripper": (underactuated(), "right_bar left left_bar"),
 }
 
 
@@ -313,7 +315,9 @@ def test_what_does_not_move_is_held_and_said(tmp_path):
     text = four_bar(CONNECT + '<weld body1="crank"/>', motors="")
     model = load(tmp_path, text.replace("</worldbody>", other))
     assert model.joints == ("x",) and set(model.held) == {"crank", "coupler", "rocker"}
-    assert any("Held, as closed loops let them not move: crank at 0" in n for n in model.notes)
+    assert any(
+        "Held, as constraints of the file let them not move: crank at 0" in n for n in model.notes
+    )
 
 
 def test_an_equality_that_is_not_active_is_not_used(tmp_path):
@@ -326,6 +330,7 @@ def test_an_equality_that_is_not_active_is_not_used(tmp_path):
     assert set(model.joints) == {"crank", "coupler", "rocker"}
 
 
+HELD = four_bar(CONNECT + '<weld body1="coupler" body2="rocker"/>')
 FAR = by_sites().replace('pos=".25 0 .1"', 'pos=".9 0 .1"')
 FLAT = four_bar().replace('pos="0.3 0 -0.1"', 'pos="0.45 0 0"').replace(".25 0 0.1", ".25 0 0")
 
@@ -337,12 +342,40 @@ FLAT = four_bar().replace('pos="0.3 0 -0.1"', 'pos="0.45 0 0"').replace(".25 0 0
             FAR,
             "<connect> of p and q cannot close at the posture of the file: it misses by 0.498 m",
         ),
+        (
+            four_bar(CONNECT.replace("0.25", "nan")),
+            "is at nan 0 0.1 of coupler, where no",
+        ),
+        (four_bar(CONNECT.replace("0.25", "1e300")), r"is at 1e\+300 0 0.1 of coupler, where"),
+        (HELD, "No joint moves in .*: constraints hold crank, coupler, rocker"),
         (FLAT, "is singular where crank, coupler, rocker are in the file"),
     ],
 )
 def test_loops_that_cannot_be_are_refused_with_names_and_values(tmp_path, text, words):
     with pytest.raises(ModelError, match=words):
         load(tmp_path, text)
+
+
+def test_an_equality_of_one_joint_holds_it(tmp_path):
+    fixed = '<joint joint1="arm" polycoef="0.3 0 0 0 0"/>'
+    text = gripper().replace("</equality>", f"{fixed}</equality>")
+    text = text.replace('<joint name="arm"', '<joint name="arm" ref="0.2"')
+    model = load(tmp_path, text)
+    assert model.joints == ("left",) and model.held == {"arm": 0.5} and not model.left_out
+    assert any("let them not move: arm at 0.5" in note for note in model.notes)
+    plain = load(tmp_path, gripper().replace('<joint name="arm"', '<joint name="arm" ref="0.2"'))
+    q, v, vd = (x[:, 1:] for x in states(plain))
+    at = [np.column_stack([np.full(len(q), y), x]) for x, y in ((q, 0.5), (v, 0.0), (vd, 0.0))]
+    expected = plain.effort(Motion(*at))[:, 1:]
+    np.testing.assert_allclose(model.effort(Motion(q, v, vd)), expected, rtol=1e-9)
+    save_model(model, tmp_path / "saved.yaml")
+    assert load_model(tmp_path / "saved.yaml").held == {"arm": 0.5}
+
+
+def test_a_constraint_that_holds_nothing_is_none(tmp_path):
+    model = load(tmp_path, four_bar('<connect body1="rocker" anchor="0 0 0"/>'))
+    assert set(model.joints) == {"crank", "coupler", "rocker"} and not model.transmission
+    assert not any("loop" in note for note in model.notes)
 
 
 def test_what_holds_a_free_body_is_left_out(tmp_path):
@@ -484,6 +517,26 @@ def test_the_joint_with_a_motor_leads(tmp_path):
     assert model.joints == ("pin",)
     (tmp_path / "robot.sdf").write_text(four_bar_sdf(limits={"rocker": 5.0}))
     assert load_model(tmp_path / "robot.sdf").joints == ("rocker",)
+
+
+def test_two_robots_in_directives_have_their_own_loops(tmp_path):
+    damped = four_bar_sdf(("revolute", dynamics(damping=0.2)))
+    (tmp_path / "robot.sdf").write_text(damped)
+    (tmp_path / "robot.xml").write_text(four_bar())
+    models = "".join(
+        f"- add_model: {{name: {name}, file: file://{tmp_path / file}}}\n"
+        for name, file in (("a", "robot.sdf"), ("b", "robot.sdf"), ("c", "robot.xml"))
+    )
+    (tmp_path / "all.dmd.yaml").write_text(f"directives:\n{models}")
+    model = load_model(tmp_path / "all.dmd.yaml")
+    assert set(model.joints) == {"a_crank", "b_crank", "c_crank"}
+    assert {"a_pin", "b_pin"} <= {f.effect.place for f in model.effects}
+    motion = Motion(*states(model))
+    found = model.effort(motion)
+    for name, file in (("a", "robot.sdf"), ("b", "robot.sdf"), ("c", "robot.xml")):
+        at = [model.joints.index(f"{name}_crank")]
+        own = load_model(tmp_path / file).effort(Motion(*(x[:, at] for x in states(model))))
+        np.testing.assert_allclose(found[:, at], own, rtol=1e-9)
 
 
 def test_a_loop_of_an_sdf_that_cannot_be_used_is_refused(tmp_path):

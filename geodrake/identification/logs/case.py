@@ -372,7 +372,7 @@ def _check_efforts(logs: Sequence[JointLog]) -> None:
             joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
             raise LogError(
                 f"The effort of {', '.join(joints)} never changes in log {log.name!r}.",
-                advice="Check what is logged there.",
+                advice="Check what is logged there, or hold such a joint: --lock JOINT=POSITION.",
                 joints=joints,
             )
 

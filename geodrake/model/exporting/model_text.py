@@ -14,7 +14,7 @@ from geodrake.model.exporting.from_plant import SUFFIXES, from_plant
 from geodrake.model.exporting.joints import all_numbers, changed_numbers, exported_joints
 from geodrake.model.exporting.mjcf_actuators import with_actuators
 from geodrake.model.file_terms import Tilt
-from geodrake.model.robot_model import RobotModel, as_in_file, read_again
+from geodrake.model.robot_model import RobotModel, is_of_file
 from geodrake.robot.files.joint_text import with_gravity, with_joint_numbers, without_passive_forces
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.reading import model_text_of
@@ -40,7 +40,7 @@ def own_kind(model: RobotModel) -> str:
 
 def stands_as_it_is(model: RobotModel, kind: str) -> bool:
     """Return whether a model has the effects of its own file, which an export of a kind copies."""
-    return kind == "xml" == own_kind(model) and as_in_file(model, read_again(model))
+    return kind == "xml" == own_kind(model) and is_of_file(model)
 
 
 def model_file(

@@ -92,7 +92,11 @@ class Driving:
             ModelError: Load-dependent friction does not settle.
         """
         q, v = self.model_state(state)
-        (J, rate), (whole, rates) = self._jacobians(q, v), self.plant_state(q, v)
+        J, rate = self._jacobians(q, v)
+        whole, rates = (
+            self.coordinates.plant_positions(joint_positions(self.tree, q[None]))[0],
+            J @ v,
+        )
         acceleration = J @ self.acceleration(q, v, effort / self.gain, time) + rate @ v
         nq, nv, _, own = self.sizes
         if own < nv:

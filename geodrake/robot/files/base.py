@@ -56,6 +56,7 @@ class ModelText(abc.ABC):
         boxes: Links as what a medium acts on.
         struts: Springs and dampers between points of links.
         start: Scoped joint names with where the file has them by default, rad or m; otherwise at 0.
+        fixed: Scoped joint names with where a constraint holds them, rad or m.
         effort: Scoped joint names with their largest effort, N or N·m.
         followers: Joints that the file has follow others; whether they can is seen in the plant.
         bent: Joints that the file has follow others by a ratio that changes.
@@ -87,6 +88,7 @@ class ModelText(abc.ABC):
         self.boxes: list[BoxInMedium] = []
         self.struts: list[StatedStrut] = []
         self.start: dict[str, float] = {}
+        self.fixed: dict[str, float] = {}
         self.effort: dict[str, float] = {}
         self.between: set[str] = set()
         self.packages: set[str] = set()

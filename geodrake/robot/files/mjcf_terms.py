@@ -98,7 +98,9 @@ class MjcfTerms:
         return [Followers(leader, own) for leader, own in self.bent.items()]
 
 
-QUANTITIES = ("friction", "armature", "damping", "damping_2", "damping_3", "start", "effort")
+QUANTITIES = tuple(
+    ["friction", "armature", "damping", "damping_2", "damping_3", "start", "fixed", "effort"]
+)
 
 
 def terms_of(source: CompiledMjcf, mujoco: ModuleType) -> MjcfTerms:
@@ -417,6 +419,9 @@ class _Terms:
                 )
             elif kind == "joint" and second >= 0:
                 self._follow(first, second, np.array(m.eq_data[at][:5]))
+            elif kind == "joint":
+                place = float(m.qpos0[m.jnt_qposadr[first]] + m.eq_data[at][0])
+                self.found.of_joints["fixed"][self._name("JOINT", first)] = place
             elif kind in ("connect", "weld") and self._close(at, f"<{kind}> of {what}"):
                 continue
             elif kind != "tendon" or not self._follow_tendon(first, second, m.eq_data[at][:5]):
