@@ -7,7 +7,7 @@ are effects of their own in geodrake; inertias that no body can have are repaire
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -32,7 +32,7 @@ from geodrake.inertia import (
     inertial_parameters,
     to_spatial_inertia,
 )
-from geodrake.inertia.bodies import lumped_bodies
+from geodrake.inertia.bodies import Member, lumped_bodies
 from geodrake.robot.files import Given, ModelDescription, read_description
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages
@@ -478,16 +478,18 @@ def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayL
     Raises:
         ArgumentError: The shape does not fit, or a value is not finite.
     """
-    lumps = lumped_bodies(plant)
+    write_inertias(plant, context, [body.members for body in lumped_bodies(plant)], phi)
+
+
+def write_inertias(
+    plant: MultibodyPlant, context: Context, lumps: Sequence[Sequence[Member]], phi: ArrayLike
+) -> None:
+    """Writes inertial parameters (nb, 10) of groups of links into their first links."""
     phi = real_array(phi, "phi", (len(lumps), PARAMETERS_PER_BODY))
-    for body, parameters in zip(lumps, phi, strict=True):
-        for member in body.members[1:]:
-            plant.get_body(member.index).SetSpatialInertiaInBodyFrame(
-                context, SpatialInertia.Zero()
-            )
-        plant.get_body(body.body_index).SetSpatialInertiaInBodyFrame(
-            context, to_spatial_inertia(parameters)
-        )
+    for members, parameters in zip(lumps, phi, strict=True):
+        inertias = [to_spatial_inertia(parameters)] + [SpatialInertia.Zero()] * (len(members) - 1)
+        for member, inertia in zip(members, inertias, strict=True):
+            plant.get_body(member.index).SetSpatialInertiaInBodyFrame(context, inertia)
 
 
 @typed
