@@ -478,10 +478,10 @@ def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayL
     Raises:
         ArgumentError: The shape does not fit, or a value is not finite.
     """
-    write_inertias(plant, context, [body.members for body in lumped_bodies(plant)], phi)
+    set_lump_inertias(plant, context, [body.members for body in lumped_bodies(plant)], phi)
 
 
-def write_inertias(
+def set_lump_inertias(
     plant: MultibodyPlant, context: Context, lumps: Sequence[Sequence[Member]], phi: ArrayLike
 ) -> None:
     """Writes inertial parameters (nb, 10) of groups of links into their first links."""

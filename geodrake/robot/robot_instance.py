@@ -30,7 +30,7 @@ from geodrake.inertia import (
 from geodrake.inertia.bodies import Member, body_names, check_context, check_plant, lumped_bodies
 from geodrake.robot.floating_base import body_poses
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.plant import joint_names, write_inertias
+from geodrake.robot.plant import joint_names, set_lump_inertias
 
 _SAME_GRAVITY = 1e-6  # m/s², between two files of one robot
 _SAME_ROTATION = 1e-6
@@ -239,7 +239,7 @@ class RobotInstance:
         """
         check_context(self.plant, context)
         lumps = [[m for m in lump.members if self._is_own(m)] for lump in lumped_bodies(self.plant)]
-        write_inertias(self.plant, context, [members for members in lumps if members], phi)
+        set_lump_inertias(self.plant, context, [members for members in lumps if members], phi)
 
     def plant_parameters(self, phi: ArrayLike) -> Array:
         """(nb, 10) inertial parameters of the whole plant, with those of the robot in their places.
