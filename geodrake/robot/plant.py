@@ -32,7 +32,7 @@ from geodrake.inertia import (
     inertial_parameters,
     to_spatial_inertia,
 )
-from geodrake.inertia.bodies import lumped_bodies
+from geodrake.inertia.bodies import Member, lumped_bodies
 from geodrake.robot.cut_joints import OpenedLoop, open_loops
 from geodrake.robot.files import Given, ModelDescription, read_description
 from geodrake.robot.files.checks import check_poses
@@ -635,16 +635,18 @@ def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayL
     Raises:
         ArgumentError: The shape does not fit, or a value is not finite.
     """
-    lumps = lumped_bodies(plant)
+    set_lump_inertias(plant, context, [body.members for body in lumped_bodies(plant)], phi)
+
+
+def set_lump_inertias(
+    plant: MultibodyPlant, context: Context, lumps: Sequence[Sequence[Member]], phi: ArrayLike
+) -> None:
+    """Writes inertial parameters (nb, 10) of groups of links into their first links."""
     phi = real_array(phi, "phi", (len(lumps), PARAMETERS_PER_BODY))
-    for body, parameters in zip(lumps, phi, strict=True):
-        for member in body.members[1:]:
-            plant.get_body(member.index).SetSpatialInertiaInBodyFrame(
-                context, SpatialInertia.Zero()
-            )
-        plant.get_body(body.body_index).SetSpatialInertiaInBodyFrame(
-            context, to_spatial_inertia(parameters)
-        )
+    for members, parameters in zip(lumps, phi, strict=True):
+        inertias = [to_spatial_inertia(parameters)] + [SpatialInertia.Zero()] * (len(members) - 1)
+        for member, inertia in zip(members, inertias, strict=True):
+            plant.get_body(member.index).SetSpatialInertiaInBodyFrame(context, inertia)
 
 
 @typed

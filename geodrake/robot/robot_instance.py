@@ -17,7 +17,6 @@ from pydrake.multibody.tree import (
     PrismaticSpring,
     RevoluteSpring,
     RigidBody,
-    SpatialInertia,
 )
 from pydrake.systems.framework import Context, DiagramBuilder, InputPort, OutputPort
 from pydrake.systems.primitives import Adder, MatrixGain
@@ -25,15 +24,13 @@ from pydrake.systems.primitives import Adder, MatrixGain
 from geodrake.boundary.arguments import instance, instances, real_array, typed
 from geodrake.errors import ArgumentError
 from geodrake.inertia import (
-    PARAMETERS_PER_BODY,
     Array,
     inertial_parameters,
-    to_spatial_inertia,
 )
 from geodrake.inertia.bodies import Member, body_names, check_context, check_plant, lumped_bodies
 from geodrake.robot.floating_base import body_poses
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.plant import joint_names
+from geodrake.robot.plant import joint_names, set_lump_inertias
 
 _SAME_GRAVITY = 1e-6  # m/s², between two files of one robot
 _SAME_ROTATION = 1e-6
@@ -242,14 +239,7 @@ class RobotInstance:
         """
         check_context(self.plant, context)
         lumps = [[m for m in lump.members if self._is_own(m)] for lump in lumped_bodies(self.plant)]
-        lumps = [members for members in lumps if members]
-        phi = real_array(phi, "phi", (len(lumps), PARAMETERS_PER_BODY))
-        for members, parameters in zip(lumps, phi, strict=True):
-            for member in members[1:]:
-                body = self.plant.get_body(member.index)
-                body.SetSpatialInertiaInBodyFrame(context, SpatialInertia.Zero())
-            body = self.plant.get_body(members[0].index)
-            body.SetSpatialInertiaInBodyFrame(context, to_spatial_inertia(parameters))
+        set_lump_inertias(self.plant, context, [members for members in lumps if members], phi)
 
     def plant_parameters(self, phi: ArrayLike) -> Array:
         """(nb, 10) inertial parameters of the whole plant, with those of the robot in their places.

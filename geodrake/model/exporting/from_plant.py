@@ -19,6 +19,7 @@ from geodrake.model.exporting.joints import ExportedJoint, exported_joints
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.source_text import comment_words
 from geodrake.robot.files.values import UPPER, tensor_words, words
+from geodrake.robot.holding import moving_joints
 
 _DRAKE = "http://drake.mit.edu"
 _UNLIMITED = 1e9  # effort and speed, where a URDF must state some
@@ -95,9 +96,7 @@ def _axis(joint: Joint) -> Array:
 
 
 def _moving_joints(model: RobotModel) -> list[Joint]:
-    plant = model.plant
-    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
-    moving = [joint for joint in joints if joint.num_velocities()]
+    moving = moving_joints(model.plant)
     for joint in moving:
         if joint.type_name() not in ("revolute", "prismatic"):
             raise _refusal(joint, f"is of the type {joint.type_name()}")

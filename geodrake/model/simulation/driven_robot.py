@@ -1,11 +1,11 @@
 """A Drake plant that is moved by actuators, and whose joints follow others.
 
-A plant knows its joints alone. Systems here stand between it and a model whose coordinates are
-those of actuators, or lack joints that follow others: one makes the model's state of the plant's,
-the other the plant's generalized forces of the efforts τ at the actuators. There the robot
-accelerates so that it needs just these efforts, M q̈ + h = τ with all effects in M and h, and what
-the plant needs for that at θ̈ = J q̈ + J̇ q̇ is its inverse dynamics. Where there are more joints than
-actuators, what drifts from θ = T(q) is drawn back to it.
+A plant knows its joints alone. A system here stands between it and a model whose coordinates are
+those of actuators, or lack joints that follow others: it makes the model's state of the plant's,
+and the plant's generalized forces of the efforts τ at the actuators. There the robot accelerates so
+that it needs just these efforts, M q̈ + h = τ with all effects in M and h, and what the plant needs
+for that at θ̈ = J q̈ + J̇ q̇ is its inverse dynamics. Where there are more joints than actuators, what
+drifts from θ = T(q) is drawn back to it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
@@ -147,16 +147,21 @@ class Driving:
         return self.coordinates.plant.CreateDefaultContext()
 
 
-class ActuatorState(LeafSystem):
-    """The state of a model, of that of its plant.
+class DrivenPlant(LeafSystem):
+    """What stands between a plant and a model of other coordinates.
 
     .. pydrake_system::
 
-        name: ActuatorState
+        name: DrivenPlant
         input_ports:
         - plant_state
+        - effort
         output_ports:
         - state
+        - generalized_force
+
+    `state` is that of the model, `generalized_force` that of the plant by the model's efforts,
+    effects included.
     """
 
     def __init__(self, driving: Driving) -> None:
@@ -164,37 +169,23 @@ class ActuatorState(LeafSystem):
         LeafSystem.__init__(self)
         self._driving = driving
         nq, nv, own_nq, own_nv = driving.sizes
-        self._port = self.DeclareVectorInputPort("plant_state", BasicVector(nq + nv))
-        size, known = own_nq + own_nv, {self._port.ticket()}
-        self.DeclareVectorOutputPort("state", BasicVector(size), self._calc_state, known)
+        self._state_port = self.DeclareVectorInputPort("plant_state", BasicVector(nq + nv))
+        self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(own_nv))
+        known, size = {self._state_port.ticket()}, BasicVector(own_nq + own_nv)
+        self.DeclareVectorOutputPort("state", size, self._calc_state, known)
+        known = {*known, self._effort_port.ticket(), self.time_ticket()}
+        self.DeclareVectorOutputPort("generalized_force", BasicVector(nv), self._calc_force, known)
+
+    def connect(self, builder: DiagramBuilder) -> None:
+        """Connects it with its plant; both are in the builder."""
+        plant = self._driving.coordinates.plant
+        builder.Connect(plant.get_state_output_port(), self._state_port)
+        port = plant.get_applied_generalized_force_input_port()
+        builder.Connect(self.GetOutputPort("generalized_force"), port)
 
     def _calc_state(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(np.concatenate(self._driving.model_state(self._port.Eval(context))))
-
-
-class JointEffort(LeafSystem):
-    """Generalized forces of a plant, of the efforts of its actuators, effects included.
-
-    .. pydrake_system::
-
-        name: JointEffort
-        input_ports:
-        - plant_state
-        - effort
-        output_ports:
-        - generalized_force
-    """
-
-    def __init__(self, driving: Driving) -> None:
-        """Constructs the system for a plant and how it moves."""
-        LeafSystem.__init__(self)
-        self._driving = driving
-        nq, nv, _, own = driving.sizes
-        self._state_port = self.DeclareVectorInputPort("plant_state", BasicVector(nq + nv))
-        self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(own))
-        ports = self._state_port, self._effort_port
-        known = {self.time_ticket(), *(port.ticket() for port in ports)}
-        self.DeclareVectorOutputPort("generalized_force", BasicVector(nv), self._calc_force, known)
+        state = self._state_port.Eval(context)
+        output.SetFromVector(np.concatenate(self._driving.model_state(state)))
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
         state, effort = self._state_port.Eval(context), self._effort_port.Eval(context)

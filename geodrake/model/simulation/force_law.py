@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -36,8 +36,7 @@ EffectWithValues = FittedEffect | tuple[Effect, ArrayLike]
 """An effect with its linear parameters μ, as a model has it or as a pair."""
 
 
-@dataclass(frozen=True, eq=False)
-class Response:
+class Response(NamedTuple):
     """What effects do at a state.
 
     Attributes:

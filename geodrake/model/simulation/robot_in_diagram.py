@@ -19,7 +19,7 @@ from geodrake.effects.delays import delays_of
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.simulation.delayed_effort import DelayedEffort
-from geodrake.model.simulation.driven_robot import ActuatorState, Driving, JointEffort
+from geodrake.model.simulation.driven_robot import DrivenPlant, Driving
 from geodrake.model.simulation.effect_force import EffectForce
 from geodrake.robot.files import Given
 from geodrake.robot.plant import load_plant
@@ -247,15 +247,10 @@ class DiagramRobot:
     ) -> RobotInDiagram:
         """Connects a plant of other coordinates."""
         effort, acting, logged = self._efforts(builder)
-        seen = builder.AddNamedSystem(f"{self.name}_state", ActuatorState(driving))
-        force = builder.AddNamedSystem(f"{self.name}_joint_effort", JointEffort(driving))
-        for system in (seen, force):
-            port = system.GetInputPort("plant_state")
-            builder.Connect(place.plant.get_state_output_port(), port)
-        builder.Connect(acting, force.GetInputPort("effort"))
-        port = place.plant.get_applied_generalized_force_input_port()
-        builder.Connect(force.get_output_port(), port)
-        ports = effort, seen.get_output_port(), logged
+        system = builder.AddNamedSystem(f"{self.name}_driven", DrivenPlant(driving))
+        system.connect(builder)
+        builder.Connect(acting, system.GetInputPort("effort"))
+        ports = effort, system.GetOutputPort("state"), logged
         return RobotInDiagram(
             place, None, None, self.joints, self.total_phi, *ports, driving=driving
         )

@@ -12,8 +12,8 @@ from geodrake.boundary.escaping import identifier, printable, quoted
 from geodrake.model.export import repair_comments
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.source.effort_formula import EffortFormula, effort_formula
-from geodrake.model.source.languages import CPP, PYTHON, Language
-from geodrake.model.source.straight_line import StraightLine, straight_line
+from geodrake.model.source.languages import CPP, PYTHON
+from geodrake.model.source.straight_line import straight_line
 
 _WIDTH = 96
 _LANGUAGES = {"python": PYTHON, "cpp": CPP}
@@ -69,21 +69,17 @@ def effort_source(model: RobotModel, language: str, *, sign_width: ArrayLike = 0
     """
     kind = _LANGUAGES[one_of(language, "language", _LANGUAGES)]
     formula = effort_formula(instance(model, "model", RobotModel), sign_width)
-    line = straight_line(formula.efforts, kind.operation, kind.number)
+    lines, efforts = straight_line(formula.efforts, kind.operation, kind.number)
     text = kind.template.format(
         comment=_comment(model, formula, kind.comment),
         name=f"{_name(model)}_model",
         nq=model.tree.num_positions,
         nv=len(model.joints),
         joints="\n".join(f"    {kind.string(joint)}," for joint in model.joints),
-        statements=_statements(line, kind),
-        results="\n".join(kind.result.format(_bare(x)) for x in line.results),
+        statements="\n".join(kind.statement.format(name, _bare(x)) for name, x in lines),
+        results="\n".join(kind.result.format(_bare(x)) for x in efforts),
     )
     return EffortSource(f"{_name(model)}_effort{kind.suffix}", text, formula.left_out)
-
-
-def _statements(line: StraightLine, kind: Language) -> str:
-    return "\n".join(kind.statement.format(name, _bare(x)) for name, x in line.statements)
 
 
 def _bare(expression: str) -> str:

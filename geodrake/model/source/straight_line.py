@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from geodrake.model.formulas.symbols import Operand, Symbol, in_order
@@ -19,23 +18,10 @@ Term = Callable[[str, tuple[str, ...]], str]
 """Writes an operation on operands that are written already."""
 
 
-@dataclass(frozen=True)
-class StraightLine:
-    """Statements in their order.
-
-    Attributes:
-        statements: Names of numbers, and expressions of inputs and earlier ones.
-        results: Expressions of the results.
-    """
-
-    statements: tuple[tuple[str, str], ...]
-    results: tuple[str, ...]
-
-
 def straight_line(
     results: Sequence[Operand], write: Term, number: Callable[[float], str]
-) -> StraightLine:
-    """Return formulas as statements in some language.
+) -> tuple[list[tuple[str, str]], list[str]]:
+    """Return names and expressions of statements in their order, and expressions of the results.
 
     Args:
         results: The formulas.
@@ -63,7 +49,7 @@ def straight_line(
             statements.append((f"x{len(statements)}", expression))
             expression, size = statements[-1][0], 0
         written[key], sizes[key] = expression, size
-    return StraightLine(tuple(statements), tuple(text(key) for key in found))
+    return statements, [text(key) for key in found]
 
 
 def _operations(results: Sequence[Operand]) -> tuple[dict[Key, tuple[str, Key]], list[Key]]:

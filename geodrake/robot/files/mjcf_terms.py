@@ -98,9 +98,8 @@ class MjcfTerms:
         return [Followers(leader, own) for leader, own in self.bent.items()]
 
 
-QUANTITIES = tuple(
-    ["friction", "armature", "damping", "damping_2", "damping_3", "start", "fixed", "effort"]
-)
+_OF_JOINTS = ("friction", "armature", "damping", "damping_2", "damping_3", "start", "fixed")
+QUANTITIES = (*_OF_JOINTS, "effort")
 
 
 def terms_of(source: CompiledMjcf, mujoco: ModuleType) -> MjcfTerms:
