@@ -328,7 +328,7 @@ LEFT_OUT = {
         mjcf(
             tip(geom='<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>' + GEOM),
             head='<default><geom fluidshape="ellipsoid"/></default><option density="90"/>',
-        ),
+        ).replace("<worldbody>", f"<worldbody>{GEOM}"),
         no_ellipsoids,
     ),
     "tendon p with stiffness 40": (

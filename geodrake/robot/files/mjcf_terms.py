@@ -375,12 +375,12 @@ class _Terms:
             return
         own.density = own.viscosity = 0.0
         others = list[str]()
-        for body in range(m.nbody):
+        for body in np.flatnonzero(m.body_weldid):
             first, mass = int(m.body_geomadr[body]), float(m.body_mass[body])
             geoms = range(first, first + int(m.body_geomnum[body]))
             if any(m.geom_fluid[geom][0] > 0.0 for geom in geoms):
                 others.append(self._name("BODY", body))
-            elif m.body_weldid[body] and mass > 0.0:
+            elif mass > 0.0:
                 inertia = np.array(m.body_inertia[body])
                 edges = np.maximum(inertia.sum() - 2.0 * inertia, _LEAST_INERTIA)
                 self.found.boxes.append(
