@@ -375,7 +375,7 @@ class _Terms:
             return
         own.density = own.viscosity = 0.0
         others = list[str]()
-        for body in np.flatnonzero(m.body_weldid):
+        for body in np.flatnonzero(m.body_weldid).tolist():
             first, mass = int(m.body_geomadr[body]), float(m.body_mass[body])
             geoms = range(first, first + int(m.body_geomnum[body]))
             if any(m.geom_fluid[geom][0] > 0.0 for geom in geoms):
