@@ -9,13 +9,27 @@ import numpy as np
 
 from geodrake.boundary.arguments import instance, instances
 from geodrake.errors import LogError
+from geodrake.logs.files import Reading
 from geodrake.logs.motion import JointLog, match_joints
 from geodrake.logs.resting import LARGEST, logged_ranges, readings, resting, travels
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot.plant import motor_joints
 
 _FAR = 0.05  # rad or m, that a joint which rests does not go by its velocities, less their mean
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
+
+
+def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
+    """Return how logs of a model are read, which knows of joints without a motor.
+
+    Those are the joints without an actuator or a transmission in the model file, where others
+    have one; they are passive in logs without an effort of them.
+    """
+    driven = {name.rpartition("::")[2] for name in motor_joints(model.plant)}
+    followers = {joint for pair in model.led.items() for joint in (pair[0], pair[1][0])}
+    none = set(model.single_joints).difference(driven, followers) if driven else set()
+    return replace(reading or Reading(), motorless=frozenset(none))
 
 
 def model_of_logs(
@@ -112,8 +126,9 @@ def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
             raise LogError(
                 f"Log {log.name!r} is a log without effort of {joint}: the position is there, the "
                 "effort is not.",
-                advice=f"Log its effort too, or its current, voltage, duty cycle or command; or "
-                f"hold the joint: --lock {joint}=POSITION.",
+                advice=f"Log its effort too, or its current, voltage, duty cycle or command; "
+                f"hold the joint: --lock {joint}=POSITION; or say that it has no motor: "
+                f"--passive {joint}.",
                 joint=joint,
             )
     return match_joints(_with_followers(log, model).select(moving), model.joints)
@@ -186,7 +201,8 @@ def _place(model: RobotModel, logs: Sequence[JointLog], joint: str) -> float:
         raise LogError(
             f"Log {moves[0]!r} is a log without effort of {joint}: the position is there, and "
             "moves; the effort is not.",
-            advice=f"Log its effort too, or hold the joint: --lock {joint}=POSITION.",
+            advice=f"Log its effort too; or say that it has no motor: --passive {joint}; or hold "
+            f"it: --lock {joint}=POSITION.",
             joint=joint,
         )
     if not places:
