@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.compiling import compiled, contiguous
-from geodrake.logs.motion import JointLog
+from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, MotorLimit, signal_of
 
 Array = NDArray[np.float64]
@@ -62,7 +62,8 @@ def kind_of(log: JointLog, joint: str) -> str:
     told = log.command is not None and np.isfinite(log.command[:, at]).any()
     if told and joint not in log.effort_kinds and not np.isfinite(log.effort[:, at]).any():
         return COMMAND
-    return log.effort_kinds.get(joint, EFFORT)
+    kind = log.effort_kinds.get(joint, EFFORT)
+    return EFFORT if kind == PASSIVE else kind
 
 
 def limited_effort(log: JointLog, at: int, motor: MotorLimit, asked: Array) -> Array:
