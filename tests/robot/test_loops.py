@@ -379,6 +379,7 @@ def test_an_equality_of_one_joint_holds_it(tmp_path):
     np.testing.assert_allclose(model.effort(Motion(q, v, vd)), expected, rtol=1e-9)
     save_model(model, tmp_path / "saved.yaml")
     assert load_model(tmp_path / "saved.yaml").held == {"arm": 0.5}
+    assert load(tmp_path, text, lock={"arm": 0.1}).held == {"arm": 0.1}
 
 
 def test_a_constraint_that_holds_nothing_is_none(tmp_path):
