@@ -24,7 +24,11 @@ from rich.table import Table
 
 from geodrake import load_model, save_model
 from geodrake.diagnosis import Candidate, Explanation, Step, add, compare, diagnose, explain
+from geodrake.logs.files import Reading, read_log
+from geodrake.logs.files.reading import ColumnMapping, MappedColumn
+from geodrake.logs.motion import JointLog
 from geodrake.model import RobotModel
+from geodrake.model.logged_joints import reading_for
 
 ROOT = Path(__file__).parents[1]
 
@@ -38,15 +42,37 @@ class Study:
         model: Model file below `reference` or the checkout's `models`; or the name of a study.
         logs: Log files below `data`.
         blocks: Blocks into which a log is cut, None for the default.
+        mapping: Which column is what, where names do not say it.
     """
 
     name: str
     model: str
     logs: tuple[str, ...]
     blocks: int | None = None
+    mapping: ColumnMapping | None = None
+
+    def read(self, model: RobotModel, shared: Path) -> list[JointLog]:
+        """Return the logs as a model has them."""
+        reading, joints = reading_for(model, Reading(mapping=self.mapping)), model.known_joints
+        paths = [shared / "data" / log for log in self.logs]
+        return [read_log(path, joints=joints, partial=True, reading=reading) for path in paths]
 
 
 PENDULUM = tuple(f"double_pendulum_c1_{run}.csv" for run in (143339, 143524, 143601, 143704))
+ACROMONK = ColumnMapping(
+    {
+        "virtul_joint_hook_1": {
+            "position": MappedColumn("shoulder_meas_pos"),
+            "effort": MappedColumn("passive"),
+        },
+        "joint_1": {
+            "position": MappedColumn("elbow_meas_pos"),
+            "effort": MappedColumn("elbow_meas_tau"),
+        },
+    },
+    time=MappedColumn("meas_time"),
+)
+BRACHIATIONS = "acromonk/raw_FB_pd_1x_.csv", "acromonk/raw_ZB_tvlqr_1x.csv"
 STUDIES = (
     Study("ur10e free", "ur10e.urdf", ("ur10e_free_a.csv", "ur10e_free_b.csv")),
     Study("ur10e again", "ur10e free", ("ur10e_free_c.csv",)),
@@ -58,6 +84,7 @@ STUDIES = (
     Study("emps", "emps_70kg.urdf", ("emps.csv",)),
     Study("lwr4", "lwr4.urdf", tuple(f"lwr4_{run}.csv" for run in (1, 2, 3))),
     Study("kr300", "kr300.urdf", tuple(f"kr300_{run}.csv" for run in "abc")),
+    Study("acromonk", "acromonk.urdf", BRACHIATIONS, mapping=ACROMONK),
     Study("double pendulum", "double_pendulum.urdf", PENDULUM),
 )
 QUICK = (Study("double pendulum", "double_pendulum.urdf", PENDULUM[:2]),)
@@ -105,7 +132,8 @@ class Row:
 
 def model_file(name: str, shared: Path) -> Path | None:
     """A model file of the checkout or of the references; None if neither has it."""
-    places = ROOT / "models" / name, shared / "reference" / name
+    places = (ROOT / "models", shared / "reference", shared / "data" / Path(name).stem)
+    places = tuple(folder / name for folder in places)
     return next((path for path in places if path.is_file()), None)
 
 
@@ -118,8 +146,8 @@ def run(study: Study, *, shared: Path, saved: Path) -> Explanation:
         saved: Folder for fitted models.
     """
     path = model_file(study.model, shared) or saved / f"{study.model}.yaml"
-    logs = [shared / "data" / log for log in study.logs]
-    explanation = explain(load_model(path), logs, blocks=study.blocks)
+    model = load_model(path)
+    explanation = explain(model, study.read(model, shared), blocks=study.blocks)
     save_model(explanation.model, saved / f"{study.name}.yaml")
     return explanation
 
@@ -132,8 +160,8 @@ def named_afterwards(study: Study, *, shared: Path, saved: Path) -> list[str]:
         shared: Folder with `data`.
         saved: Folder of fitted models.
     """
-    logs = [shared / "data" / log for log in study.logs]
-    found = diagnose(load_model(saved / f"{study.name}.yaml"), logs, blocks=study.blocks)
+    model = load_model(saved / f"{study.name}.yaml")
+    found = diagnose(model, study.read(model, shared), blocks=study.blocks)
     return [placed(each) for each in found.candidates]
 
 

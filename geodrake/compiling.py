@@ -61,11 +61,7 @@ def compiled(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Return the same, as a part of what calls it.
-
-    Args:
-        function: A function as for `compiled`.
-    """
+    """Return the same, as a part of what calls it."""
     return _compiled(function, forceinline=True)
 
 
@@ -255,11 +251,7 @@ class _Kept(_FunctionCache):
         self._turns = list[BinaryIO]()
 
     def in_turn(self, compile_one: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """Numba's way to compile the function for a signature, after which it is others' turn.
-
-        Args:
-            compile_one: That way.
-        """
+        """Numba's way to compile the function for a signature, after which it is others' turn."""
 
         def alone(signature: Any) -> Any:
             with global_compiler_lock:

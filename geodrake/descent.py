@@ -31,7 +31,6 @@ def step_length(
             outside of its domain.
         promise: (...) what the slope promises of the whole step, above zero.
         rounding: (...) what the cost is not known better than.
-        longest: Share to begin with.
 
     Returns:
         (...) the shares; zero where none lowers the cost.

@@ -7,15 +7,18 @@ from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 
-import numpy as np
 import pytest
 from typer.main import get_command
 
-from geodrake.cli.app import app
-from geodrake.effects import Effect, catalogue
+from geodrake import load_model, save_model
+from geodrake.cli.app import EXAMPLES, app
 
 README = Path(__file__).parents[1] / "README.md"
 TEXT = README.read_text(encoding="utf-8") if README.is_file() else ""
+NAMES, COMMANDS = (
+    (README.parent / "docs" / name).read_text(encoding="utf-8")
+    for name in ("api.md", "commands.md")
+)
 
 
 def blocks(language):
@@ -24,27 +27,15 @@ def blocks(language):
 
 def test_python_lines_print_what_is_shown(tmp_path, monkeypatch, capsys):
     code = next(block for block in blocks("python") if "explain" in block)
-    shown = TEXT.split(code)[1].split("```")[2].strip("\n")
+    shown = next(block for block in blocks("") if "as it stands" in block).strip("\n")
     monkeypatch.chdir(tmp_path)
     exec(code, {"__name__": "__main__"})
     assert capsys.readouterr().out.strip("\n") == shown
     assert (tmp_path / "arm.yaml").is_file()
 
 
-def test_own_effect_of_the_readme_is_one():
-    code = next(block for block in blocks("python") if "JointEffect" in block)
-    names = {}
-    exec(code, names)
-    assert issubclass(names["HangingHose"], Effect)
-
-
-def test_table_names_every_effect():
-    for effect in catalogue():
-        assert f"| `{effect.name}` |" in TEXT
-
-
 def test_names_to_look_up_are_in_their_packages():
-    table = TEXT.split("## Names to look up")[1].split("\n## ")[0]
+    table = NAMES.split("## Names to look up")[1].split("\n## ")[0]
     rows = [line.split("|")[1:3] for line in table.splitlines() if line.startswith("| `")]
     named = {cell.strip(" `"): re.findall(r"`(\w+)`", names) for cell, names in rows}
     assert set(named) >= {"geodrake.diagnosis", "geodrake.control"}
@@ -61,7 +52,7 @@ def test_packages_are_there_after_one_import():
         "    assert type(getattr(geodrake, name)) is types.ModuleType, name\n"
         "assert callable(geodrake.load_model)\n"
     )
-    packages = re.findall(r"^\| `geodrake\.(\w+)` \|", TEXT, re.MULTILINE)
+    packages = re.findall(r"^\| `geodrake\.(\w+)` \|", NAMES, re.MULTILINE)
     assert "diagnosis" in packages
     run = subprocess.run(
         [sys.executable, "-W", "error", "-c", code, *packages],
@@ -72,9 +63,9 @@ def test_packages_are_there_after_one_import():
     assert run.returncode == 0, run.stderr
 
 
-def test_options_of_files_are_those_of_the_readme():
+def test_options_of_files_are_those_of_the_page_of_commands():
     """Which command takes which of --json, --report and --save."""
-    words = TEXT.split("All take `--json`")[1].split("`--help` tells the rest")[0]
+    words = COMMANDS.split("All take `--json`")[1].split("`--help` tells the rest")[0]
     saving, none = words.split("`--save` writes")[1].split(";")
     commands = {
         command.callback.__name__: {p.name for p in get_command(app).commands[name].params}
@@ -94,9 +85,18 @@ def test_options_of_files_are_those_of_the_readme():
     assert not any("save" in commands[name] for name in named[none] - refusing)
 
 
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_examples_of_help_have_options_that_are_there(name):
+    command = get_command(app).commands[name]
+    options = {option for param in command.params for option in param.opts}
+    for example in EXAMPLES[name]:
+        assert f"geodrake {name} {example}" in command.epilog
+        assert {word for word in example.split() if word.startswith("--")} <= options
+
+
 def test_links_lead_somewhere():
     for target in re.findall(r"\]\((?!https?:)([^)]+)\)", TEXT):
-        assert (README.parent / target).is_file(), target
+        assert (README.parent / target.partition("#")[0]).is_file(), target
 
 
 @pytest.mark.parametrize("name", ["README.md", "BENCHMARKS.md", "docs/design.md"])
@@ -109,13 +109,11 @@ def test_files_that_documents_name_are_there(name):
     assert set(re.findall(r"`(test_\w+)`", words)) <= tests
 
 
-def test_adaptive_loop_of_the_readme_runs(tmp_path, monkeypatch):
-    code = next(block for block in blocks("python") if "add_adaptive_loop" in block)
-    demo = files("geodrake.demo") / "demo.urdf"
-    (tmp_path / "robot.urdf").write_bytes(demo.read_bytes())
+def test_diagram_of_the_readme_runs(tmp_path, monkeypatch):
+    code = next(block for block in blocks("python") if "add_to_builder" in block)
+    model = load_model(files("geodrake.demo") / "demo.urdf")
     monkeypatch.chdir(tmp_path)
+    save_model(model, "arm.yaml")
     names = {}
     exec(code, names)
-    error = np.abs(names["logs"]["state"] - names["logs"]["desired_state"])[:, :6]
-    assert names["time"][-1] == 4.0
-    assert error[200:].max() < 0.5 * error[:100].max()
+    assert names["simulator"].get_context().get_time() == 1.0

@@ -73,13 +73,7 @@ def identifiers(
     taken: Iterable[str] = (),
     style: Callable[[str], str] = identifier,
 ) -> dict[str, str]:
-    """Identifiers for names, all different: those of "elbow-a" and "elbow.a" get numbers.
-
-    Args:
-        names: The names.
-        taken: Identifiers that are not to be given.
-        style: Makes an identifier of one name.
-    """
+    """Identifiers for names, all different: those of "elbow-a" and "elbow.a" get numbers."""
     used, found = set(taken), {}
     for name in names:
         stem = free = style(name)

@@ -31,8 +31,6 @@ def open_regular(
     Args:
         path: The path as the user gave it; links are followed.
         what: What the file is to the user, such as "model file".
-        error: The kind of the error.
-        largest: Most bytes that the file may have.
 
     Raises:
         GeodrakeError: Of the kind `error`: there is nothing, or no regular file, it is too large,

@@ -49,9 +49,6 @@ class Shown(Short):
     def to_dataframe(self, *, series: bool = False) -> DataFrame:
         """The result as a pandas DataFrame, in SI units.
 
-        Args:
-            series: Whether the samples are wanted: time, measured, predicted, residual.
-
         Raises:
             ArgumentError: pandas is not installed, or there are no samples in such a result.
         """

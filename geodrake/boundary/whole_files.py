@@ -48,9 +48,6 @@ def write_together(contents: Mapping[Path, Content]) -> None:
     Interrupts wait until the files are there; one that comes before the first is renamed leaves
     none of them.
 
-    Args:
-        contents: Target -> what goes into it.
-
     Raises:
         OutputError: One cannot be written; what was there is as it was.
     """
@@ -66,8 +63,6 @@ def write_new(path: Path, content: Content, beside: Mapping[Path, Content]) -> b
     """Write a file unless it is there already, and others with it: of several processes one does.
 
     Args:
-        path: Target.
-        content: What goes into it.
         beside: Other targets, which are written if this one is -> what goes into them.
 
     Returns:
@@ -88,9 +83,6 @@ def write_new(path: Path, content: Content, beside: Mapping[Path, Content]) -> b
 @contextmanager
 def made_folder(path: Path) -> Iterator[None]:
     """Make a folder, and those above it, unless they are there; none stays empty after an error.
-
-    Args:
-        path: The folder.
 
     Raises:
         OutputError: It cannot be made.

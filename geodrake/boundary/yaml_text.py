@@ -19,11 +19,6 @@ _MOST_NODES = 1_000_000  # with aliases unfolded
 def yaml_text(path: Path, what: str = "model file", error: type[GeodrakeError] = ModelError) -> str:
     """Return the text of a YAML file.
 
-    Args:
-        path: The file.
-        what: What it is to the user.
-        error: The kind of the error.
-
     Raises:
         GeodrakeError: Of the kind `error`: it cannot be read, is not in UTF-8, or its aliases
             unfold without end.
@@ -52,12 +47,6 @@ def yaml_text(path: Path, what: str = "model file", error: type[GeodrakeError] =
 def yaml_content(path: Path, what: str, error: type[GeodrakeError], *, advice: str) -> object:
     """Return what a YAML file holds, each key of a table once.
 
-    Args:
-        path: The file.
-        what: What it is to the user.
-        error: The kind of the error.
-        advice: What the file should be like.
-
     Raises:
         GeodrakeError: Of the kind `error`: it cannot be read, is no YAML, or has a key twice, of
             which YAML would keep the last.
@@ -78,11 +67,8 @@ def yaml_table(
     """Return what a YAML file has in a place, if that is a table.
 
     Args:
-        content: What is there.
         keys: The keys that it may have; None for any.
         what: What messages call it.
-        advice: What the file should be like.
-        least: How many keys it must have.
 
     Raises:
         ArgumentError: It is none, or has another key.

@@ -73,6 +73,69 @@ app = typer.Typer(
 )
 
 
+EXAMPLES = {
+    "compare": (
+        "robot.urdf log.csv --report page.html",
+        "robot.yaml log.mcap",
+    ),
+    "diagnose": (
+        "robot.urdf log_1.csv log_2.csv",
+        "robot.yaml new_log.csv --report page.html",
+    ),
+    "add": (
+        "payload robot.urdf log.csv --where flange --save robot.yaml",
+        "viscous_friction robot.urdf log.csv",
+    ),
+    "explain": (
+        "robot.urdf log_1.csv log_2.csv --save robot.yaml --report page.html",
+        "robot.yaml log_with_something_new.csv",
+    ),
+    "rollout": (
+        "robot.yaml log.csv --before robot.urdf",
+        "robot.yaml log.csv --fit --save soft.yaml",
+    ),
+    "play": (
+        "robot.yaml log.csv --out play.html",
+        "robot.urdf log.csv --live 7000",
+    ),
+    "identify": (
+        "robot.urdf log.csv --effects coulomb_friction,viscous_friction",
+        "robot.urdf log.csv --export identified.urdf",
+    ),
+    "excite": (
+        "robot.urdf --save motion.csv",
+        "robot.yaml --tell-apart payload,wrong_inertia --save motion.csv",
+    ),
+    "identifiable": (
+        "robot.urdf log.csv",
+        "robot.urdf log_1.csv log_2.csv --report page.html",
+    ),
+    "digest": ("robot.urdf monday.csv tuesday.csv --to digests",),
+    "fleet": (
+        "fleet.yaml --report fleet.html",
+        "fleet.yaml --watch",
+    ),
+    "export": (
+        "robot.yaml --to mjcf exported",
+        "robot.yaml log.csv --to urdf exported",
+    ),
+    "check": (
+        "robot.urdf",
+        "scene.xml --robot arm",
+    ),
+    "log": (
+        "recording.mcap --model robot.urdf",
+        "wrong.csv --model robot.urdf --write-mapping right.yaml",
+    ),
+}
+"""Command -> what may follow it."""
+
+
+def _examples(command: str) -> str:
+    """Return examples of a command as the last lines of its help."""
+    return "\n\n".join(["Examples:", *(f"geodrake {command} {e}" for e in EXAMPLES[command])])
+
+
 def main() -> None:
     """Run the `geodrake` command."""
     gc.set_threshold(_GARBAGE, 20, 20)
@@ -80,7 +143,7 @@ def main() -> None:
         app(prog_name="geodrake")
 
 
-@app.command()
+@app.command(epilog=_examples("compare"))
 @taking(Options)
 def compare(options: Options) -> None:
     """How far the model is from the logs, at which joints, and in which circumstances."""
@@ -99,7 +162,7 @@ def compare(options: Options) -> None:
     run(command, options)
 
 
-@app.command()
+@app.command(epilog=_examples("diagnose"))
 @taking(Options)
 def diagnose(options: Options) -> None:
     """Which effect the model lacks most, with the evidence."""
@@ -118,7 +181,7 @@ def diagnose(options: Options) -> None:
     run(command, options)
 
 
-@app.command()
+@app.command(epilog=_examples("add"))
 @taking(AddOptions)
 def add(options: AddOptions) -> None:
     """Add an effect to the model, refit, and show what it changes."""
@@ -148,7 +211,7 @@ def add(options: AddOptions) -> None:
     run(command, options)
 
 
-@app.command()
+@app.command(epilog=_examples("explain"))
 @taking(ExplainOptions)
 def explain(options: ExplainOptions) -> None:
     """Compare, diagnose and add, until only noise is left or nothing explains the rest."""
@@ -162,7 +225,7 @@ def explain(options: ExplainOptions) -> None:
     run_explaining(options)
 
 
-@app.command()
+@app.command(epilog=_examples("rollout"))
 @taking(RolloutOptions)
 def rollout(options: RolloutOptions) -> None:
     """Simulate the model under logged efforts or commands; show where its motion departs."""
@@ -171,7 +234,7 @@ def rollout(options: RolloutOptions) -> None:
     run_rollout(options)
 
 
-@app.command()
+@app.command(epilog=_examples("play"))
 @taking(PlayOptions)
 def play(options: PlayOptions) -> None:
     """Play the logs over the robot, coloured where the model fails, as one HTML page."""
@@ -180,7 +243,7 @@ def play(options: PlayOptions) -> None:
     run_play(options)
 
 
-@app.command()
+@app.command(epilog=_examples("identify"))
 @taking(IdentifyOptions)
 def identify(options: IdentifyOptions) -> None:
     """Fit the model's inertias, near what it says of them, and its effects; write them back."""
@@ -189,7 +252,7 @@ def identify(options: IdentifyOptions) -> None:
     run_identify(options)
 
 
-@app.command()
+@app.command(epilog=_examples("excite"))
 @taking(ExciteOptions)
 def excite(options: ExciteOptions) -> None:
     """Design the motion from which most is identifiable, within limits of the robot."""
@@ -198,7 +261,7 @@ def excite(options: ExciteOptions) -> None:
     run_excite(options)
 
 
-@app.command()
+@app.command(epilog=_examples("identifiable"))
 @taking(IdentifiableOptions)
 def identifiable(options: IdentifiableOptions) -> None:
     """Which parameters are identifiable from the logs, to within a threshold, and which not."""
@@ -207,7 +270,7 @@ def identifiable(options: IdentifiableOptions) -> None:
     run_identifiable(options)
 
 
-@app.command()
+@app.command(epilog=_examples("digest"))
 @taking(DigestOptions)
 def digest(options: DigestOptions) -> None:
     """Digest each log into a small file; exit code 1 if a log could not be, the others are."""
@@ -216,7 +279,7 @@ def digest(options: DigestOptions) -> None:
     run_digest(options)
 
 
-@app.command()
+@app.command(epilog=_examples("fleet"))
 @taking(FleetOptions)
 def fleet(options: FleetOptions) -> None:
     """Which robots of a fleet changed, at which joint, by which effect, since when."""
@@ -225,7 +288,7 @@ def fleet(options: FleetOptions) -> None:
     run_fleet_command(options)
 
 
-@app.command()
+@app.command(epilog=_examples("export"))
 @taking(ExportOptions)
 def export(options: ExportOptions) -> None:
     """Write the model for a simulator, and prove it: loaded again, and compared with the model."""
@@ -234,7 +297,7 @@ def export(options: ExportOptions) -> None:
     run_export(options)
 
 
-@app.command()
+@app.command(epilog=_examples("check"))
 @taking(CheckOptions)
 def check(options: CheckOptions) -> None:
     """Compare the model's dynamics with MultibodyPlant's; exit code 1 if they are not the same."""
@@ -243,7 +306,7 @@ def check(options: CheckOptions) -> None:
     run_check(options)
 
 
-@app.command()
+@app.command(epilog=_examples("log"))
 @taking(LogCommandOptions)
 def log(options: LogCommandOptions) -> None:
     """What is understood of logs: joints, columns, units, rates, gaps, rest; no model needed."""

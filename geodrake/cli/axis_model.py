@@ -59,11 +59,6 @@ class AxisOptions(ReadingOptions):
 def written_axis(options: AxisOptions, model: Path, log: Path) -> Iterator[None]:
     """MODEL is there, written if options ask for an axis; what fails takes it away again.
 
-    Args:
-        options: Options of a command.
-        model: Its MODEL.
-        log: Its first log.
-
     Raises:
         GeodrakeError: MODEL is there already, the options do not fit together, or the log has
             several joints.

@@ -53,7 +53,6 @@ def check_dict(found: DynamicsCheck, notes: Sequence[str]) -> dict[str, Any]:
     """Return a check as plain numbers, for JSON.
 
     Args:
-        found: The check.
         notes: What is to be known of the model, repairs first.
     """
     return {
@@ -83,14 +82,7 @@ def _numbers(each: Agreement) -> dict[str, Any]:
 
 
 def show_check(console: Console, found: DynamicsCheck, notes: Sequence[str], *, name: str) -> None:
-    """The largest difference of every quantity, and whether they are rounding.
-
-    Args:
-        console: Where to print.
-        found: The check.
-        notes: As for `check_dict`.
-        name: Name of the model's file.
-    """
+    """The largest difference of every quantity, and whether they are rounding."""
     states = "1 random state" if found.samples == 1 else f"{found.samples} random states"
     console.print(f"{name} against MultibodyPlant, {states}", soft_wrap=True)
     head(
@@ -118,11 +110,7 @@ def _words(each: Agreement) -> str:
 
 
 def check_verdict(found: DynamicsCheck) -> str:
-    """Return what a check amounts to, in a sentence.
-
-    Args:
-        found: The check.
-    """
+    """Return what a check amounts to, in a sentence."""
     worst = found.worst
     most, second = _words(worst), found.second
     file = ""

@@ -26,13 +26,7 @@ _CORRECTED = "The rest goes on with these columns corrected."
 def found_columns(
     model: RobotModel, logs: Sequence[JointLog], settings: Mapping[str, Any]
 ) -> tuple[ColumnFinding, ...]:
-    """Mistakes in the columns of logs; none of logs of which the command itself says what is wrong.
-
-    Args:
-        model: The model.
-        logs: The logs.
-        settings: How logs are prepared.
-    """
+    """Return mistakes in columns; none of logs of which the command itself says what is wrong."""
     try:
         return check_columns(model, logs, **settings)
     except GeodrakeError:
@@ -40,12 +34,7 @@ def found_columns(
 
 
 def column_words(columns: Sequence[ColumnFinding], *, corrected: bool) -> list[str]:
-    """Findings, and what is done about them, in sentences.
-
-    Args:
-        columns: The findings.
-        corrected: Whether the command works on corrected logs.
-    """
+    """Findings, and what is done about them, in sentences."""
     if not columns:
         return []
     able = any(finding.is_correctable for finding in columns)
@@ -54,13 +43,7 @@ def column_words(columns: Sequence[ColumnFinding], *, corrected: bool) -> list[s
 
 
 def show_columns(console: Console, columns: Sequence[ColumnFinding], *, corrected: bool) -> None:
-    """The findings, before all else; nothing if there are none.
-
-    Args:
-        console: Where to print.
-        columns: The findings.
-        corrected: Whether the command works on corrected logs.
-    """
+    """The findings, before all else; nothing if there are none."""
     show_list(console, _HEAD, column_words(columns, corrected=corrected))
 
 
@@ -87,12 +70,7 @@ def columns_list(columns: Sequence[ColumnFinding]) -> list[dict[str, Any]]:
 
 
 def with_first_notes(result: R, words: Sequence[str]) -> R:
-    """A result whose notes begin with some words, for its page.
-
-    Args:
-        result: The result, with notes or with an explanation.
-        words: The words.
-    """
+    """A result whose notes begin with some words, for its page."""
     if not words:
         return result
     found: Any = result

@@ -42,10 +42,6 @@ class _Drafted:
 def run_drafting(options: ExplainOptions, target: Path) -> None:
     """Run the command.
 
-    Args:
-        options: Its options.
-        target: The file to write.
-
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """

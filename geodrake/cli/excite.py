@@ -247,7 +247,6 @@ def noise_of(text: str | None, model: RobotModel) -> tuple[np.ndarray, tuple[str
 
     Args:
         text: What `--noise` says; None if it is not given.
-        model: The model.
     """
     if text is not None:
         return joint_values(text, model, "--noise"), ()

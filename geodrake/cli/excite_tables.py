@@ -16,13 +16,7 @@ _MOST_PAIRS = 12
 
 
 def show_excitation(console: Console, result: ExcitationResult, name: str) -> None:
-    """What the motion is, what it uses of the limits, how it was found, what it is worth.
-
-    Args:
-        console: Where to print.
-        result: The designed motion.
-        name: What the motion is called.
-    """
+    """What the motion is, what it uses of the limits, how it was found, what it is worth."""
     console.print(f"{name}: {motion_words(result)}", soft_wrap=True)
     units = Units.of(result.objective.target.model)
     _show_pairs(console, result, units)

@@ -46,10 +46,6 @@ class _Explained:
 def run_explaining(options: Options, promise: str = "") -> None:
     """Run the command.
 
-    Args:
-        options: Its options.
-        promise: How long it will take, if that is known.
-
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """

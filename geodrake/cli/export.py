@@ -19,7 +19,7 @@ from geodrake.control.export_proof.export import export_with_proof
 from geodrake.control.export_proof.writing import check_folder, write_files
 from geodrake.logs.files import parts_of, read_log
 from geodrake.model.exporting.formats import export_format
-from geodrake.model.logged_joints import model_of_logs
+from geodrake.model.logged_joints import model_of_logs, reading_for
 from geodrake.report.export_json import export_dict
 from geodrake.report.json_output import to_json
 from geodrake.report.numbers import Units
@@ -41,7 +41,7 @@ def run_export(options: ExportOptions) -> None:
     with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
         extra = own_effects(options.effects or ())
         model = read_model(options.model, options, update, extra)
-        known, reading = model.known_joints, options.reading
+        known, reading = model.known_joints, reading_for(model, options.reading)
         read_logs = [read_log(log, joints=known, partial=True, reading=reading) for log in logs]
         model = model_of_logs(model, read_logs, hold_resting=False) if logs else model
         targets.check([*read, model.path])

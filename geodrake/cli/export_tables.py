@@ -11,13 +11,7 @@ from geodrake.report.numbers import Units, number
 
 
 def show_export(console: Console, found: ProvenExport, units: Units) -> None:
-    """What the files lack, and what simulators make of them.
-
-    Args:
-        console: Where to print.
-        found: The export.
-        units: Units of joints and effects of the model.
-    """
+    """What the files lack, and what simulators make of them."""
     holds = holds_table(found, units)
     if holds.rows:
         head(console, "What the files hold, beside inertias")

@@ -63,13 +63,7 @@ def run_identifiable(options: IdentifiableOptions) -> None:
 
 
 def show_identifiable(console: Console, found: LogIdentifiability, units: Units) -> None:
-    """What is identifiable of bodies and effects, directions, the verdict, and what is not.
-
-    Args:
-        console: Where to print.
-        found: The result.
-        units: Units of the joints and effects of the model.
-    """
+    """What is identifiable of bodies and effects, directions, the verdict, and what is not."""
     most = percent(float(np.sqrt(found.identifiable.threshold)))
     head(console, f"Parameters identifiable to within {most}, of those that any motion could show")
     show_table(console, identifiable_bodies_table(found))

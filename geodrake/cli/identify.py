@@ -82,11 +82,6 @@ def named_effects(
     At all places that do not have it yet: joints of one degree of freedom, or pairs that follow
     each other.
 
-    Args:
-        names: The names.
-        model: The robot.
-        extra: Effects of the user's own.
-
     Raises:
         ArgumentError: There is no such effect or place, or it cannot be made from its name.
     """

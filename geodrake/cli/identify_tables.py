@@ -17,13 +17,7 @@ from geodrake.report.tables import errors_table
 
 
 def show_identification(console: Console, found: ModelIdentification, units: Units) -> None:
-    """Errors per joint, bodies and effects before and after, the verdict, notes.
-
-    Args:
-        console: Where to print.
-        found: The result.
-        units: Units of the joints and effects of the model.
-    """
+    """Errors per joint, bodies and effects before and after, the verdict, notes."""
     head(console, f"Error of each joint, RMS in {units.effort()} on held-out data")
     show_table(console, errors_table({"before": found.before, "after": found.after}, units))
     head(console, "Bodies; mass in kg, centre of mass in mm in the body's frame")

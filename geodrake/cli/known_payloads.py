@@ -27,12 +27,8 @@ def with_known_payloads(
     """The logs with their known payloads.
 
     Args:
-        files: The files of the logs.
-        logs: What was read of them.
         given: `LOG:BODY:MASS[:X,Y,Z]`: path or name of a log, link of the robot, kg, and the centre
             of mass in the link's frame, m.
-        model: The robot.
-        reading: How logs are to be read.
 
     Raises:
         ArgumentError: One cannot be read, or names no log, no body or no mass.
@@ -48,11 +44,6 @@ def known_payloads(
     files: Sequence[Path], given: Sequence[str], model: RobotModel
 ) -> dict[Path, tuple[KnownPayload, ...]]:
     """Log -> its known payloads, of logs that have some.
-
-    Args:
-        files: The files of the logs.
-        given: As in `with_known_payloads`.
-        model: The robot.
 
     Raises:
         ArgumentError: One cannot be read, or names no log, no body or no mass.
@@ -72,9 +63,7 @@ def with_facts(
     """The logs with what is known of all of them.
 
     Args:
-        logs: The logs.
         facts: Fields of `JointLog` by name; of gains whose deviations were stated, these count.
-        reading: How the logs were read.
     """
     found = []
     for log in logs:

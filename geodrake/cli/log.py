@@ -19,12 +19,12 @@ from geodrake.cli.session import check_logs
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import head, make_console, show_list, show_saved, show_table
 from geodrake.cli.targets import STDOUT, Targets
-from geodrake.diagnosis.columns import ColumnFinding
+from geodrake.diagnosis.columns import ColumnFinding, corrected_columns
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.logs.files import log_content, parts_of
-from geodrake.logs.inspection import LogInspection, inspect_log
+from geodrake.logs.inspection import LogInspection, inspect_log, mapping_text
 from geodrake.logs.motion import JointLog
-from geodrake.model.logged_joints import model_of_logs
+from geodrake.model.logged_joints import model_of_logs, reading_for
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.json_output import to_json
 from geodrake.report.log_preview import (
@@ -35,7 +35,11 @@ from geodrake.report.log_preview import (
 )
 from geodrake.report.style import png
 
-_SUFFIXES = {"convert": (".csv", ".npz", ".txt"), "figure": (".png",)}
+_SUFFIXES = {
+    "convert": (".csv", ".npz", ".txt"),
+    "figure": (".png",),
+    "write-mapping": (".yaml", ".yml"),
+}
 
 
 def run_log(options: LogCommandOptions) -> None:
@@ -50,7 +54,11 @@ def run_log(options: LogCommandOptions) -> None:
 
 def _run(options: LogCommandOptions) -> None:
     files = [part for log in options.logs for part in parts_of(log)]
-    more = {"convert": options.convert, "figure": options.figure}
+    more = {
+        "convert": options.convert,
+        "figure": options.figure,
+        "write-mapping": options.write_mapping,
+    }
     targets = Targets(json=options.json, more=more, suffixes=_SUFFIXES)
     asked = [name for name, path in more.items() if path is not None]
     if asked and len(options.logs) > 1:
@@ -65,16 +73,16 @@ def _run(options: LogCommandOptions) -> None:
     with progress(f"Reading {options.logs[0].name}", quiet=options.quiet) as update:
         model = None if options.model is None else read_model(options.model, options, update)
         joints = None if model is None else model.known_joints
+        reading = options.reading if model is None else reading_for(model, options.reading)
         found = [
-            inspect_log(log, joints=joints, partial=True, reading=options.reading)
-            for log in options.logs
+            inspect_log(log, joints=joints, partial=True, reading=reading) for log in options.logs
         ]
         numbers: dict[str, Any] = {"logs": [inspection_dict(each) for each in found]}
         columns = () if model is None else _columns(model, [each.log for each in found])
         if model is not None:
             numbers |= {"columns": columns_list(columns), "notes": list(model.repairs)}
         text = to_json({"version": version(), "command": "log", **numbers})
-        written = _written(targets, found[0], text)
+        written = _written(targets, found[0], columns, text)
     with printing():
         if options.json == STDOUT:
             print_whole(text)
@@ -82,7 +90,15 @@ def _run(options: LogCommandOptions) -> None:
         show_list(console, "Columns are not what they seem", [str(each) for each in columns])
         for path, each in zip(options.logs, found, strict=True):
             _show(console, path.name, each)
-        show_saved(console, written, {"convert": "log", "figure": "preview"})
+        words = {"convert": "log", "figure": "preview", "write-mapping": "mapping"}
+        show_saved(console, written, words)
+        if options.write_mapping and options.model:
+            logs = " ".join(map(str, options.logs))
+            console.print(
+                f"\ngeodrake explain {options.model} {logs} --mapping {options.write_mapping}",
+                soft_wrap=True,
+                highlight=False,
+            )
 
 
 def _columns(model: RobotModel, logs: Sequence[JointLog]) -> tuple[ColumnFinding, ...]:
@@ -93,12 +109,16 @@ def _columns(model: RobotModel, logs: Sequence[JointLog]) -> tuple[ColumnFinding
         return ()
 
 
-def _written(targets: Targets, found: LogInspection, text: str) -> dict[str, Path]:
+def _written(
+    targets: Targets, found: LogInspection, columns: Sequence[ColumnFinding], text: str
+) -> dict[str, Path]:
     """Option -> file, of what was asked for."""
     made: dict[Path, Content] = {}
     for name, path in targets.files.items():
         if name == "convert":
             made[path] = log_content(found.log, path)
+        elif name == "write-mapping":
+            made[path] = mapping_text(found, corrected_columns(found.columns, columns))
         else:
             made[path] = text if name == "json" else png(preview_figure(found))
     write_together(made)

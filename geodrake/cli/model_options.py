@@ -122,12 +122,6 @@ def read_model(
 ) -> RobotModel:
     """Read the model of a command, and report at once what was repaired in its file.
 
-    Args:
-        path: MODEL.
-        options: How it is to be read.
-        told: Shows what is going on.
-        extra: Effects of the user's own.
-
     Raises:
         GeodrakeError: It cannot be read in this way.
     """
@@ -146,22 +140,13 @@ def read_model(
 
 
 def tell_repairs(model: RobotModel, told: Activity) -> None:
-    """Say what of a model's file is not believed.
-
-    Args:
-        model: The model, as it was read.
-        told: Shows what is going on.
-    """
+    """Say what of a model's file is not believed."""
     for repair in repairs_in_short(model.repairs):
         told.warning(f"Warning: {model.path.name} is not used as it stands. {repair}")
 
 
 def repairs_in_short(repairs: Sequence[str]) -> tuple[str, ...]:
-    """Describe the first of many repairs, and count them.
-
-    Args:
-        repairs: What they say.
-    """
+    """Describe the first of many repairs, and count them."""
     more = len(repairs) - _MOST_REPAIRS
     rest = [f"{more} more of its parts were replaced or left out."] if more > 0 else []
     return (*repairs[:_MOST_REPAIRS], *rest)

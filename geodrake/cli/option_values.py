@@ -31,11 +31,6 @@ def split_effects(given: Sequence[Path] | None) -> tuple[list[Path], list[str]]:
 def joint_values(text: str, model: RobotModel, option: str) -> Array:
     """(nv,) values from `0.1`, which is for all joints, or `a=0.1,b=0.2`.
 
-    Args:
-        text: What the option was given.
-        model: The robot.
-        option: Name of the option, for messages.
-
     Raises:
         ArgumentError: It is neither, or names a joint that there is not, or leaves one out.
     """
@@ -116,7 +111,6 @@ def limits_of(given: Sequence[str] | None, model: RobotModel) -> MotionLimits:
             share of the model's; `current=8` for the efforts that a model knows by their currents,
             A (voltage, pwm alike); `joint.effort=40` and `joint.position=-1:0.5` for one joint.
             Each may hold several, with commas between them; later ones win.
-        model: The robot.
 
     Raises:
         ArgumentError: One cannot be read, names no joint, or a joint has no room or no end.

@@ -5,9 +5,10 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
+from copy import copy
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_type_hints
 
 import typer
 
@@ -30,9 +31,8 @@ LogFiles = Annotated[
     list[Path],
     typer.Argument(
         metavar="LOG...",
-        help="CSV or NPZ with time, position and effort of each joint, under the names that "
-        "loggers give them; a.csv+b.csv are joined by time. A rosbag2 folder, .mcap or .bag; "
-        "Parquet, LeRobot, LCM or .mat.",
+        help="Logs of time, positions and efforts: CSV, NPZ, ROS bag, MCAP, Parquet, LeRobot, "
+        "JSON, HDF5, LCM or .mat; a.csv+b.csv are joined by time.",
     ),
 ]
 JsonFile = Annotated[
@@ -396,6 +396,14 @@ class LogCommandOptions(ReadingOptions, ModelOptions):
         Path | None,
         typer.Option(metavar="FILE.png", help="Draw positions and efforts over time."),
     ] = None
+    write_mapping: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.yaml",
+            help="Write a mapping that reads the log so, with what is wrong in its columns "
+            "corrected where a mapping can say it.",
+        ),
+    ] = None
     json: JsonFile = None
     quiet: Quiet = False
     debug: Debug = False
@@ -415,13 +423,28 @@ class DemoOptions:
 
 T = TypeVar("T", bound="DataclassInstance")
 
+_FIRST = ("save", "report", "json")
+_OF_MODELS = ({field.name for field in fields(ModelOptions)} | {"axis", "mass"}) - {"lock"}
+_RARE = {"bandwidth", "blocks", "debug", "draft_effect", "effort_uncertainty", "known_payload"}
+_RARE |= {"no_auto_lock", "series"}
+
 
 def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:
     """Make a function of one options object a command whose parameters are its fields.
 
-    Errors of the command become messages and exit codes.
+    Errors of the command become messages and exit codes. Help shows what is used most, then what
+    says how models and logs are read, and what is rare.
     """
     hints = get_type_hints(options, include_extras=True)
+    kinds = {field.name: field for field in fields(options)}
+    names = sorted(kinds, key=lambda name: _FIRST.index(name) if name in _FIRST else len(_FIRST))
+    for name in names:
+        panel = "Models" if name in _OF_MODELS else "Rarely needed" if name in _RARE else None
+        if panel is not None:
+            kind, option = get_args(hints[name])
+            option = copy(option)
+            option.rich_help_panel = panel
+            hints[name] = Annotated[kind, option]
 
     def decorate(run: Callable[[T], None]) -> Callable[..., None]:
         @functools.wraps(run)
@@ -430,16 +453,18 @@ def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., No
             with guarded(debug=values["debug"], effect_files=files):
                 run(options(**values))
 
-        command.__annotations__ = {f.name: hints[f.name] for f in fields(options)}
+        command.__annotations__ = {name: hints[name] for name in names}
         command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
             [
                 inspect.Parameter(
-                    f.name,
+                    name,
                     inspect.Parameter.KEYWORD_ONLY,
-                    default=inspect.Parameter.empty if f.default is MISSING else f.default,
-                    annotation=hints[f.name],
+                    default=inspect.Parameter.empty
+                    if kinds[name].default is MISSING
+                    else kinds[name].default,
+                    annotation=hints[name],
                 )
-                for f in fields(options)
+                for name in names
             ]
         )
         return command

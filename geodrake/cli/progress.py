@@ -148,10 +148,6 @@ class _Bar:
 def progress(words: str, *, quiet: bool = False) -> Iterator[Activity]:
     """Show what is going on, until it is done.
 
-    Args:
-        words: What is being done.
-        quiet: Whether to show nothing at all.
-
     Yields:
         What shows other words.
     """

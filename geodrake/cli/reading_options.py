@@ -15,7 +15,7 @@ from geodrake.errors import ArgumentError, LogError, OutputError
 if TYPE_CHECKING:
     from geodrake.logs.files import Reading
 
-_PANEL = "How logs are read"
+_PANEL = "Logs"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class ReadingOptions:
         typer.Option(
             metavar="FILE.yaml",
             help="Which column is what. Where names are not understood, a proposal to edit is "
-            "written beside the log.",
+            "written into the working folder.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -70,6 +70,15 @@ class ReadingOptions:
             metavar="[JOINT=]KIND",
             help="What columns of efforts are: effort, current, voltage, pwm; or command, for what "
             "a servo was told in their place. Repeatable.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    passive: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="JOINT",
+            help="A joint without a motor: its bodies and friction need no effort together. "
+            "Repeatable.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -144,7 +153,9 @@ class ReadingOptions:
                 f"--kind is {' and '.join(of_all)} of all joints.", advice="Write JOINT=KIND."
             )
         named = _pairs("--kind", [part for part in parts if "=" in part], "elbow_joint=current")
-        return dict([*(("", kind) for kind in of_all), *named])
+        passive = [part.strip() for part in ",".join(self.passive or ()).split(",")]
+        without = [(joint, "passive") for joint in passive if joint]
+        return dict([*(("", kind) for kind in of_all), *named, *without])
 
 
 def _pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, str]]:
@@ -162,10 +173,7 @@ def _pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, s
 
 @contextmanager
 def proposing(logs: Sequence[Path]) -> Iterator[None]:
-    """Write a proposed mapping beside a log whose columns are not understood, and say so.
-
-    Args:
-        logs: The logs of the command.
+    """Write a proposed mapping for a log whose columns are not understood, and say so.
 
     Raises:
         LogError: What the body raised, with where the proposal is.
@@ -181,9 +189,9 @@ def proposing(logs: Sequence[Path]) -> Iterator[None]:
 
 
 def _beside(path: Path, logs: Sequence[Path]) -> Path:
-    """Where the proposal for a log goes: files that were joined share one, beside the first."""
+    """Where the proposal for a log goes: the working folder; files that were joined share one."""
     first = Path(str(next((log for log in logs if log.name == path.name), path)).split("+")[0])
-    return first.with_name(f"{first.stem}.mapping.yaml")
+    return Path(f"{first.stem}.mapping.yaml")
 
 
 def _written(target: Path, proposal: str) -> str:

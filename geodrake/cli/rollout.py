@@ -80,12 +80,7 @@ def run_rollout(options: RolloutOptions) -> None:
 
 
 def other_model(path: Path, given: Input) -> RobotModel:
-    """Return a model of the same robot, with the same joints held.
-
-    Args:
-        path: The model file.
-        given: What the command was given.
-    """
+    """Return a model of the same robot, with the same joints held."""
     model, how, drives = given.model, None, None
     if not is_saved_model(path):
         how = model.given if is_xacro(path) else replace(model.given, xacro={})

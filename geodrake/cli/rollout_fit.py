@@ -20,9 +20,6 @@ from geodrake.report.words import rollout_fit_words
 def check_fit(options: RolloutOptions) -> None:
     """Refuses options that do not go together.
 
-    Args:
-        options: The options.
-
     Raises:
         ArgumentError: They do not.
     """
@@ -42,9 +39,6 @@ def check_fit(options: RolloutOptions) -> None:
 
 def run_rollout_fit(options: RolloutOptions) -> None:
     """Run the command.
-
-    Args:
-        options: The options.
 
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.

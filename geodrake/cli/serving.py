@@ -131,12 +131,7 @@ def page_server(port: int) -> PageServer:
 
 
 def serve_page(server: PageServer, page: str) -> None:
-    """Serve a page until the command is interrupted.
-
-    Args:
-        server: What `page_server` gave.
-        page: The page.
-    """
+    """Serve a page until the command is interrupted."""
     server.page = page.encode()
     address = f"http://{_HOST}:{server.server_address[1]}/"
     print(f"Playing at {address}; Ctrl-C ends it.", file=sys.stderr, flush=True)

@@ -38,10 +38,10 @@ from geodrake.cli.targets import STDOUT, Targets
 from geodrake.diagnosis.columns import ColumnFinding, corrected, with_motor_limits
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
-from geodrake.errors import ArgumentError
-from geodrake.logs.files import check_log, parts_of, read_log
+from geodrake.errors import ArgumentError, LogError
+from geodrake.logs.files import Reading, check_log, parts_of, read_log
 from geodrake.logs.motion import JointLog
-from geodrake.model.logged_joints import holding_resting, model_of_logs
+from geodrake.model.logged_joints import holding_resting, model_of_logs, reading_for
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.json_output import to_json
 from geodrake.report.numbers import Units
@@ -79,10 +79,8 @@ class Command(Generic[R]):
     Attributes:
         name: What the command is called.
         working: What it does, for the progress bar.
-        work: Does it.
         numbers: The result as a dictionary.
         page: Name of the function of `geodrake.report` that makes the result HTML.
-        show: Prints the result.
         paged: The part of the result that the page shows.
         more: Options of files that only this command writes, with their paths.
         makers: What makes the contents of those.
@@ -186,13 +184,34 @@ def _read(
     model = read_model(options.model, options, update, extra)
     targets.check([*inputs, model.path])  # a saved model reads another one
     update("Reading the logs")
-    known, reading = model.known_joints, options.reading
-    logs = [read_log(log, joints=known, partial=True, reading=reading) for log in options.logs]
+    known, reading = model.known_joints, reading_for(model, options.reading)
+    paths, logs, unread = _readable(options.logs, known, reading)
     model = model_of_logs(model, logs, hold_resting=_holds_resting(options))
+    model = replace(model, notes=(*unread, *model.notes)) if unread else model
     command.check(model)
-    carrying = with_known_payloads(options.logs, logs, options.known_payload or (), model)
+    carrying = with_known_payloads(paths, logs, options.known_payload or (), model)
     known_logs = with_facts(carrying, options.log_facts, reading)
     return Input(model, known_logs, extra, options.settings, update)
+
+
+def _readable(
+    paths: Sequence[Path], joints: Sequence[str], reading: Reading
+) -> tuple[list[Path], list[JointLog], list[str]]:
+    """Return the logs that can be read, with their paths, and why others cannot.
+
+    Raises:
+        LogError: None can be read.
+    """
+    kept, logs, errors = list[Path](), list[JointLog](), list[tuple[Path, LogError]]()
+    for path in paths:
+        try:
+            logs.append(read_log(path, joints=joints, partial=True, reading=reading))
+            kept.append(path)
+        except LogError as error:
+            errors.append((path, error))
+    if not logs:
+        raise errors[0][1]
+    return kept, logs, [f"{path.name} is left out: {error.problem}" for path, error in errors]
 
 
 def _holds_resting(options: LogOptions) -> bool:

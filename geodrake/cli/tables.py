@@ -79,13 +79,7 @@ def make_console(*, stderr: bool = False) -> Console:
 
 
 def show_comparison(console: Console, comparison: Comparison, units: Units) -> None:
-    """Errors per joint, and where they are concentrated.
-
-    Args:
-        console: Where to print.
-        comparison: The result.
-        units: Units of the joints and effects of the model.
-    """
+    """Errors per joint, and where they are concentrated."""
     head(console, f"Error of the model as it stands, {units.effort()}")
     show_table(console, errors_table({"RMS": comparison.errors}, units))
     say(console, "Worst joint", worst_words(comparison.errors, unit=units.effort()))
@@ -95,13 +89,7 @@ def show_comparison(console: Console, comparison: Comparison, units: Units) -> N
 
 
 def show_diagnosis(console: Console, diagnosis: Diagnosis, units: Units) -> None:
-    """Candidates from the best on, with the evidence.
-
-    Args:
-        console: Where to print.
-        diagnosis: The result.
-        units: Units of the joints and effects of the model.
-    """
+    """Candidates from the best on, with the evidence."""
     start, refitted = number(diagnosis.start.nrms), number(diagnosis.refitted.nrms)
     found = "Missing effects" if diagnosis.candidates else "No effect found"
     head(console, f"{found}; nrms {start} as it stands, {refitted} with parameters refitted")
@@ -124,9 +112,6 @@ def show_explanation(
     """The steps with the error falling, the verdict, what is left, and errors per joint.
 
     Args:
-        console: Where to print.
-        explanation: The explanation.
-        units: Units of its model.
         advised: Whether to say what to do about an error that nothing explains.
         rest: What the error left goes with, in sentences.
     """
@@ -141,13 +126,7 @@ def show_explanation(
 
 
 def show_addition(console: Console, explanation: Explanation, units: Units) -> None:
-    """The same for an effect that was asked for, whatever the evidence for it.
-
-    Args:
-        console: Where to print.
-        explanation: The result of `add`.
-        units: Units of the joints and effects of the model.
-    """
+    """The same for an effect that was asked for, whatever the evidence for it."""
     _show_steps(console, explanation, units)
     say(console, "Result", addition_verdict(explanation, units))
     _show_change(console, explanation, units)
@@ -197,7 +176,6 @@ def show_saved(
     """Where files went; `words` says what they are where that is not the usual.
 
     Args:
-        console: Where to print.
         files: Option -> the file that was written.
         words: Option -> what the file is, where that is not the usual.
     """
@@ -212,7 +190,6 @@ def show_table(console: Console, table: Table) -> None:
     """A table with a rule under its head in a terminal, and without lines in a pipe.
 
     Args:
-        console: Where to print.
         table: The table; its cells are read without markup.
     """
     grid = Grid(
@@ -243,24 +220,13 @@ def _lines(console: Console, cell: Cell) -> Text:
 
 
 def head(console: Console, words: str) -> None:
-    """A heading after an empty line.
-
-    Args:
-        console: Where to print.
-        words: The heading.
-    """
+    """A heading after an empty line."""
     console.print()
     console.print(console.render_str(words, style="bold"), soft_wrap=True)
 
 
 def say(console: Console, head: str, sentence: str) -> None:
-    """A paragraph; in a pipe it stays one line.
-
-    Args:
-        console: Where to print.
-        head: Bold words before the sentence.
-        sentence: The paragraph.
-    """
+    """A paragraph; in a pipe it stays one line."""
     text = Text.assemble((f"{head}: ", "bold"), console.render_str(sentence))
     console.print()
     console.print(text, soft_wrap=not console.is_terminal)
@@ -270,8 +236,6 @@ def show_list(console: Console, words: str, entries: Sequence[str]) -> None:
     """A heading with a list under it, or nothing.
 
     Args:
-        console: Where to print.
-        words: The heading.
         entries: The list; nothing is printed if it is empty.
     """
     if not entries:

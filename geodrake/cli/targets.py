@@ -34,7 +34,6 @@ class Targets:
     """Where to write what; None for what is not asked for.
 
     Attributes:
-        save: The model, YAML.
         json: The numbers, JSON; `-` is standard output.
         report: The page with the figures, HTML.
         more: Option -> what else a command writes.
@@ -61,9 +60,6 @@ class Targets:
     def check(self, inputs: Iterable[Path]) -> None:
         """Refuse targets that cannot be written or that would overwrite something else.
 
-        Args:
-            inputs: Files that the command reads.
-
         Raises:
             OutputError: A target has another kind's suffix, is an input or another target, is no
                 regular file, or its folder is missing or cannot be written to.
@@ -88,7 +84,6 @@ class Targets:
         """Write what was asked for, all files or none; contents are made first.
 
         Args:
-            model: The model to save.
             makers: Option -> makes the content of its file; nothing is written without one.
 
         Returns:

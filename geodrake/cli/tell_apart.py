@@ -19,12 +19,7 @@ _FORM = "Write EFFECT,EFFECT; a place may follow either: EFFECT@elbow."
 
 
 def check_alone(options: ExciteOptions, names: Sequence[str]) -> None:
-    """Refuses what says otherwise than --tell-apart what a motion is for.
-
-    Args:
-        options: All of them.
-        names: Names of effects among what --effects was given.
-    """
+    """Refuses what says otherwise than --tell-apart what a motion is for."""
     if options.tell_apart is None:
         return
     usual = {name: getattr(ExciteOptions, name) for name in ("criterion", "normalization")}
@@ -67,9 +62,6 @@ def placed_rivals(
     Args:
         text: What the option was given. A place said of one is that of the other too, if both are
             at places of one kind.
-        model: The robot.
-        limits: What it may do.
-        extra: Effects of the user's own.
 
     Raises:
         ArgumentError: There are no such effects or places.
@@ -92,13 +84,6 @@ def separation_of(
     extra: Sequence[type[Effect]] = (),
 ) -> tuple[Separation, tuple[str, ...]]:
     """What distinguishing two effects amounts to, and what to say of it.
-
-    Args:
-        text: What the option was given, as for `placed_rivals`.
-        model: The robot.
-        limits: What it may do.
-        noise: Deviation of the measured efforts.
-        extra: Effects of the user's own.
 
     Raises:
         ArgumentError: There are no such effects or places, or these cannot be distinguished.

@@ -41,15 +41,11 @@ class AdaptiveLoop:
 
     Attributes:
         robot: The robot in its plant; None if the loop was given the ports of a robot elsewhere.
-        controller: The controller.
         effect_force: What acts on the plant beside rigid bodies, if anything.
         state: Positions and velocities of the robot, in the order of the controller's joints; of
             the motors where effects make joints soft.
         measured_state: What the controller sees of them.
-        desired_state: Desired positions and velocities.
-        desired_acceleration: Desired accelerations.
         actuation: Efforts of the controller, by joint.
-        parameters: The estimate.
         logs: Sinks of "state", "desired_state", "actuation", "parameters" and, where the truth is
             known, "lyapunov"; none if nothing is logged.
     """
@@ -84,21 +80,13 @@ class AdaptiveLoop:
         return self.robot
 
     def context(self, diagram: Diagram) -> Context:
-        """A default Context of the finished diagram, with the robot at the start of the motion.
-
-        Args:
-            diagram: What the builder built.
-        """
+        """A default Context of the finished diagram, with the robot at the start of the motion."""
         context = diagram.CreateDefaultContext()
         self.set_start(context)
         return context
 
     def set_start(self, root: Context) -> None:
-        """Puts the robot where its motion starts, and nothing else.
-
-        Args:
-            root: Context of the finished diagram.
-        """
+        """Puts the robot where its motion starts, and nothing else."""
         robot, joints = self._robot, self.controller.control.joints
         source = self.desired_state.get_system()
         desired = self.desired_state.Eval(source.GetMyContextFromRoot(root))
@@ -110,7 +98,6 @@ class AdaptiveLoop:
         """Simulates from the start of the motion.
 
         Args:
-            diagram: What the builder built.
             duration: For how long, s.
 
         Returns:
@@ -216,10 +203,6 @@ def check_base(robot: RobotInstance, controller: AdaptiveController) -> None:
 
     A controller whose model has an effect of the whole robot may know by it that the base leans,
     and is believed.
-
-    Args:
-        robot: The robot in a plant.
-        controller: A controller.
 
     Raises:
         ArgumentError: It is another robot, or its base leans otherwise, or moves; or the

@@ -12,7 +12,7 @@ from geodrake.diagnosis.search import Found
 from geodrake.effects import FittedEffect
 from geodrake.identification.logs.case import Case, reopen
 from geodrake.identification.logs.dataset import Dataset
-from geodrake.identification.logs.hypothesis import Hypothesis, settle
+from geodrake.identification.logs.hypothesis import Hypothesis, most_likely, settle
 from geodrake.identification.logs.model_fit import ModelFit, fit_model
 from geodrake.identification.logs.unknowns import Unknowns, effect_prior
 from geodrake.model.robot_model import RobotModel
@@ -45,13 +45,12 @@ def final_fit(case: Case, found: Found) -> tuple[Case, ModelFit]:
     seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
     base = replace(reopened.model, effects=case.model.effects, information=case.model.information)
     base = replace(base, phi=case.model.phi, fitted_to=seen, bandwidths=case.bandwidths)
-    # Weights of maximum likelihood, so that the information is that of the parameters.
-    held_out = settled.held_out
-    weights = settled.effective / held_out.samples.sum(0) / held_out.mse
+    # With maximum likelihood the information is that of the parameters.
+    unknowns, weights = most_likely(settled)
     fit = fit_model(
         base,
         reopened.dataset,
-        settled.unknowns,
+        unknowns,
         weights,
         effective=settled.effective,
         of_motion=share_of_motion(reopened, settled),

@@ -45,6 +45,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Delay = tuple[int, ...]
 
+_LEAST_INERTIA = 1e-3  # of the model's, that a joint without a motor feels
 _LEAST_SHARE = 1e-4
 _RIDGE = 1e-11
 _ALIKE = 0.02  # noise is settled if no logarithm of a variance changes by more
@@ -136,6 +137,7 @@ class LogModel:
         self._order = {term: k for k, term in enumerate(self.terms)}
         columns = np.concatenate([*sources, *(term.columns for term in self.terms)])
         self.mean = np.zeros(len(columns))
+        self._inertias = data.passive_shares(columns)
         # Of the terms alone; a term's log |Λ| − mᵀΛm stands at its first column.
         self.information = np.zeros((len(columns),) * 2)
         self.prior_scores = np.zeros(len(columns))
@@ -294,12 +296,17 @@ class LogModel:
         grams, moments, powers = self.normal(columns, choice.delay)
         mean = self.mean[columns]
         pull, rows = prior @ mean, self.rows
-        variance = powers / rows if variance is None else variance
+        inertias, inertia = self._inertias[:, columns], np.ones(len(rows))
+        passive = inertias.any(axis=1)
+        if variance is None:
+            variance = np.where(passive, self.dataset.effort_std**2, powers / rows)
         for _ in range(_MOST_FITS):
             weights = shares / np.maximum(variance, self.floor)
             hessian = prior + np.tensordot(weights, grams, 1)
             factor, scale = scaled_cholesky(hessian, _RIDGE)
-            x = scale * solved(factor, scale * (pull + weights @ moments))
+            own_pull = pull + (shares * rows / inertia)[passive] @ inertias[passive]
+            x = scale * solved(factor, scale * (own_pull + weights @ moments))
+            inertia[passive] = np.maximum(inertias[passive] @ x, _LEAST_INERTIA)
             left = powers - 2.0 * moments @ x + (grams @ x) @ x
             before, variance = variance, np.maximum(left / rows, self.floor)
             if np.all(np.abs(np.log(variance / before)) < _ALIKE):
@@ -307,7 +314,7 @@ class LogModel:
         way = x - mean
         determinant = 2.0 * (np.log(np.diag(factor)).sum() - np.log(scale).sum())
         score = (
-            -float((shares * rows) @ np.log(variance))
+            -float((shares * rows) @ np.log(variance / inertia**2))
             - float(way @ prior @ way)
             - determinant
             + logarithm
@@ -488,10 +495,18 @@ class LogModel:
     def _hypothesis(
         self, choice: Choice, unknowns: Unknowns, fit: Fit, held_out: HeldOut | None
     ) -> Hypothesis:
+        effective = self.shares(fit) * self.rows
+        # Bodies and payloads alone: all that have inertia.
+        x = np.zeros(len(unknowns.columns))
+        x[: self._bodies] = self.bodies(fit).ravel()
+        for term, span in self.spans(fit.terms).items():
+            if term.is_whole and term.effect is not None:
+                x[unknowns.span(term.effect)] = fit.x[span]
+        pull = self.dataset.passive_pull(unknowns.columns, x, effective)
+        unknowns = replace(unknowns, pull=pull)
         cv = CrossValidation(
             self.dataset, unknowns, fit.weights, delay=choice.delay, held_out=held_out
         )
-        effective = self.shares(fit) * self.rows
         looseness = choice.width / self._spread
         return Hypothesis(
             self.dataset, unknowns, fit.weights, choice.delay, looseness, cv, effective

@@ -21,8 +21,6 @@ class Candidate(Short):
 
     Attributes:
         effect: Name; two names joined by " + " for effects found together.
-        where: Joints or bodies.
-        error_before: Held-out nrms without it.
         error_after: Held-out nrms with it, everything that may move refitted.
         evidence: Twice the logarithm of how much more probable it makes the model, alone; 0 for
             what stands in the place of the first one.
@@ -86,10 +84,7 @@ class Step(Short):
     """One effect added to a model.
 
     Attributes:
-        effect: Name of the effect.
         where: Joints or bodies it was added at.
-        error_before: Held-out nrms before.
-        error_after: Held-out nrms after.
         parameters: Place -> parameter name -> value, SI units.
         deviations: The same for the standard deviations.
         indistinguishable_from: Effects that stand in its place in other explanations, of a

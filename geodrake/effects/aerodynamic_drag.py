@@ -27,11 +27,8 @@ class AerodynamicDrag(BodyEffect):
     d p, in N·s²/m, are parameters of their own.
 
     Attributes:
-        body: Name of the body.
         x: Position of P from Bo along x of the body's frame, m, from which p is a step; None for
             that of the mass centre.
-        y: The same along y.
-        z: The same along z.
     """
 
     x: float | None = None

@@ -43,6 +43,7 @@ class Backlash(DeflectionEffect):
     half_width: float
 
     name = "backlash"
+    of_motor = True
     law = "a dead band between the measured motor and its link"
     list_position = 51
     proposer = Proposer.PLAY

@@ -97,6 +97,8 @@ class Effect(CheckedFields, abc.ABC):
         damps: Whether its one column is the velocity of its joint, as that of a servo's damping is.
         beside_gains: Whether unknown gains of efforts are found beside it, as any joint may have
             it.
+        of_motor: Whether it is of a motor, its gear or its sensor of efforts, which passive joints
+            have none of.
         taken_out_as: What drives that take it out of the efforts that they report call it.
         by_drive: Whether it is the drive that does it, so that nothing in a robot's file can.
     """
@@ -127,6 +129,7 @@ class Effect(CheckedFields, abc.ABC):
     usual: ClassVar[bool] = False
     damps: ClassVar[bool] = False
     beside_gains: ClassVar[bool] = False
+    of_motor: ClassVar[bool] = False
     taken_out_as: ClassVar[str] = ""
     by_drive: ClassVar[bool] = False
 
@@ -173,7 +176,6 @@ class Effect(CheckedFields, abc.ABC):
         """Effort needed because of the effect, (N, nv): the force law is its negative.
 
         Args:
-            motion: N samples.
             mu: (k,) linear parameters, SI.
         """
         return self.regressor(motion) @ np.asarray(mu, float)
@@ -195,7 +197,6 @@ class Effect(CheckedFields, abc.ABC):
         """Rates (N, s) of the hidden states (N, s), for simulation.
 
         Args:
-            motion: N samples.
             state: (N, s) hidden states at them.
         """
         raise NotImplementedError
@@ -299,7 +300,6 @@ class Effect(CheckedFields, abc.ABC):
         """Instances at a place with every combination of the values on the grids of `shapes`.
 
         Args:
-            place: The joint, pair of joints or body.
             scales: Sizes that grids are shares of, such as `speed`, by the names of `Shape.scale`.
 
         Raises:
@@ -391,7 +391,6 @@ class JointEffect(Effect):
         """Instances a diagnosis should try at a joint: one, or one for every shape on a grid.
 
         Args:
-            joint: Name of the joint.
             peak_speed: Largest speed of the joint in the log, rad/s or m/s.
         """
         return cls.shaped(joint, speed=peak_speed)

@@ -55,7 +55,6 @@ class RobotBodies:
     """The bodies of a robot in N configurations; nothing is computed before it is asked for.
 
     Attributes:
-        tree: The robot's kinematics.
         q: (N, nq) positions in Drake's order.
         phi: (nb, 10) inertial parameters of the bodies.
     """

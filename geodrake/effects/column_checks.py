@@ -36,10 +36,6 @@ class HasRows(Protocol):
 def rows_of(effect: HasRows, motion: RobotMotion) -> Mapping[str, Array]:
     """What `Effect.rows` gives, as all that takes columns may rely on.
 
-    Args:
-        effect: The effect, perhaps of a user's own.
-        motion: N samples.
-
     Raises:
         ArgumentError: It is no mapping of joints to finite real columns (N, k).
     """
@@ -71,12 +67,6 @@ def of_geodrake(kind: type[Any]) -> bool:
 
 def stacked(effect: HasRows, columns: Any, joint: str, count: int) -> Array:
     """Columns of a joint, one for each parameter, as an array (N, k).
-
-    Args:
-        effect: Whose columns they are.
-        columns: What its `columns` gave.
-        joint: Name of the joint.
-        count: Number N of samples.
 
     Raises:
         ArgumentError: They are not one column of N finite real numbers for each parameter.
@@ -122,12 +112,7 @@ def _checked(what: str, line: str, values: ArrayLike, shape: tuple[int, ...]) ->
 
 @contextmanager
 def telling(name: str, line: str) -> Iterator[None]:
-    """Tell what would end the program unseen, such as `sys.exit`, as an error of the effect.
-
-    Args:
-        name: Name of the effect, for messages.
-        line: Where its code is, as `line_of` says.
-    """
+    """Tell what would end the program unseen, such as `sys.exit`, as an error of the effect."""
     try:
         yield
     except (Exception, KeyboardInterrupt, GeneratorExit):
@@ -140,7 +125,6 @@ def line_of(effect: type[Any], *methods: str) -> str:
     """The line and file of the last of some methods of an effect that is a user's own, in words.
 
     Args:
-        effect: Class of the effect.
         *methods: Names of methods, of which the effect may have some.
     """
     made: list[Callable[..., Any]] = [getattr(effect, m) for m in methods if hasattr(effect, m)]

@@ -23,6 +23,7 @@ class CoupledRotorInertia(SharedActuatorEffect):
     """
 
     name = "coupled_rotor_inertia"
+    of_motor = True
     taken_out_as = "rotor inertia"
     law = "I v̇_j on joint i and I v̇_i on joint j; of any two joints, like `coupled_friction`"
     list_position = 41

@@ -57,7 +57,6 @@ class Deflection:
 
         Args:
             slopes: Slopes of the effort with the motion of the motors.
-            joint: Index of the joint's velocity.
         """
         change = slopes.position[:, :, joint] * self.lag[:, None]
         change += slopes.velocity[:, :, joint] * self.rate[:, None]
@@ -146,10 +145,6 @@ class DeflectionEffect(JointEffect):
 
     def with_rollout_values(self, values: Values, deviations: Values) -> FittedEffect:
         """The effect with some `rollout_values`.
-
-        Args:
-            values: Values by name.
-            deviations: Their standard deviations.
 
         Raises:
             NotImplementedError: There are such values, and the class does not say.

@@ -14,12 +14,7 @@ from geodrake.effects.role import Role
 
 
 def delays_of(effects: Sequence[Effect], joints: Sequence[str]) -> Array:
-    """(n,) delays, s, that some effects make together at n joints.
-
-    Args:
-        effects: Effects, some of which may be delays.
-        joints: Names of the n joints.
-    """
+    """(n,) delays, s, that some effects make together at n joints."""
     delays = np.zeros(len(joints))
     for effect in effects:
         if effect.role is Role.DELAY:
@@ -33,7 +28,6 @@ def effort_delays(delays: ArrayLike, joints: Sequence[str]) -> list[EffortDelay]
 
     Args:
         delays: (n,) delays, s.
-        joints: Names of the n joints.
     """
     seconds = np.asarray(delays, float).tolist()
     if len(set(seconds)) == 1:
@@ -50,7 +44,6 @@ def delayed_by(
         delays: (n,) delays, s.
         signals: (N, n) samples at a uniform rate.
         period: Time between samples, s.
-        spline: Their `spline_through`, if it is known already.
     """
     seconds = np.asarray(delays, float).tolist()
     if len(set(seconds)) == 1:

@@ -32,10 +32,8 @@ def dependencies(effect: Effect, trial: Trial | None, joints: int) -> frozenset[
     """The signals that an effect's columns depend on; see `Effect.depends_on`.
 
     Args:
-        effect: The effect.
         trial: To try whether an effect that does not say so depends on accelerations and loads;
             without it, it does.
-        joints: Number nv of velocities.
     """
     names = frozenset(type(effect).depends_on)
     if declares_signals(type(effect)):

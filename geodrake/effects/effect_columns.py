@@ -96,7 +96,6 @@ class EffectColumns:
         Args:
             motion: Motion of all joints at one sample; its accelerations do not matter.
             mu: (k,) parameters.
-            seen: As in `at`.
         """
         rest = replace(motion, vd=np.zeros(len(self.joints)))
         moved = replace(motion, vd=np.ones(len(self.joints)))

@@ -69,7 +69,6 @@ class EffortDelay(Effect):
         Args:
             signal: (N, ...) samples at a uniform rate.
             period: Time between samples, s.
-            spline: Their `spline_through`, if it is known already.
 
         Returns:
             (N, ...) the samples at t − δ; what lies outside the signal is its first or last sample.

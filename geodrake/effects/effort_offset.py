@@ -19,6 +19,7 @@ class EffortOffset(JointEffect):
     """
 
     name = "effort_offset"
+    of_motor = True
     law = "o"
     list_position = 20
     complexity = 0

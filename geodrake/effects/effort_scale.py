@@ -22,6 +22,7 @@ class EffortScale(JointEffect):
     """
 
     name = "effort_scale"
+    of_motor = True
     law = (
         "the logged effort is (1 + ε) that of the joint, where the inertia is trusted or a known "
         "payload is carried in one log"

@@ -83,8 +83,6 @@ class PointEpisode(Episode):
         rise: r, s.
         log: Number of the log, from `log_number`; 0 for any.
         x: Position of P from the body's origin Bo along x of the body's frame, m.
-        y: The same along y.
-        z: The same along z.
         turning: 1 where what acts turns with the body, 0 where it keeps its direction in the world.
     """
 
@@ -113,7 +111,6 @@ class PointEpisode(Episode):
         """Columns (N, nv, k) at a motion of the body and instants (N,) since the log began, s.
 
         Args:
-            body: Motion of the body, N samples.
             time: (N,) instants since the log began, s.
         """
 
@@ -162,10 +159,8 @@ class PointEpisode(Episode):
         """What may act on a body in a window: what keeps its direction, and what turns with it.
 
         Args:
-            body: Name of the body.
             start: t₀, s since the log began.
             end: t₁, s since the log began.
-            shape: Other shape parameters.
         """
         make: Callable[..., Self] = cls
         return tuple(make(body, start, end, **shape, turning=turning) for turning in (0, 1))

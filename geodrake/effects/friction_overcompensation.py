@@ -24,6 +24,7 @@ class FrictionOvercompensation(JointEffect):
     """
 
     name = "friction_overcompensation"
+    of_motor = True
     taken_out_as = "friction"
     law = "−F sgn v: the drive takes out more dry friction than there is"
     list_position = 11.5

@@ -27,6 +27,7 @@ class GearEfficiency(JointEffect):
     """
 
     name = "gear_efficiency"
+    of_motor = True
     taken_out_as = "friction"
     label = "efficiency of a gear"
     law = (

@@ -51,9 +51,6 @@ def joint_gradient(
     """Gradient of Σ weights ∘ regressor of an effect of one joint.
 
     Args:
-        motion: The motion.
-        joint: Name of the joint.
-        columns: The effect's columns.
         slopes: Derivatives of each column by field, or None to take differences.
         weights: (N, nv, k) weights.
     """
@@ -88,12 +85,7 @@ def sign_slope(sign_v: Array, width: float | Array) -> Array:
 def difference_slopes(
     columns: Callable[[JointMotion], Sequence[ArrayLike]], joint: JointMotion
 ) -> list[dict[str, Array]]:
-    """Central differences of columns with respect to every field of a joint's motion.
-
-    Args:
-        columns: The effect's columns at a motion of its joint.
-        joint: N samples of the joint.
-    """
+    """Central differences of columns with respect to every field of a joint's motion."""
     slopes: list[dict[str, Array]] = [{} for _ in columns(joint)]
     for name in _FIELDS:
         values = getattr(joint, name)

@@ -31,7 +31,6 @@ class GravityTilt(RobotEffect):
 
     Attributes:
         about_x: Angle about x at which the columns are exact, rad.
-        about_y: The same about y.
     """
 
     about_x: float = 0.0

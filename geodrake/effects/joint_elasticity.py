@@ -34,6 +34,7 @@ class JointElasticity(DeflectionEffect):
     damping: float | None = None
 
     name = "joint_elasticity"
+    of_motor = True
     law = "the link gives way by its load over k, to first order in 1/k"
     list_position = 50
     complexity = 1

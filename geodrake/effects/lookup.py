@@ -53,7 +53,6 @@ def effect_class(name: str, extra: Sequence[type[Effect]] = ()) -> type[Effect]:
     """The effect of a name.
 
     Args:
-        name: Such as "coulomb_friction".
         extra: Effects that are not in the catalogue, such as those of `load_effect_file`.
 
     Raises:
@@ -87,10 +86,7 @@ def make_effect(
     """An effect from the form it has in a saved model: its `name`, `where` and `shape`.
 
     Args:
-        name: Name of the effect.
-        where: Names of its joints, or of its body.
         shape: Its shape parameters by name; those left out have their default.
-        extra: Effects that are not in the catalogue.
 
     Raises:
         ArgumentError: There is no such effect, or place or shape parameters do not fit it.

@@ -28,9 +28,6 @@ class NonlinearViscousFriction(JointEffect):
     """Friction that grows with a power of speed: lubricants (α < 1), drag (α = 2).
 
     effort = c |v|^α sgn v, with c ≥ 0 in N·m·(s/rad)^α.
-
-    Attributes:
-        exponent: α.
     """
 
     exponent: float

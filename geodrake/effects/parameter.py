@@ -81,10 +81,6 @@ def whole_numbers(effect: Any, values: Mapping[str, Any]) -> dict[str, Any]:
 
     A saved model holds all numbers as floats.
 
-    Args:
-        effect: Class of the effect.
-        values: Values by name of the field.
-
     Raises:
         ArgumentError: One of these is not whole.
     """
@@ -108,10 +104,6 @@ def _declared(kind: Any) -> str:
 
 def require_positive(effect: Any, *names: str) -> None:
     """Refuses shape parameters of an effect that are not positive and finite.
-
-    Args:
-        effect: The effect.
-        *names: Names of its shape parameters.
 
     Raises:
         ArgumentError: One of the named fields is not.

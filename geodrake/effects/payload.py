@@ -21,9 +21,6 @@ class Payload(BodyEffect):
 
     effort = Y_B(q, v, v̇) φ, with the regressor of the link's own inertial parameters and the
     payload's φ about the link's origin, expressed in the link's frame; P(φ) ≻ 0.
-
-    Attributes:
-        body: Name of the link.
     """
 
     name = "payload"

@@ -11,7 +11,6 @@ class Place(NamedTuple):
     Attributes:
         field: The field of the effect that says where it is; empty if none does.
         counts: How many names that may be.
-        wanted: The same in words.
         words: The kind of place in words.
     """
 

@@ -132,12 +132,7 @@ class RobotMotion(Short):
         return self.joints.index(name)
 
     def warmer(self, name: str, reference: float) -> Array:
-        """(N,) degrees by which a joint is warmer than a reference, °C; 0 where nobody knows.
-
-        Args:
-            name: Name of the joint.
-            reference: The reference, °C.
-        """
+        """(N,) degrees by which a joint is warmer than a reference, °C; 0 where nobody knows."""
         if self.temperature is None:
             return np.zeros(len(self.v))
         own = self.temperature[:, self.index(name)]

@@ -18,6 +18,7 @@ class RotorInertia(JointEffect):
     """
 
     name = "rotor_inertia"
+    of_motor = True
     taken_out_as = "rotor inertia"
     law = "I v̇"
     list_position = 40

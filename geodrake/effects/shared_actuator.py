@@ -31,5 +31,4 @@ class SharedActuatorEffect(JointPairEffect):
             v: (...) velocity of the joint.
             turned_v: (...) velocity s vⱼ of the other one, with the sign s of its part.
             turned_vd: (...) the same of its acceleration.
-            direction: Smoothed sign of a speed at the joint.
         """

@@ -21,7 +21,6 @@ class TemporaryPayload(Episode):
     φ as that of `Payload`.
 
     Attributes:
-        body: Name of the link.
         start: When it is picked up, s since the log began; None if it was before.
         end: When it is put down, s since the log began; None if it is not.
         rise: How long that takes, s.

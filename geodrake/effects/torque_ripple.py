@@ -33,6 +33,7 @@ class TorqueRipple(JointEffect):
     order: float
 
     name = "torque_ripple"
+    of_motor = True
     law = "a cos n q + b sin n q, n from the residual's spectrum over position"
     list_position = 32
     proposer = Proposer.WAVES

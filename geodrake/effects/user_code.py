@@ -88,10 +88,6 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
 def candidates_of(effect: type[Effect], *place: Any) -> tuple[Effect, ...]:
     """What `Effect.candidates` gives at a place.
 
-    Args:
-        effect: Class of the effect, perhaps of a user's own.
-        *place: What `Effect.candidates` takes.
-
     Raises:
         ArgumentError: They are no instances of the effect, or endlessly many.
     """

@@ -62,9 +62,7 @@ def add_collision_plant(
     """Adds a finalized plant of the model with collision geometry, and its SceneGraph.
 
     Args:
-        builder: Of the diagram.
         model: The robot. Its joints are read as always, and its geometry from its file.
-        obstacles: Solids fixed to the world.
         links: Link name -> further solids of the link.
         use_file: Whether the file's own collision geometry counts.
 

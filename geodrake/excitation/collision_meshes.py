@@ -24,8 +24,6 @@ def replace_stl(root: Element, packages: PackageMap, model: Path, folder: Path) 
 
     Args:
         root: The description, URDF or SDF; changed. Places of its meshes become URLs.
-        packages: Where packages are.
-        model: The file that the description is from.
         folder: Where to write the surfaces of STL files to, in Wavefront's format.
 
     Raises:
@@ -44,7 +42,6 @@ def in_memory(shape: Shape, label: str) -> Shape:
     """Return a shape that needs no file: of a mesh, its convex hull.
 
     Args:
-        shape: A shape of Drake's.
         label: Name of the convex hull that takes a mesh's place.
     """
     if not isinstance(shape, Mesh | Convex):

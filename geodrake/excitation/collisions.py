@@ -33,11 +33,9 @@ class CollisionWorld:
 
     Args:
         model: The robot; collision geometry is read from its file.
-        obstacles: What stands around it, fixed to the world.
         links: Body name -> further shapes of the link.
         clearance: Least distance to keep, m.
         use_file: Whether the file's own geometry counts.
-        seed: Of the random postures.
 
     Raises:
         ModelError: The file cannot be read with its geometry.

@@ -36,7 +36,6 @@ class Criterion:
     """A function of the eigenvalues of an information matrix.
 
     Attributes:
-        name: One of `CRITERIA`.
         sharpness: s of the smooth forms of λ_min and λ_max; infinite for those themselves, whose
             gradient at a multiple eigenvalue is one of many.
         kept: Look at the r greatest eigenvalues only, [Lee2019] §4.5.2 step b.2; all if None.

@@ -100,10 +100,6 @@ def design_objective(
 
     Args:
         objective: Function of the motion, such as a normalized criterion of a target.
-        limits: As for `design_excitation`, and so are the others.
-        trajectory: The family of motions.
-        options: How the design is made.
-        seeds: Number of random starts, or their seeds.
         progress: Called after every evaluation.
 
     Raises:
@@ -192,8 +188,6 @@ def make_problem(
     Args:
         objective: What the motion shall make small.
         limits: Limits by joint; None for those of the model.
-        family: The curves that the motion may be.
-        options: Samples, start, rest and collisions.
 
     Raises:
         ArgumentError: Limits leave no room or let samples be without bounds, or the ends leave no

@@ -72,7 +72,6 @@ class DesignProgress:
 
     Attributes:
         seed: Number of the start, from zero.
-        seeds: How many there are.
         evaluations: Evaluations of the criterion since the design began.
         value: What is minimized, now: the criterion's logarithm; limits may not yet be kept.
         is_stopped: Whether the design was stopped, and only the best motion is looked at.
@@ -94,8 +93,6 @@ class SeedOutcome:
         random_value: Criterion of the motion that it began with, which keeps the limits.
         value: Criterion of the motion that it ended with, which keeps them too.
         evaluations: Evaluations of the criterion and its gradient.
-        seconds: Time that it took.
-        status: What the solver said.
     """
 
     seed: int | None
@@ -111,16 +108,13 @@ class ExcitationResult(Shown):
     """A designed motion.
 
     Attributes:
-        trajectory: The motion.
         objective: The criterion that it is best by, with the target.
         value: Its value, as the source defines it (not the logarithm).
         eigenvalues: (n_B,) of the normalized information matrix, ascending: the inverse variances
             of an estimate from `samples` samples, along its principal directions.
         samples: Number of samples that count.
         use: What it uses of its limits, all of which it keeps.
-        limits: The limits.
         outcomes: What each seed came to.
-        notes: What is worth knowing.
         is_interrupted: Whether the design was stopped before its end.
     """
 

@@ -113,7 +113,6 @@ class FourierMotion(MotionFamily):
 
     Attributes:
         duration: Length of the motion, s.
-        modes: Number of harmonics.
         frequency: ω, rad/s; one period in the whole duration if None.
         offset: Whether there is a c₀.
     """
@@ -243,9 +242,6 @@ class FreeSamples(MotionFamily):
     """Samples that need not follow each other: q, v and v̇ of each are coefficients.
 
     They bound what a motion can identify, and suit robots that are measured point by point.
-
-    Attributes:
-        samples: Number of samples.
     """
 
     samples: int = 50

@@ -36,10 +36,7 @@ def random_guess(
     """A random motion within all limits, about a posture that can be held.
 
     Args:
-        problem: The design problem.
         postures: (n, nv) postures to choose from.
-        rng: Source of randomness.
-        budget: Time for it.
 
     Returns:
         Variables (f, nv) of the motion.
@@ -127,11 +124,9 @@ def within_limits(
     """The motion nearest to one, on the way from another that keeps all limits, that does so too.
 
     Args:
-        problem: The design problem.
         variables: (f, nv) variables of a motion that keeps the limits, or nearly so.
         inside: (f, nv) variables of a motion that keeps them.
         budget: Time for it; when it is up, the nearest one found by then counts.
-        fine: As for `limit_use`.
     """
     least, step = 0.0, _FIRST_STEP_BACK
     most = 1.0

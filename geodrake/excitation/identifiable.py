@@ -43,7 +43,6 @@ class IdentifiableParameters(Short):
             G₀, that the variances are of.
         kept: Number r of directions with a variance of at most the threshold.
         threshold: ε_λ; λ_r where r was given.
-        target: What was asked for.
     """
 
     variances: Array
@@ -84,7 +83,6 @@ class ReducedIdentification(Short):
     Attributes:
         parameters: (p,) φ*: bodies, payloads, further effects, in the target's order.
         base_parameters: (n_B,) φ_B* = B φ*.
-        identifiable: Along which directions.
     """
 
     parameters: Array
@@ -104,7 +102,6 @@ def measurement_factor(
     """All that motions, and what was measured in them, say: one triangular matrix.
 
     Args:
-        target: What is unknown, and the noise.
         motions: Motions, (N, ·) each.
         measured: For each motion (N, m) efforts (N·m or N), or base wrenches (N·m and N), less
             those of bodies and effects that the target takes as known. None for what could be

@@ -27,7 +27,6 @@ class Objective(Short):
 
     Attributes:
         target: What is to be identified.
-        criterion: Function of the eigenvalues.
         normalization: "geometric", "diagonal" or "none"; see `geodrake.excitation.normalization`.
         base: (n_B, p) base parameters B, for the normalizations that depend on the choice; those
             of the target if None.
@@ -53,9 +52,6 @@ class Objective(Short):
 
     def factor(self, measurement: Measurement) -> Array:
         """(N m, n_B) A K, the whitened and normalized regressor of a motion.
-
-        Args:
-            measurement: What `target.measure` made of the motion.
 
         Raises:
             ArgumentError: There are fewer measurements than base parameters.

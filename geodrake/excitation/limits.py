@@ -27,7 +27,6 @@ class MotionLimits(Short):
     """Limits of the nv joints of a robot, which must be of one degree of freedom each.
 
     Attributes:
-        joints: Their names.
         lower: (nv,) least positions, rad or m.
         upper: (nv,) greatest positions, rad or m.
         velocity: (nv,) largest speeds, rad/s or m/s.
@@ -132,7 +131,6 @@ def motion_limits(
     joint whose position is not limited may go half a turn to either side.
 
     Args:
-        model: The robot.
         position: Least and greatest position of joints by name, rad or m.
         velocity: Largest speed: one, (nv,), or by name for some joints, rad/s or m/s.
         acceleration: Largest acceleration, likewise, rad/s² or m/s².

@@ -27,11 +27,7 @@ class LimitUse:
 
     Attributes:
         position: Of the range's half, from its middle.
-        velocity: Of the speed.
-        acceleration: Of the acceleration.
-        effort: Of the effort.
         distance: Least distance of bodies, m; infinite without collision geometry.
-        nearest: Which bodies those are.
         clearance: The distance to be kept, m.
         stride: Every how many of the instants that were to be looked at the distance is of; more
             than one if time was up.
@@ -64,7 +60,6 @@ def limit_use(
     """What a motion uses of its limits, looked at far more closely than in the design.
 
     Args:
-        problem: The design problem.
         variables: (f nv,) its variables.
         fine: Time between instants, as a share of the family's shortest time.
         budget: Time for collisions, which are the slow part: what is left out when it is up is
@@ -82,10 +77,7 @@ def keeps_limits(
     """Whether a motion keeps all limits, as `limit_use` sees it; ends where one is not kept.
 
     Args:
-        problem: The design problem.
         variables: (f nv,) its variables.
-        fine: As for `limit_use`.
-        budget: Time for it.
 
     Raises:
         OutOfTimeError: That is not known yet, and the time is up.

@@ -32,7 +32,6 @@ def regressor_motion_gradient(
     """Gradient of Σ W ∘ X, with X the regressor of all that a target does not know.
 
     Args:
-        target: The unknown parameters.
         measurement: What `target.measure` made of the (N, ·) motion.
         weights: (N, m, p) W.
     """
@@ -58,9 +57,7 @@ def effort_gradient(
     """Gradient of Σ w ∘ τ, with τ the efforts that the model needs, effects included.
 
     Args:
-        model: The robot.
         motion: (N, ·) motion.
-        seen: The motion as effects see it, `model.motion`.
         weights: (N, nv) w.
     """
     rows = weights[:, :, None] * model.total_phi.ravel()

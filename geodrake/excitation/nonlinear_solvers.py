@@ -59,10 +59,7 @@ def solve(
     Then the best motion that it saw within them may be better.
 
     Args:
-        problem: The design problem.
         guess: (f, nv) variables to start from, within the limits.
-        solver: A name of `SOLVERS`.
-        iterations: Most iterations.
         seconds: Most time, s.
         watch: Called with every cost and its variables.
 

@@ -31,7 +31,6 @@ def normalizing_map(
     """The matrix K of a normalization.
 
     Args:
-        normalization: One of `NORMALIZATIONS`.
         base: (n_B, p) B.
         prior: (p,) nominal parameters φ⁰.
         metric_root: (p, p) root L of the inverse metric, G₀⁻¹ = L Lᵀ.

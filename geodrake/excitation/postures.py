@@ -24,7 +24,6 @@ def holding_efforts(model: RobotModel, postures: Array) -> Array:
     Dry friction is no help: what it would hold depends on how the robot came there.
 
     Args:
-        model: The robot.
         postures: (N, nv) positions by joint, rad or m.
     """
     q = postures[:, joint_order(model)]
@@ -38,8 +37,6 @@ def check_start(
     """Refuses a start (nv,) by joint that the robot cannot hold.
 
     Args:
-        model: The robot.
-        limits: Limits on positions and efforts, by joint.
         start: (nv,) positions by joint, rad or m.
         collisions: Bodies that must keep apart; None for no check.
 
@@ -90,13 +87,6 @@ def possible_postures(
     most: int = _POSTURES,
 ) -> Array:
     """(n, nv) postures by joint that a robot can hold, the middle of its ranges first if it can.
-
-    Args:
-        model: The robot.
-        limits: Its limits.
-        collisions: What it may not hit.
-        seed: Of the random postures.
-        most: So many are enough, the nearest to the middle.
 
     Raises:
         ArgumentError: No posture can be held; the message says why.

@@ -40,7 +40,6 @@ class DesignProblem(Short):
     Attributes:
         objective: What the motion is to identify.
         limits: What the robot may do.
-        family: Motions to choose from.
         samples: Number of samples of a motion, by which information is counted.
         rest: Whether the motion starts and ends at rest, and with no jump of acceleration.
         start: (nv,) position at the start by joint; free if None.

@@ -29,7 +29,6 @@ def build_program(
     """The program of a design problem.
 
     Args:
-        problem: The problem.
         watch: Called with every cost and its variables (f nv,), for showing progress.
         raised: Gets what costs, constraints or `watch` raise, which solvers only tell the text of.
         budget: When it is up, costs and constraints raise `OutOfTimeError`: solvers look at the
@@ -68,8 +67,6 @@ def limit_motion(
     """Adds linear constraints: positions, velocities and accelerations of every joint.
 
     Args:
-        program: What they are added to.
-        problem: The problem.
         variables: (f, nv) its variables in the program.
     """
     limits, basis = problem.limits, problem.limit_basis

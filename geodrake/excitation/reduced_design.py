@@ -54,15 +54,11 @@ def design_reduced_excitation(
     for how few its own value would do; so this halves the range of r in between instead.
 
     Args:
-        target: What is unknown.
         limits: What the robot may do; the limits of its model file if None.
         threshold: ε_J for the criterion's value, which has no unit: with E-optimality, the
             variance of the worst direction.
-        criterion: One of `CRITERIA`.
-        trajectory: The family of motions.
         options: How each design is made.
         seeds: Random starts of each design; the best motion so far is one more.
-        progress: As for `design_excitation`.
 
     Raises:
         ArgumentError: As `design_excitation`; or no single direction is identifiable that well.

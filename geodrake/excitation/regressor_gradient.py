@@ -40,7 +40,6 @@ def inverse_dynamics_regressor_gradient(
     """Gradient of Σ W ∘ Y, with Y the regressor of inverse dynamics.
 
     Args:
-        plant: A finalized plant, or its tree.
         q: (N, nq) positions.
         v: (N, nv) velocities.
         vd: (N, nv) accelerations v̇.
@@ -118,7 +117,6 @@ def regressor_jacobian(
     `inverse_dynamics_regressor_gradient`.
 
     Args:
-        plant: A finalized plant, or its tree.
         q: (N, nq) positions.
         v: (N, nv) velocities.
         vd: (N, nv) accelerations v̇.

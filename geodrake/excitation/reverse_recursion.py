@@ -70,7 +70,6 @@ def reverse_recursion(tree: KinematicTree, samples: Samples, weights: Array) -> 
     """Gradient of Σ W ∘ Y with respect to samples, for weights W (N, nv, 10 nb).
 
     Args:
-        tree: The kinematic tree.
         samples: A motion itself, in Drake's order.
         weights: (N, nv, 10 nb) W.
     """
@@ -88,10 +87,7 @@ def calc_motion_gradient(
     """Writes the gradient of Σ W ∘ Y into zeros (N, nq), (N, nv), (N, nv).
 
     Args:
-        tree: `KinematicTree.records`.
-        samples: Samples of a motion itself.
         weights: (N, nv, 10 nb) W.
-        out: Zeros, then the gradient.
     """
     mobilizers, dofs = tree
     motions, by = np.empty(len(mobilizers), MOTION), np.empty(len(mobilizers), MOTION)

@@ -28,7 +28,6 @@ class Rival(Short):
     """One of two effects that are to be distinguished.
 
     Attributes:
-        name: Name of the effect.
         alternatives: For each shape that it may have, the effect at each of its places.
     """
 
@@ -53,13 +52,11 @@ def make_rival(
     """An effect by name, at a place or wherever it can be.
 
     Args:
-        name: Such as "coulomb_friction".
         model: The robot; an effect that it has keeps its shape.
         limits: Whose speeds the shapes scale with that a diagnosis would try.
         where: One place; all joints, or pairs of joints, if empty.
         shape: Shape parameters by name. If it is None, those of the model, else the defaults, else
             all that a diagnosis would try.
-        extra: Effects of the user's own.
 
     Raises:
         ArgumentError: There is no such effect, place or shape, or it has no parameters.
@@ -99,12 +96,7 @@ def make_rival(
 
 
 def known_sizes(model: RobotModel, effects: Sequence[Effect]) -> dict[Effect, Array]:
-    """Parameters of those effects that the model has, unless they are zero.
-
-    Args:
-        model: The robot, with the effects that were fitted.
-        effects: Effects to look up.
-    """
+    """Parameters of those effects that the model has, unless they are zero."""
     values = {fitted.effect: fitted.parameters for fitted in model.effects}
     return {e: values[e] for e in effects if e in values and np.any(values[e])}
 
@@ -115,9 +107,6 @@ def imitations(target: Target, truth: Effect, size: Array, rival: Effect) -> Arr
     None if the effects have nothing to do with each other.
 
     Args:
-        target: The robot, with the random motion.
-        truth: The effect to be imitated.
-        size: Its parameters.
         rival: The effect that imitates it within the bounds of its parameters.
     """
     seen = target.measure(target.random_motion).seen

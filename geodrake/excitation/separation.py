@@ -48,7 +48,6 @@ class Pair(Short):
     Attributes:
         truth: Name of the effect that the robot has.
         rival: Name of the effect that is to explain it.
-        where: Place of the truth.
         effects: (r, p) columns' coefficients of r robots, whose separations are added: one if the
             parameters are known, and one for each parameter if not.
         columns: (c,) columns that an explanation may use: what may move, and the rival.
@@ -108,10 +107,6 @@ class Separation(Objective):
         """(N, nv) effort of the truth of a pair, and the most that its rival makes of it.
 
         Of several robots, that one's which the rival explains worst.
-
-        Args:
-            motion: N samples by joint.
-            pair: Index of the pair in `pairs`.
         """
         measurement = self.target.measure(motion)
         solutions = self._solve(measurement)[1][pair]

@@ -56,7 +56,6 @@ class Target(Short):
     """Unknown parameters of a robot, and the measurements that are to identify them.
 
     Attributes:
-        model: The robot.
         bodies: Names of the bodies whose inertial parameters are unknown, ten each.
         effects: Effects with unknown parameters and their nominal values; payloads come first.
         noise: (m,) deviations of the measurements of one sample: nv efforts, N·m or N, or the six

@@ -56,9 +56,6 @@ def make_separation(
         model: The robot. Its other effects may be refitted within what is known of them; if it has
             one of the rivals, that one's parameters say how large it is, and the other one is as
             large as it must be to be taken for it. Rivals of unknown size have a usual one.
-        first: One effect.
-        second: The other.
-        noise: Deviation of the measured efforts, as for `make_target`.
         sign_width: Speed over which friction changes sign, as for `make_target`.
         spread: Relative uncertainty of a model file's inertias, as a geometric distance.
 
@@ -212,12 +209,8 @@ def design_separation(
     """The motion within limits that distinguishes rivals best.
 
     Args:
-        separation: Who is to be distinguished from whom.
         limits: What the robot may do; the limits of its model file if None.
         trajectory: The family of motions; a Fourier series of 10 s if None.
-        options: How the design is made.
-        seeds: Number of random starts, or their seeds.
-        progress: As for `design_excitation`.
 
     Returns:
         The motion; its objective is the separation, and its eigenvalues are those Δ.

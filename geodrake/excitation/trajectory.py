@@ -30,7 +30,6 @@ class ExcitationTrajectory(Short):
     """A motion of all joints of a robot whose joints have one degree of freedom each.
 
     Attributes:
-        family: What its coefficients mean.
         coefficients: (count, nv) coefficients, a column a joint.
         joints: Names of the nv joints, in the order of velocities.
         order: (nv,) joint of each position in Drake's order.
@@ -64,7 +63,6 @@ class ExcitationTrajectory(Short):
 
         Args:
             basis: (3, N, count) `family.basis` of the samples.
-            gradient: The gradient by their q, v and v̇.
         """
         by_joint = np.zeros_like(gradient.v)
         by_joint[:, self.order] = gradient.q
@@ -94,11 +92,6 @@ class ExcitationTrajectory(Short):
 
     def log(self, model: RobotModel, *, rate: float = 100.0, name: str = "excitation") -> JointLog:
         """The motion as a log, with the efforts that the model predicts.
-
-        Args:
-            model: The robot.
-            rate: Samples a second.
-            name: Name of the log.
 
         Raises:
             ArgumentError: The samples do not follow each other in time, or the rate is not

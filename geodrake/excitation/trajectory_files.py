@@ -30,12 +30,9 @@ def write_trajectory(
     """Write a motion, whole or not at all.
 
     Args:
-        trajectory: The motion.
         path: Where to: `.csv` or `.npz` for a log with the predicted efforts, `.yaml` for a ROS
             trajectory_msgs/JointTrajectory, which `ros2 topic pub` takes, `.drake.yaml` for a
             Drake BsplineTrajectory, which `read_drake_trajectory` takes.
-        model: The robot, for the efforts.
-        rate: Samples a second.
 
     Raises:
         OutputError: The suffix is another, or the file cannot be written.
@@ -69,10 +66,6 @@ def ros_joint_trajectory(trajectory: ExcitationTrajectory, *, rate: float = 100.
     """A motion as YAML of the message trajectory_msgs/JointTrajectory of ROS 2.
 
     Efforts are left empty, since position and velocity controllers refuse them.
-
-    Args:
-        trajectory: The motion.
-        rate: Points a second.
 
     Raises:
         ArgumentError: The samples do not follow each other in time, or the rate is not positive.
@@ -115,9 +108,6 @@ def drake_trajectory(trajectory: ExcitationTrajectory) -> str:
 
 def read_drake_trajectory(path: str | Path) -> BsplineTrajectory:
     """A motion that was written to `.drake.yaml`.
-
-    Args:
-        path: The file.
 
     Returns:
         The positions in Drake's order over time, s.

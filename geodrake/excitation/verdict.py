@@ -22,7 +22,6 @@ def identifiable_directions(result: ExcitationResult, threshold: float = THRESHO
     Meaningful for the geometric normalization, whose variances are relative.
 
     Args:
-        result: A designed motion.
         threshold: Largest relative variance of a direction that counts as identified.
     """
     return int(np.count_nonzero(result.eigenvalues * threshold >= 1.0))

@@ -37,7 +37,6 @@ def with_autocovariances(
     The model's bodies and effects are fitted to the other blocks, within what was known of them.
 
     Args:
-        digest: The digest.
         model: The model as it was given when the settings were made.
         data: The rows of its joints, over the columns of the digest.
         extra: Effect classes of the user's own that have columns.

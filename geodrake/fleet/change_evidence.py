@@ -40,8 +40,6 @@ class ChangePlace:
     """A change in the space of all: hypothesis, form and day, by their numbers.
 
     Attributes:
-        hypothesis: Number of the hypothesis.
-        form: "step", "until" or "ramp".
         first: Log at which it begins.
     """
 
@@ -106,7 +104,6 @@ def calc_change_evidence(
     Args:
         fit: Its own parameters, with all changes that were found before.
         days: (T,) days of its logs.
-        hypotheses: What may change.
         scale: (p,) what a share of each column is to the robot.
     """
     usable = np.unique(days).size > 1

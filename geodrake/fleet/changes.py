@@ -39,14 +39,7 @@ _REFITS = 2  # of a robot, until its gains and odd logs are settled
 
 @dataclass(frozen=True)
 class ChangeRival:
-    """What may have changed in the place of a finding.
-
-    Attributes:
-        effect: Name of the effect.
-        where: Joint or body.
-        kind: "step" or "ramp".
-        probability: Its probability.
-    """
+    """What may have changed in the place of a finding."""
 
     effect: str
     where: str
@@ -59,9 +52,7 @@ class RobotChange(Short):
     """A change of a robot.
 
     Attributes:
-        robot: Name of the robot.
         effect: Name of the effect that changed.
-        where: Its joint or body.
         kind: "step", or "ramp" for what goes on changing.
         day: First day after the step, or on which the ramp begins.
         interval: Days within which that is with a probability of 95 %.
@@ -101,7 +92,6 @@ class SearchState(Short):
         logs: Their normal equations, with gains.
         odd: (T, K) how odd they are.
         cost: Logarithm of what their density loses by that.
-        fit: The robot's own parameters.
     """
 
     logs: LogEquations
@@ -118,10 +108,7 @@ class RobotSearch(Short):
 
     Attributes:
         model: What is known of its type.
-        robot: Its number.
-        history: Its logs.
         reference: (T, p) or (p,) parameters that gains refer to at first.
-        hypotheses: What may have changed.
     """
 
     model: TypeModel
@@ -163,12 +150,7 @@ class RobotSearch(Short):
         return calc_change_evidence(state.fit, self.history.days, self.hypotheses, scale)
 
     def instead(self, state: SearchState, others: Sequence[ChangePlace]) -> ChangeEvidence:
-        """What logs say for a change beside some of a state's, where logs are as odd as in it.
-
-        Args:
-            state: The logs with all changes.
-            others: Those of the changes that stay.
-        """
+        """What logs say for a change beside some of a state's, where logs are as odd as in it."""
         fit = self.model.with_changes(state.fit, self.design(others))
         return self.evidence(replace(state, fit=fit))
 
@@ -236,10 +218,6 @@ class RobotSearch(Short):
         Either that of all changes that there may be, with logs that are odd without one; or that of
         this very one, and what such logs lose without it. It is never more than if all logs on one
         side of the change were something else, of which one in so many is: `ODD_SHARE`.
-
-        Args:
-            places: The changes.
-            at: Which of them.
         """
         others = [*places[:at], *places[at + 1 :]]
         without = self.state(others)

@@ -138,13 +138,7 @@ def body_spread(
 
 
 def column_spreads(names: Sequence[str], columns: Sequence[int], count: int) -> tuple[Spread, ...]:
-    """Return a spread for each of some columns alone, in its own unit or share.
-
-    Args:
-        names: Name of each column.
-        columns: Index of each.
-        count: Number p of all columns.
-    """
+    """Return a spread for each of some columns alone, in its own unit or share."""
     names, unit = (
         instances(names, "names", str),
         np.eye(integer(count, "count", lower=1, upper=MOST_COLUMNS)),

@@ -38,12 +38,7 @@ class Course(Short):
 
     @classmethod
     def begin(cls, logs: Sequence[EquationSource], columns: int) -> Course:
-        """A course of zeros.
-
-        Args:
-            logs: Those of all robots of a type.
-            columns: Number q of columns that may go together.
-        """
+        """A course of zeros."""
         each = [np.unique(np.floor(robot.days)) for robot in logs]
         days, robots = np.unique(np.concatenate(each), return_counts=True)
         days = days[robots >= LEAST_ROBOTS]

@@ -83,7 +83,6 @@ class DigestedLog(Short):
     """What is known of a log beside its normal matrices.
 
     Attributes:
-        name: Its name.
         content: SHA-256 of the bytes of its file.
         fingerprint: Fingerprint of its measurements, as `JointLog.fingerprint`.
         key: Name of its digest: hash of content, settings and known payloads.
@@ -95,7 +94,6 @@ class DigestedLog(Short):
         bandwidth: Bandwidth of the filter that its period allows, nearest to the settings', Hz.
         payloads: Known payloads that the robot carried; their efforts are taken off.
         noise_floor: (nv,) estimated RMS of the sensor noise after filtering, N·m or N.
-        noise_weight: Samples behind this.
         gain_deviations: (nv,) how well the gains of the efforts are known, as shares.
         position: (2, nv) least and largest position of each joint, rad or m.
         speed: (2, nv) least and largest velocity, rad/s or m/s.
@@ -216,11 +214,7 @@ class Digest(Short):
         return found
 
     def of_log(self, log: int) -> Digest:
-        """The digest of one of the logs of a merged one; peaks stay those of all.
-
-        Args:
-            log: Index of the log.
-        """
+        """The digest of one of the logs of a merged one; peaks stay those of all."""
         kept = np.flatnonzero(self.block_logs == log)
         return replace(
             self,
@@ -276,11 +270,6 @@ def merge(digests: Sequence[Digest]) -> Digest:
 
 def check_same(own: DigestSettings, others: DigestSettings, what: str) -> None:
     """Refuse digests that do not add up.
-
-    Args:
-        own: Settings of one.
-        others: Those that it must have.
-        what: What messages call the one.
 
     Raises:
         DigestError: They differ; the message says in what.

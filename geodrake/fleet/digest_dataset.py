@@ -29,7 +29,6 @@ def model_of_digests(model: RobotModel, settings: DigestSettings) -> RobotModel:
 
     Args:
         model: The model as it was given when the settings were made.
-        settings: The settings.
 
     Raises:
         DigestError: It is another model.

@@ -69,11 +69,7 @@ def digest_content(digest: Digest) -> bytes:
 
 
 def sealed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return an NPZ archive that ends in the SHA-256 of all that is before it.
-
-    Args:
-        arrays: What it holds, by name.
-    """
+    """Return an NPZ archive that ends in the SHA-256 of all that is before it."""
     file = io.BytesIO()
     np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     with zipfile.ZipFile(file, "a") as archive:
@@ -84,10 +80,6 @@ def sealed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 def read_digest_of(path: Path, settings: DigestSettings) -> Digest:
     """Read a digest of one log in a folder, which must be the one that its name says.
-
-    Args:
-        path: The file.
-        settings: Settings that it must have.
 
     Raises:
         DigestError: It is no digest, damaged, by other settings, or that of another log.

@@ -50,8 +50,6 @@ class DigestRow(Short):
     """What became of one log.
 
     Attributes:
-        file: The log's file.
-        status: `made`, `there` or `failed`.
         digest: Its digest's file, if there is one.
         about: What that says of the log.
         samples: (nv,) filtered samples of each joint.
@@ -69,15 +67,7 @@ class DigestRow(Short):
 
     @classmethod
     def of(cls, file: Path, status: str, path: Path, digest: Digest, reason: str = "") -> DigestRow:
-        """Return the row of a log that has a digest.
-
-        Args:
-            file: The log's file.
-            status: `made` or `there`.
-            path: The digest's file.
-            digest: What is in it.
-            reason: Why it was made again, if it was.
-        """
+        """Return the row of a log that has a digest."""
         return cls(file, status, path, digest.logs[0], digest.samples, digest.effective, reason)
 
 
@@ -86,7 +76,6 @@ class DigestRun(Short):
     """What became of several logs.
 
     Attributes:
-        folder: Where the digests are.
         settings: Their settings; None if no log could be used, so that none are chosen.
         rows: The logs, in the order in which they were named.
         chosen: Whether the settings are new.
@@ -315,8 +304,6 @@ def check_settings(settings: DigestSettings, model: RobotModel, wanted: Wanted) 
     """Refuse settings that are of something else than what is wanted.
 
     Args:
-        settings: Those of a folder.
-        model: The model.
         wanted: How logs are read, and what settings are to be like.
 
     Raises:

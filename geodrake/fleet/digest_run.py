@@ -41,14 +41,7 @@ _KILLED = (
 
 @dataclass(frozen=True)
 class LogTask(Short):
-    """A log to be digested.
-
-    Attributes:
-        kind: Type of its robot.
-        robot: Its robot.
-        place: Where the log is.
-        folder: Folder of the type.
-    """
+    """A log to be digested."""
 
     kind: FleetType
     robot: FleetRobot
@@ -77,10 +70,6 @@ class FleetDigests(Short):
 
 def check_places(fleet: Fleet, *, local: bool) -> tuple[str, ...]:
     """Refuse what no worker could do, before any work.
-
-    Args:
-        fleet: The fleet.
-        local: Whether all is done in this process.
 
     Returns:
         What of the model files is not believed.
@@ -152,7 +141,6 @@ def find_tasks(
     """Logs that are to be digested, in the order of the fleet file; and what is known of others.
 
     Args:
-        fleet: The fleet.
         failed: Logs that failed before, which are not tried again until they have changed.
 
     Raises:
@@ -202,10 +190,7 @@ def digest_fleet(
     """Digest logs; what is there stays.
 
     Args:
-        fleet: The fleet.
-        tasks: Logs without a digest.
         known: Robot -> address -> record of the others; taken in are those of the tasks.
-        team: Who works.
         told: Called with what is going on.
 
     Raises:
@@ -259,9 +244,6 @@ def _choose_settings(
 
 def digest_task(task: LogTask) -> LogRecord:
     """Digest a log, wherever this runs.
-
-    Args:
-        task: The log.
 
     Raises:
         DigestError: The settings that are there do not fit.

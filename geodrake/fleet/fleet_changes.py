@@ -52,8 +52,6 @@ def find_changes(
 
     Args:
         histories: Logs of each robot, over the same p columns.
-        columns: What the columns are.
-        hypotheses: What may change.
         false_alarms: At most how many robots in which nothing changed are named, a robot-month.
         passes: How often all is done.
 
@@ -87,10 +85,7 @@ def changes_by(
     """`find_changes` where others look at robots, whose histories are not held here.
 
     Args:
-        team: Who works.
         histories: Where those of each robot are, over the same p columns.
-        columns: What the columns are.
-        hypotheses: What may change.
         false_alarms: At most how many robots in which nothing changed are named, a robot-month.
         passes: How often all is done.
     """
@@ -122,9 +117,7 @@ class _SearchedRobot:
 
     Attributes:
         model: What is known of its type, as it alone needs it.
-        history: Where its logs are.
         reference: (T, p) or (p,) parameters that gains refer to at first.
-        hypotheses: What may have changed.
         level: Probability of a false alarm in the time of its logs.
     """
 

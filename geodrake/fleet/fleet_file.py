@@ -34,11 +34,8 @@ class FleetType(Short):
     """Robots of one model.
 
     Attributes:
-        name: Name of the type.
-        model: File of the model.
         own_effects: Python files with effects of the user's own.
         effects: Effects that each joint has beside the model's; None for those that hardly any
-            joint is without: friction and an offset.
         bandwidth: Bandwidth of the digests, Hz; None if it is chosen by the first log.
         blocks: Blocks that each log is cut into; None for the usual number.
         payload: Mass of a usual payload, kg; None for a tenth of the robot's own.
@@ -73,8 +70,6 @@ class FleetRobot(Short):
     """One robot of a fleet.
 
     Attributes:
-        name: Its name.
-        type: Name of its type.
         logs: Patterns of its logs: absolute paths or addresses, with `*`, `?`, `[…]` and `**`.
         dates: When a log without stamps was recorded: `file`, when its file was changed; `stamps`,
             where those without are refused; or what a date in its path is like, as `%Y-%m-%d`.

@@ -22,10 +22,8 @@ class ChangedParameter:
     """By how much a parameter changed.
 
     Attributes:
-        name: Its name.
         unit: Its unit; empty for shares.
         size: Change; of a ramp up to the last log.
-        deviation: Its standard deviation.
         share: The change as a share of the robot's own value; NaN where there is no such.
     """
 
@@ -71,7 +69,6 @@ class ParameterHistory(Short):
     """A parameter of a robot over time.
 
     Attributes:
-        parameter: What it is.
         values: (T,) values as each log has them, in its unit.
         deviations: (T,) their standard deviations, with what logs scatter beyond noise.
         shown: (T,) whether the log says more of it than that the robot is one of the type.
@@ -88,9 +85,6 @@ class OwnParameter:
     """A parameter of a robot without its changes, beside those of others.
 
     Attributes:
-        parameter: What it is.
-        value: Value of the robot.
-        deviation: Its standard deviation.
         common: What robots of the type share.
         spread: By how much they differ, one standard deviation.
         of_model: What the robot's model file says, or its type's; NaN where that says nothing.
@@ -146,13 +140,7 @@ class RobotResult(Short):
 
 @dataclass(frozen=True)
 class UnusedLog(Short):
-    """A log that findings are not of: it could not be used, or holds the same as another.
-
-    Attributes:
-        robot: Its robot.
-        log: Its path or address.
-        reason: Why.
-    """
+    """A log that findings are not of: it could not be used, or holds the same as another."""
 
     robot: str
     log: str

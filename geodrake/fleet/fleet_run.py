@@ -98,8 +98,6 @@ def take_in_logs(
     """Digest the logs of a fleet that have no digest.
 
     Args:
-        fleet: The fleet.
-        work: Who works.
         failed: Logs that failed before, which are not tried again until they have changed.
         told: Called with what is going on.
         said: Called with what is worth a line that stays.
@@ -136,12 +134,6 @@ def fleet_result(
     fleet: Fleet, digests: FleetDigests, work: FleetWork, told: Told = lambda words, share: None
 ) -> FleetResult:
     """Findings from digests.
-
-    Args:
-        fleet: The fleet.
-        digests: What is known of its logs.
-        work: Who works, and how careful findings are.
-        told: Called with what is going on.
 
     Raises:
         FleetError: The scheduler cannot be used, or robots cannot be compared.

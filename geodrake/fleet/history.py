@@ -79,10 +79,8 @@ class RobotHistory(Short):
     """What a robot's logs say, in the order of time.
 
     Attributes:
-        robot: The robot's name.
         days: (T,) when each log was recorded, days, ascending.
         joints: (n,) what they say of each joint.
-        columns: Number p of columns.
         temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
     """
 
@@ -181,7 +179,6 @@ class ReferredLogs(Short):
     """Logs over the columns of a type, whose gains refer to some parameters of the robot.
 
     Attributes:
-        history: Where the logs are.
         gains: Number of gains among the columns: one for each joint, or 0.
         reference: (T, p) or (p,) parameters that gains refer to.
     """
@@ -219,7 +216,6 @@ def weighted_history(
     """The history of a robot, of normal matrices of its logs and joints.
 
     Args:
-        robot: The robot's name.
         days: (T,) when each log was recorded, days, in any order.
         grams: (T, n, p + 1, p + 1) matrices [A | b]ᵀ[A | b] of each log and joint over the same p
             columns, in units of the efforts and columns, not divided by the number of rows.

@@ -88,11 +88,7 @@ class HistorySums:
 
     @classmethod
     def none(cls, joints: int) -> HistorySums:
-        """Those of no log.
-
-        Args:
-            joints: Number of joints.
-        """
+        """Those of no log."""
         nothing = JointGrams(np.zeros(0, np.intp), np.zeros((0, 1, 1)))
         return cls([], [nothing] * joints, np.zeros((4, 0)), np.zeros((2, joints)))
 
@@ -142,12 +138,7 @@ class HistorySums:
         return np.sqrt(squares / np.maximum(samples, 1.0))
 
     def history(self, robot: str, columns: int) -> RobotHistory:
-        """Return the robot's history in the order of time; there must be a log.
-
-        Args:
-            robot: Its name.
-            columns: Number p of a type's columns.
-        """
+        """Return the robot's history in the order of time; there must be a log."""
         logs = self.times[2, self._there]
         joints = tuple(
             joint_history(each.columns, each.grams[self._there] / logs[:, None, None])
@@ -158,11 +149,6 @@ class HistorySums:
 
 def write_sums(path: Path, key: str, sums: HistorySums) -> None:
     """Keep sums in a file.
-
-    Args:
-        path: The file.
-        key: What they are of, beside logs.
-        sums: The sums.
 
     Raises:
         OutputError: It cannot be written.
@@ -184,12 +170,7 @@ def _save(arrays: dict[str, NDArray[Any]], file: Any) -> None:
 
 
 def read_sums(path: Path, key: str) -> HistorySums | None:
-    """Return the sums of a file; None if there is none, or it is damaged or of something else.
-
-    Args:
-        path: The file.
-        key: What they must be of.
-    """
+    """Return the sums of a file; None if there is none, or it is damaged or of something else."""
     try:
         with (
             open_regular(path, "file of sums", FleetError) as file,

@@ -29,9 +29,7 @@ class ChangeHypothesis(Short):
 
     Attributes:
         effect: Name of the effect, or of several in one word.
-        where: Joint or body.
         factor: (p, d) D; rows of relative columns are shares of the robot's own values.
-        kinds: "step", "ramp" or both.
     """
 
     effect: str
@@ -61,12 +59,9 @@ def column_change(
     """Some columns change, each by itself.
 
     Args:
-        effect: Name of the effect.
-        where: Its joint.
         columns: (d,) indices of its columns.
         count: Number p of all columns.
         size: Scale of a change for s = 1: a share, for relative columns, else in their unit.
-        kinds: "step", "ramp" or both.
 
     Raises:
         ArgumentError: There is no such column.
@@ -96,9 +91,6 @@ def body_change(
     the body's centre of mass, so that the prior depends on no frame and no unit.
 
     Args:
-        effect: Name of the effect.
-        where: The body's name.
-        body: Its index.
         phi: (nb, 10) physical inertial parameters of the bodies that all robots share.
         count: Number p of all columns; those of the bodies are the first.
         mass: Mass of a usual payload, kg.

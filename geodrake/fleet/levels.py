@@ -53,9 +53,6 @@ def parameter_levels(
     not known of the robot.
 
     Args:
-        model: What is known of its type.
-        robot: Its number.
-        logs: Its logs.
         fit: Its own parameters, with the changes that were found.
         columns: (c,) the parameters, by the numbers of their columns.
 

@@ -62,7 +62,6 @@ def date_of_log(
     """When a log began, s since 1970, and where that is from: `stamps`, `option` or `file`.
 
     Args:
-        log: The log.
         files: Its files, which count where nothing else is known: the one changed last.
         given: What the user says, s since 1970, where stamps do not say it.
 
@@ -108,7 +107,6 @@ def date_in_path(path: str, pattern: str) -> float:
     """The s since 1970 of the last date in a path, in UTC.
 
     Args:
-        path: The path or address of a log.
         pattern: What the date is like, such as `%Y-%m-%d_%H%M`.
 
     Raises:

@@ -70,10 +70,6 @@ def home_path(text: str) -> Path:
 def absolute_pattern(pattern: str, base: Path) -> str:
     """A pattern that means the same in every folder.
 
-    Args:
-        pattern: A path or an address, with wildcards.
-        base: The folder that paths are in.
-
     Raises:
         ArgumentError: It begins with the home of a user whom there is not.
     """
@@ -111,12 +107,7 @@ def find_logs(pattern: str) -> tuple[LogPlace, ...]:
 
 
 def fits(address: str, pattern: str) -> bool:
-    """Whether a pattern would find an address, if the log were there.
-
-    Args:
-        address: An absolute path, or an address.
-        pattern: One with wildcards.
-    """
+    """Whether a pattern would find an address, if the log were there."""
     plain = (re.sub(r"^[\w+.-]+://", "", each) for each in (address, pattern))
     return _fit(*([part for part in each.split("/") if part] for each in plain))
 
@@ -137,9 +128,6 @@ def local_log(place: LogPlace) -> Iterator[Path]:
     """The log as a file of this machine, under its own name: itself, or a copy.
 
     A copy is as old as the log; where nobody knows when that was changed, as in 1970.
-
-    Args:
-        place: Where it is.
 
     Raises:
         UnreachableLogError: It cannot be copied.

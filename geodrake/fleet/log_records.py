@@ -32,8 +32,6 @@ class LogRecord:
     """What became of a log of a robot.
 
     Attributes:
-        robot: Name of the robot.
-        address: Where the log was.
         stamp: Its size and when it was changed; empty if it is to be digested again.
         said: Hash of what the fleet file says of it: how it is dated, and what the robot carried.
         digest: Name of its digest's file; empty if there is none.
@@ -51,23 +49,12 @@ class LogRecord:
 
 
 def record_file(folder: Path, robot: str, address: str) -> Path:
-    """Return where the record of a log is.
-
-    Args:
-        folder: Folder of the robot's type.
-        robot: Name of the robot.
-        address: Where the log is.
-    """
+    """Return where the record of a log is."""
     return robot_folder(folder, robot) / f"{text_hash(address)[:_LETTERS]}.json"
 
 
 def robot_folder(folder: Path, robot: str) -> Path:
-    """Return where the records of a robot's logs are: a name that any file system takes.
-
-    Args:
-        folder: Folder of the robot's type.
-        robot: Name of the robot.
-    """
+    """Return where the records of a robot's logs are: a name that any file system takes."""
     plain = re.sub(r"[^\w-]", "_", robot, flags=re.ASCII)[:_NAME]
     return folder / _FOLDER / f"{plain}-{text_hash(robot)[:8]}"
 
@@ -80,10 +67,6 @@ def said_of(robot: FleetRobot) -> str:
 def write_record(folder: Path, record: LogRecord) -> None:
     """Write a record.
 
-    Args:
-        folder: Folder of the robot's type.
-        record: The record.
-
     Raises:
         OutputError: It cannot be written.
     """
@@ -95,10 +78,6 @@ def write_record(folder: Path, record: LogRecord) -> None:
 def look_again(folder: Path, record: LogRecord) -> None:
     """Have a log digested again when it is looked for next, if it is there: its digest is damaged.
 
-    Args:
-        folder: Folder of the robot's type.
-        record: Its record.
-
     Raises:
         OutputError: That cannot be written.
     """
@@ -109,10 +88,6 @@ def read_records(folder: Path, robot: FleetRobot) -> dict[str, LogRecord]:
     """Address -> record of a robot's logs that have a digest, of those that its patterns fit.
 
     One that is damaged, or was said otherwise, is none: its log is looked at again.
-
-    Args:
-        folder: Folder of the robot's type.
-        robot: The robot.
     """
     try:
         files = sorted(robot_folder(folder, robot.name).glob("*.json"))
@@ -143,12 +118,7 @@ def _read(path: Path) -> LogRecord | None:
 
 
 def changed_logs(places: Sequence[LogPlace], known: Mapping[str, LogRecord]) -> list[LogPlace]:
-    """Logs that are not as they were when their digests were made, and those that are new.
-
-    Args:
-        places: The logs.
-        known: Records by address.
-    """
+    """Logs that are not as they were when their digests were made, and those that are new."""
     return [
         place
         for place in places

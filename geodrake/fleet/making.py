@@ -87,7 +87,6 @@ class LogFacts:
 
     Attributes:
         content: SHA-256 of the bytes of its files.
-        files: Its files.
         date: When it was recorded, s since 1970, if somebody says it.
         payloads: What the robot carried all the time, of known mass, that the model does not have.
         episode: Which episode of a dataset the log is; None for all.
@@ -120,7 +119,7 @@ class LogFacts:
 def said_of_reading(reading: Reading) -> dict[str, Any]:
     """How all logs are read, as settings have it; which episode of a dataset is each log's own."""
     said = asdict(reading)
-    for name in ("episode", "ignored"):
+    for name in ("episode", "ignored", "motorless"):
         said.pop(name)
     if said["mapping"] is not None:
         said["mapping"].pop("source")
@@ -214,6 +213,11 @@ def make_digest(
     """
     instance(log, "log", JointLog)
     instance(facts, "facts", LogFacts)
+    if log.passive:
+        raise LogError(
+            f"{log.passive[0]} of log {log.name!r} has no motor: digests are of measured efforts.",
+            advice="`explain` fits bodies beside joints without a motor.",
+        )
     extra = instances(extra, "extra", type)
     own = model_of_digests(model, settings)
     _check_held(log, settings)

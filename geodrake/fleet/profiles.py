@@ -24,11 +24,7 @@ FORMS = (STEP, UNTIL, RAMP)
 
 
 def kind_of(form: str) -> str:
-    """The kind of change that a form is of.
-
-    Args:
-        form: One of `FORMS`.
-    """
+    """The kind of change that a form is of."""
     return STEP if form == UNTIL else form
 
 
@@ -40,7 +36,6 @@ class Profiles(Short):
     to the log and then rises in proportion to the days, to 1 at the last log.
 
     Attributes:
-        form: One of `FORMS`.
         first: (K,) log at which each begins.
         days: (T,) days of the logs.
     """
@@ -54,7 +49,6 @@ class Profiles(Short):
         """All that the days of a robot's logs can show.
 
         Args:
-            form: One of `FORMS`.
             days: (T,) days of the logs, ascending.
         """
         starts = np.unique(days, return_index=True)[1]  # logs of one day are not told apart

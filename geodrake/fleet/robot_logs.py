@@ -46,7 +46,6 @@ def reduced_log(digest: Digest, kept: Indices) -> ReducedLog:
     leaves nothing.
 
     Args:
-        digest: Its digest.
         kept: (p,) which of the settings' columns count, ascending.
     """
     samples = digest.samples.astype(float)
@@ -92,10 +91,7 @@ class HistoryTask(Short):
     """A robot whose digests are to be read.
 
     Attributes:
-        robot: Its name.
         records: Records of its logs, by date; at least one.
-        folder: Folder of its type.
-        settings: Settings of the digests.
         kept: (p,) which of the settings' columns count, ascending.
     """
 
@@ -121,7 +117,6 @@ class KeptHistory(Short):
     """A robot's history, which is read from its file by whoever needs it: it is large.
 
     Attributes:
-        task: What it is of.
         stamps: Hash of what says which logs are in it.
         days: (T,) when each log was recorded, days, ascending.
         temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
@@ -174,9 +169,6 @@ class ReadHistory(Short):
 
 def read_history(task: HistoryTask) -> ReadHistory:
     """Return a robot's history from its digests, wherever this runs.
-
-    Args:
-        task: The robot.
 
     Raises:
         OutputError: It cannot be kept.

@@ -58,7 +58,6 @@ class DigestColumn:
     """What a column of a digest is of.
 
     Attributes:
-        kind: `body`, or `effect`.
         name: Of a body, a combination of inertial parameters, such as `Izz of arm + 0.1 m of hand`;
             the name of the effect otherwise.
         where: The body whose parameter names the combination; joints or bodies of the effect.
@@ -80,9 +79,6 @@ class DigestEffect:
     """An effect that digests have columns for.
 
     Attributes:
-        name: Its name.
-        where: Its joints or bodies.
-        shape: Its shape parameters.
         parameters: Names of its linear parameters.
         units: Their units.
         in_bodies: Whether its columns are those of the bodies, as a payload's are.
@@ -112,9 +108,6 @@ class DigestEffect:
 
     def made(self, extra: Sequence[type[Effect]] = ()) -> Effect:
         """Return the effect itself.
-
-        Args:
-            extra: Effect classes of the user's own.
 
         Raises:
             DigestError: There is no such effect, or its source is another one now.
@@ -239,10 +232,6 @@ _WORDS = {
 
 def settings_of(text: str, source: str | Path) -> DigestSettings:
     """Settings from the text that `DigestSettings.text` makes.
-
-    Args:
-        text: The text.
-        source: What messages call it.
 
     Raises:
         DigestError: It is damaged, or of another version of the format.

@@ -23,11 +23,7 @@ class ToldFinding:
     """What was told of a finding.
 
     Attributes:
-        robot: Its robot.
-        effect: Its effect.
-        where: Its joint or body.
         earliest: Beginning of its interval, s since 1970.
-        latest: End of its interval.
     """
 
     robot: str
@@ -52,10 +48,6 @@ class ToldFinding:
 def new_findings(folder: Path, findings: Sequence[FleetFinding]) -> list[FleetFinding]:
     """Findings that were not told before.
 
-    Args:
-        folder: Folder of the fleet.
-        findings: All that there are now.
-
     Raises:
         FleetError: What was told before cannot be read.
     """
@@ -65,10 +57,6 @@ def new_findings(folder: Path, findings: Sequence[FleetFinding]) -> list[FleetFi
 
 def keep_told(folder: Path, findings: Sequence[FleetFinding]) -> None:
     """Remember that findings were told.
-
-    Args:
-        folder: Folder of the fleet.
-        findings: Those that were.
 
     Raises:
         OutputError: That cannot be written.

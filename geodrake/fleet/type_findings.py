@@ -54,12 +54,9 @@ def type_findings(
     """What changed in robots of a type, in their order.
 
     Args:
-        name: Name of the type.
         histories: Where those of the robots are; at least one.
-        layout: The columns of the type.
         models: Robot -> (p,) what its own model file says; others have that of the type.
         false_alarms: At most how many robots in which nothing changed are named, a robot-month.
-        team: Who works.
     """
     try:
         found = changes_by(

@@ -79,7 +79,6 @@ def type_layout(
 
     Args:
         model: The model as it was given when the settings were made.
-        settings: The settings of its digests.
         efforts: (nv,) usual sizes of the joints' efforts, N·m or N.
         payload: Mass of a usual payload, kg; None for a tenth of all that moves.
 

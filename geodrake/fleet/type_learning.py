@@ -44,10 +44,7 @@ def learn_type(
 
     Args:
         logs: Those of each robot, over the columns of the type.
-        columns: What the columns are.
         changes: (T, p, m) of each robot: changes that were found in it, as further parameters.
-        start: Where to begin: what was learnt before.
-        rounds: Steps of the iteration.
 
     Raises:
         ArgumentError: There is no robot, or one has other columns.
@@ -74,15 +71,7 @@ def learnt(
     changes: Sequence[Array] | None = None,
     rounds: int,
 ) -> TypeModel:
-    """`learn_type` where others look at robots.
-
-    Args:
-        team: Who works.
-        logs: Where those of each robot are.
-        start: Where to begin.
-        changes: As of `learn_type`.
-        rounds: Steps of the iteration.
-    """
+    """`learn_type` where others look at robots."""
     every = [None] * len(logs) if changes is None else changes
     for _ in range(rounds):
         pieces = [(start.of(r), *each) for r, each in enumerate(zip(logs, every, strict=True))]
@@ -91,12 +80,7 @@ def learnt(
 
 
 def pooled(team: Workers, logs: Sequence[EquationSource]) -> tuple[Array, Array]:
-    """Sums of all normal matrices (p, p), and of right sides (p,).
-
-    Args:
-        team: Who adds those of each robot.
-        logs: Where they are.
-    """
+    """Sums of all normal matrices (p, p), and of right sides (p,)."""
     information, right = zip(*in_order(team, _sums, logs), strict=True)
     return np.sum(information, axis=0), np.sum(right, axis=0)
 
@@ -107,13 +91,7 @@ def _sums(logs: EquationSource) -> tuple[Array, Array]:
 
 
 def begun(team: Workers, logs: Sequence[EquationSource], columns: TypeColumns) -> TypeModel:
-    """Pooled least squares, with the prior where logs say nothing.
-
-    Args:
-        team: Who adds those of each robot.
-        logs: Where they are.
-        columns: What the columns are.
-    """
+    """Pooled least squares, with the prior where logs say nothing."""
     K, p, free = len(columns.spreads), len(columns.prior), columns.free
     information, right = pooled(team, logs)
     mean = columns.prior.copy()

@@ -36,7 +36,6 @@ class TypeModel(Short):
     """What is known of a type of robots.
 
     Attributes:
-        columns: Its columns.
         mean: (p,) parameters μ that all share.
         covariance: (p, p) covariance of μ.
         deviations: (K,) scale s of each spread, from robot to robot.
@@ -66,11 +65,7 @@ class TypeModel(Short):
         return np.maximum(size, 1e-3 * np.where(largest > 0.0, largest, 1e3))
 
     def of(self, robot: int) -> TypeModel:
-        """The type as one of its robots alone needs it, whose number is 0.
-
-        Args:
-            robot: Its number.
-        """
+        """The type as one of its robots alone needs it, whose number is 0."""
         one = slice(robot, robot + 1)
         return replace(self, own=self.own[one], odd=self.odd[one])
 
@@ -88,8 +83,6 @@ class TypeModel(Short):
         θ has a part for every spread, one for the response to the course, and one for changes.
 
         Args:
-            robot: Its number.
-            logs: Its logs.
             changes: (T, p, m) further parameters of its own, each N(0, 1); None if there are none.
             odd: (T, K) what τ² has beyond that of the type; None for what was learnt.
         """
@@ -108,19 +101,13 @@ class TypeModel(Short):
         """A fit of the same logs with other changes.
 
         Args:
-            fit: The fit.
             changes: (T, p, m) further parameters, each N(0, 1).
         """
         response = fit.own[:, :, : self.columns.sizes[-1]]
         return replace(fit, own=np.concatenate([response, changes], axis=2))
 
     def log_scores(self, robot: int, fit: RobotFit) -> LogScores:
-        """How large scores of a robot's logs are along each spread.
-
-        Args:
-            robot: Its number.
-            fit: A fit of them.
-        """
+        """How large scores of a robot's logs are along each spread."""
         scale = self.scale(robot)[:, None]
         return fit.scores([scale * spread.factor for spread in self.columns.spreads])
 
@@ -162,24 +149,13 @@ class TypeModel(Short):
         ]
 
     def together(self, robot: int, logs: LogEquations) -> Array:
-        """(T, p) what the common course adds to a robot's parameters at its logs.
-
-        Args:
-            robot: Its number.
-            logs: Its logs.
-        """
+        """(T, p) what the common course adds to a robot's parameters at its logs."""
         values = np.zeros((len(logs.days), len(self.mean)))
         values[:, self.columns.course] = self.course.of(logs)
         return np.asarray(values * self.scale(robot))
 
     def parameters(self, robot: int, logs: LogEquations, fit: RobotFit) -> Array:
-        """(T, p) a robot's parameters at its logs by a fit, without the logs' own scatter.
-
-        Args:
-            robot: Its number.
-            logs: Its logs.
-            fit: The fit.
-        """
+        """(T, p) a robot's parameters at its logs by a fit, without the logs' own scatter."""
         return np.asarray(self.mean + self.together(robot, logs) + fit.deviation)
 
     def _scattered(self, scale: Array, odd: Array) -> Array:
@@ -218,10 +194,6 @@ def _kept_shares() -> tuple[Array, Array]:
 
 def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
     """A robot's parameters (p,) without course and changes, and their covariance (p, p).
-
-    Args:
-        model: What is known of its type.
-        fit: Its fit.
 
     Raises:
         ArgumentError: They are something else.

@@ -55,9 +55,6 @@ class TypeSource:
 def type_source(kind: FleetType) -> TypeSource:
     """The model of a type, and how its logs are read.
 
-    Args:
-        kind: The type.
-
     Raises:
         GeodrakeError: The model or another file cannot be read, or an effect is not known.
     """
@@ -98,10 +95,6 @@ def _read(key: _Key) -> TypeSource:
 
 def own_model(kind: FleetType, path: Path) -> RobotModel:
     """The model of one robot, read as that of its type.
-
-    Args:
-        kind: The type.
-        path: The robot's model file.
 
     Raises:
         GeodrakeError: It cannot be read.
@@ -146,12 +139,7 @@ def _of_joints(kind: FleetType, extra: Sequence[type[Effect]]) -> tuple[type[Eff
 
 
 def with_joint_effects(model: RobotModel, kinds: Sequence[type[Effect]]) -> RobotModel:
-    """A model with effects at all joints where it has none of the kind, of unknown sizes.
-
-    Args:
-        model: The model.
-        kinds: Classes of effects of joints.
-    """
+    """A model with effects at all joints where it has none of the kind, of unknown sizes."""
     there = {(fitted.effect.name, fitted.effect.where) for fitted in model.effects}
     joints = [joint for joint in model.joints if joint in model.single_joints]
     added = [

@@ -40,7 +40,6 @@ class Done(Generic[R]):
     """What became of a piece of work.
 
     Attributes:
-        at: Its number.
         result: What came out; None if it killed its workers.
     """
 
@@ -52,44 +51,26 @@ class Workers(Protocol):
     """What does pieces of work."""
 
     def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[Done[R]]:
-        """The results, as they come.
-
-        Args:
-            work: A function that other processes can import.
-            pieces: Its arguments.
-        """
+        """The results, as they come."""
 
 
 class InThisProcess:
     """Does one after the other."""
 
     def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[Done[R]]:
-        """The results, in order.
-
-        Args:
-            work: A function.
-            pieces: Its arguments.
-        """
+        """The results, in order."""
         for at, piece in enumerate(pieces):
             yield Done(at, work(piece))
 
 
 @dataclass(frozen=True)
 class OfDask:
-    """Does them on the workers of a scheduler.
-
-    Attributes:
-        client: Dask's client.
-    """
+    """Does them on the workers of a scheduler."""
 
     client: Any
 
     def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[Done[R]]:
         """The results, as they come; what is not begun is given up if one raises.
-
-        Args:
-            work: A function that other processes can import.
-            pieces: Its arguments.
 
         Raises:
             FleetError: The scheduler is lost.
@@ -144,13 +125,7 @@ def _done(packet: bytes) -> bytes:
 
 
 def in_order(team: Workers, work: Callable[[T], R], pieces: Sequence[T]) -> list[R]:
-    """Results in the order of the pieces; what kills its workers is done by this process.
-
-    Args:
-        team: Who works.
-        work: A function that other processes can import.
-        pieces: Its arguments.
-    """
+    """Results in the order of the pieces; what kills its workers is done by this process."""
     found = {done.at: done.result for done in team.each(work, pieces)}
     results = (found[at] for at in range(len(pieces)))
     return [work(p) if r is None else r for p, r in zip(pieces, results, strict=True)]

@@ -26,7 +26,6 @@ class Member:
 
     Attributes:
         index: The link's index in the plant.
-        name: The link's name.
         X_RB: Pose of the link B in the frame R of the lumped body's representative.
     """
 
@@ -53,10 +52,6 @@ class LumpedBody:
 def check_plant(plant: MultibodyPlant, name: str = "plant") -> None:
     """Refuses what is no finalized plant.
 
-    Args:
-        plant: What the caller passed.
-        name: What messages call it.
-
     Raises:
         ArgumentError: It is something else.
         ModelError: It is not finalized.
@@ -67,10 +62,6 @@ def check_plant(plant: MultibodyPlant, name: str = "plant") -> None:
 
 def check_context(system: System, context: Context) -> None:
     """Refuse what is no Context of a system, such as a plant.
-
-    Args:
-        system: The system.
-        context: What the caller passed.
 
     Raises:
         ArgumentError: It is something else.
@@ -88,9 +79,6 @@ def check_context(system: System, context: Context) -> None:
 
 def lumped_bodies(plant: MultibodyPlant) -> tuple[LumpedBody, ...]:
     """Groups of welded links that move with respect to the world.
-
-    Args:
-        plant: A finalized plant.
 
     Returns:
         The groups without the one welded to the world, in order of the representative's BodyIndex.

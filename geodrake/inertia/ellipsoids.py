@@ -102,7 +102,6 @@ class Ellipsoid(Short):
         """Points (*size, 3), m, evenly distributed over one ellipsoid or several of shape size.
 
         Args:
-            rng: Source of randomness.
             size: Shape of the points; its last axes are those of the ellipsoids, if there are
                 several.
         """

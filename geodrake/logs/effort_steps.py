@@ -24,9 +24,6 @@ def step_notes(log: JointLog) -> Iterator[str]:
 
     A step s makes a noise of deviation s/√12. Numbers that are printed with few digits come in
     steps, too; where their noise is much larger nothing is said.
-
-    Args:
-        log: The log.
     """
     steps = dict(zip(log.joints, effort_steps(log).tolist(), strict=True))
     coarse = {joint: step for joint, step in steps.items() if step > 0.0}
@@ -42,11 +39,7 @@ def step_notes(log: JointLog) -> Iterator[str]:
 
 
 def effort_steps(log: JointLog) -> Array:
-    """(n,) steps of the efforts of each joint, in their unit; 0 where none dominates the noise.
-
-    Args:
-        log: The log.
-    """
+    """(n,) steps of the efforts of each joint, in their unit; 0 where none dominates the noise."""
     return np.array([_step(column) for column in log.effort[:_ROWS].T])
 
 

@@ -121,7 +121,6 @@ class ZeroPhaseFilter:
         """Input slices whose outputs, one after another, are those of all `n` samples at once.
 
         Args:
-            n: Number of input samples.
             size: Most samples in a slice; raised to what one output needs.
 
         Yields:

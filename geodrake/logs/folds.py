@@ -30,7 +30,6 @@ class Block:
     """A stretch of the filtered samples of one segment.
 
     Attributes:
-        trajectory: Index of the trajectory.
         segment: Index of the segment in the trajectory.
         start: First of the segment's filtered samples that is in the block.
         stop: First one after the block.
@@ -51,7 +50,6 @@ class Fold:
 
     Attributes:
         name: Where it comes from, in words.
-        blocks: Its samples, as blocks.
     """
 
     name: str
@@ -74,7 +72,6 @@ def validation_blocks(
     blocks belong to no fold.
 
     Args:
-        trajectories: The prepared logs.
         blocks: Blocks for each trajectory, if it is to be cut; fewer where a block would have less
             than ten filtered samples.
         gap_seconds: Time between neighbouring blocks, s; by default the length of the filter's
@@ -127,10 +124,7 @@ def dealt_out(
     """Folds of which windows are cut into pieces, every other one given to another fold.
 
     Args:
-        folds: The folds.
-        trajectories: The prepared logs.
         windows: Index of the log, start and end of each window, s since the log began.
-        pieces: Pieces of a window.
     """
 
     def owners(number: int) -> list[int]:
@@ -149,8 +143,6 @@ def set_apart(
     """Folds less some windows, which become a fold of their own.
 
     Args:
-        folds: The folds.
-        trajectories: The prepared logs.
         windows: Index of the log, start and end of each window, s since the log began.
     """
     dealt = _redealt(folds, trajectories, windows, lambda number: [len(folds)])

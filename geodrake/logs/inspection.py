@@ -8,12 +8,14 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
 from geodrake.logs.files import Reading, understand
-from geodrake.logs.files.column_names import Columns
-from geodrake.logs.motion import JointLog
+from geodrake.logs.files.column_names import Columns, Source
+from geodrake.logs.files.units import unit_of
+from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.sensor_faults import without_faults
 from geodrake.logs.unit_hints import position_unit_hint, row_order_hint
 
@@ -29,7 +31,6 @@ class UnderstoodColumn:
     """A column of a log and where it comes from.
 
     Attributes:
-        joint: The joint.
         quantity: What is measured; of efforts, their kind.
         column: Name of the column in the file.
         unit: The unit that it was in; "" for SI.
@@ -62,6 +63,7 @@ class LogInspection:
         gaps: Instant and length of every gap, s.
         rests: First and last instant of stretches in which no joint moves, s.
         notes: What was noticed while reading, and what sensors did wrong.
+        time_unit: Unit that time was in; "" where nobody said it.
     """
 
     log: JointLog
@@ -72,6 +74,7 @@ class LogInspection:
     gaps: tuple[tuple[float, float], ...]
     rests: tuple[tuple[float, float], ...]
     notes: tuple[str, ...]
+    time_unit: str = ""
 
     @property
     def seconds(self) -> float:
@@ -98,7 +101,6 @@ def inspect_log(
         path: The file; see `read_log`.
         joints: Names of a model's joints, if the log must have them.
         partial: Whether it may lack some of these.
-        reading: How the file is to be read.
 
     Raises:
         LogError: It cannot be read.
@@ -125,7 +127,27 @@ def inspect_log(
         tuple((float(_known(log.time)[k]), float(steps[k])) for k in np.flatnonzero(gap).tolist()),
         tuple(_rests(log, period)),
         (*log.notes, *notes, *filter(None, hints)),
+        unit.name if (unit := columns.sources.get("time", Source("")).unit) else "",
     )
+
+
+def mapping_text(found: LogInspection, columns: Sequence[UnderstoodColumn]) -> str:
+    """Return the text of a mapping that reads a log as it was understood, or as columns say."""
+    time: dict[str, object] = {"rate": round(1.0 / found.period, 6)}
+    if found.time_column:
+        said = {"unit": found.time_unit} if found.time_unit else {}
+        time = {"time": {"column": found.time_column, **said}}
+    joints: dict[str, dict[str, object]] = {joint: {} for joint in found.log.joints}
+    for each in columns:
+        unit = unit_of(each.unit, each.quantity) if each.unit else None
+        gain = each.factor / (unit.factor if unit else 1.0)
+        entry: dict[str, object] = {"column": each.column}
+        entry |= {"unit": each.unit} if each.unit else {}
+        entry |= {"gain": gain} if gain != 1.0 else {}
+        joints[each.joint][each.quantity] = entry if len(entry) > 1 else each.column
+    for joint in found.log.passive:
+        joints[joint]["effort"] = PASSIVE
+    return str(yaml.safe_dump({**time, "joints": joints}, sort_keys=False, allow_unicode=True))
 
 
 def _known(values: Array) -> Array:

@@ -59,9 +59,6 @@ def _is_copy(command: Array, position: Array, late: int) -> bool:
 def check_saturation(log: JointLog) -> None:
     """Refuse efforts that are at their largest value most of the time.
 
-    Args:
-        log: A log.
-
     Raises:
         LogError: What was measured of a joint is, in nine of ten rows in which it moves.
     """

@@ -35,8 +35,11 @@ PARTIAL = ("command", "temperature")
 SIGNAL_KINDS = ("current", "voltage", "pwm")
 """What may be measured of a motor in the place of an effort."""
 
-EFFORT_KINDS = ("effort", *SIGNAL_KINDS)
-"""What efforts may be measured as: N·m or N, A, V, or a share of the supply's voltage."""
+PASSIVE = "passive"
+"""The kind of the efforts of a joint without a motor: they are zero, and nobody measured them."""
+
+EFFORT_KINDS = ("effort", *SIGNAL_KINDS, PASSIVE)
+"""What efforts may be: N·m or N, A, V, a share of the supply's voltage, or none of a motor."""
 
 USUAL_GAIN_DEVIATION = 0.05
 """How well gains of efforts are known where nobody says it, as a share: as torque constants are."""
@@ -63,7 +66,7 @@ class JointLog(Short):
             each: 5 % by default, as torque constants are; 0 for calibrated torque sensors.
         standing: Other joint, of which only positions are known -> where it stands, rad or m; NaN
             if it moves.
-        passive: Such a joint -> its positions (N,), rad or m, where they are kept.
+        alone: Such a joint -> its positions (N,), rad or m, where they are kept.
         command: (N, n) positions that servos were told to go to, rad or m; NaN at joints that have
             none.
         effort_kinds: Joint -> what its efforts are, of `EFFORT_KINDS`; efforts where it is none.
@@ -87,7 +90,7 @@ class JointLog(Short):
     payloads: tuple[KnownPayload, ...] = ()
     effort_uncertainty: float | Array = USUAL_GAIN_DEVIATION
     standing: Mapping[str, float] = field(default_factory=dict)
-    passive: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
+    alone: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
     command: Array | None = None
     effort_kinds: Mapping[str, str] = field(default_factory=dict)
     temperature: Array | None = None
@@ -139,6 +142,11 @@ class JointLog(Short):
                 )
 
     @property
+    def passive(self) -> tuple[str, ...]:
+        """Joints without a motor, whose bodies and friction need no effort together."""
+        return tuple(j for j in self.joints if self.effort_kinds.get(j) == PASSIVE)
+
+    @property
     def gain_deviations(self) -> Array:
         """(n,) how well the gain of each joint's efforts is known."""
         return np.broadcast_to(np.asarray(self.effort_uncertainty, float), (len(self.joints),))
@@ -186,9 +194,6 @@ class JointLog(Short):
 
     def select(self, joints: Sequence[str]) -> JointLog:
         """The log of some of its joints, in the order given; itself if that is its own order.
-
-        Args:
-            joints: Names of joints that the log has.
 
         Raises:
             LogError: If the log lacks one of them; the message offers the nearest names.
@@ -263,7 +268,6 @@ class Trajectory:
     """One log, prepared for identification.
 
     Attributes:
-        name: Name of the log.
         joints: Names of the n joints, in the log's order.
         segments: Its stretches without gaps, in time.
         filter: What efforts and regressors of every segment are to be filtered by.
@@ -289,6 +293,7 @@ class Trajectory:
     gain_deviations: Array | float = 0.0
     bandwidths: tuple[float, float] = (0.0, 0.0)
     temperatures: Temperatures | None = None
+    passive: tuple[str, ...] = ()
 
     @property
     def output_counts(self) -> tuple[int, ...]:
@@ -306,7 +311,6 @@ def match_joints(log: JointLog, model_joints: Sequence[str]) -> JointLog:
 
     Args:
         log: A log of exactly the model's joints, in any order.
-        model_joints: Names of the model's joints.
 
     Raises:
         LogError: If log or model has a joint that the other lacks; the message offers the
@@ -319,14 +323,7 @@ def match_joints(log: JointLog, model_joints: Sequence[str]) -> JointLog:
 def check_joints(
     name: str, joints: Sequence[str], model_joints: Sequence[str], *, partial: bool = False
 ) -> None:
-    """Raise a LogError unless the joints of the log of that name are the model's, in any order.
-
-    Args:
-        name: Name of the log, for messages.
-        joints: Names of the log's joints.
-        model_joints: Names of the model's joints.
-        partial: Whether the log may lack some of them.
-    """
+    """Raise a LogError unless the joints of the log of that name are the model's, in any order."""
     for joint in joints:
         if joint not in model_joints:
             raise LogError(

@@ -19,7 +19,7 @@ from geodrake.logs.filtering import (
 from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.smoothing import Segment, Stretch, smooth_pieces
 from geodrake.logs.temperatures import Temperatures
-from geodrake.logs.uniform_log import UniformLog, make_uniform
+from geodrake.logs.uniform_log import UniformLog, make_uniform, naming_log
 from geodrake.logs.unit_hints import position_unit_hint
 from geodrake.logs.white_noise import quiet_density
 
@@ -37,7 +37,6 @@ def prepare_log(log: JointLog, *, bandwidth: float | None = None) -> Trajectory:
     """Prepare one log; see `prepare_logs`.
 
     Args:
-        log: The log.
         bandwidth: Bandwidth of efforts and regressors, Hz; by default chosen from the data.
     """
     return prepare_logs([log], bandwidth=bandwidth)[0]
@@ -83,14 +82,17 @@ def prepare_logs(
         how = "chosen from the data"
         bandwidth = motion_bandwidth_of(uniform)
     sharp = motion_bandwidth or _SHARPER * bandwidth
-    return tuple(_prepare(each, bandwidth, sharp, how) for each in uniform)
+    found = []
+    for each in uniform:
+        with naming_log(each.log):
+            found.append(_prepare(each, bandwidth, sharp, how))
+    return tuple(found)
 
 
 def motion_bandwidth_of(uniform: Sequence[UniformLog], *, time_scale: float = 1.0) -> float:
     """Bandwidth that holds the motion of logs and little of their positions' noise, Hz.
 
     Args:
-        uniform: The logs.
         time_scale: By what their time is to be multiplied, if it is not in s.
     """
     moving = np.any([each.moving for each in uniform], axis=0)
@@ -130,11 +132,16 @@ def _prepare(
         log.gain_deviations,
         (bandwidth, motion_bandwidth),
         temperatures,
+        log.passive,
     )
     _check_outputs(uniform, low_pass, sum(trajectory.output_counts))
     dropped = len(uniform.pieces) - len(stretches)
     if dropped:
-        note = f"left out {dropped} of {len(uniform.pieces)} pieces: still, or short for the filter"
+        lost = uniform.seconds - sum(len(s.piece) * period for s in stretches)
+        note = (
+            f"left out {dropped} of {len(uniform.pieces)} pieces, {lost:.3g} of "
+            f"{uniform.seconds:.3g} s: still, or short for the filter"
+        )
         return replace(trajectory, notes=(*notes, note))
     return trajectory
 
@@ -229,7 +236,6 @@ def _acceleration_noise(uniform: UniformLog, low_pass: ZeroPhaseFilter, *, deriv
     """(n,) deviation of the noise of accelerations from white noise of what they come from.
 
     Args:
-        uniform: The log.
         low_pass: What efforts are filtered by, which the accelerations act like.
         derived: Whether velocities are derived from the positions.
     """

@@ -36,6 +36,7 @@ _ALONE = 0.05  # of a jump that the steps before and after it have at most
 _TURNS, _WRAP = (2.0 * np.pi, 360.0), 0.05  # one turn, and the share of it that a wrap may be off
 _FROZEN_SECONDS, _FROZEN_ROWS = 0.25, 20  # that a frozen reading lasts at least
 _MOVING = 0.1, 0.01, 0.02  # share of the peak speed, rad/s or m/s, and rad or m: a joint that moves
+_HELD_RANGE, _HELD_SPEED = 2e-3, 0.05  # rad or m, and of the fastest joint's RMS: a held joint
 _CATCH_UP = 3.0  # largest steps elsewhere that a frozen position makes at its end
 _RARE = 20.0  # times that a frozen effort lasts as long as 99 % of the runs of equal efforts
 _MOST_FROZEN = 0.5  # of a log, above which the rest says nothing of the robot
@@ -47,9 +48,6 @@ def without_faults(log: JointLog) -> JointLog:
     Positions that wrap at a full turn are unwrapped. Readings that jump by orders of magnitude and
     come back within a few rows become NaN, and so do positions and efforts that stay exactly the
     same while the joint moves, and the last position before a jump that stays.
-
-    Args:
-        log: The log.
 
     Raises:
         LogError: A value is impossible, and not for a moment, or a sensor is frozen most of the
@@ -74,9 +72,7 @@ class _Sensor:
     """What one sensor of one joint measured.
 
     Attributes:
-        log: The log.
         quantity: What is measured, such as "position".
-        joint: Which joint's it is.
         period: Typical time between rows, s.
         rows: (K,) rows that are no empty cells; all of them if a slice.
         time: (K,) instants, s.
@@ -250,9 +246,24 @@ class _Sensor:
     def _moves_on(self, run: slice) -> bool:
         """Whether the velocity says that the joint moves while its position stays."""
         share, speed, least = _MOVING
+        if self._rests:
+            return False
         here = self._velocity[run]
         moves = np.abs(here).mean() > max(share * self._peak_speed, speed)
         return bool(moves) and travels(here, self.period, least)
+
+    @cached_property
+    def _rests(self) -> bool:
+        """Whether positions stay throughout, and velocities are small beside those of others.
+
+        A joint that is held has noise for its velocity, of any colour, and a few steps of its
+        encoder for its position.
+        """
+        if np.ptp(self.values) > _HELD_RANGE or self.log.velocity is None:
+            return False
+        squares = np.square(np.clip(self.log.velocity, -LARGEST, LARGEST))
+        speeds = np.sqrt(np.nanmean(np.where(np.isfinite(squares), squares, 0.0), axis=0))
+        return bool(speeds[self.joint] <= _HELD_SPEED * speeds.max())
 
     @cached_property
     def _velocity(self) -> Array:

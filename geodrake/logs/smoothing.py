@@ -104,7 +104,6 @@ class SmoothPiece:
     """A piece, smoothed and differentiated slice by slice.
 
     Attributes:
-        piece: The piece.
         smoother: Low-pass for positions and velocities.
         lag: (n,) time by which measured velocities are late, s; None to derive the velocities
             from the positions instead.
@@ -181,8 +180,6 @@ def smooth_pieces(
     """The pieces of a log, smoothed where somebody looks; a short log's samples are kept.
 
     Args:
-        pieces: The pieces.
-        smoother: Low-pass for positions and velocities.
         lag: (n,) time by which measured velocities are late, s; None to derive the velocities.
     """
     kept = sum(map(len, pieces)) <= CHUNK
@@ -194,7 +191,6 @@ class Stretch:
     """Part of a piece, in which a log is of use.
 
     Attributes:
-        piece: The piece, smoothed.
         first: First of the piece's samples.
         stop: First one after the stretch.
     """

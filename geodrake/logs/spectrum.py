@@ -28,7 +28,6 @@ def spectral_density(
         signal: (N, n) samples.
         rate: Sampling rate, Hz.
         length: Samples in a window, two or more and at most N.
-        window: Coefficients of the window.
         centered: Whether the mean of every window is taken away.
 
     Returns:

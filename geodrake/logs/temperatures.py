@@ -33,7 +33,6 @@ class Temperatures:
         of a sensor that fails: they are left out.
 
         Args:
-            joints: Names of the n joints.
             time: (N,) time stamps of a log, s.
             readings: (N, n) temperatures, °C, NaN where there is none; None if nobody read any.
 
@@ -52,7 +51,6 @@ class Temperatures:
 
         Args:
             time: (N,) instants since the log began, s.
-            joints: Names of n joints.
 
         Returns:
             (N, n), °C; NaN at joints without.

@@ -12,11 +12,75 @@ Array = NDArray[np.float64]
 _LATEST = 1e20  # s; nanoseconds since 1970 are 2e18
 
 
+_EPOCH = 9e8, 4.2e9  # s since 1970 at which a robot may have been logged: from 1998 to 2103
+_UNITS = {"ns": 1e-9, "µs": 1e-6, "ms": 1e-3}
+_RATES = 5.0, 5000.0  # rows a second of a log
+_SLOWEST = 2.0  # s between rows: no log has more
+_MOST_SETS = 5  # of a clock, in a log
+_EVEN = 0.02  # share of the rows before and after, at least, and ten of them
+_REPEATED = 0.05  # share of rows that may have the stamp of the row before
+_GAP = 1.0  # s that are taken to lie between rows before and after a clock was set back
+
+
+def time_unit(name: str, time: Array) -> tuple[float, str] | None:
+    """Return the factor to seconds of time stamps (N,) of no known unit, and why; None for s.
+
+    They are of an epoch in ms, µs or ns, or of no plausible rate in any unit but one; those in a
+    column of the `name` time are in s unless they are of an epoch, as geodrake writes them.
+    """
+    known = time[np.isfinite(time)]
+    if len(known) < 2:
+        return None
+    typical, period = float(np.median(known)), float(np.median(np.abs(np.diff(known))))
+    for unit, factor in _UNITS.items():
+        if _EPOCH[0] < factor * typical < _EPOCH[1]:
+            return factor, f"time is in {unit} since 1970, by its size: converted"
+    if name == "time" or period < _SLOWEST:
+        return None
+    rates = {unit: 1.0 / (factor * period) for unit, factor in _UNITS.items()}
+    likely = [unit for unit, rate in rates.items() if _RATES[0] <= rate <= _RATES[1]]
+    if len(likely) != 1:
+        return None
+    (unit,) = likely
+    words = f"time is in {unit}, as {rates[unit]:.4g} rows a second say: converted"
+    return _UNITS[unit], f"{words} (--units time=s if it is not)"
+
+
+def with_clock_set_back(time: Array) -> tuple[Array, tuple[str, ...]]:
+    """Return time stamps that increase where a clock was set back, with a gap there, and notes.
+
+    Before and after it there must be many rows: a few of another time are damaged ones.
+    """
+    rows = np.flatnonzero(np.isfinite(time))
+    steps = np.diff(time[rows])
+    back = np.flatnonzero(steps < 0.0)
+    ends = np.diff(np.concatenate([[0], back + 1, [len(rows)]]))
+    if not 0 < len(back) <= _MOST_SETS or ends.min() < max(10.0, _EVEN * len(rows)):
+        return time, ()
+    period = float(np.median(steps))
+    # After damaged rows, and before them, time is what it was: steps of one size lead there.
+    if (-steps[back] < 10.0 * period).any() or steps.max() > 0.5 * -steps[back].max():
+        return time, ()
+    found, notes, gap = time.copy(), [], max(_GAP, 20.0 * period)
+    for k in back.tolist():
+        notes.append(
+            f"the clock was set back by {-steps[k]:.3g} s at row {rows[k + 1] + 1}: what follows "
+            "is taken as after a gap"
+        )
+        found[rows[k + 1] :] += gap - steps[k]
+    return found, tuple(notes)
+
+
+def repeats(time: Array) -> NDArray[np.bool_]:
+    """Return which of the time stamps (N,) are that of the row before; none if many are."""
+    same = np.concatenate([[False], np.diff(time) == 0.0])
+    return same & (np.count_nonzero(same) <= _REPEATED * len(time))
+
+
 def check_time(name: str, time: Array) -> None:
     """Raise a LogError unless time stamps increase, those left out that are not finite.
 
     Args:
-        name: Name of the log.
         time: (N,) time stamps, s.
     """
     latest = float(np.max(np.abs(time), initial=0.0, where=np.isfinite(time)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -19,6 +20,9 @@ from geodrake.logs.unit_hints import row_order_hint
 Array = NDArray[np.float64]
 
 _GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer time step is a gap, a shorter one is jitter
+# Where gaps of that length leave more than this share of the time in pieces shorter than this,
+# s, stamps are uneven, and steps of up to so many seconds are bridged.
+_MOST_SCRAPS, _SCRAP, _LONGEST_BRIDGE = 0.2, 2.0, 0.2
 _LEAST_ROWS = 8  # of a piece worth resampling
 _LONGEST_PERIOD = 0.5  # s; at 2 Hz and less, positions say nothing about accelerations
 _SHORTEST_PERIOD = 1e-5  # s; no robot is logged at more than 100 kHz
@@ -38,7 +42,6 @@ class UniformLog:
         period: Time between samples, s.
         noise: (n,) deviation of the noise of the positions, rad or m.
         moving: (n,) whether a joint moves.
-        notes: What was noticed.
     """
 
     log: JointLog
@@ -83,6 +86,17 @@ class UniformLog:
         return found if is_one else np.nan
 
 
+@contextmanager
+def naming_log(log: JointLog) -> Iterator[None]:
+    """Say in errors which log they are of, as `evidence["log"]`: others may be used without it."""
+    try:
+        yield
+    except LogError as error:
+        raise LogError(
+            error.problem, advice=error.advice, **{**error.evidence, "log": log.name}
+        ) from error
+
+
 def make_uniform(log: JointLog) -> UniformLog:
     """Split a log at gaps and empty cells, and find its period, its noise and what moves.
 
@@ -91,6 +105,11 @@ def make_uniform(log: JointLog) -> UniformLog:
             too rarely, as one with time in milliseconds seems to be, or too often, has time stamps
             of too few digits, no rows in a row, or a sensor that failed for good.
     """
+    with naming_log(log):
+        return _uniform(log)
+
+
+def _uniform(log: JointLog) -> UniformLog:
     if (hint := row_order_hint(log)) is not None:
         raise LogError(
             hint,
@@ -185,7 +204,10 @@ def _runs(time: Array, complete: NDArray[np.bool_]) -> tuple[list[slice], float,
         rows = np.flatnonzero(complete)
         steps, holes = np.diff(time[rows]), np.diff(rows) > 1
     period = float(np.median(steps))
-    last = np.flatnonzero((steps > max(_GAP_STEPS * period, _GAP_SECONDS)) | holes).tolist()
+    longest_step = max(_GAP_STEPS * period, _GAP_SECONDS)
+    while longest_step < _LONGEST_BRIDGE and _in_scraps(steps, longest_step) > _MOST_SCRAPS:
+        longest_step = min(1.3 * longest_step, _LONGEST_BRIDGE)
+    last = np.flatnonzero((steps > longest_step) | holes).tolist()
     runs = [
         slice(int(rows[before + 1]), int(rows[end]) + 1)
         for before, end in pairwise([-1, *last, len(rows) - 1])
@@ -201,6 +223,14 @@ def _runs(time: Array, complete: NDArray[np.bool_]) -> tuple[list[slice], float,
             f"{steps[longest]:.3g} s at t = {time[rows[longest]]:.2f} s"
         ),
     )
+
+
+def _in_scraps(steps: Array, gap: float) -> float:
+    """Return the share of the time between gaps that is in pieces too short for a filter."""
+    ends = np.flatnonzero(steps > gap)
+    pieces = np.split(np.where(steps > gap, 0.0, steps), ends + 1)
+    seconds = np.array([piece.sum() for piece in pieces])
+    return float(seconds[seconds < _SCRAP].sum() / max(seconds.sum(), np.finfo(float).tiny))
 
 
 def _sample_parts(pieces: Sequence[Piece]) -> Iterator[Piece]:

@@ -14,6 +14,7 @@ _ENOUGH_ROWS = 30  # that tell an order
 _JUMP = 0.2  # of its range, between two rows: 0.3 in random order, 0.1 in 20 rows a swing
 _LARGEST = 1e100  # of efforts that are compared with limits, and of positions with each other
 _LEAST_LIMIT = 1e-9  # N·m or N: no motor is that weak
+_LEAST_TICKS = 100.0  # no joint goes there in radians
 _ROWS = 100_000  # of a log that are looked at together
 
 
@@ -21,7 +22,6 @@ def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
     """Return a sentence for the user if efforts look like another unit than N·m or N; else None.
 
     Args:
-        log: The log.
         effort_limits: (n,) limits of the model's joints, N·m or N; zeros and infinities say
             nothing.
     """
@@ -48,9 +48,15 @@ def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
 
 
 def position_unit_hint(log: JointLog) -> str | None:
-    """Return a sentence for the user if joint positions look like degrees; else None."""
+    """Return a sentence for the user if positions look like degrees or ticks; else None."""
     peaks = _peaks(log.position)
     worst = int(np.argmax(peaks))
+    if peaks[worst] >= _LEAST_TICKS and _are_whole(log.position):
+        return (
+            f"Positions are whole numbers, of up to {peaks[worst]:.5g} at {log.joints[worst]}: "
+            "ticks of encoders? --units position=ticks converts those of servos with 4,096 a turn; "
+            "for others give a gain in a mapping."
+        )
     if peaks[worst] > 4.0 * np.pi and np.mean(peaks > 10.0) > 0.5:
         return (
             f"Positions are in degrees by the look of it: {log.joints[worst]} reaches "
@@ -78,6 +84,12 @@ def row_order_hint(log: JointLog) -> str | None:
         f"{np.median(steps[:, most]):.3g} rad (m) from row to row, within a range of "
         f"{reach[most]:.3g}."
     )
+
+
+def _are_whole(values: Array) -> bool:
+    """Return whether all readings of some rows are whole numbers."""
+    known = values[:_ROWS][np.isfinite(values[:_ROWS])]
+    return bool(len(known) and np.all(known == np.round(known)))
 
 
 def _peaks(values: Array) -> Array:

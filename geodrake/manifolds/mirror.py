@@ -46,8 +46,6 @@ class MirrorLine:
         """The time at which the value reaches a target, or the last one that the line can go.
 
         Args:
-            target: The value.
-            most: When to stop.
             enough: How far the value at t = 1 may be from the target, below and above, so that this
                 time will do; None to look for the exact one.
         """

@@ -33,7 +33,6 @@ class _FactorGroup:
     Attributes:
         manifold: What they all are.
         places: (k, n) their coordinates.
-        weight: Weight of their barriers.
     """
 
     manifold: Manifold

@@ -176,8 +176,6 @@ def calc_natural_steps(x: Array, b: Array, factors: Factors, time: float, out: A
     Args:
         x: (n,) point.
         b: (n,) covector.
-        factors: What the coordinates are.
-        time: How long to follow −g⁻¹ b.
         out: (n,) the point.
 
     Returns:
@@ -235,7 +233,6 @@ def calc_clearly_inside(x: Array, factors: Factors) -> bool:
 
     Args:
         x: (n,) point.
-        factors: What the coordinates are.
     """
     bodies, _, places, lower, _ = factors
     P, L = np.empty((4, 4)), np.empty((4, 4))
@@ -261,7 +258,6 @@ def calc_whitened(x: Array, rows: Array, factors: Factors, L: Array, out: Array)
     Args:
         x: (n,) point.
         rows: (r, n) covectors A.
-        factors: What the coordinates are.
         L: (k, 4, 4) the roots; not a number where there is none.
         out: (r, n) W.
     """
@@ -323,9 +319,7 @@ def calc_spanned(
 
     Args:
         x: (n,) point.
-        span: L and W from `calc_whitened`.
         multipliers: (r,) λ.
-        factors: What the coordinates are.
         out: (n,) the point.
     """
     (L, rows), (bodies, shares, places, lower, other_shares) = span, factors
@@ -364,7 +358,6 @@ def robot_span(x: Array, rows: Array, factors: Factors) -> MirrorSpan:
     Args:
         x: (..., n) points, all coordinates one after the other.
         rows: (r, ..., n) covectors.
-        factors: What the coordinates are.
     """
     flat, roots = x.ravel(), np.empty((len(factors[0]), 4, 4))
     whitened = np.empty((len(rows), x.size))

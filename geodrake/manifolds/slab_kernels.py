@@ -48,7 +48,6 @@ def calc_slab_projection(
     Args:
         x: (n,) point inside of the manifold.
         slabs: Rows A (k, n), and their lower and upper limits (k,).
-        factors: What the coordinates are.
         limits: Error at which to stop, least weight of a factor or 1, and most Newton steps.
         out: (n,) the projection y, and (k,) λ.
 
@@ -100,7 +99,6 @@ def put_scaled(share: float, values: Array, out: Array) -> None:
     """Writes a multiple of a vector; zeros for none of it.
 
     Args:
-        share: The factor.
         values: (n,) the vector, whatever is in it if the factor is zero.
         out: (n,) written.
     """
@@ -292,7 +290,6 @@ def calc_stationarity(
     Args:
         points: x and y, each (n,).
         held: A (k, n) and λ (k,).
-        factors: What the coordinates are.
     """
     (x, y), (bodies, shares, places, lower, other_shares) = points, factors
     rows, multipliers = held

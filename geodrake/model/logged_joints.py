@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, instances
 from geodrake.errors import ArgumentError, LogError
+from geodrake.logs.files import Reading
 from geodrake.logs.motion import JointLog, match_joints
 from geodrake.logs.resting import LARGEST, logged_ranges, readings, resting, travels
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel, is_of_file, read_again
+from geodrake.robot.plant import motor_joints
 from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
 
@@ -22,6 +24,18 @@ Array = NDArray[np.float64]
 _FAR = 0.05  # rad or m, that a joint which rests does not go by its velocities, less their mean
 _CLEAR = 5.0  # deviations of noise, beyond which a joint is not where a loop has it
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
+
+
+def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
+    """Return how logs of a model are read, which knows of joints without a motor.
+
+    Those are the joints without an actuator or a transmission in the model file, where others
+    have one; they are passive in logs without an effort of them.
+    """
+    driven = {name.rpartition("::")[2] for name in motor_joints(model.plant)}
+    followers = {joint for pair in model.led.items() for joint in (pair[0], pair[1][0])}
+    none = set(model.single_joints).difference(driven, followers) if driven else set()
+    return replace(reading or Reading(), motorless=frozenset(none))
 
 
 def model_of_logs(
@@ -138,8 +152,9 @@ def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
             raise LogError(
                 f"Log {log.name!r} is a log without effort of {joint}: the position is there, the "
                 "effort is not.",
-                advice=f"Log its effort too, or its current, voltage, duty cycle or command; or "
-                f"hold the joint: --lock {joint}=POSITION.",
+                advice=f"Log its effort too, or its current, voltage, duty cycle or command; "
+                f"hold the joint: --lock {joint}=POSITION; or say that it has no motor: "
+                f"--passive {joint}.",
                 joint=joint,
             )
     return match_joints(_with_followers(log, model).select(moving), model.joints)
@@ -175,7 +190,7 @@ def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array
     others = [joint for joint in loop.joints if joint not in drive.actuators]
     at = {joint: log.joints.index(joint) for joint in others if joint in log.joints}
     efforts_of = {joint: log.effort[:, k] for joint, k in at.items()}
-    places_of = {joint: x for joint, x in log.passive.items() if len(x) == len(log)}
+    places_of = {joint: x for joint, x in log.alone.items() if len(x) == len(log)}
     places_of |= {joint: log.position[:, k] for joint, k in at.items()}
     for joint in loop.driven:
         if not np.isfinite(efforts_of.get(joint, np.array([np.nan]))).any():
@@ -295,7 +310,8 @@ def _place(model: RobotModel, logs: Sequence[JointLog], joint: str) -> float:
         raise LogError(
             f"Log {moves[0]!r} is a log without effort of {joint}: the position is there, and "
             "moves; the effort is not.",
-            advice=f"Log its effort too, or hold the joint: --lock {joint}=POSITION.",
+            advice=f"Log its effort too; or say that it has no motor: --passive {joint}; or hold "
+            f"it: --lock {joint}=POSITION.",
             joint=joint,
         )
     if not places:

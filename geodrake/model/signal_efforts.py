@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.logs.motion import JointLog
+from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
 from geodrake.model.motor_limit import MotorLimit
 from geodrake.model.servo_integrals import (
@@ -71,7 +71,8 @@ def kind_of(log: JointLog, joint: str) -> str:
     told = log.command is not None and np.isfinite(log.command[:, at]).any()
     if told and joint not in log.effort_kinds and not np.isfinite(log.effort[:, at]).any():
         return COMMAND
-    return log.effort_kinds.get(joint, EFFORT)
+    kind = log.effort_kinds.get(joint, EFFORT)
+    return EFFORT if kind == PASSIVE else kind
 
 
 def limited_effort(log: JointLog, at: int, motor: MotorLimit, asked: Array) -> Array:

@@ -52,8 +52,6 @@ class AdaptationView(LeafSystem):
     all of it is recorded.
 
     Args:
-        plant: The finalized plant that moves.
-        meshcat: Where to draw.
         parameters: Length of the port `parameters`, inertial parameters first.
         path: Folder of the scene to draw in; what was in it is deleted.
         period: Time between two pictures, s.
@@ -101,10 +99,6 @@ class AdaptationView(LeafSystem):
         """Adds a view of an adaptive loop and connects it.
 
         Args:
-            builder: Where the loop is.
-            loop: What `add_adaptive_loop` gave.
-            meshcat: Where to draw.
-            path: Folder of the scene to draw in.
             period: Time between two pictures, s.
 
         Raises:
@@ -197,7 +191,6 @@ def save_recording(meshcat: Meshcat, path: str | Path) -> None:
     """Publishes what MeshCat recorded, and writes the scene as one HTML file that plays it.
 
     Args:
-        meshcat: A MeshCat that has recorded.
         path: The file; written whole or not at all.
 
     Raises:

@@ -41,7 +41,6 @@ class Bar:
     """A bar, or a mark across a row's bars.
 
     Attributes:
-        color: Its colour.
         end: Where it ends, as a share of the longest there may be.
         text: The number beside it; "" for none.
     """
@@ -53,13 +52,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class BarRow:
-    """What belongs to one name.
-
-    Attributes:
-        label: The name.
-        bars: Its bars.
-        marks: Marks across them.
-    """
+    """What belongs to one name."""
 
     label: str
     bars: tuple[Bar, ...]
@@ -71,9 +64,6 @@ class Bars:
     """A figure of bars.
 
     Attributes:
-        caption: What it shows.
-        legend: Its colours.
-        rows: Its rows.
         note: What to know of it; "" for nothing.
     """
 
@@ -93,11 +83,7 @@ _NOISE = Color("noise", label="sensor noise", thin=True)
 
 
 def step_bars(explanation: Explanation) -> Bars:
-    """How the held-out nrms falls with each step, on a logarithmic axis.
-
-    Args:
-        explanation: An explanation with a step at least.
-    """
+    """How the held-out nrms falls with each step, on a logarithmic axis."""
     start, floor = explanation.start, explanation.end.floor_nrms
     joints = [joint.joint for joint in start.joints]
     errors = [
@@ -118,11 +104,7 @@ def step_bars(explanation: Explanation) -> Bars:
 
 
 def candidate_bars(diagnosis: Diagnosis) -> Bars:
-    """Held-out nrms that each candidate would leave, the chosen one first.
-
-    Args:
-        diagnosis: A diagnosis with a candidate at least.
-    """
+    """Held-out nrms that each candidate would leave, the chosen one first."""
     shown = diagnosis.candidates[:_MOST_CANDIDATES]
     joints = [joint.joint for joint in diagnosis.start.joints]
     floor, before = diagnosis.refitted.floor_nrms, diagnosis.refitted.nrms
@@ -149,7 +131,6 @@ def joint_bars(errors: ErrorTable, stages: Sequence[tuple[str, Sequence[float]]]
     """RMS error of each joint over its effort's deviation, on a logarithmic axis.
 
     Args:
-        errors: Errors of the model as it stands.
         stages: Words and (nv,) RMS of every joint, N·m or N, after each step.
     """
     names = set(worst_joints(errors, MOST_JOINTS))
@@ -180,11 +161,7 @@ def joint_bars(errors: ErrorTable, stages: Sequence[tuple[str, Sequence[float]]]
 
 
 def step_joint_bars(explanation: Explanation) -> Bars:
-    """The errors of joints at the start, and after each step of an explanation.
-
-    Args:
-        explanation: The explanation.
-    """
+    """The errors of joints at the start, and after each step of an explanation."""
     joints = [joint.joint for joint in explanation.start.joints]
     stages = [
         (f"+ {effect_label(s.effect)}", [s.rms_after.get(joint, np.nan) for joint in joints])

@@ -48,7 +48,6 @@ class Plot:
     Attributes:
         label: What is shown, with its unit.
         curves: Stage -> (K,) values; NaN where a line breaks.
-        limits: Dotted lines.
         floor: Half the width of a band about zero, the noise; 0 for none.
         centred: Whether zero is in the middle, and what is far larger than the best is cut off.
         span: Lowest and highest value shown; None for those of the curves.
@@ -86,11 +85,8 @@ class Panel:
     """The plots of one joint, above each other.
 
     Attributes:
-        title: Name of the joint.
         detail: Its errors, in words.
         time: (K,) increasing instants on the chart's axis, s.
-        plots: The plots.
-        shades: Stretches that are shaded.
         badge: What is special about the joint, in words; "" for nothing.
         shown: Whether the panel is shown at first.
     """
@@ -110,14 +106,11 @@ class Chart:
 
     Attributes:
         name: Short name, different from those of other charts of a page.
-        caption: What it shows.
         stages: Of which stages the curves are, measured first.
-        panels: The panels.
         spans: Name, first and last instant, and shift to the common axis, of every log, s.
         axis: What the axis is, with its unit.
         dots: Whether samples are dots, not joined by lines.
         parts: What the panels are of.
-        unit: Unit of the axis.
     """
 
     name: str

@@ -41,7 +41,6 @@ class DependenceRow:
     """The plots of one joint.
 
     Attributes:
-        title: Name of the joint.
         detail: Its error, in words.
         plots: One for each signal.
         shown: Whether the joint is shown at first.
@@ -58,8 +57,6 @@ class Dependence:
     """Residuals of one model against what they may depend on.
 
     Attributes:
-        stage: The model.
-        caption: What is shown.
         rows: One for each joint.
     """
 
@@ -69,13 +66,7 @@ class Dependence:
 
 
 def residual_dependence(comparison: Comparison, stage: Stage, units: Units) -> Dependence:
-    """The residuals of every joint.
-
-    Args:
-        comparison: The model as it stands, or the final one.
-        stage: Which of the two it is.
-        units: Units of the joints.
-    """
+    """The residuals of every joint."""
     shown = worst_joints(comparison.errors)
     rows = []
     for entry in comparison.errors.joints:

@@ -15,11 +15,7 @@ _DIGITS = 12  # of a hash, in words
 
 
 def digests_table(run: DigestRun) -> Table:
-    """A row for each log that has a digest: its date, length, samples and what they are worth.
-
-    Args:
-        run: What became of the logs.
-    """
+    """A row for each log that has a digest: its date, length, samples and what they are worth."""
     rows = tuple(_cells(row) for row in run.rows if row.status != FAILED)
     head = ("log", "digest", "", "began", "by", "s", "samples", "effective")
     return Table(head, rows, words=5)
@@ -47,20 +43,12 @@ def _between(low: float, high: float) -> str:
 
 
 def failures(run: DigestRun) -> list[str]:
-    """Logs without a digest, each with the reason.
-
-    Args:
-        run: What became of the logs.
-    """
+    """Logs without a digest, each with the reason."""
     return [f"{row.file}: {row.reason}" for row in run.rows if row.status == FAILED]
 
 
 def digest_notes(run: DigestRun) -> list[str]:
-    """Return where settings are from, and what is to say of digests.
-
-    Args:
-        run: What became of the logs.
-    """
+    """Return where settings are from, and what is to say of digests."""
     notes = list(run.repairs)
     notes += [
         f"{row.file}: {row.reason}" for row in run.rows if row.status != FAILED and row.reason
@@ -79,11 +67,7 @@ def digest_notes(run: DigestRun) -> list[str]:
 
 
 def digests_verdict(run: DigestRun) -> str:
-    """Return how many logs have digests, in a sentence.
-
-    Args:
-        run: What became of the logs.
-    """
+    """Return how many logs have digests, in a sentence."""
     made, there, failed = (run.count(status) for status in (MADE, THERE, FAILED))
     words = f"{made} made, {there} there already, {failed} failed"
     if failed:
@@ -92,11 +76,7 @@ def digests_verdict(run: DigestRun) -> str:
 
 
 def digests_dict(run: DigestRun) -> dict[str, Any]:
-    """Return what became of logs, as plain numbers for JSON.
-
-    Args:
-        run: What became of the logs.
-    """
+    """Return what became of logs, as plain numbers for JSON."""
     return {
         "folder": str(run.folder),
         "settings": NoNumber("no log could be used")

@@ -41,8 +41,6 @@ def render_drafted(
     """Return the report of an explanation and of the formulas for its rest.
 
     Args:
-        found: What `geodrake.diagnosis.drafting.draft_effects` gives.
-        title: Title of the page.
         model_name: What the model is called.
         log_names: What the logs are called.
         links: Words -> address of further pages, such as a recording; none by default.
@@ -60,12 +58,7 @@ def render_drafted(
 
 
 def draft_section(draft: Draft, units: Units) -> Section:
-    """Return the formulas found and what the rest goes with, with the figure.
-
-    Args:
-        draft: The formulas found.
-        units: Units of the robot's joints.
-    """
+    """Return the formulas found and what the rest goes with, with the figure."""
     title = "Formulas for the rest"
     items = tuple(map(correlate_words, draft.correlates))
     if not draft.effects:

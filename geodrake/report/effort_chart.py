@@ -40,11 +40,8 @@ def effort_chart(
     """The chart of a comparison, or of two.
 
     Args:
-        before: The model as it stands.
         after: The final model on the same logs, if there is one.
-        stages: Models between the two, with what they predict.
         units: Units of the joints; those of revolute joints by default.
-        alone: What `before` is, where there is no other.
     """
     units = units or Units()
     first = BEFORE if after is not None else alone
@@ -82,12 +79,7 @@ def effort_chart(
 
 
 def explanation_chart(explanation: Explanation, units: Units) -> Chart:
-    """The chart of an explanation: as it stands, after each step, in the end.
-
-    Args:
-        explanation: The explanation.
-        units: Units of the robot's joints.
-    """
+    """The chart of an explanation: as it stands, after each step, in the end."""
     if not explanation.steps:
         return effort_chart(explanation.before, units=units)
     between = {

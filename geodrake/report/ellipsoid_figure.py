@@ -54,10 +54,7 @@ def ellipsoid_figure(
     have the same scale.
 
     Args:
-        plant: A finalized plant.
-        sets: Models of the robot, one or more.
         context: The plant's context, for its positions; the default ones if None.
-        view: Elevation and azimuth, degrees.
 
     Raises:
         ArgumentError: There is nothing to draw, or a set does not fit the plant.
@@ -88,12 +85,7 @@ def ellipsoid_figure(
 
 @style.own_look()
 def figure_bytes(figure: Figure, kind: str = "png") -> bytes:
-    """A figure as the bytes of a file: "png", "pdf" or "svg".
-
-    Args:
-        figure: The figure.
-        kind: Format: "png", "pdf" or "svg".
-    """
+    """A figure as the bytes of a file: "png", "pdf" or "svg"."""
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
     dated = {"svg": "Date", "pdf": "CreationDate"}
@@ -110,7 +102,6 @@ class _Sheet:
         width: Width of a panel, inches.
         panel: Height of a panel, inches.
         height: Height of the figure, inches.
-        zoom: Magnification of the boxes.
     """
 
     columns: int

@@ -51,7 +51,6 @@ class EllipsoidSet:
         Args:
             name: What the legend calls the set.
             phi: (nb, 10) inertial parameters of the bodies.
-            color: Colour of the set, as matplotlib takes it.
             at_boundary: Indices of the bodies at the boundary of the physical ones.
 
         Raises:
@@ -103,8 +102,6 @@ def placed(plant: MultibodyPlant, context: Context, phi: Array) -> PlacedEllipso
     """The equivalent ellipsoids of bodies where a plant's configuration puts them.
 
     Args:
-        plant: A finalized plant.
-        context: The plant's context, whose positions count.
         phi: (nb, 10) physical inertial parameters in the order of `lumped_bodies`.
 
     Raises:
@@ -125,12 +122,7 @@ def placed(plant: MultibodyPlant, context: Context, phi: Array) -> PlacedEllipso
 
 
 def skeleton(plant: MultibodyPlant, context: Context) -> Array:
-    """The robot as lines: (k, 2, 3) ends in the world, m, from joint to joint.
-
-    Args:
-        plant: A finalized plant.
-        context: Its Context, for the pose.
-    """
+    """The robot as lines: (k, 2, 3) ends in the world, m, from joint to joint."""
     lines = []
     for index in plant.GetJointIndices():
         joint = plant.get_joint(JointIndex(index))

@@ -58,8 +58,6 @@ def render_excitation(
     """Return the report of a designed motion.
 
     Args:
-        result: The design.
-        title: Title of the page.
         model_name: What the model is called.
         links: Words -> address of further pages, such as a recording; none by default.
     """
@@ -137,12 +135,7 @@ def _notes(result: ExcitationResult) -> Section:
 
 
 def motion_chart(result: ExcitationResult, units: Units) -> Chart:
-    """Position, velocity, acceleration and effort of every joint over time, with their limits.
-
-    Args:
-        result: The design.
-        units: Units of the joints.
-    """
+    """Position, velocity, acceleration and effort of every joint over time, with their limits."""
     limits, timed = result.limits, result.trajectory.family.timed
     at, signals = _sampled(result)
     panels = []

@@ -80,9 +80,6 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
 def identifiable_dict(found: LogIdentifiability) -> dict[str, Any]:
     """What is identifiable from logs: directions, bodies, effects and base parameters.
 
-    Args:
-        found: The result of `geodrake.excitation.identifiability.log_identifiability`.
-
     Returns:
         `told` of `possible` directions, `threshold`, and `directions`, `bodies`, `effects`,
         `combinations` with their (relative) deviations.

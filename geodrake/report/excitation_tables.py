@@ -13,13 +13,7 @@ from geodrake.report.words import effect_label, places_label
 
 
 def pairs_table(result: ExcitationResult, units: Units, *, most: int) -> Table:
-    """Pairs of effects and by how much they differ on a motion, the most alike first.
-
-    Args:
-        result: A motion designed to distinguish pairs of effects.
-        units: Units of the joints and effects of the model.
-        most: Most pairs.
-    """
+    """Pairs of effects and by how much they differ on a motion, the most alike first."""
     rows = tuple(
         cells(
             _shaped(entry.pair.truth),
@@ -36,12 +30,7 @@ def pairs_table(result: ExcitationResult, units: Units, *, most: int) -> Table:
 
 
 def limits_table(result: ExcitationResult, units: Units) -> Table:
-    """Ranges of the joints, and the largest shares of their limits that a motion uses.
-
-    Args:
-        result: The designed motion.
-        units: Units of the joints of the model.
-    """
+    """Ranges of the joints, and the largest shares of their limits that a motion uses."""
     limits, use = result.limits, result.use
     q = result.trajectory.states(result.trajectory.family.times(result.samples))[0]
     rows = tuple(
@@ -99,12 +88,7 @@ def identifiable_bodies_table(found: LogIdentifiability) -> Table:
 
 
 def identifiable_effects_table(found: LogIdentifiability, units: Units) -> Table:
-    """Every parameter of an effect with the deviation of an estimate.
-
-    Args:
-        found: What is identifiable from the logs.
-        units: Units of the joints and effects of the model.
-    """
+    """Every parameter of an effect with the deviation of an estimate."""
     rows = tuple(
         cells(
             entry.name,
@@ -121,12 +105,7 @@ def identifiable_effects_table(found: LogIdentifiability, units: Units) -> Table
 
 
 def unidentifiable_table(found: LogIdentifiability, *, most: int) -> Table:
-    """The base parameters that are not identifiable, worst first.
-
-    Args:
-        found: What is identifiable from the logs.
-        most: Most rows.
-    """
+    """The base parameters that are not identifiable, worst first."""
     rows = tuple(
         cells(c.words, number(c.value), number(c.deviation), relative(c.relative))
         for c in found.unidentifiable[:most]

@@ -21,11 +21,7 @@ _FULL, _HARDLY = 0.9, 0.1  # shares of a body above which it counts as all, and 
 
 
 def excitation_verdict(result: ExcitationResult) -> str:
-    """What a designed motion amounts to, in a few sentences.
-
-    Args:
-        result: The designed motion.
-    """
+    """What a designed motion amounts to, in a few sentences."""
     if distinguished_pairs(result):
         return _separation_verdict(result)
     criterion, normalization = result.objective.criterion.name, result.objective.normalization
@@ -57,11 +53,7 @@ def _separation_verdict(result: ExcitationResult) -> str:
 
 
 def nearest_bodies(result: ExcitationResult) -> str:
-    """How near bodies come to each other on a motion; "" if collisions were not looked for.
-
-    Args:
-        result: The designed motion.
-    """
+    """How near bodies come to each other on a motion; "" if collisions were not looked for."""
     use = result.use
     if not np.isfinite(use.distance):
         return ""
@@ -70,11 +62,7 @@ def nearest_bodies(result: ExcitationResult) -> str:
 
 
 def identifiability_verdict(found: LogIdentifiability) -> str:
-    """What is identifiable from logs, in a few sentences.
-
-    Args:
-        found: The result of `geodrake.excitation.identifiability.log_identifiability`.
-    """
+    """What is identifiable from logs, in a few sentences."""
     words = f"{identifiable_share(found)}{_whose_bodies(found)}."
     unknown = [entry.label for entry in found.effects if not entry.is_identifiable]
     if unknown:

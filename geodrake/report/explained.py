@@ -29,7 +29,6 @@ def render_explained(
     Args:
         found: An explanation, what `geodrake.diagnosis.drafting.rest_correlates` gives, and
             rollouts under commands before, after the steps, and after the last, if there are any.
-        title: Title of the page.
         model_name: What the model is called.
         log_names: What the logs are called.
         links: Words -> address of further pages, such as a recording; none by default.
@@ -49,12 +48,7 @@ def render_explained(
 
 
 def motions_section(motions: Sequence[Rollout] | None, units: Units) -> Section:
-    """Return how far the robot departs from its motion under commands; empty without commands.
-
-    Args:
-        motions: Rollouts before, after the steps, and after the last.
-        units: Units of the robot's joints.
-    """
+    """Return how far the robot departs from its motion under commands; empty without commands."""
     if motions is None:
         return Section(MOTIONS)
     before, *between, after = motions

@@ -11,9 +11,6 @@ from geodrake.control.export_proof.export import ProvenExport
 def export_dict(found: ProvenExport) -> dict[str, Any]:
     """An export: its files, what they hold and lack, and what simulators make of them.
 
-    Args:
-        found: The export.
-
     Returns:
         `format`, `files`; `holds`, the effects in them with their parameters; `lacks`, each with
         what stands `into` its place and its `nrms`; `error` on the logs; `differences` from the

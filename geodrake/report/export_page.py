@@ -41,8 +41,6 @@ def render_export(
     """Return the report of an export.
 
     Args:
-        found: The export.
-        title: Title of the page.
         model_name: What the model is called.
         log_names: What the logs are called.
         units: Units of the joints; those of revolute joints by default.

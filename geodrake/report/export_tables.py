@@ -13,12 +13,7 @@ _NAMED = 3  # effects, at most, that a sentence names
 
 
 def proof_table(found: ProvenExport, units: Units) -> Table:
-    """How far each simulator is from the model.
-
-    Args:
-        found: The export.
-        units: Units of the joints.
-    """
+    """How far each simulator is from the model."""
     rows = []
     for each in found.proof.differences:
         unit = units.at(each.joint, "N·m" if each.what == "effort" else "rad")
@@ -39,12 +34,7 @@ def proof_table(found: ProvenExport, units: Units) -> Table:
 
 
 def holds_table(found: ProvenExport, units: Units) -> Table:
-    """Damping, dry friction, rotors and springs in the files, by joint.
-
-    Args:
-        found: The export.
-        units: Units of the joints.
-    """
+    """Damping, dry friction, rotors and springs in the files, by joint."""
     scoped = found.held.scoped_joints
     of_joints, rows = joint_numbers(found.held), []
     for joint, name in zip(found.held.joints, scoped, strict=True):
@@ -71,12 +61,7 @@ def holds_table(found: ProvenExport, units: Units) -> Table:
 
 
 def lacks_table(found: ProvenExport, units: Units) -> Table:
-    """The effects that the files cannot hold, and what each costs.
-
-    Args:
-        found: The export.
-        units: Units of effects.
-    """
+    """The effects that the files cannot hold, and what each costs."""
     rows = []
     for cost in found.lacks:
         into = " and ".join(cost.lost.into)

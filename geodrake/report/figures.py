@@ -34,7 +34,6 @@ def joint_error_figure(
     """Error of each joint over the standard deviation of its effort: start, steps, noise floor.
 
     Args:
-        start: Errors of the model as it stands.
         stages: Words and (nv,) RMS of every joint, N·m or N, after each step.
         most: Largest number of joints to show: those of largest nrms at the start.
 
@@ -139,10 +138,6 @@ def step_figure(explanation: Explanation) -> Figure:
 @typed
 def candidate_figure(diagnosis: Diagnosis, *, most: int = _MOST_CANDIDATES) -> Figure:
     """Held-out nrms that each candidate would leave, the chosen one first.
-
-    Args:
-        diagnosis: The diagnosis.
-        most: Largest number of candidates to show.
 
     Returns:
         One axes with a bar for each candidate; those tied with the best are marked.

@@ -41,7 +41,6 @@ def rounded(value: float, deviation: float = 0.0) -> float:
     """Return a value to six digits of itself or of its deviation, whichever is larger.
 
     Args:
-        value: The value.
         deviation: Its standard deviation in the same unit; 0 if it has none.
     """
     largest = max(abs(value), abs(deviation) if math.isfinite(deviation) else 0.0)
@@ -53,11 +52,7 @@ def rounded(value: float, deviation: float = 0.0) -> float:
 
 
 def fleet_dict(result: FleetResult) -> dict[str, Any]:
-    """A result: robots worst first, with their findings and parameters; logs that are not used.
-
-    Args:
-        result: What was found.
-    """
+    """A result: robots worst first, with their findings and parameters; logs that are not used."""
     return {
         "false_alarms": result.false_alarms,
         "counts": {state: result.count(state) for state in (CHANGED, STEADY, UNKNOWN)},
@@ -70,11 +65,7 @@ def fleet_dict(result: FleetResult) -> dict[str, Any]:
 
 
 def finding_dict(finding: FleetFinding) -> dict[str, Any]:
-    """Return a finding.
-
-    Args:
-        finding: What was found.
-    """
+    """Return a finding."""
     chance = max(finding.false_alarm_probability, _LEAST_CHANCE)
     return {
         "robot": finding.robot,
@@ -102,11 +93,7 @@ def finding_dict(finding: FleetFinding) -> dict[str, Any]:
 
 
 def finding_line(finding: FleetFinding) -> str:
-    """Return a finding as one line of JSON.
-
-    Args:
-        finding: What was found.
-    """
+    """Return a finding as one line of JSON."""
     said = finding_dict(finding)
     for own in said["parameters"].values():
         own["share"] = own["share"] if isinstance(own["share"], float) else None
@@ -154,10 +141,6 @@ def _own(own: OwnParameter) -> dict[str, Any]:
 
 def parquet_contents(result: FleetResult, folder: Path) -> Mapping[Path, Content]:
     """File -> content of three tables: `findings`, `parameters` over time, and `unused_logs`.
-
-    Args:
-        result: What was found.
-        folder: Where they go.
 
     Raises:
         FleetError: Pyarrow is not installed.

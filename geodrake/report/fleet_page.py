@@ -61,10 +61,6 @@ _ROBOT = (
 def render_fleet(result: FleetResult, *, title: str) -> str:
     """Return the report of a fleet.
 
-    Args:
-        result: What was found.
-        title: Title of the page.
-
     Returns:
         One HTML page that loads nothing from elsewhere.
     """

@@ -32,22 +32,14 @@ def day_text(seconds: float) -> str:
 
 
 def since_words(finding: FleetFinding) -> str:
-    """Since when, with the interval where that is more than the day itself.
-
-    Args:
-        finding: What was found.
-    """
+    """Since when, with the interval where that is more than the day itself."""
     low, high = map(day_text, finding.interval)
     when = day_text(finding.date)
     return when if low == high else f"{when} ({low} to {high})"
 
 
 def changed_words(parameter: ChangedParameter) -> str:
-    """`mass + 0.60 ± 0.01 kg`, with the share where there is one.
-
-    Args:
-        parameter: What changed.
-    """
+    """`mass + 0.60 ± 0.01 kg`, with the share where there is one."""
     size = with_deviation(parameter.size, parameter.deviation)
     sign = "" if size.startswith(("−", "(")) else "+"
     share = f", {percent(parameter.share)}" if parameter.share == parameter.share else ""
@@ -55,22 +47,14 @@ def changed_words(parameter: ChangedParameter) -> str:
 
 
 def size_words(finding: FleetFinding) -> str:
-    """What changed by how much: the parts that are not nothing, at least the first.
-
-    Args:
-        finding: What was found.
-    """
+    """What changed by how much: the parts that are not nothing, at least the first."""
     first, *others = finding.parameters
     told = [each for each in others if abs(each.size) > _CERTAIN * each.deviation]
     return "; ".join(map(changed_words, (first, *told)))
 
 
 def findings_table(findings: Sequence[FleetFinding]) -> Table:
-    """A row for each finding.
-
-    Args:
-        findings: Those of one robot or of all.
-    """
+    """A row for each finding."""
     rows = tuple(
         cells(
             finding.robot,
@@ -89,21 +73,13 @@ def findings_table(findings: Sequence[FleetFinding]) -> Table:
 
 
 def change_label(finding: FleetFinding) -> str:
-    """What changed, in words: `Coulomb friction, going on`.
-
-    Args:
-        finding: What was found.
-    """
+    """What changed, in words: `Coulomb friction, going on`."""
     label = effect_label(finding.effect.replace("+", " + "))
     return f"{label}, going on" if finding.kind == RAMP else label
 
 
 def rivals_words(finding: FleetFinding) -> str:
-    """What else it may be.
-
-    Args:
-        finding: What was found.
-    """
+    """What else it may be."""
     return "; ".join(
         f"{effect_label(rival.effect.replace('+', ' + '))} of {rival.where}, "
         f"{percent(rival.probability)}"
@@ -141,11 +117,7 @@ def _robot_cells(robot: RobotResult) -> tuple[Cell, ...]:
 
 
 def state_words(robot: RobotResult) -> str:
-    """What is the matter with a robot, in a few words.
-
-    Args:
-        robot: The robot.
-    """
+    """What is the matter with a robot, in a few words."""
     if not robot.findings:
         return robot.state
     first, *others = robot.findings
@@ -154,22 +126,14 @@ def state_words(robot: RobotResult) -> str:
 
 
 def parameter_label(parameter: FleetParameter) -> str:
-    """Such as `Coulomb friction of elbow, coulomb`; of bodies the combination itself.
-
-    Args:
-        parameter: What it is of.
-    """
+    """Such as `Coulomb friction of elbow, coulomb`; of bodies the combination itself."""
     if parameter.effect == BODIES:
         return parameter.name
     return f"{effect_label(parameter.effect)} of {parameter.where}, {parameter.name}"
 
 
 def fleet_verdict(result: FleetResult) -> str:
-    """How many robots changed, in a sentence.
-
-    Args:
-        result: What was found.
-    """
+    """How many robots changed, in a sentence."""
     total, changed, unknown = len(result.robots), result.count(CHANGED), result.count(UNKNOWN)
     words = f"{changed} of {_counted(total, 'robot')} changed"
     if unknown:
@@ -184,9 +148,5 @@ def _counted(count: int, noun: str) -> str:
 
 
 def unused_list(result: FleetResult) -> list[str]:
-    """Logs that are not used, each with its reason.
-
-    Args:
-        result: What was found.
-    """
+    """Logs that are not used, each with its reason."""
     return [f"{each.robot}: {each.log}: {each.reason}" for each in result.unused]

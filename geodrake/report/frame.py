@@ -15,12 +15,7 @@ WIDTH, HEIGHT = 1000, 240
 
 @dataclass(frozen=True)
 class Frame:
-    """The part of the plane that a plot shows.
-
-    Attributes:
-        x: Left and right end.
-        y: Lower and upper end.
-    """
+    """The part of the plane that a plot shows."""
 
     x: tuple[float, float]
     y: tuple[float, float]

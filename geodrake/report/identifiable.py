@@ -50,8 +50,6 @@ def render_identifiable(
     """Return the report of what is identifiable from logs.
 
     Args:
-        found: The result of `geodrake.excitation.log_identifiability`.
-        title: Title of the page.
         model_name: What the model is called.
         log_names: What the logs are called.
         units: Units of the joints, `Units.of(model)`; those of revolute joints by default.

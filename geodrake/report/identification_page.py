@@ -37,8 +37,6 @@ def render_identification(
     """Return the report of an identification; arguments as for `render_comparison`.
 
     Args:
-        found: The result of `geodrake.identification.models.identify.identify_model`.
-        title: Title of the page.
         model_name: What the model is called.
         log_names: What the logs are called.
         units: Units of the joints, `Units.of(model)`; those of revolute joints by default.
@@ -96,12 +94,7 @@ def bodies_section(found: ModelIdentification) -> Section:
 
 
 def effects_sections(found: ModelIdentification, units: Units) -> tuple[Section, ...]:
-    """Effects that were fitted and regularizers that were compared, where there are any.
-
-    Args:
-        found: The identification.
-        units: Units of the joints and effects of the model.
-    """
+    """Effects that were fitted and regularizers that were compared, where there are any."""
     effects, others = fitted_effects_table(found, units), regularizers_table(found)
     return (
         Section("Effects", tables=(effects,) if effects.rows else ()),

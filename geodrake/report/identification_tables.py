@@ -42,12 +42,7 @@ def bodies_table(bodies: Sequence[BodyChange]) -> Table:
 
 
 def fitted_effects_table(found: ModelIdentification, units: Units) -> Table:
-    """Parameters of the effects that were fitted, without payloads, which are bodies.
-
-    Args:
-        found: The identification.
-        units: Units of the joints and effects of the model.
-    """
+    """Parameters of the effects that were fitted, without payloads, which are bodies."""
     rows = []
     for fitted in found.model.effects:
         if fitted.effect.role is Role.BODY:

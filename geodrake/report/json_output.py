@@ -45,9 +45,6 @@ def number_or(value: float | None, reason: str) -> float | NoNumber:
 def comparison_dict(comparison: Comparison) -> dict[str, Any]:
     """A comparison: errors of the whole and of each joint, and where they are concentrated.
 
-    Args:
-        comparison: The result of `geodrake.identification.logs.compare.compare`.
-
     Returns:
         `error` (nrms, floor_nrms, pooled_rms, noise_is_known), `joints` by name (rms, std, nrms,
         floor in N·m or N, removable, which is null without noise), `failing` and `notes`.
@@ -76,11 +73,7 @@ def comparison_dict(comparison: Comparison) -> dict[str, Any]:
 
 
 def diagnosis_dict(diagnosis: Diagnosis) -> dict[str, Any]:
-    """A diagnosis: verdict, candidates from the best on, and errors before any of them.
-
-    Args:
-        diagnosis: The result of `geodrake.diagnosis.diagnose.diagnose`.
-    """
+    """A diagnosis: verdict, candidates from the best on, and errors before any of them."""
     return {
         "verdict": diagnosis.verdict,
         "candidates": [asdict(candidate) for candidate in diagnosis.candidates],
@@ -90,11 +83,7 @@ def diagnosis_dict(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def explanation_dict(explanation: Explanation) -> dict[str, Any]:
-    """An explanation: verdict, steps, and errors at the start, after refitting and at the end.
-
-    Args:
-        explanation: The result of `geodrake.diagnosis.explain.explain` or `…add.add`.
-    """
+    """An explanation: verdict, steps, and errors at the start, after refitting and at the end."""
     tables = {"start": explanation.start, "refit": explanation.refitted, "end": explanation.end}
     return {
         "verdict": explanation.verdict,
@@ -156,11 +145,7 @@ def bodies_dict(bodies: Sequence[BodyChange]) -> dict[str, Any]:
 
 
 def draft_dict(draft: Draft) -> dict[str, Any]:
-    """Drafted formulas: where, in words, coefficients, held-out RMS before and after.
-
-    Args:
-        draft: The result of `geodrake.diagnosis.drafting.draft_effects`.
-    """
+    """Drafted formulas: where, in words, coefficients, held-out RMS before and after."""
     return {
         "effects": [
             {
@@ -191,20 +176,12 @@ def draft_dict(draft: Draft) -> dict[str, Any]:
 
 
 def correlates_list(correlates: Iterable[Correlate]) -> list[dict[str, Any]]:
-    """What the error left goes with: joint, words, share of its squared error.
-
-    Args:
-        correlates: The result of `geodrake.diagnosis.drafting.rest_correlates`.
-    """
+    """What the error left goes with: joint, words, share of its squared error."""
     return [asdict(correlate) for correlate in correlates]
 
 
 def rollout_dict(rollout: Rollout) -> dict[str, Any]:
-    """A rollout: departures of every joint from the measured motion.
-
-    Args:
-        rollout: The result of `geodrake.control.rollout.roll_out`.
-    """
+    """A rollout: departures of every joint from the measured motion."""
     return {
         "under": rollout.under,
         "horizon": rollout.horizon,
@@ -225,11 +202,7 @@ def rollout_dict(rollout: Rollout) -> dict[str, Any]:
 
 
 def rollout_fit_dict(found: RolloutFit) -> dict[str, Any]:
-    """A fit of rollouts: values before and after, and departures in all windows.
-
-    Args:
-        found: The result of `geodrake.control.rollout.fit_rollouts`.
-    """
+    """A fit of rollouts: values before and after, and departures in all windows."""
     stages = {"fitted": found.fitted, "held_out": found.held_out}
     return {
         "taken": found.taken,
@@ -247,9 +220,6 @@ def motions_dict(motions: Sequence[Rollout] | None) -> dict[str, Any]:
     """Rollouts under commands, by the key `motion`; nothing without commands.
 
     Those before and after the fit, and after each step but the last.
-
-    Args:
-        motions: The result of `geodrake.control.rollout.commanded_motions`.
     """
     if motions is None:
         return {}
@@ -313,13 +283,7 @@ def _errors(**tables: ErrorTable) -> dict[str, Any]:
 
 
 def _plain(value: Any, place: str, nulls: dict[str, str]) -> Any:
-    """The value in dictionaries, lists, strings, Python numbers and None.
-
-    Args:
-        value: What is to be written.
-        place: Where it stands, as a JSON pointer.
-        nulls: Gets why what stands where is null.
-    """
+    """The value in dictionaries, lists, strings, Python numbers and None."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v, f"{place}/{_token(k)}", nulls) for k, v in value.items()}
     if hasattr(value, "tolist"):  # numpy arrays and scalars

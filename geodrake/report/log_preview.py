@@ -26,9 +26,6 @@ def preview_figure(found: LogInspection) -> Figure:
     """Positions and efforts of every joint over time, stretches at rest shaded.
 
     Commands are broken lines over positions; without efforts, how far they are from there.
-
-    Args:
-        found: What was understood of the log.
     """
     log = found.log
     figure = style.new_figure(1.0 + 1.1 * len(log.joints))
@@ -71,11 +68,7 @@ def _effort_curve(found: LogInspection, row: int) -> tuple[NDArray[np.float64], 
 
 
 def columns_table(found: LogInspection) -> Table:
-    """Which column became which joint and quantity.
-
-    Args:
-        found: What was understood of the log.
-    """
+    """Which column became which joint and quantity."""
     rows = [
         cells(
             column.joint,
@@ -93,11 +86,7 @@ def columns_table(found: LogInspection) -> Table:
 
 
 def inspection_words(found: LogInspection) -> tuple[str, ...]:
-    """Rows, rates, gaps and rest, in sentences.
-
-    Args:
-        found: What was understood of the log.
-    """
+    """Rows, rates, gaps and rest, in sentences."""
     log, mean = found.log, len(found.log) / found.seconds
     source = f"time from {found.time_column}" if found.time_column else "time by --rate"
     words = [
@@ -119,11 +108,7 @@ def inspection_words(found: LogInspection) -> tuple[str, ...]:
 
 
 def inspection_dict(found: LogInspection) -> dict[str, Any]:
-    """What was understood of a log, as numbers and names.
-
-    Args:
-        found: What was understood of the log.
-    """
+    """What was understood of a log, as numbers and names."""
     return {
         "name": found.log.name,
         "joints": list(found.log.joints),

@@ -29,9 +29,6 @@ class MeshcatEllipsoids:
     the ellipsoids with the robot; called with a time it adds to MeshCat's recording.
 
     Args:
-        meshcat: Where to draw.
-        plant: A finalized plant.
-        sets: The models.
         path: Folder of the scene to draw in; what was in it is deleted.
         spacing: Distance in y by which sets are drawn beside each other, m; 0 to draw them over
             each other.
@@ -69,7 +66,6 @@ class MeshcatEllipsoids:
         """Put the ellipsoids where the bodies are.
 
         Args:
-            context: The plant's context.
             time: Time in MeshCat's recording, s; None to move them now only.
         """
         for one, paths, shift in zip(self._sets, self._paths, self._shifts, strict=True):
@@ -85,7 +81,6 @@ def ellipsoid_page(
     """One HTML page that loads nothing from elsewhere, with the sets side by side.
 
     Args:
-        plant: A finalized plant.
         sets: The models, each drawn over the robot's lines.
         context: The plant's context, for its positions; the default ones if None.
     """
@@ -138,12 +133,7 @@ def _entries(sets: Sequence[EllipsoidSet]) -> list[tuple[str, str]]:
 
 
 def legend(page: str, entries: Sequence[tuple[str, str]]) -> str:
-    """A page of MeshCat's with what its colours mean over the scene.
-
-    Args:
-        page: The page.
-        entries: Colours and their meaning.
-    """
+    """A page of MeshCat's with what its colours mean over the scene."""
     spans = "".join(
         f'<div><span style="display:inline-block;width:12px;height:12px;margin-right:8px;'
         f'border-radius:6px;background:{color}"></span>{html_text(name)}</div>'

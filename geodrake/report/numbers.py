@@ -27,12 +27,7 @@ _NOTICED = 0.3
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A value with so many significant digits; as a multiple of 10ⁿ if very small or large.
-
-    Args:
-        value: Any number.
-        digits: Significant digits, at least one.
-    """
+    """A value with so many significant digits; as a multiple of 10ⁿ if very small or large."""
     if not math.isfinite(value):
         return UNKNOWN
     if value == 0:
@@ -49,7 +44,6 @@ def with_deviation(value: float, deviation: float, systematic: float = math.nan)
     With a systematic one that is not small beside it `3.084 ± 0.012 ± 0.154`.
 
     Args:
-        value: The value.
         deviation: Its standard deviation; left out where it is not a positive finite number.
         systematic: A standard deviation that more data do not narrow.
     """
@@ -71,7 +65,6 @@ def is_noticed(deviation: float, systematic: float) -> bool:
     """Whether a systematic deviation is shown beside another one.
 
     Args:
-        deviation: A positive standard deviation.
         systematic: One that more data do not narrow, in the same unit.
     """
     return math.isfinite(systematic) and 0.0 < deviation < systematic / _NOTICED
@@ -81,9 +74,7 @@ def estimate(value: float, deviation: float, systematic: float = math.nan) -> st
     """A value with its standard deviation; where there is none, as for a shape, plain digits.
 
     Args:
-        value: The value.
         deviation: Its standard deviation in the same unit; not finite if there is none.
-        systematic: As for `with_deviation`.
     """
     if math.isfinite(deviation):
         return with_deviation(value, deviation, systematic)
@@ -116,12 +107,7 @@ def relative(deviation: float) -> str:
 
 
 def shortened(text: str, most: int) -> str:
-    """A printable text of at most so many characters, its middle left out where it is longer.
-
-    Args:
-        text: Any text.
-        most: Most characters.
-    """
+    """A printable text of at most so many characters, its middle left out where it is longer."""
     text = printable(text)
     if len(text) <= most:
         return text
@@ -150,7 +136,6 @@ class Units:
         """The units of a model's joints, and of its effects.
 
         Args:
-            model: The model.
             extra: Effects of the user's own that the model need not have.
         """
         own = {kind.name: kind for kind in (*extra, *(type(f.effect) for f in model.effects))}
@@ -160,7 +145,6 @@ class Units:
         """A unit that is written for a revolute joint, at a joint.
 
         Args:
-            joint: Name of the joint.
             unit: The unit at a revolute joint, such as N·m/rad.
         """
         if joint in self.prismatic:
@@ -177,8 +161,6 @@ class Units:
         """Unit in which a parameter is shown; "" for plain numbers and those nothing is known of.
 
         Args:
-            effect: Name of the effect.
-            name: Name of the parameter.
             place: Joint or body, or a pair of joints as `a & b`.
         """
         if self._in_milliseconds(effect, name):
@@ -187,13 +169,7 @@ class Units:
         return "" if unit == "1" else self.at(place.partition(" & ")[0], unit)
 
     def shown(self, effect: str, name: str, value: float) -> float:
-        """A parameter's value in the unit in which it is shown, `parameter`.
-
-        Args:
-            effect: Name of the effect.
-            name: Name of the parameter.
-            value: Its value, SI.
-        """
+        """A parameter's value in the unit in which it is shown, `parameter`."""
         return 1e3 * value if self._in_milliseconds(effect, name) else value
 
     def _in_milliseconds(self, effect: str, name: str) -> bool:

@@ -45,9 +45,7 @@ class ColoredList:
     """A list about one of the page's models.
 
     Attributes:
-        title: Its heading.
         color: Name of the model's colour in the style sheet.
-        items: Its entries.
     """
 
     title: str
@@ -60,15 +58,7 @@ class Section:
     """A part of a page under a heading.
 
     Attributes:
-        title: The heading.
-        text: Paragraphs.
-        tables: Tables.
-        items: Entries of a list.
-        bars: Errors as bars.
-        pictures: Figures of matplotlib.
         abreast: Whether the tables are narrow and may stand side by side.
-        lists: Lists side by side.
-        charts: Plots over time.
         dependences: Residuals of models against what they may depend on.
     """
 
@@ -95,9 +85,7 @@ class Tile:
     """A number worth seeing first.
 
     Attributes:
-        label: What it is.
         value: The number, in words.
-        note: What it means.
         words: Whether the value is a name, which may be long.
     """
 
@@ -112,16 +100,12 @@ class Page:
     """A whole report.
 
     Attributes:
-        title: Title of the page.
         subject: What was compared with what.
         verdict: "adequate", "explained", "unexplained", "undecided", "compared" or
             "identified"; decides the colour.
-        mark: The verdict in words.
         headline: The answer, in a sentence.
         lead: What the answer means, in paragraphs.
         tiles: The numbers worth seeing first.
-        sections: What follows.
-        footer: Versions.
         links: Words -> address of what belongs to the page.
     """
 

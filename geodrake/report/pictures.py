@@ -16,12 +16,7 @@ _LARGEST_SVG = 120_000
 
 
 def picture(figure: Figure, caption: str) -> Picture:
-    """A figure as an image that is part of the page.
-
-    Args:
-        figure: The figure.
-        caption: The sentence under it.
-    """
+    """A figure as an image that is part of the page."""
     drawn = svg(figure)
     if len(drawn) <= _LARGEST_SVG:
         return Picture("", caption, Markup(drawn))  # matplotlib escapes what it writes
@@ -29,10 +24,5 @@ def picture(figure: Figure, caption: str) -> Picture:
 
 
 def pictures(figures: Mapping[str, Figure], captions: Mapping[str, str]) -> tuple[Picture, ...]:
-    """The figures that have captions, in the order of the captions.
-
-    Args:
-        figures: Figures by name.
-        captions: Captions by name of the figure.
-    """
+    """The figures that have captions, in the order of the captions."""
     return tuple(picture(figures[name], text) for name, text in captions.items() if name in figures)

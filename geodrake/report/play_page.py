@@ -65,13 +65,6 @@ def play_page(
 
     Links have the colour of the error of their joint. A panel names the worst moments, and jumps to
     them; strips show the errors of all joints over time.
-
-    Args:
-        playback: What to play.
-        title: Title of the page.
-        log_names: What the logs are called.
-        units: Units of the joints and parameters.
-        speed: Seconds of the log played in a second.
     """
     with drake_messages():
         meshcat = calm_meshcat()
@@ -193,12 +186,7 @@ def _several(playback: Playback) -> bool:
 
 
 def levels(playback: Playback, played: PlayedModel) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """(F, nv) colours of a model's joints in all frames, from 0 for no error to 254.
-
-    Args:
-        playback: What is played, whose errors make the scale.
-        played: The model.
-    """
+    """(F, nv) colours of a model's joints in all frames, from 0 for no error to 254."""
     scaled = np.clip(played.relative / playback.top, 0.0, 1.0) * _LEVELS
     return np.where(np.isfinite(scaled), np.rint(scaled), UNKNOWN).astype(np.uint8)
 

@@ -37,7 +37,6 @@ class Excerpt:
     """Part of a log that is played.
 
     Attributes:
-        log: Name of the log.
         began: The log's first time stamp, s.
         time: (F,) instants of the frames in the log's own time, s.
         q: (F, nv) positions by joint, rad or m.
@@ -55,7 +54,6 @@ class PlayedModel:
 
     Attributes:
         title: What the copy of the robot is called.
-        model: The model.
         comparison: Its errors on the whole logs.
         trained: Whether the model was fitted to these logs, so that errors are those of training.
         measured: (F, nv) filtered efforts, N·m or N; NaN where nothing is compared.
@@ -80,7 +78,6 @@ class Moment:
 
     Attributes:
         played: Number of the model among those played.
-        joint: Number of the joint.
         frame: Number of the frame.
         error: RMS error around it, N·m or N.
         relative: The same over the deviation of the joint's measured effort.
@@ -98,7 +95,6 @@ class Playback:
     """Motions and errors, frame by frame.
 
     Attributes:
-        joints: Names of the joints.
         excerpts: What is played, one after another.
         models: One model, or that before and that after.
         moments: The worst moments of each model, worst first.
@@ -145,9 +141,7 @@ def play_back(
 
     Args:
         model: The model as it stands; nothing in it is refitted.
-        logs: Logs or their files.
         before: Another model of the same robot, to be played beside it.
-        extra: Effect classes of the user's own.
         bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
             or chosen from the data.
         seconds: Length of what is played at most, s.

@@ -42,7 +42,6 @@ def replay_page(model: RobotModel, times: Array, q: Array) -> str:
     ellipsoids of their inertia.
 
     Args:
-        model: The robot.
         times: (N,) instants, s.
         q: (N, nq) positions of the model.
     """
@@ -54,11 +53,6 @@ def rollout_replay_page(model: RobotModel, after: Rollout, before: Rollout | Non
     """One HTML page with the windows of a rollout: the measured robot, and the simulated one.
 
     A simulated robot that breaks off stays where it was.
-
-    Args:
-        model: The robot.
-        after: The rollout.
-        before: That of the model before, if there is one.
     """
     looks, motions = [_MEASURED, _AFTER], [_frames(after, "measured"), _frames(after, "simulated")]
     if before is not None:

@@ -31,8 +31,6 @@ def render_comparison(
     """Return the report of a comparison.
 
     Args:
-        comparison: The result of `geodrake.identification.logs.compare.compare`.
-        title: Title of the page.
         model_name: What the model is called.
         log_names: What the logs are called.
         units: Units of the joints, `Units.of(model)`; those of revolute joints by default.
@@ -85,8 +83,6 @@ def render_diagnosis(
     """Return the report of a diagnosis; arguments as for `render_comparison`.
 
     Args:
-        diagnosis: The result of `geodrake.diagnosis.diagnose`.
-        title: Title of the page.
         model_name: What the model is called.
         log_names: What the logs are called.
         units: Units of the joints, `Units.of(model)`; those of revolute joints by default.
@@ -151,11 +147,8 @@ def render_explanation(
     Args:
         explanation: The result of `geodrake.diagnosis.explain` or `add`; units are those of its
             model.
-        title: Title of the page.
         model_name: What the model is called.
         log_names: What the logs are called.
-        more: Further sections, after those of the explanation.
-        advice: Paragraphs that end the verdict.
         links: Words -> address of further pages, such as a recording; none by default.
     """
     units = Units.of(explanation.model)
@@ -210,22 +203,12 @@ def _explanation_tiles(explanation: Explanation, units: Units) -> tuple[Tile, ..
 
 
 def with_bars(section: Section, bars: Bars) -> Section:
-    """Return a section with one figure of bars more.
-
-    Args:
-        section: The section without it.
-        bars: The bars.
-    """
+    """Return a section with one figure of bars more."""
     return replace(section, bars=(*section.bars, bars))
 
 
 def subject(model_name: str, log_names: Sequence[str]) -> str:
-    """Return what was compared with what, in words.
-
-    Args:
-        model_name: What the model is called.
-        log_names: What the logs are called.
-    """
+    """Return what was compared with what, in words."""
     return f"{model_name} against {', '.join(log_names)}"
 
 

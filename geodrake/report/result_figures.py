@@ -28,7 +28,6 @@ def comparison_figures(comparison: Comparison, *, units: Units | None = None) ->
     """Return the figures of a comparison's report, by name.
 
     Args:
-        comparison: The comparison.
         units: Units of the joints; those of revolute joints by default.
     """
     return {
@@ -43,7 +42,6 @@ def diagnosis_figures(diagnosis: Diagnosis, *, units: Units | None = None) -> di
     """Return the figures of a diagnosis' report, by name.
 
     Args:
-        diagnosis: The diagnosis.
         units: Units of the joints; those of revolute joints by default.
     """
     figures = comparison_figures(diagnosis.comparison, units=units)

@@ -44,7 +44,6 @@ class JointPlace:
     """Where a joint is, and what it moves.
 
     Attributes:
-        joint: Name of the joint.
         link: Path of the link that the joint moves.
         X_BJ: Pose of the joint in the link, z along its axis.
         moved: Paths of the shapes of all links that it moves as one.
@@ -63,15 +62,11 @@ class RobotScene:
     none, or they cannot be read, bodies are ellipsoids of their inertia.
 
     Args:
-        meshcat: Where to draw.
-        model: The robot.
         shapes: Its shapes; those of its file if None.
-        path: Folder of the scene to draw in.
         p_WR: (3,) where the robot stands, m.
         color: One colour for all links instead of the file's.
 
     Attributes:
-        path: Folder of the scene.
         notes: What is not shown as the file has it, in words.
     """
 
@@ -207,10 +202,8 @@ def draw_ellipsoid(meshcat: Meshcat, path: str, phi: Array, color: Rgba) -> None
     """Draws the uniform ellipsoid that has the inertia of a body.
 
     Args:
-        meshcat: Where to draw.
         path: Where in the scene; the folder above has the body's frame.
         phi: (10,) physical inertial parameters.
-        color: Its colour.
     """
     own = equivalent_ellipsoid(phi)
     meshcat.SetObject(path, EllipsoidShape(*np.maximum(own.semi_axes, LEAST_THICKNESS)), color)
@@ -252,7 +245,6 @@ class Extent:
         """The extent of some postures.
 
         Args:
-            model: The robot.
             q: (N, nq) positions of the model.
             shapes: Its shapes; where there are none, that of its ellipsoids counts.
         """
@@ -280,9 +272,7 @@ def draw_floor(meshcat: Meshcat, path: str, extent: Extent) -> None:
     """Draws a disc for a robot to stand on.
 
     Args:
-        meshcat: The scene.
         path: Folder of the robot, or "" for that of the whole scene.
-        extent: Where the robot goes.
     """
     disc = Cylinder(0.3 * extent.size, _FLOOR_THICKNESS)
     meshcat.SetObject(f"{path}/floor", disc, Rgba(0.87, 0.89, 0.92, 1.0))
@@ -290,13 +280,7 @@ def draw_floor(meshcat: Meshcat, path: str, extent: Extent) -> None:
 
 
 def place_camera(meshcat: Meshcat, extent: Extent, *, copies: int = 1) -> None:
-    """Looks at where a robot goes.
-
-    Args:
-        meshcat: The scene.
-        extent: Where the robot goes.
-        copies: Number of copies beside each other, `extent.gap` apart.
-    """
+    """Looks at where a robot goes."""
     margin = 0.12 * extent.size
     left, right = -extent.left, extent.right + (copies - 1) * extent.gap
     height = 0.5 * (extent.high - extent.low)[2] + margin

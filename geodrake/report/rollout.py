@@ -48,7 +48,6 @@ def render_rollout(
 
     Args:
         found: The rollout, and that of the model before, if there is one.
-        title: Title of the page.
         model_name: What the model is called.
         log_names: What the logs are called.
         units: Units of the joints; those of revolute joints by default.
@@ -86,9 +85,7 @@ def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart
     """Measured and simulated positions of every joint over time, window after window.
 
     Args:
-        after: The rollout.
         before: That of the model before; None for none.
-        units: Units of the joints.
     """
     starts = np.arange(len(after.windows)) * 1.1 * after.horizon
     times = [s + w.time - w.time[0] for s, w in zip(starts, after.windows, strict=True)]

@@ -27,8 +27,6 @@ def render_rollout_fit(
     """Return the report of a fit of rollouts.
 
     Args:
-        found: The fit.
-        title: Title of the page.
         model_name: What the model is called.
         log_names: What the logs are called.
         units: Units of the joints; those of revolute joints by default.

@@ -38,7 +38,6 @@ class Mark:
 
     Attributes:
         path: Folder of the scene that is there.
-        words: What to say.
         place: The joint or body, or what else the effect is of.
     """
 
@@ -54,8 +53,6 @@ class EffortArrows:
     measured effort have one length at all joints.
 
     Args:
-        meshcat: Where to draw.
-        places: The joints.
         measured: (F, nv) efforts, N·m or N; NaN where there is none.
         predicted: (F, nv) the same, of the model.
         size: Size of the robot, m.
@@ -97,10 +94,6 @@ class EffectMarks:
     """The effects of a model at their places: bodies, contacts, rings at joints.
 
     Args:
-        meshcat: Where to draw.
-        scene: The robot.
-        model: Its model.
-        units: Units of its parameters.
         size: Size of the robot, m.
 
     Attributes:
@@ -119,11 +112,7 @@ class EffectMarks:
             self.marks += self._draw(k, fitted)
 
     def start(self, excerpts: Sequence[Excerpt]) -> None:
-        """Record when contacts, and what is held for a while, are there.
-
-        Args:
-            excerpts: What is played.
-        """
+        """Record when contacts, and what is held for a while, are there."""
         for effect, path in self._episodes:
             shown = np.concatenate([_during(effect, excerpt) for excerpt in excerpts])
             last, changes = len(shown) - 1, 1 + np.flatnonzero(np.diff(shown))
@@ -188,12 +177,7 @@ class EffectMarks:
 
 
 def effect_words(fitted: FittedEffect, units: Units) -> str:
-    """An effect and its most telling value, such as `payload 2.49 kg`.
-
-    Args:
-        fitted: The effect with its values.
-        units: Units of its parameters.
-    """
+    """An effect and its most telling value, such as `payload 2.49 kg`."""
     effect = fitted.effect
     label = printable(effect.label or effect_label(effect.name))
     values, _ = effect.reported(fitted.parameters, np.full(len(fitted.parameters), np.nan))
@@ -208,14 +192,7 @@ def effect_words(fitted: FittedEffect, units: Units) -> str:
 
 
 def draw_arrow(meshcat: Meshcat, path: str, length: float, color: str) -> None:
-    """Draws an arrow from the origin of a folder along its z.
-
-    Args:
-        meshcat: Where to draw.
-        path: The folder.
-        length: Length of the arrow, m.
-        color: Its colour.
-    """
+    """Draws an arrow from the origin of a folder along its z."""
     head, width = 0.3 * length, 0.028 * length
     meshcat.SetObject(f"{path}/shaft", Cylinder(width, length - head), _rgba(color))
     middle = RigidTransform([0.0, 0.0, 0.5 * (length - head)])

@@ -31,9 +31,6 @@ def error_tile(title: str, errors: ErrorTable, units: Units, where: str = "all j
     """Return how large an error is, in N·m first; only its nrms where units are mixed.
 
     Args:
-        title: What stands above it.
-        errors: Errors of a model.
-        units: Units of the joints.
         where: What the error is of, in words.
     """
     unit = units.effort([joint.joint for joint in errors.joints])
@@ -44,11 +41,7 @@ def error_tile(title: str, errors: ErrorTable, units: Units, where: str = "all j
 
 
 def noise_tile(errors: ErrorTable) -> Tile:
-    """Return what sensor noise alone would make, if the logs show any.
-
-    Args:
-        errors: Errors of a model, with the noise.
-    """
+    """Return what sensor noise alone would make, if the logs show any."""
     if not errors.shows_noise:
         return Tile("sensor noise", "not seen", "nothing to compare the error with")
     return Tile("sensor noise", number(errors.floor_nrms), "the nrms of a perfect model")
@@ -58,7 +51,6 @@ def removable_tiles(errors: ErrorTable, of: str) -> tuple[Tile, ...]:
     """Return what a better model could remove; none where no noise is seen, as it is unknown then.
 
     Args:
-        errors: Errors of a model, with the noise.
         of: What the share is of, in words.
     """
     if not errors.shows_noise:
@@ -67,12 +59,7 @@ def removable_tiles(errors: ErrorTable, of: str) -> tuple[Tile, ...]:
 
 
 def steps_section(explanation: Explanation, units: Units) -> Section:
-    """The steps: effect, where, error before and after, what else may be there, how sure it is.
-
-    Args:
-        explanation: The explanation.
-        units: Units of the robot's joints.
-    """
+    """The steps: effect, where, error before and after, what else may be there, how sure it is."""
     if not explanation.steps:
         return Section("What is missing", (NOTHING_FOUND,))
     text = (
@@ -89,12 +76,7 @@ def steps_section(explanation: Explanation, units: Units) -> Section:
 
 
 def parameters_section(explanation: Explanation, units: Units) -> Section:
-    """Return the parameters that were found, with their standard deviations and units.
-
-    Args:
-        explanation: The explanation.
-        units: Units of the robot's joints.
-    """
+    """Return the parameters that were found, with their standard deviations and units."""
     tables = [parameters_table(step, units) for step in explanation.steps if step.parameters]
     words = "Value ± standard deviation, where the fit knows one."
     if any(map(_has_noticed, explanation.steps)):
@@ -130,12 +112,7 @@ def bodies_section(explanation: Explanation) -> Section:
 
 
 def signals_section(signals: Sequence[EffortSignal], units: Units) -> Section:
-    """What makes efforts of currents, voltages and commands; empty where efforts were measured.
-
-    Args:
-        signals: Those of the model.
-        units: Units of the robot's joints.
-    """
+    """What makes efforts of currents, voltages and commands; empty where efforts were measured."""
     signals = [signal for signal in signals if signal.kind != EFFORT]
     if not signals:
         return Section("Gains")
@@ -150,12 +127,7 @@ def signals_section(signals: Sequence[EffortSignal], units: Units) -> Section:
 
 
 def limits_section(signals: Sequence[EffortSignal], units: Units) -> Section:
-    """What motors give of the efforts that they are asked for; empty where that is not limited.
-
-    Args:
-        signals: Those of the model.
-        units: Units of the robot's joints.
-    """
+    """What motors give of the efforts that they are asked for; empty where that is not limited."""
     signals = [signal for signal in signals if signal.kind == EFFORT]
     if not signals:
         return Section("Limits of motors")
@@ -178,12 +150,7 @@ def joints_section(stages: Mapping[str, ErrorTable], units: Units) -> Section:
 
 
 def candidates_section(diagnosis: Diagnosis, units: Units) -> Section:
-    """Return the candidates that convince, the chosen one first.
-
-    Args:
-        diagnosis: The diagnosis.
-        units: Units of the robot's joints.
-    """
+    """Return the candidates that convince, the chosen one first."""
     if not diagnosis.candidates:
         return Section("Candidates", (NOTHING_FOUND,))
     text = (
@@ -214,14 +181,7 @@ def failing_section(
     charts: Sequence[Chart] = (),
     alone: Stage = BEFORE,
 ) -> Section:
-    """Return where the error is concentrated, at first and in the end, in words and over time.
-
-    Args:
-        before: The model as it stands.
-        after: The final model, if there is one.
-        charts: Efforts over time, with the worst stretches.
-        alone: What `before` is, where there is no other.
-    """
+    """Return where the error is concentrated, at first and in the end, in words and over time."""
     models = {alone: before} if after is None else {BEFORE: before, AFTER: after}
     lists = tuple(
         ColoredList(stage.label[:1].upper() + stage.label[1:], stage.color, words)
@@ -236,19 +196,13 @@ def dependence_section(models: Mapping[Stage, Comparison], units: Units) -> Sect
 
     Args:
         models: The models, the last of which is shown at first.
-        units: Units of the joints.
     """
     shown = tuple(residual_dependence(found, stage, units) for stage, found in models.items())
     return Section("What the error goes with", dependences=shown)
 
 
 def worst_tile(before: ErrorTable, after: ErrorTable | None = None) -> Tile:
-    """Return the joint that errs most, of the final model if there is one.
-
-    Args:
-        before: Errors of the model as it stands.
-        after: Errors of the final model.
-    """
+    """Return the joint that errs most, of the final model if there is one."""
     last = after or before
     worst = worst_joint(last).joint
     tables = [before] if after is None else [before, after]
@@ -257,12 +211,7 @@ def worst_tile(before: ErrorTable, after: ErrorTable | None = None) -> Tile:
 
 
 def method_section(comparison: Comparison, *, refitted: bool) -> Section:
-    """Return how the errors were measured.
-
-    Args:
-        comparison: The comparison whose series name the folds.
-        refitted: Whether models were refitted, with the folds held out.
-    """
+    """Return how the errors were measured."""
     folds = list(dict.fromkeys(series.block for series in comparison.series))
     text = [
         "Efforts and everything they are compared with passed through the same zero-phase filter, "

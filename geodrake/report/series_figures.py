@@ -40,7 +40,6 @@ def effort_figure(
     """Measured and predicted efforts, and the residual, against time.
 
     Args:
-        comparison: The model as it stands.
         after: The final model on the same logs, if there is one.
         most: Largest number of joints to show: those of largest nrms.
         units: Units of the joints; those of revolute joints by default.
@@ -89,7 +88,6 @@ def residual_figure(
 
     Args:
         comparison: The model as it stands, or the final one.
-        color: Colour of the samples: `style.BEFORE` or `style.AFTER`.
         most: Largest number of joints to show: those of largest nrms.
         units: Units of the joints; those of revolute joints by default.
 

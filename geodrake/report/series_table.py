@@ -30,7 +30,6 @@ def comparison_series(now: Comparison, before: Comparison | None = None) -> Colu
     """Efforts of a comparison, N·m or N; NaN where a joint's sample was left out.
 
     Args:
-        now: The comparison.
         before: That of the model before on the same logs, if there is one.
 
     Returns:
@@ -55,10 +54,6 @@ def comparison_series(now: Comparison, before: Comparison | None = None) -> Colu
 
 def rollout_series(now: Rollout, before: Rollout | None = None) -> Columns:
     """Positions of a rollout, rad or m, window after window.
-
-    Args:
-        now: The rollout.
-        before: That of the model before, if there is one.
 
     Returns:
         `time`, `log`, `window`, and of every joint `measured`, `predicted` and `residual`, measured
@@ -85,7 +80,6 @@ def series_content(columns: Columns, path: Path) -> Content:
     """What goes into a file of samples, by its suffix.
 
     Args:
-        columns: The samples.
         path: The file, CSV or Parquet; empty entries of a CSV are samples that were left out.
 
     Raises:
@@ -113,10 +107,6 @@ def check_series(path: Path) -> None:
 
 def optional(module: str, extra: str) -> Any:
     """A module of a package that results can do without.
-
-    Args:
-        module: Its name.
-        extra: The extra of geodrake that brings it.
 
     Raises:
         ArgumentError: It is not installed.

@@ -29,7 +29,6 @@ class Tick:
 
     Attributes:
         at: Where, in per cent from the left or from the top.
-        text: The number.
     """
 
     at: float
@@ -44,7 +43,6 @@ class Line:
         stage: Key of the stage it belongs to; "" for none.
         color: Name of its colour in the style sheet.
         kind: "line", "wide-line", "mean", "rms", "dots", "limit" or "zero".
-        path: The SVG's path.
     """
 
     stage: str
@@ -60,10 +58,6 @@ class Box:
     Attributes:
         stage: Key of the stage it belongs to; "" for the noise.
         color: Name of its colour in the style sheet.
-        x: Left end.
-        y: Upper end.
-        width: Width.
-        height: Height.
     """
 
     stage: str
@@ -80,7 +74,6 @@ class StaticPlot:
 
     Attributes:
         label: What is shown, with its unit.
-        lines: Lines and dots.
         boxes: Shaded parts, behind the lines.
         across: Numbers along the axis below.
         up: Numbers along the axis at the left.
@@ -98,12 +91,7 @@ class StaticPlot:
 
 
 def static_plots(chart: Chart, panel: Panel) -> tuple[StaticPlot, ...]:
-    """The plots of a panel.
-
-    Args:
-        chart: The chart, with the stages and the axis.
-        panel: One of its panels.
-    """
+    """The plots of a panel."""
     *upper, last = panel.plots
     across = _time_ticks(chart)
     return (
@@ -144,7 +132,6 @@ def span_of(plot: Plot, curves: Array) -> tuple[float, float]:
     """Lowest and highest value that a plot shows.
 
     Args:
-        plot: The plot.
         curves: (C, K) values of the curves shown; NaN where one breaks.
     """
     if plot.span is not None:
@@ -161,13 +148,7 @@ def span_of(plot: Plot, curves: Array) -> tuple[float, float]:
 
 
 def round_values(low: float, high: float, most: int) -> Array:
-    """Round numbers that enclose an interval, in steps of 1, 2 or 5 times a power of ten.
-
-    Args:
-        low: Its lower end.
-        high: Its upper end.
-        most: Steps at most, those at its ends apart.
-    """
+    """Round numbers that enclose an interval, in steps of 1, 2 or 5 times a power of ten."""
     if not high > low:
         return np.array([low])
     least = (high - low) / most
@@ -177,12 +158,7 @@ def round_values(low: float, high: float, most: int) -> Array:
 
 
 def value_ticks(frame: Frame, most: int) -> tuple[Tick, ...]:
-    """Round numbers along the axis at the left.
-
-    Args:
-        frame: What the plot shows.
-        most: About how many.
-    """
+    """Round numbers along the axis at the left."""
     low, high = frame.y
     margin = 0.03 * (high - low)
     values = round_values(low, high, most)
@@ -194,12 +170,7 @@ def value_ticks(frame: Frame, most: int) -> tuple[Tick, ...]:
 
 
 def across_ticks(frame: Frame, most: int) -> tuple[Tick, ...]:
-    """Round numbers along the axis below.
-
-    Args:
-        frame: What the plot shows.
-        most: About how many.
-    """
+    """Round numbers along the axis below."""
     low, high = frame.x
     values = round_values(low, high, most)
     return tuple(
@@ -210,12 +181,7 @@ def across_ticks(frame: Frame, most: int) -> tuple[Tick, ...]:
 
 
 def noise_band(frame: Frame, floor: float) -> tuple[Box, ...]:
-    """The band of sensor noise about zero, as far as it is in the plot; none without noise.
-
-    Args:
-        frame: What the plot shows.
-        floor: Half its width.
-    """
+    """The band of sensor noise about zero, as far as it is in the plot; none without noise."""
     if not floor > 0:
         return ()
     top, bottom = np.clip(frame.down(np.array([floor, -floor])), 0, HEIGHT).round(1).tolist()

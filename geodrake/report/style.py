@@ -59,12 +59,7 @@ def new_figure(height: float) -> Figure:
 
 
 def polish(ax: Axes, *, grid: str = "both") -> Axes:
-    """Gives axes the common look.
-
-    Args:
-        ax: The axes, changed in place.
-        grid: "x", "y", "both" or "none".
-    """
+    """Gives axes the common look."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.spines[["left", "bottom"]].set_color(RULE)
     ax.tick_params(labelcolor=QUIET, labelsize=SMALL, length=3, color=RULE)
@@ -76,13 +71,7 @@ def polish(ax: Axes, *, grid: str = "both") -> Axes:
 
 
 def plain(size: float = NORMAL, color: str = INK, **more: Any) -> dict[str, Any]:
-    """Text properties; names of joints may contain `$`, which must not be read as mathematics.
-
-    Args:
-        size: Size of the letters, points.
-        color: Their colour, as matplotlib takes it.
-        **more: Further properties of matplotlib's `Text`.
-    """
+    """Text properties; names of joints may contain `$`, which must not be read as mathematics."""
     return {"fontsize": size, "color": color, "parse_math": False, **more}
 
 
@@ -90,8 +79,6 @@ def joint_title(ax: Axes, joint: str, detail: str = "") -> None:
     """Puts a joint's name above its axes, and a detail at the right.
 
     Args:
-        ax: The axes.
-        joint: Name of the joint.
         detail: Words at the right; "" for none.
     """
     ax.set_title(label(joint, 48), loc="left", pad=4, **plain(fontweight="bold"))
@@ -108,7 +95,6 @@ def label(text: str, most: int = _MOST_LETTERS) -> str:
     """Words for a figure: not too many letters, and those that the font does not have as �.
 
     Args:
-        text: Any text.
         most: Most letters; the middle of a longer text is left out.
     """
     font = get_font(findfont(_FONT))
@@ -116,12 +102,7 @@ def label(text: str, most: int = _MOST_LETTERS) -> str:
 
 
 def log_scale(ax: Axes, axis: str) -> None:
-    """Makes an axis logarithmic, its ticks written as plain numbers.
-
-    Args:
-        ax: The axes.
-        axis: "x" or "y".
-    """
+    """Makes an axis logarithmic, its ticks written as plain numbers."""
     of: XAxis | YAxis = ax.xaxis if axis == "x" else ax.yaxis
     ax.set(**{f"{axis}scale": "log"})
     low, high = of.get_view_interval()
@@ -132,13 +113,7 @@ def log_scale(ax: Axes, axis: str) -> None:
 
 
 def legend_above(figure: Figure, handles: Sequence[Any], *, columns: int = 5) -> None:
-    """One legend for the whole figure, above it.
-
-    Args:
-        figure: The figure.
-        handles: Artists with labels.
-        columns: Number of columns.
-    """
+    """One legend for the whole figure, above it."""
     figure.legend(
         handles=list(handles),
         loc="outside upper left",
@@ -155,7 +130,6 @@ def note_below(figure: Figure, text: str) -> None:
     """A remark under a figure.
 
     Args:
-        figure: The figure.
         text: The remark; "" for none.
     """
     if text:

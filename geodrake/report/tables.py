@@ -58,10 +58,8 @@ class Table:
     """A table of words and numbers.
 
     Attributes:
-        head: Titles of the columns.
         rows: The rows, as long as the head.
         words: How many columns from the left hold words; the others hold numbers.
-        title: What stands above it.
         total: How many of the last rows sum the others up.
     """
 
@@ -85,7 +83,6 @@ def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
 
     Args:
         stages: Title -> errors of a model, from the first to the last.
-        units: Units of the joints.
     """
     *_, last = stages.values()
     mixed = " or " in units.effort([joint.joint for joint in last.joints])
@@ -126,12 +123,7 @@ def error_stages(explanation: Explanation) -> dict[str, ErrorTable]:
 
 
 def candidates_table(diagnosis: Diagnosis, units: Units) -> Table:
-    """Return the candidates that convince, the chosen one first; = marks those that are as good.
-
-    Args:
-        diagnosis: The diagnosis.
-        units: Units of the joints and effects of the model.
-    """
+    """Return the candidates that convince, the chosen one first; = marks those that are as good."""
     joints = [joint.joint for joint in diagnosis.start.joints]
     rows = tuple(
         cells(
@@ -150,12 +142,7 @@ def candidates_table(diagnosis: Diagnosis, units: Units) -> Table:
 
 
 def steps_table(explanation: Explanation, units: Units) -> Table:
-    """Return the steps: effect, where, rivals, errors before and after, how sure it is.
-
-    Args:
-        explanation: The explanation.
-        units: Units of the joints and effects of the model.
-    """
+    """Return the steps: effect, where, rivals, errors before and after, how sure it is."""
     joints = [joint.joint for joint in explanation.start.joints]
     rows = tuple(
         cells(
@@ -181,13 +168,7 @@ def steps_table(explanation: Explanation, units: Units) -> Table:
 
 
 def short_steps_table(explanation: Explanation, units: Units, *, details: bool = True) -> Table:
-    """Return the steps with what was found, narrow enough for a terminal.
-
-    Args:
-        explanation: The explanation.
-        units: Units of the joints and effects of the model.
-        details: Whether parameters and rivals stand in the table.
-    """
+    """Return the steps with what was found, narrow enough for a terminal."""
     start, refitted = explanation.start.nrms, explanation.refitted.nrms
     rows = [cells("", "as it stands", "", "", number(start), "", "")]
     if explanation.steps:
@@ -215,12 +196,7 @@ def short_steps_table(explanation: Explanation, units: Units, *, details: bool =
 
 
 def step_details(explanation: Explanation, units: Units) -> list[str]:
-    """Parameters and rivals of each step, a line each.
-
-    Args:
-        explanation: The explanation.
-        units: Units of the joints and effects of the model.
-    """
+    """Parameters and rivals of each step, a line each."""
     steps = ((step.effect, _details(step, units)) for step in explanation.steps)
     return [f"{effect}: {'; '.join(lines)}" for effect, lines in steps if lines]
 
@@ -232,12 +208,7 @@ def _details(step: Step, units: Units) -> list[str]:
 
 
 def parameters_table(step: Step, units: Units) -> Table:
-    """Places by parameters; a column's unit stands in its head where all places share it.
-
-    Args:
-        step: A step with parameters.
-        units: Units of the joints and effects of the model.
-    """
+    """Places by parameters; a column's unit stands in its head where all places share it."""
     names = list(dict.fromkeys(name for values in step.parameters.values() for name in values))
     places = ordered_places(step)
     head, columns = ["where"], []
@@ -260,7 +231,6 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
 
     Args:
         signals: Those of a model, without those of motors that are asked for efforts.
-        units: Units of the joints of the model.
     """
     rows, served = [], any(signal.kind == COMMAND for signal in signals)
     summed = any(signal.integral for signal in signals)
@@ -287,12 +257,7 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
 
 
 def limits_table(signals: Sequence[EffortSignal], units: Units) -> Table:
-    """Return what motors give of the efforts that they are asked for.
-
-    Args:
-        signals: Those of such motors.
-        units: Units of the joints of the model.
-    """
+    """Return what motors give of the efforts that they are asked for."""
     rows = [cells(signal.joint, _limit(signal, units)) for signal in signals]
     return Table(("joint", "limit"), tuple(rows), words=1)
 
@@ -330,10 +295,7 @@ def departures_table(
     """Return how far every joint departs from its measured motion.
 
     Args:
-        after: The rollout.
         before: A rollout of the same passages with another model; None for none.
-        units: Units of the joints of the model.
-        between: Rollouts with the models on the way.
     """
     others = (before, *between) if before else ()
     rows = []
@@ -355,12 +317,7 @@ def departures_table(
 
 
 def rollout_values_table(found: RolloutFit, units: Units) -> Table:
-    """Return what a fit of rollouts found, before and after.
-
-    Args:
-        found: The fit.
-        units: Units of the joints and effects of the model.
-    """
+    """Return what a fit of rollouts found, before and after."""
     rows = []
     for value in found.values:
         unit = units.parameter(value.effect, value.name, value.joint)
@@ -381,12 +338,7 @@ def rollout_values_table(found: RolloutFit, units: Units) -> Table:
 
 
 def rollout_fit_table(found: RolloutFit, units: Units) -> Table:
-    """Departures of every joint before and after a fit, in the windows it saw and in the others.
-
-    Args:
-        found: The fit.
-        units: Units of the joints of the model.
-    """
+    """Departures of every joint before and after a fit, in the windows it saw and in the others."""
     stages = (*found.fitted, *found.held_out)
     rows = [
         cells(
@@ -410,7 +362,6 @@ def effect_cell(name: str, units: Units) -> Cell:
 
     Args:
         name: Name of the effect, or two joined by " + ".
-        units: Units, with the classes of the effects.
     """
     label, typed = effect_label(name), name.replace(" + ", "\n+ ")
     return Cell(label, effect_signature(name, units), typed=typed)

@@ -23,11 +23,7 @@ _CAPTION = (
 
 
 def tiles_of_pairs(result: ExcitationResult) -> tuple[Tile, ...]:
-    """The hardest pair in numbers.
-
-    Args:
-        result: The result of `geodrake.excitation.design_separation`.
-    """
+    """The hardest pair in numbers."""
     pairs = distinguished_pairs(result)
     factor = float(np.sqrt(improvement(result)))
     return (
@@ -38,11 +34,7 @@ def tiles_of_pairs(result: ExcitationResult) -> tuple[Tile, ...]:
 
 
 def pairs_section(result: ExcitationResult) -> Section:
-    """Every pair with its difference, and how the hardest look.
-
-    Args:
-        result: The result of `geodrake.excitation.design_separation`.
-    """
+    """Every pair with its difference, and how the hardest look."""
     pairs = distinguished_pairs(result)
     units = Units.of(result.objective.target.model)
     text = [
@@ -61,12 +53,7 @@ def pairs_section(result: ExcitationResult) -> Section:
 
 
 def imitation_chart(result: ExcitationResult, *, most: int = _MOST_SHOWN) -> Chart:
-    """Efforts of effects, and the best that their rivals make of them.
-
-    Args:
-        result: The result of `geodrake.excitation.design_separation`.
-        most: Largest number of pairs to show.
-    """
+    """Efforts of effects, and the best that their rivals make of them."""
     separation, family = result.objective, result.trajectory.family
     units = Units.of(separation.target.model)
     times = family.times(result.samples)

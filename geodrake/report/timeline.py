@@ -51,12 +51,7 @@ class Timeline:
         return s.time + self.shifts[log_of(s)]
 
     def broken(self, series: Sequence[Series], name: str) -> tuple[Array, Array]:
-        """Instants and values of a signal, with NaN where samples are missing so that lines break.
-
-        Args:
-            series: Series of one joint.
-            name: Name of the signal, an attribute of `Series`.
-        """
+        """Return instants and values of a signal, NaN where samples are missing."""
         time, values = [np.array([])], [np.array([])]
         for s in series:
             breaks = breaks_of(s.time)

@@ -54,22 +54,13 @@ _CELL = "text-align: {side}; white-space: pre-line"
 
 
 def html(result: object) -> str:
-    """A sentence and the tables of a result.
-
-    Args:
-        result: A result of a kind that is registered.
-    """
+    """A sentence and the tables of a result."""
     sentence, shown = tables(result)
     return f"<div><p>{html_text(sentence)}</p>{''.join(map(_table, shown))}</div>"
 
 
 def dataframe(result: object, *, series: bool) -> Any:
-    """A result as a pandas DataFrame; see `Shown.to_dataframe`.
-
-    Args:
-        result: A result of a kind that is registered.
-        series: Whether its samples are wanted.
-    """
+    """A result as a pandas DataFrame; see `Shown.to_dataframe`."""
     pandas = optional("pandas", "notebook")
     return pandas.DataFrame(dict(samples(result)) if series else records(result))
 

@@ -36,12 +36,7 @@ MOTIONS = "Departure from the motion under the commands"
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:
-    """`a`, `a and b`, `a, b and c`.
-
-    Args:
-        names: The words.
-        last: The word before the last one.
-    """
+    """`a`, `a and b`, `a, b and c`."""
     head, tail = ", ".join(names[:-1]), "".join(names[-1:])
     return f"{head} {last} {tail}" if head else tail
 
@@ -62,7 +57,6 @@ def effect_signature(effect: str, units: Units) -> str:
 
     Args:
         effect: Name of the effect, or several joined by " + ".
-        units: Units, with the classes of the effects.
     """
     known = [units.effects[name] for name in effect.split(" + ") if name in units.effects]
     return listed([kind.signature for kind in known if kind.signature])
@@ -95,14 +89,7 @@ def step_place(step: Step, joints: Collection[str], *, most: int | None = None) 
 
 
 def parameter_value(step: Step, place: str, name: str, units: Units) -> str:
-    """Return a parameter of a step with its standard deviation, in the unit in which it is shown.
-
-    Args:
-        step: The step.
-        place: Joint, joints or body, as the step names it.
-        name: Name of the parameter.
-        units: Units of the joints and effects of the model.
-    """
+    """Return a parameter of a step with its standard deviation, in the unit that is shown."""
     value = step.parameters[place].get(name, np.nan)
     deviation = step.deviations.get(place, {}).get(name, np.nan)
     systematic = step.systematic.get(place, {}).get(name, np.nan)
@@ -118,12 +105,7 @@ def ordered_places(step: Step) -> list[str]:
 
 
 def step_parameters(step: Step, units: Units) -> tuple[str, ...]:
-    """Return the parameters of a step, a line each: values at few places, or their range.
-
-    Args:
-        step: The step.
-        units: Units of the joints and effects of the model.
-    """
+    """Return the parameters of a step, a line each: values at few places, or their range."""
     values = _by_name(step)
     summary = units.effects[step.effect].summary if step.effect in units.effects else ""
     if summary in values:
@@ -132,12 +114,7 @@ def step_parameters(step: Step, units: Units) -> tuple[str, ...]:
 
 
 def finding(step: Step, units: Units) -> str:
-    """`payload on wrist_3_link, 3.08 ± 0.04 kg, nrms 0.434 -> 0.048`.
-
-    Args:
-        step: The step.
-        units: Units of the joints and effects of the model.
-    """
+    """`payload on wrist_3_link, 3.08 ± 0.04 kg, nrms 0.434 -> 0.048`."""
     words = f"{step.effect} on {step_place(step, units.joints)}"
     values = _by_name(step)
     if "mass" in values or len(values) == 1:
@@ -170,10 +147,6 @@ def rivals(step: Step, label: bool = False) -> list[str]:
     """Return what stands in a step's place in other explanations: `viscous_friction 3 % (0.0312)`.
 
     Their probability, and in brackets the nrms that is left with it.
-
-    Args:
-        step: The step.
-        label: Whether effects are named in words.
     """
     named = effect_label if label else str
     known = [
@@ -203,13 +176,7 @@ def is_summarized(step: Step) -> bool:
 
 
 def worst_words(start: ErrorTable, end: ErrorTable | None = None, *, unit: str = "N·m") -> str:
-    """Return which joint errs most for its effort, at first and at last, in a sentence.
-
-    Args:
-        start: Errors of the model as it stands.
-        end: Those of the final model, if there is one.
-        unit: Unit of the efforts.
-    """
+    """Return which joint errs most for its effort, at first and at last, in a sentence."""
     if end is None:
         return f"{_worst_joint(start, unit)}."
     return f"at first {_worst_joint(start, unit)}; at last {_worst_joint(end, unit)}."
@@ -221,12 +188,7 @@ def _worst_joint(errors: ErrorTable, unit: str) -> str:
 
 
 def explanation_verdict(explanation: Explanation, units: Units) -> str:
-    """Return what an explanation amounts to, in a few sentences.
-
-    Args:
-        explanation: The explanation.
-        units: Units of the joints and effects of the model.
-    """
+    """Return what an explanation amounts to, in a few sentences."""
     end, steps = explanation.end, explanation.steps
     if explanation.verdict == "adequate":
         return f"Adequate: no effect is worth adding; {_noise_alone(end)}."
@@ -260,12 +222,7 @@ def draft_advice(explanation: Explanation) -> str:
 
 
 def addition_verdict(explanation: Explanation, units: Units) -> str:
-    """Return what adding an effect changed, and what is left.
-
-    Args:
-        explanation: The result of `add`.
-        units: Units of the joints and effects of the model.
-    """
+    """Return what adding an effect changed, and what is left."""
     found = listed([finding(step, units) for step in explanation.steps]) or "nothing"
     if explanation.verdict != "unexplained":
         return f"Added {found}; {_noise_alone(explanation.end)}."
@@ -274,12 +231,7 @@ def addition_verdict(explanation: Explanation, units: Units) -> str:
 
 
 def diagnosis_verdict(diagnosis: Diagnosis, units: Units) -> str:
-    """Return what a diagnosis amounts to, in a few sentences.
-
-    Args:
-        diagnosis: The diagnosis.
-        units: Units of the joints and effects of the model.
-    """
+    """Return what a diagnosis amounts to, in a few sentences."""
     left = diagnosis.refitted
     if not diagnosis.candidates:
         if diagnosis.verdict == "adequate":
@@ -345,12 +297,7 @@ def correlate_words(found: Correlate) -> str:
 
 
 def explained_share(before: float, after: float) -> float:
-    """Share of the squared error that goes from one nrms to another; negative if it grows.
-
-    Args:
-        before: nrms before.
-        after: nrms after.
-    """
+    """Share of the squared error that goes from one nrms to another; negative if it grows."""
     return 1.0 - (after / before) ** 2 if before > 0 else 0.0
 
 

@@ -13,10 +13,6 @@ def worst_joints(errors: ErrorTable, most: int = MOST_JOINTS) -> tuple[str, ...]
     """The joints of largest error over standard deviation, in the table's order.
 
     The joint of largest RMS is always among them, and one whose error is no number counts as worst.
-
-    Args:
-        errors: Errors of all joints.
-        most: Most joints.
     """
     nrms = np.array([joint.nrms for joint in errors.joints])
     rms = np.array([joint.rms for joint in errors.joints])
@@ -29,12 +25,7 @@ def worst_joints(errors: ErrorTable, most: int = MOST_JOINTS) -> tuple[str, ...]
 
 
 def of_worst(shown: int, joints: int) -> str:
-    """What to say where not all joints are shown.
-
-    Args:
-        shown: Number of joints that are shown.
-        joints: Number of joints that the robot has.
-    """
+    """What to say where not all joints are shown."""
     if shown >= joints:
         return ""
     return f"The {shown} joints of largest nrms, of {joints}."

@@ -7,7 +7,8 @@ are effects of their own in geodrake; inertias that no body can have are repaire
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -50,6 +51,7 @@ from geodrake.robot.several_robots import chosen_robot, robots_of, scoped
 from geodrake.robot.transmission.statements import Followers, Gear
 
 _STATES = 3  # random ones at which loops are compared with MuJoCo's
+_LIMIT = "limit of "  # before the names of actuators that only have a limit of efforts
 _SAME = 1e-9  # of the largest of a body's parameters: what text and Drake may change
 
 
@@ -213,16 +215,16 @@ def _geared(description: ModelDescription) -> tuple[str, ...]:
 
     Gears of MJCF's actuators do not count: most scale efforts and are no gears.
     """
-    found = list[str]()
+    return tuple(joint for is_alike, joint in _motors(description) if not is_alike)
+
+
+def _motors(description: ModelDescription) -> Iterator[tuple[bool, str]]:
+    """Yield whether a motor of the file moves as its joint does, and the joint."""
     for text in description.texts:
-        try:
-            parts = text.motors()
-        except ModelError:  # which matters only where it is asked for
-            continue
-        for part in parts:
-            alike = isinstance(part, Gear) and (text.kind == "xml" or part.is_direct)
-            found += () if alike else part.joint_names()
-    return tuple(found)
+        with suppress(ModelError):  # which matters only where it is asked for
+            for part in text.motors():
+                is_alike = isinstance(part, Gear) and (text.kind == "xml" or part.is_direct)
+                yield from ((is_alike, joint) for joint in part.joint_names())
 
 
 def _draft(
@@ -525,17 +527,26 @@ def free_roots(plant: MultibodyPlant) -> list[RigidBody]:
     return [plant.get_body(BodyIndex(body)) for body in roots.values()]
 
 
+def motor_joints(plant: MultibodyPlant) -> frozenset[str]:
+    """Return the joints that the model file gives an actuator or a transmission, by scoped name."""
+    stated = (a for a in _actuators(plant) if not a.name().startswith(_LIMIT))
+    return frozenset(scoped(actuator.joint()) for actuator in stated)
+
+
 def _limit_efforts(plant: MultibodyPlant, description: ModelDescription) -> None:
     """Gives the joints the effort limits that the file states without an actuator of Drake's."""
     actuators = {int(a.joint().index()): a for a in _actuators(plant)}
-    efforts = description.joint_values("effort")
+    efforts, driven = description.joint_values("effort"), {n for _, n in _motors(description)}
     for joint in _joints(plant):
         limit = efforts.get(scoped(joint), 0.0)
-        if joint.num_velocities() == 1 and limit > 0:
-            if int(joint.index()) in actuators:
-                actuators[int(joint.index())].set_effort_limit(limit)
-            else:
-                plant.AddJointActuator(joint.name(), joint, limit)
+        is_driven = joint.name() in driven
+        if joint.num_velocities() != 1 or not (limit > 0 or is_driven):
+            continue
+        if int(joint.index()) not in actuators:
+            name = joint.name() if is_driven else f"{_LIMIT}{joint.name()}"
+            plant.AddJointActuator(name, joint, limit if limit > 0 else np.inf)
+        elif limit > 0:
+            actuators[int(joint.index())].set_effort_limit(limit)
 
 
 def _take_rotor_inertia(plant: MultibodyPlant, description: ModelDescription) -> dict[int, Array]:

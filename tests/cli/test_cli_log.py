@@ -1,6 +1,7 @@
 """`geodrake log`, and how commands read logs under other names."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from typer.testing import CliRunner
 from geodrake.cli.app import app
 from geodrake.cli.known_payloads import with_facts
 from geodrake.cli.reading_options import ReadingOptions
-from geodrake.logs.files import read_log
+from geodrake.logs.files import Reading, read_log, read_mapping
 
 OWN = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
 
@@ -172,10 +173,11 @@ def test_other_names_give_the_same_numbers(tmp_path):
     assert nrms(bare, *options, *gains) == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_failed_reading_proposes_a_mapping(tmp_path):
+def test_a_failed_reading_proposes_a_mapping(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     rows = table()
     log = write(tmp_path / "log.csv", "x1,x2,x3,x4,x5", rows)
-    proposal = tmp_path / "log.mapping.yaml"
+    proposal = Path("log.mapping.yaml")
     assert f"A proposal is in {proposal}" in refused("compare", PENDULUM, log)
     expected = nrms(write(tmp_path / "own.csv", OWN, rows))
     assert nrms(log, "--mapping", proposal) == pytest.approx(expected, rel=1e-9)
@@ -278,3 +280,31 @@ def test_a_topic_of_a_table_is_noted_to_choose_nothing(tmp_path):
     said = " ".join(result.output.split())
     assert "log.csv has no topics, so that '/joint_states' chooses nothing" in said
     assert "log.csv has no episodes, so that 3 chooses nothing" in said
+
+
+def test_a_mapping_is_written_that_corrects_the_columns(tmp_path):
+    right = table()
+    wrong = right * [1e3, *[180.0 / np.pi] * 2, -1.0, 1.0]
+    log = write(tmp_path / "log.csv", "stamp [ms],q1 (deg),q2 (deg),tau1,tau2", wrong)
+    mapping = tmp_path / "fixed.yaml"
+    told = run("log", log, "--model", PENDULUM, "--write-mapping", mapping).output
+    assert f"geodrake explain {PENDULUM} {log} --mapping {mapping}" in told
+    read = read_log(log, reading=Reading(mapping=read_mapping(mapping)))
+    assert read.joints == ("shoulder", "elbow")
+    np.testing.assert_allclose(
+        np.column_stack([read.time, read.position, read.effort]), right, atol=1e-9
+    )
+
+
+def test_logs_that_cannot_be_used_are_left_out_and_named(tmp_path):
+    good = write(tmp_path / "good.csv", OWN, table())
+    scrap = table()[300:340]
+    scrap[:, 1] += 1e-6
+    short = write(tmp_path / "short.csv", OWN, scrap)
+    bad = tmp_path / "bad.csv"
+    bad.write_text("time,shoulder.position\n0,x\n")
+    result = run("compare", PENDULUM, good, short, bad, "--quiet")
+    assert result.exit_code == 0, result.output
+    assert "short is left out" in result.output
+    assert "bad.csv is left out" in result.output
+    refused("compare", PENDULUM, short, bad)

@@ -12,6 +12,7 @@ import pytest
 from chain_logs import chain_log
 from excitation_robots import arm as chain
 from measurements import DATA, REFERENCE
+from pendulum_logs import PENDULUM, body_effort
 from pinocchio_logs import without_effects
 from scipy.spatial.transform import Rotation
 
@@ -25,6 +26,7 @@ from geodrake.diagnosis.columns.samples import column_samples
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import prepared_as_measured
 from geodrake.logs.files import read_log
+from geodrake.logs.motion import JointLog
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "diagrams"))
 
@@ -296,3 +298,25 @@ def test_robots_of_many_joints_are_not_checked(joints, kinds):
     log = times(chain_log(model, 1, seconds=8.0, rate=50.0), "effort", 3, -1.0)
     assert [finding.kind for finding in check_columns(model, [log])] == kinds
     assert bool(unchecked_words(model)) == (not kinds)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_one_log_a_joint_makes_no_mistake_likely(seed):
+    """The usual protocol for friction: others rest, under efforts that dry friction holds."""
+    rng, time = np.random.default_rng(seed), np.arange(0.0, 25.0, 0.005)
+    phase = 2.0 * np.pi * rng.uniform(0.1, 0.4, 3)[:, None] * time + rng.uniform(0.0, 6.0, (3, 1))
+    rates = np.gradient(phase, time, axis=1)
+    size = np.array([0.5, 0.3, 0.1])[:, None]
+    logs = []
+    for moving in (0, 1):
+        q = np.tile([0.3, -0.6], (len(time), 1))
+        v, vd = np.zeros_like(q), np.zeros_like(q)
+        q[:, moving] += (size * np.sin(phase)).sum(axis=0)
+        v[:, moving] = (size * rates * np.cos(phase)).sum(axis=0)
+        vd[:, moving] = -(size * rates**2 * np.sin(phase)).sum(axis=0)
+        effort = body_effort(q, v, vd) + rng.normal(0.0, 0.01, q.shape)
+        effort[:, moving] += 0.4 * np.tanh(v[:, moving] / 1e-3) + 0.2 * v[:, moving]
+        effort[:, 1 - moving] += rng.uniform(-0.3, 0.3)
+        q += rng.normal(0.0, 1e-5, q.shape)
+        logs.append(JointLog(f"joint {moving}", JOINTS, time, q, effort))
+    assert check_columns(load_model(PENDULUM), logs) == ()

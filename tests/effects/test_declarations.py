@@ -22,7 +22,7 @@ from geodrake.errors import ArgumentError
 
 PACKAGE = Path(geodrake.__file__).parent
 TESTS = Path(__file__).parents[1]
-README = TESTS.parent / "README.md"
+TABLE = TESTS.parent / "docs" / "effects.md"
 EFFECTS = PACKAGE / "effects"
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if EFFECTS not in path.parents)
 NAMES = {effect.name for effect in catalogue()}
@@ -179,7 +179,7 @@ def test_table_of_the_readme_is_that_of_the_classes():
         f"| `{name}` | {law.replace('|', chr(92) + '|')} | {place} |"
         for name, law, place in table_rows()
     ]
-    text = README.read_text(encoding="utf-8")
+    text = TABLE.read_text(encoding="utf-8")
     assert "| effect | needed effort | place |\n|---|---|---|\n" + "\n".join(rows) + "\n\n" in text
 
 

@@ -69,7 +69,6 @@ def one_or_each(
         value: What the caller passed.
         name: What messages call it.
         count: How many numbers there must be, unless there is one for all.
-        lower: Least value.
         strict: Whether `lower` itself is refused.
         finite: Whether infinity is refused; NaN always is.
 

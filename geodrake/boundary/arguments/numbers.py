@@ -29,8 +29,6 @@ def number(
     Args:
         value: What the caller passed.
         name: What messages call it.
-        lower: Least value.
-        upper: Greatest value.
         strict: Whether the bounds themselves are refused.
         finite: Whether infinity and what is beyond `LARGEST` is refused; NaN always is.
 
@@ -48,10 +46,6 @@ def number(
 def positive(value: Any, name: str) -> float:
     """A finite number above zero.
 
-    Args:
-        value: What the caller passed.
-        name: What messages call it.
-
     Raises:
         ArgumentError: It is something else.
     """
@@ -66,8 +60,6 @@ def integer(
     Args:
         value: What the caller passed: an int, or an integer of NumPy, but no bool.
         name: What messages call it.
-        lower: Least value.
-        upper: Greatest value.
 
     Raises:
         ArgumentError: It is something else; a float is, whatever its value.
@@ -103,12 +95,6 @@ def integers(
     value: Iterable[int], name: str, *, lower: float = -sys.maxsize, upper: float = sys.maxsize
 ) -> tuple[int, ...]:
     """Integers between bounds, in whatever holds them.
-
-    Args:
-        value: What the caller passed.
-        name: What messages call it.
-        lower: Least value of each.
-        upper: Greatest value of each.
 
     Raises:
         ArgumentError: It holds something else, or nothing can be taken from it.

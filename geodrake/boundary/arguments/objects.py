@@ -17,11 +17,6 @@ Kinds = type | tuple[type, ...]
 def instance(value: Kind, name: str, kind: Kinds) -> Kind:
     """Return an object of a class.
 
-    Args:
-        value: What the caller passed.
-        name: What messages call it.
-        kind: The class that it must be of, or several.
-
     Raises:
         ArgumentError: It is something else.
     """
@@ -32,11 +27,6 @@ def instance(value: Kind, name: str, kind: Kinds) -> Kind:
 
 def instances(value: Iterable[Kind], name: str, kind: Kinds) -> tuple[Kind, ...]:
     """Objects of a class, in whatever holds them.
-
-    Args:
-        value: What the caller passed.
-        name: What messages call it.
-        kind: The class that each must be of, or several.
 
     Raises:
         ArgumentError: It holds something else, or nothing can be taken from it; a text cannot.
@@ -54,10 +44,6 @@ def instances(value: Iterable[Kind], name: str, kind: Kinds) -> tuple[Kind, ...]
 def function(value: Kind, name: str) -> Kind:
     """Something that can be called.
 
-    Args:
-        value: What the caller passed.
-        name: What messages call it.
-
     Raises:
         ArgumentError: It cannot.
     """
@@ -68,10 +54,6 @@ def function(value: Kind, name: str) -> Kind:
 
 def file_path(value: str | os.PathLike[str], name: str = "path") -> Path:
     """Return the path of a file.
-
-    Args:
-        value: What the caller passed.
-        name: What messages call it.
 
     Raises:
         ArgumentError: It is something else.
@@ -90,11 +72,6 @@ def file_path(value: str | os.PathLike[str], name: str = "path") -> Path:
 
 def one_of(value: Any, name: str, choices: Collection[str]) -> str:
     """One of some words.
-
-    Args:
-        value: What the caller passed.
-        name: What messages call it.
-        choices: The words that are allowed.
 
     Raises:
         ArgumentError: It is something else.

@@ -59,11 +59,7 @@ class FunctionSet(ConvexSet):
 
 @dataclass(frozen=True, eq=False)
 class LinearSet(ConvexSet):
-    """The polyhedron lower ≤ A p ≤ upper as a convex set.
-
-    Attributes:
-        polyhedron: The polyhedron.
-    """
+    """The polyhedron lower ≤ A p ≤ upper as a convex set."""
 
     polyhedron: Polyhedron
 
@@ -94,8 +90,6 @@ def body_limits(
     """Limits on linear functions of one body's parameters: lower ≤ rows φ ≤ upper.
 
     Args:
-        size: Length n of the parameter vector.
-        body: Index of the body.
         rows: (k, 10) or (10,) coefficients.
         lower: (k,) or one least value.
         upper: (k,) or one greatest value.
@@ -118,8 +112,6 @@ def mass_limits(size: int, body: int, lower: float, upper: float) -> Polyhedron:
     """The mass of a body between two values, kg.
 
     Args:
-        size: Length n of the parameter vector.
-        body: Index of the body.
         lower: Least mass, kg; −inf for none.
         upper: Greatest mass, kg; inf for none.
     """
@@ -134,8 +126,6 @@ def center_of_mass_box(size: int, body: int, lower: ArrayLike, upper: ArrayLike)
     """The centre of mass p_BoBcm_B of a body between two corners (3,), m: m l ≤ h ≤ m u.
 
     Args:
-        size: Length n of the parameter vector.
-        body: Index of the body.
         lower: (3,) lower corner l in B, m.
         upper: (3,) upper corner u in B, m; above l in every coordinate.
     """
@@ -155,8 +145,6 @@ def inside_ellipsoid(size: int, body: int, quadric: ArrayLike) -> Polyhedron:
     """The mass of a body inside of an ellipsoid as far as its second moments show: tr(P Q) ≥ 0.
 
     Args:
-        size: Length n of the parameter vector.
-        body: Index of the body.
         quadric: (4, 4) Q with [x;1]ᵀ Q [x;1] ≥ 0 inside ([Lee2019] Eq. (3.5.46)).
     """
     return body_limits(
@@ -170,7 +158,6 @@ def parameter_limits(
     """Single parameters, such as friction coefficients, between two values each.
 
     Args:
-        size: Length n of the parameter vector.
         indices: (k,) which parameters.
         lower: (k,) or one least value.
         upper: (k,) or one greatest value.

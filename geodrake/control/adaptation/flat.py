@@ -50,7 +50,6 @@ class ConstantMetric(Manifold, Short):
         The inverse comes from the manifold too, so that it is as precise as there.
 
         Args:
-            manifold: The other manifold.
             x: (n,) one of its points.
         """
         x = real_array(x, "x", (instance(manifold, "manifold", Manifold).dimension,))

@@ -30,9 +30,7 @@ def limited(law: UpdateLaw, points: ArrayLike, factor: float) -> UpdateLaw:
     A law of a flat manifold, one of Euler steps and one with limits of its own stay as they are.
 
     Args:
-        law: The law.
         points: (k, n) the model's parameters, and the first estimate.
-        factor: Above one.
     """
     if not number(factor, "factor") > 1:
         raise ArgumentError(f"factor must be above one; got {factor}.")

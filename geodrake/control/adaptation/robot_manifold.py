@@ -26,7 +26,6 @@ def parameter_manifold(
     """Return the manifold of a parameter vector [φ, μ], as `ControlModel` has it.
 
     Args:
-        model: The robot.
         body_weight: Weight w of every body's barrier. Twice the weight is half the speed.
         effect_weight: Weight w of every effect's barrier; [Lee2019] §5.6 has ½ for friction.
         weights: Weights of single bodies or of kinds of effects by name, instead of those.
@@ -62,7 +61,6 @@ def adapted_parameters(model: RobotModel, names: Sequence[str]) -> NDArray[np.bo
     """Return which of a robot's parameters [φ, μ] are those of some bodies and effects.
 
     Args:
-        model: The robot.
         names: Bodies, and kinds of effects: ["payload"], or ["wrist_3_link", "viscous_friction"].
 
     Returns:

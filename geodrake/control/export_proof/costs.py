@@ -54,9 +54,6 @@ def costs_of(
     """The errors with and without what an export lacks.
 
     Args:
-        case: The whole model and the logs.
-        held: What the export holds.
-        form: Its format.
         motions: Motion of the logs, on which effects are approximated.
         ignored: Names of effects upon which the simulator does not act.
     """

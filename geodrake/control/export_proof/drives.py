@@ -33,7 +33,6 @@ class Drives:
         """The actuators of a model's joints, where a simulator has them.
 
         Args:
-            model: The model.
             joints: Joints that are driven by actuators; the others are told efforts at once.
         """
         known = {each.joint: each for each in actuators_of(model) if each.joint in joints}
@@ -72,8 +71,6 @@ class Drives:
 
         Args:
             controls: (W, K, n) control signals, each held for a step.
-            k: Number of the step.
-            share: Share of the step that has passed.
             step: Length of a step, s.
         """
         at = np.where(self.delay > 0.0, np.clip(k + share - self.delay / step, 0.0, k), k)

@@ -42,8 +42,6 @@ class ProvenExport:
     """An export, and what is known about it.
 
     Attributes:
-        form: Its format.
-        exported: Its files.
         held: The model that the files hold.
         lacks: The effects that they do not hold as they are.
         costs: Errors on the logs; None without logs.
@@ -74,8 +72,6 @@ def export_with_proof(
     Nothing is written to the folder.
 
     Args:
-        model: The model.
-        form: The format.
         folder: Where the files will be: relative paths in them lead from there.
         logs: Logs, or their files, on whose motion the export is fitted and tried; without any,
             random motion within the limits of the robot serves.

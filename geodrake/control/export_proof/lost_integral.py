@@ -21,8 +21,6 @@ def lost_integrals(model: RobotModel, form: ExportFormat, case: Case | None) -> 
     """A note on servos whose integral an export does not hold; none if it holds all.
 
     Args:
-        model: The whole model.
-        form: The format.
         case: Model and logs; None without logs.
     """
     joints = [servo.joint for servo in servos_of(model) if servo and servo.integral]

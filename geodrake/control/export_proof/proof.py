@@ -65,7 +65,6 @@ class Proof:
     """What simulators make of an export.
 
     Attributes:
-        differences: By simulator and quantity.
         ignored: Names of effects of the file upon which the first simulator does not act.
         notes: Simulators that are not installed, or cannot read the file.
     """
@@ -78,15 +77,7 @@ class Proof:
 def prove(
     held: RobotModel, file: Path, engines: Sequence[str], motion: Motion, starts: Sequence[Start]
 ) -> Proof:
-    """Compare simulators that load an export with the model in it.
-
-    Args:
-        held: The model that the export holds.
-        file: The exported file that is loaded.
-        engines: Names of the simulators.
-        motion: Motion along which efforts are compared.
-        starts: Starts of rollouts.
-    """
+    """Compare simulators that load an export with the model in it."""
     differences, ignored, notes = list[Difference](), None, list[str]()
     if engines and held.followers:
         return Proof((), (), ("joints follow others, so the export was not tried in simulators",))

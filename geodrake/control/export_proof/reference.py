@@ -36,12 +36,7 @@ class Start:
 
 
 def without(model: RobotModel, kinds: tuple[type[Effect], ...]) -> RobotModel:
-    """A model less effects of some kinds, whose dry friction acts in full at any speed.
-
-    Args:
-        model: The model.
-        kinds: Classes of effects.
-    """
+    """A model less effects of some kinds, whose dry friction acts in full at any speed."""
     effects = tuple(f for f in model.effects if not isinstance(f.effect, kinds))
     return replace(model, effects=effects, information=None, fading_speed=None)
 

@@ -28,12 +28,7 @@ _LARGEST, _FASTEST = np.pi, 2.0  # rad or m, and per s
 
 
 def logged_motions(model: RobotModel, trajectories: Sequence[Trajectory]) -> list[Motion]:
-    """Passages of logs, spread evenly.
-
-    Args:
-        model: The model.
-        trajectories: The prepared logs.
-    """
+    """Passages of logs, spread evenly."""
     stretches = [s for trajectory in trajectories for s in trajectory.segments]
     began = [t.began for t in trajectories for _ in t.segments]
     passages = [
@@ -61,12 +56,7 @@ def _motion(model: RobotModel, stretch: Stretch, start: int, began: float) -> Mo
 
 
 def random_motion(model: RobotModel, seed: int = 0) -> Motion:
-    """A smooth motion at random, within the limits of the robot.
-
-    Args:
-        model: The model.
-        seed: Of the random numbers.
-    """
+    """A smooth motion at random, within the limits of the robot."""
     rng, nv = np.random.default_rng(seed), len(model.joints)
     order = position_order(model)
     low, high = (limits[order] for limits in model.position_limits)
@@ -91,12 +81,7 @@ def compared(motions: Sequence[Motion]) -> Motion:
 
 
 def logged_starts(held: RobotModel, trajectories: Sequence[Trajectory]) -> list[Start]:
-    """Starts of rollouts in logs, under the logged efforts less dry friction.
-
-    Args:
-        held: The model that an export holds.
-        trajectories: The prepared logs.
-    """
+    """Starts of rollouts in logs, under the logged efforts less dry friction."""
     stretches = [s for trajectory in trajectories for s in trajectory.segments]
     longest = sorted(stretches, key=len, reverse=True)[:_STARTS]
     shares = (np.arange(_STARTS) + 0.5) / _STARTS
@@ -122,12 +107,7 @@ def _logged_start(held: RobotModel, part: Segment) -> Start:
 
 
 def random_starts(held: RobotModel, motion: Motion) -> list[Start]:
-    """Starts of rollouts along a motion, under efforts about those that hold the posture there.
-
-    Args:
-        held: The model that an export holds.
-        motion: Samples.
-    """
+    """Starts of rollouts along a motion, under efforts about those that hold the posture there."""
     every, order = len(motion.v) // _STARTS, position_order(held)
     q, v = motion.q[::every], motion.v[::every]
     effort = held.effort(Motion(q, np.zeros_like(v), np.zeros_like(v)))

@@ -65,13 +65,6 @@ def check_folder(
 ) -> None:
     """Refuse a folder in which the files cannot be written, before the long work.
 
-    Args:
-        model: The model.
-        form: The format.
-        folder: The folder.
-        inputs: Files beside the model's own that must stay.
-        force: Whether files that are there may be replaced.
-
     Raises:
         OutputError: It is no folder, or has such files already.
         ModelError: The model's file cannot take what is to be written.
@@ -104,11 +97,6 @@ def write_files(
     found: ProvenExport, folder: Path, beside: Mapping[Path, Content] | None = None
 ) -> list[Path]:
     """Write all files or none; a folder that is made for them stays only with them.
-
-    Args:
-        found: The export.
-        folder: Where its files go.
-        beside: Other files to write with them.
 
     Returns:
         The files of the export.

@@ -38,7 +38,6 @@ def steady_current(constants: MotorConstants, voltage: Scalars, velocity: Scalar
     """Currents (n,) of motors without inductance, i = sat((u − N k_e v) / R), A.
 
     Args:
-        constants: Their constants.
         voltage: (n,) voltages u, V, of which no more than the limit acts.
         velocity: (n,) velocities v of the joints, rad/s or m/s.
     """
@@ -55,7 +54,6 @@ def current_rate(
     A current at its limit does not go beyond.
 
     Args:
-        constants: Constants of the motors.
         voltage: (n,) voltages u, V, of which no more than the limit acts.
         velocity: (n,) velocities v of the joints, rad/s or m/s.
         current: (n,) currents i, A.
@@ -76,7 +74,6 @@ def motor_torque(constants: MotorConstants, current: Scalars) -> Scalars:
     """Efforts (n,) at the joints, τ = N k_t i, N·m or N.
 
     Args:
-        constants: Constants of the motors.
         current: (n,) currents i, A.
     """
     (current,) = _checked(constants, current=current)

@@ -54,10 +54,6 @@ def servo_effort(gains: ServoGains, error: ServoError) -> Scalars:
 
     where dead takes the dead band off an error, and sat keeps the limit.
 
-    Args:
-        gains: Their gains.
-        error: What they act upon.
-
     Returns:
         (n,) efforts, N·m or N.
     """
@@ -65,12 +61,7 @@ def servo_effort(gains: ServoGains, error: ServoError) -> Scalars:
 
 
 def integral_rate(gains: ServoGains, error: ServoError) -> Scalars:
-    """Rates ż (n,) of the integrals; 0 where the effort is at its limit and would go beyond.
-
-    Args:
-        gains: Gains of the servos.
-        error: What they act upon.
-    """
+    """Rates ż (n,) of the integrals; 0 where the effort is at its limit and would go beyond."""
     effort, e = _unlimited(gains, error), _beyond(error.position, gains.dead_band)
     wound_up = np.logical_or(
         np.logical_and(effort > gains.limit, e > 0.0),

@@ -34,7 +34,6 @@ class FilteredRegressor:
     The memory of the filter is one vector, so that a Drake Context can hold it.
 
     Attributes:
-        control: The robot.
         period: Sampling interval h, s.
         bandwidth: λ, 1/s.
         order: Number of filters after each other.
@@ -163,7 +162,6 @@ def calc_filtered(ends: Array, periods: float, share: float, stack: Array) -> No
     Args:
         ends: (2, ·) from `calc_ends`.
         periods: How many sampling intervals it had; 0 if it is left out.
-        share: What one filter lets through of it.
         stack: (order + 1, ·) states of the filters, and what the interval began with.
     """
     last = len(stack) - 1

@@ -59,7 +59,6 @@ class SampleUpdate(Short):
         manifold: The manifold of the parameters, as `parameter_manifold` gives it.
         tolerance: (nv,) or one ε, N·m or N: the error of filtered efforts that is not believed.
         constraints: A convex set that holds the truth, if one is known.
-        method: "projection" or "nudge".
         relaxation: Share in (0, 1] of the way to the slabs that is gone: less follows noise less.
             None for all of it, or for half of a nudge.
         forgetting: Rate, 1/s, at which the gradient of the barrier at an estimate goes back to that

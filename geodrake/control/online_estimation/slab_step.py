@@ -33,7 +33,6 @@ def slab_step(
     samples that contradict each other do little. With the truth in the slabs, it comes nearer.
 
     Args:
-        manifold: Where the estimate lives.
         p: (n,) estimate inside of the manifold.
         Y: (k, n) rows.
         effort: (k,) their values.

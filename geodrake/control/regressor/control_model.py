@@ -192,12 +192,7 @@ def _payloads(model: RobotModel) -> tuple[tuple[int, slice], ...]:
 
 @dataclass(frozen=True, eq=False)
 class ControlSample:
-    """The regressor Y (nv, p) of one sample.
-
-    Attributes:
-        model: What is constant.
-        rigid: The rigid bodies' part.
-    """
+    """The regressor Y (nv, p) of one sample."""
 
     model: ControlModel
     rigid: RigidSample

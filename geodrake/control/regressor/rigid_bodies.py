@@ -62,7 +62,6 @@ class RigidSample:
         """The bodies at positions q (nq,), velocities q̇ and v (nv,), and accelerations a (nv,).
 
         Args:
-            tree: The kinematic tree.
             q: (nq,) positions in Drake's order.
             qd: (nv,) velocities q̇.
             v: (nv,) velocities that take the place of one q̇ in products of two.
@@ -137,8 +136,6 @@ def calc_momentum_regressors(
     subspace, seen from a point at rest.
 
     Args:
-        tree: `KinematicTree.records`.
-        samples: Samples of a motion itself.
         momentum: (N, nv, 10 nb) zeros, then the first.
         drift: (N, nv, 10 nb) zeros, then the second.
     """

@@ -60,36 +60,19 @@ class Acting(abc.ABC):
 
     @abc.abstractmethod
     def begin(self, passage: Passage) -> None:
-        """Has a passage act, in the time since its log began.
-
-        Args:
-            passage: The passage.
-        """
+        """Has a passage act, in the time since its log began."""
 
     @abc.abstractmethod
     def along(self, passage: Passage) -> EffortAlong:
-        """What acts in a passage whose motors move as they were measured.
-
-        Args:
-            passage: The passage.
-        """
+        """What acts in a passage whose motors move as they were measured."""
 
     def remember(self, passage: Passage, root: Context) -> None:
-        """Sets what acts to the state in which a passage begins; most have none.
-
-        Args:
-            passage: The passage, which has begun.
-            root: Context of the simulation.
-        """
+        """Sets what acts to the state in which a passage begins; most have none."""
         del passage, root
 
 
 class LoggedEffort(Acting):
-    """The efforts of a log.
-
-    Args:
-        count: Number of joints.
-    """
+    """The efforts of a log."""
 
     def __init__(self, count: int) -> None:
         self._source = TrajectorySource(PiecewisePolynomial(np.zeros(count)))
@@ -116,10 +99,6 @@ class ServoedCommand(Acting):
     """The commands of a log, through the servos of a model; at other joints the log's efforts.
 
     Commands and their rates are straight lines between the log's samples.
-
-    Args:
-        model: The model.
-        log: The log, joints in the model's order.
 
     Raises:
         ModelError: The model has no servos, or joints of several degrees of freedom.
@@ -225,8 +204,6 @@ def acting_in(model: RobotModel, log: JointLog, *, commands: bool) -> Acting:
     """What acts in a log.
 
     Args:
-        model: The model, with the servos.
-        log: The log, joints in the model's order.
         commands: Whether servos follow the commands of the log, where it has any.
     """
     if commands and told_joints(model, log).any():
@@ -235,12 +212,7 @@ def acting_in(model: RobotModel, log: JointLog, *, commands: bool) -> Acting:
 
 
 def told_joints(model: RobotModel, log: JointLog) -> NDArray[np.bool_]:
-    """(n,) whether each joint has a servo, and a command in a log.
-
-    Args:
-        model: The model.
-        log: The log, joints in the model's order.
-    """
+    """(n,) whether each joint has a servo, and a command in a log."""
     if log.command is None:
         return np.zeros(len(model.joints), bool)
     known = (np.isfinite(log.command) & np.isfinite(log.time)[:, None]).any(axis=0)
@@ -251,8 +223,6 @@ def picked(builder: DiagramBuilder, port: OutputPort, places: NDArray[np.intp]) 
     """Some elements of an output.
 
     Args:
-        builder: The builder.
-        port: The output.
         places: Which elements, in which order.
     """
     if np.array_equal(places, np.arange(port.size())):

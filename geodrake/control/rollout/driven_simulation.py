@@ -23,9 +23,6 @@ class DrivenSimulation:
     """The diagram: efforts of actuators, and the plant, in the time of a log.
 
     Args:
-        model: The model.
-        driving: How its plant moves.
-        acting: What acts on the actuators.
         fastest: (nv,) peak speeds of the measured motion, rad/s or m/s.
         steps: One item for each step of the integrator that is left.
     """

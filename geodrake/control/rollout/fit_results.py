@@ -16,10 +16,8 @@ class FittedValue(Short):
 
     Attributes:
         effect: Name of the effect; "servo".
-        joint: Its joint.
         name: Name of the value; of a servo as in `EffortSignal`.
         before: The model's value, where the fit began, SI.
-        after: What was fitted, SI.
         deviation: Its standard deviation, for what else the model has.
     """
 
@@ -39,7 +37,6 @@ class RolloutFit(Shown):
 
     Attributes:
         model: The model with what was fitted, or as it was if that was not taken.
-        values: What was fitted.
         before: The rollout of the model as it was, over all windows.
         after: That with what was fitted, taken or not.
         tested: Which windows the fit did not see.

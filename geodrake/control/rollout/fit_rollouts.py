@@ -185,8 +185,6 @@ def better_model(
     former ones for what they are not.
 
     Args:
-        model: The model.
-        values: What was free.
         found: (k,) what was found.
         deviations: (k,) its standard deviations.
     """
@@ -218,7 +216,6 @@ def _chance(search: MotionSearch, x: Array, after: Sequence[Array]) -> float:
     are lost in larger errors. Either model may begin with other states, by its own dynamics.
 
     Args:
-        search: The windows, none of which was fitted.
         x: (k,) steps of the values from those before.
         after: Of each window (N, nv) simulated − logged positions afterwards.
     """

@@ -49,8 +49,6 @@ def motion_before(model: RobotModel, passage: Passage, sign_width: Array) -> Rob
     """The measured motion before a passage, up to its second sample, as effects see it.
 
     Args:
-        model: The model.
-        passage: The passage.
         sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
     """
     first = max(0, passage.start - round(_BEFORE / passage.stretch.period))
@@ -63,13 +61,7 @@ def motion_before(model: RobotModel, passage: Passage, sign_width: Array) -> Rob
 def thrown(
     effects: Sequence[FittedEffect], seen: RobotMotion, joints: Sequence[str]
 ) -> tuple[Array, Array]:
-    """Lags (m,) in dead bands, and their rates, at the last sample but one of a motion.
-
-    Args:
-        effects: The effects of a model.
-        seen: The motion.
-        joints: Names of the m soft joints.
-    """
+    """Lags (m,) in dead bands, and their rates, at the last sample but one of a motion."""
     lag, rate = np.zeros((2, len(joints)))
     for fitted in effects:
         effect = fitted.effect

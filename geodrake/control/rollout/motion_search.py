@@ -64,8 +64,6 @@ class MotionSearch:
 
     Attributes:
         model: The model at the start.
-        values: What is free.
-        windows: The windows.
     """
 
     model: RobotModel

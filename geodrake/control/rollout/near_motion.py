@@ -67,8 +67,6 @@ class NearServos:
         """Servos, and efforts (N, nv) at joints without any.
 
         Args:
-            law: The force law, which scales efforts.
-            along: What acts.
             motors: (nv,) where in y the motor of each joint is.
         """
         kp, kd, ki, limit = along.gains.kp, along.gains.kd, along.gains.ki, along.gains.limit
@@ -97,7 +95,6 @@ class MotorForce:
     Attributes:
         at: Which of the model's effects it is of.
         index: Which of that one's parameters it is.
-        parameter: Its value there.
         place: Where in y the motor is.
         effort: (N,) effort of a parameter of 1, N·m or N.
         slopes: (3, N) its slopes with the motor's position, velocity and acceleration.
@@ -111,11 +108,7 @@ class MotorForce:
     slopes: Array
 
     def change(self, effects: Sequence[FittedEffect]) -> float:
-        """By how much it is another one.
-
-        Args:
-            effects: The model's effects.
-        """
+        """By how much it is another one."""
         return float(effects[self.at].parameters[self.index]) - self.parameter
 
 
@@ -130,9 +123,7 @@ class NearMotion:
         damping: (N, s, s) C.
         stiffness: (N, s, s) K.
         motors: (nv,) where in y the motor of each joint is.
-        servos: What servos give.
         soft: (m,) velocities of the soft joints.
-        names: Their names.
         load: (k, m) efforts of their links at the first samples, N·m or N.
         give_way: (k, m) by how much these change when a link moves on, N·m/rad or N/m.
         time: (k,) instants of these samples, s.
@@ -165,8 +156,6 @@ class NearMotion:
         """A passage of a log.
 
         Args:
-            simulation: That of the log, with soft joints.
-            passage: The passage.
             free: Effects of the model at motors of one joint, and which of their parameters are to
                 change.
         """
@@ -208,13 +197,7 @@ class NearMotion:
     def under(
         self, law: ForceLaw, along: EffortAlong, effects: Sequence[FittedEffect]
     ) -> NearMotion:
-        """The same passage under other servos of the same joints, and other forces at motors.
-
-        Args:
-            law: The force law, which scales efforts.
-            along: What acts with those.
-            effects: The model's effects, with other parameters of `forces`.
-        """
+        """The same passage under other servos of the same joints, and other forces at motors."""
         servos, rest = NearServos.of(law, along, self.motors)[0], self.rest.copy()
         stiffness, damping, inertia = (
             whole.copy() for whole in (self.stiffness, self.damping, self.inertia)
@@ -229,12 +212,7 @@ class NearMotion:
         )
 
     def soft_joints(self, soft: SoftJoints, effects: Sequence[FittedEffect]) -> SoftJoints:
-        """The soft joints with other inertias of their motors, by which springs are damped.
-
-        Args:
-            soft: Those of the force law.
-            effects: The model's effects, with other parameters of `forces`.
-        """
+        """The soft joints with other inertias of their motors, by which springs are damped."""
         inertia, places = soft.motor_inertia.copy(), self.motors[soft.velocities]
         for force in self.forces:
             inertia[places == force.place] += force.change(effects) * force.slopes[2].mean()
@@ -251,7 +229,6 @@ class NearMotion:
 
         Args:
             effects: All effects, for where links in dead bands begin.
-            couplings: What holds motors and links together.
             slopes: Whether those with positions and velocities of all links and motors, and with
                 integrals of servos, at the start are asked for; there are none (k = 0) if not.
         """

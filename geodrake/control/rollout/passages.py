@@ -25,7 +25,6 @@ class Passage:
     """Some seconds of a log in which the robot moves.
 
     Attributes:
-        log: Name of the log.
         began: The log's first time stamp, s.
         segment: The samples, with the efforts that acted there: a model's delays are taken out.
         stretch: The part of the log without gaps that the passage is from.
@@ -59,7 +58,6 @@ def moving_passages(case: Case, seconds: float) -> list[Passage]:
     """Passages of a length, one after another, in which the robot of a case moves.
 
     Args:
-        case: Prepared logs and the model.
         seconds: Length of each passage, s.
 
     Raises:

@@ -18,7 +18,6 @@ class Window(Short):
     """One simulated stretch of a log.
 
     Attributes:
-        log: Name of the log.
         time: (K,) instants, s.
         measured: (K, nv) positions, rad or m.
         simulated: (K, nv) positions; NaN from where the simulation broke off.
@@ -40,7 +39,6 @@ class JointDeparture:
     """How far one joint departs from what was measured.
 
     Attributes:
-        joint: Name of the joint.
         rms: RMS of simulated − measured position over all windows, rad or m.
         moved: RMS of what the joint moved since the start of its window, rad or m.
         worst: Log and start of the window in which it departs most, s.
@@ -63,7 +61,6 @@ class Rollout(Shown):
 
     Attributes:
         joints: Departures of every joint.
-        windows: What was simulated.
         horizon: Length of the windows, s.
         broken: Windows in which the simulation could not go on to the end, or left all reason.
         notes: What was done to the logs, noticed about the model, and assumed in the simulation.
@@ -88,8 +85,6 @@ class Rollout(Shown):
         """With the departures of joints that windows have.
 
         Args:
-            names: Names of the nv joints.
-            windows: What was simulated.
             horizon: Length of the windows, s.
             notes: What was done to the logs, noticed about the model, and assumed.
         """

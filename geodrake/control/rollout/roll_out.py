@@ -115,9 +115,6 @@ def commanded_motions(
     """How far a robot departs from its motion under the commands of logs, before and after a fit.
 
     Args:
-        model: The model before.
-        after: The model after, which knows the servos.
-        logs: Logs or their files.
         between: Models on the way, as after the steps of an explanation.
 
     Returns:
@@ -150,9 +147,7 @@ def case_rollout(
     """Return the rollout of the model of a case, whose logs are prepared.
 
     Args:
-        case: Model and logs.
         horizon: Length of a window, s.
-        most: Most windows.
         commands: Whether servos close the loop, as in `command_rollout`.
         progress: Called with each window: its log, and the share that is done.
 
@@ -196,7 +191,6 @@ def check_windows(horizon: float, most: int, progress: Progress | None) -> None:
 
     Args:
         horizon: Length of a window, s.
-        most: Most windows.
         progress: What is called with each.
 
     Raises:

@@ -31,9 +31,7 @@ class RolloutValue:
     Attributes:
         at: Which of the model's effects has it; None for a servo.
         effect: Name of the effect; "servo".
-        joint: Its joint.
         name: Name of the value: of a parameter or a shape of the effect, or of an `EffortSignal`.
-        value: The value, SI.
         deviation: How well it is known before, SI; 0 if to a factor of e.
     """
 
@@ -69,10 +67,6 @@ def rollout_values(model: RobotModel, *, commands: bool = False) -> tuple[Rollou
     exactly of these is such a value, too, and so is what is not known exactly of their motors'
     friction and inertia.
 
-    Args:
-        model: The model.
-        commands: Whether joints are under their servos.
-
     Raises:
         ModelError: There is nothing.
     """
@@ -103,10 +97,6 @@ def _motor_values(at: int, fitted: FittedEffect) -> Iterator[RolloutValue]:
 
     It was found with the servo, and is off as that is: by far more than its deviations say. What
     may be of either sign, as offsets may, is not.
-
-    Args:
-        at: Which of the model's effects it is.
-        fitted: The effect, at one joint.
     """
     effect, deviations = fitted.effect, fitted.deviations
     if deviations is None or not effect.at_motor or effect.role is not Role.FORCE:
@@ -139,12 +129,7 @@ def _servo_values(servo: EffortSignal) -> list[RolloutValue]:
 def forces_at_motors(
     model: RobotModel, values: Sequence[RolloutValue]
 ) -> tuple[tuple[int, int], ...]:
-    """Effects of values that forces at motors have, and which of their parameters they are.
-
-    Args:
-        model: The model.
-        values: Its values.
-    """
+    """Effects of values that forces at motors have, and which of their parameters they are."""
     found = []
     for value in values:
         if value.at is not None:
@@ -159,7 +144,6 @@ def values_at(values: Sequence[RolloutValue], x: Array) -> Array:
     """(k,) values after steps.
 
     Args:
-        values: The values.
         x: (k,) how many steps of each.
     """
     moved = [value.moved(steps) for value, steps in zip(values, x.tolist(), strict=True)]
@@ -170,7 +154,6 @@ def changes_at(values: Sequence[RolloutValue], x: Array) -> Array:
     """(k,) by how much one more step changes each value.
 
     Args:
-        values: The values.
         x: (k,) how many steps were made of each.
     """
     changes = [value.change(steps) for value, steps in zip(values, x.tolist(), strict=True)]
@@ -195,14 +178,7 @@ def with_values(
     new: Sequence[float],
     deviations: Sequence[float],
 ) -> RobotModel:
-    """The model with other values.
-
-    Args:
-        model: The model.
-        values: Its values.
-        new: As many new ones.
-        deviations: Their standard deviations.
-    """
+    """The model with other values."""
     given: dict[int | str, tuple[dict[str, float], dict[str, float]]] = {}
     for value, now, unsure in zip(values, new, deviations, strict=True):
         own = given.setdefault(value.joint if value.at is None else value.at, ({}, {}))
@@ -247,11 +223,7 @@ def _with_servo(
 
 
 def giving_way(effects: Sequence[FittedEffect]) -> dict[str, Give]:
-    """Joint -> how far its link moves against its motor, of joints that are soft.
-
-    Args:
-        effects: The effects of a model.
-    """
+    """Joint -> how far its link moves against its motor, of joints that are soft."""
     found: dict[str, Give] = {}
     for fitted in effects:
         effect = fitted.effect

@@ -57,11 +57,9 @@ def positions_along(
     """(K, nv) positions of a simulation at times; NaN from where it ends or cannot go on.
 
     Args:
-        simulator: The simulation, its Context at the start.
         time: (K,) s.
         positions: Those (nv,) that the simulation has just now.
         decay: The fastest rate, 1/s, at which velocities decay; it decides on the integrator.
-        limit: The simulation's monitor, which may end it.
     """
     ResetIntegratorFromFlags(
         simulator, "radau3" if decay > _STIFF else "runge_kutta3", LARGEST_STEP
@@ -85,11 +83,7 @@ class Simulation:
     """The diagram: efforts, effects, and the plant, in the time of a log.
 
     Args:
-        model: The model.
         sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
-        log: Name of the log.
-        temperatures: Those of its joints, if any are known.
-        acting: What acts on the joints.
         fastest: (nv,) peak speeds of the measured motion, rad/s or m/s.
         steps: One item for each step of the integrator that is left.
     """
@@ -216,7 +210,6 @@ class Simulation:
         """Puts links where their load has them, and has their motors move as was measured.
 
         Args:
-            passage: The passage.
             root: Context of the diagram; that of the effects is changed.
             start: (nq,) positions and (nv,) velocities of the motors, which become those of links.
         """

@@ -24,9 +24,7 @@ def chosen_passages(case: Case, horizon: float, most: int) -> list[Passage]:
     """Passages that are simulated, spread evenly over all that moves.
 
     Args:
-        case: Model and logs.
         horizon: Length of each, s.
-        most: Most of them.
 
     Raises:
         LogError: No log moves for as long.
@@ -41,8 +39,6 @@ class Simulations:
     """Simulations of the model of a case, made when a log is first asked for.
 
     Args:
-        case: Model and logs.
-        passages: What will be simulated.
         commands: Whether servos close the loop.
     """
 

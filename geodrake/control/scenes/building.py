@@ -66,10 +66,7 @@ class Scene:
     """What `build_scene` built.
 
     Attributes:
-        scenario: What was asked for.
-        diagram: The diagram.
         plant: The plant, with all models of the directives.
-        scene_graph: Its geometry.
         robots: Model instance -> robot.
         lcm_buses: The buses of LCM, which the diagram pumps.
     """
@@ -105,7 +102,6 @@ def build_scene(*, scenario: Scenario, meshcat: Meshcat | None = None) -> Scene:
     """Builds the diagram of a scenario.
 
     Args:
-        scenario: What there is to be.
         meshcat: Where to draw it; nowhere if None.
 
     Raises:
@@ -190,8 +186,6 @@ class _RobotMaker:
     """Adds a robot of a scenario to a diagram.
 
     Attributes:
-        builder: The builder.
-        spec: What the scenario says.
         place: The robot in the plant; None if it is elsewhere.
         log_period: Period of logs, s.
         lcm: Its bus, if it has messages.

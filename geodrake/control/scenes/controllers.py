@@ -31,11 +31,6 @@ def controller_of(
 ) -> AdaptiveController:
     """The controller that a scenario describes.
 
-    Args:
-        spec: What the scenario says.
-        model: What the controller knows of the robot.
-        rng: Source of random first estimates.
-
     Raises:
         ArgumentError: A number is out of its range.
     """
@@ -74,13 +69,7 @@ def first_estimate(
     control: ControlModel,
     rng: np.random.Generator,
 ) -> Array:
-    """(p,) what the controller believes at first: the model's parameters, changed as told.
-
-    Args:
-        spec: What the scenario says.
-        control: The robot.
-        rng: Source of random changes.
-    """
+    """(p,) what the controller believes at first: the model's parameters, changed as told."""
     start = spec.factor * control.prior
     if spec.mass_uncertainty:
         phi = control.phi(start)

@@ -41,7 +41,6 @@ def state_of(message: lcmt_iiwa_status, joints: int) -> Array:
 
     Args:
         message: The status; one without joints is none.
-        joints: Number n of joints.
 
     Raises:
         ArgumentError: It is of another number of joints.
@@ -84,9 +83,6 @@ class IiwaStatusReader(LeafSystem):
         - state
 
     `state` (2 n) is NaN until a status comes, which adaptive controllers take for missing.
-
-    Args:
-        joints: Number n of joints.
     """
 
     def __init__(self, joints: int) -> None:
@@ -111,9 +107,6 @@ class IiwaCommandWriter(LeafSystem):
         - effort
         output_ports:
         - lcmt_iiwa_command
-
-    Args:
-        joints: Number n of joints.
     """
 
     def __init__(self, joints: int) -> None:
@@ -232,10 +225,7 @@ def add_simulated_iiwa(
     """Adds the driver of a simulated robot: it sends its status and obeys the torques of commands.
 
     Args:
-        builder: The builder that the robot is in.
         robot: Its ports, with the joints in the order of the messages.
-        lcm: Where messages go.
-        messages: Channels and periods.
         gravity_plant: Plant of the robot alone whose gravity the driver compensates beside what is
             commanded. Keep it as long as the diagram.
 

@@ -17,7 +17,6 @@ def motion_of(spec: Waypoints | LogMotion, model: RobotModel) -> PiecewisePolyno
     """A spline with continuous accelerations, at rest at both ends.
 
     Args:
-        spec: What the scenario says.
         model: The robot, whose order of joints the (n) positions have.
 
     Raises:

@@ -72,7 +72,6 @@ class SceneRun:
     """What happened in a scene.
 
     Attributes:
-        scene: The scene.
         context: The Context at the end.
         robots: Model instance -> what the robot did.
     """
@@ -148,9 +147,6 @@ def _ran(robot: RobotInScene, context: Context) -> RobotRun | None:
 @typed
 def write_logs(done: SceneRun) -> tuple[Path, ...]:
     """Writes the logs that the scenario asks for.
-
-    Args:
-        done: A run.
 
     Returns:
         The files.

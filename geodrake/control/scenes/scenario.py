@@ -73,8 +73,6 @@ class _AdaptiveControl:
 
     Attributes:
         model: File of the model that the controller begins with; that of the robot if empty.
-        law: One of `LAWS`.
-        gamma: γ of the law.
         rate: λ of the tracking errors, 1/s.
         time_step: Period of control, s; zero for continuous time.
         factor: First estimate over the parameters of the model.

@@ -75,7 +75,6 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         """Constructs the system.
 
         Args:
-            control: The robot.
             law: How the estimate moves; None for a controller that does not adapt.
             rate: λ of both poles of each joint's error, 1/s: K_v = 2 λ and K_p = λ².
             time_step: Period of control and adaptation, s; zero for continuous time.
@@ -109,7 +108,6 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         """Changes the gains in a Context.
 
         Args:
-            context: Context of this system.
             rate: λ of both poles of each joint's error, 1/s; one for all joints or (nv,).
 
         Raises:

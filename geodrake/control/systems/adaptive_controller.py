@@ -214,7 +214,6 @@ class AdaptiveController(LeafSystem):
         """Puts an estimate (p,) into a Context.
 
         Args:
-            context: Context of this system.
             parameters: (p,) estimate, in the order of `ControlModel.prior`, or None for that.
 
         Raises:
@@ -232,7 +231,6 @@ class AdaptiveController(LeafSystem):
         """Changes γ of the law in a Context: adaptation is as fast as γ⁻¹.
 
         Args:
-            context: Context of this system.
             gamma: γ > 0.
 
         Raises:

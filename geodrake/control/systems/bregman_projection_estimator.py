@@ -101,8 +101,6 @@ class BregmanProjectionEstimator(LeafSystem):
         """Constructs the system.
 
         Args:
-            control: The robot.
-            update: What a filtered sample does to the estimate.
             filtered: The filter, its period the time step; one of 20 1/s if None.
             time_step: Sampling period, s.
             parameters: (p,) first estimate; that of the model if None.
@@ -174,7 +172,6 @@ class BregmanProjectionEstimator(LeafSystem):
         """Puts an estimate (p,) into a Context.
 
         Args:
-            context: Context of this system.
             parameters: (p,) estimate, in the order of `ControlModel.prior`, or None for that.
 
         Raises:

@@ -66,18 +66,13 @@ class _DcMotor(JointSystem):
             self.DeclareVectorOutputPort(name, self._vector(n), calc, known)
 
     def constants(self, context: Context) -> MotorConstants:
-        """Return the constants in a Context.
-
-        Args:
-            context: Context of this system.
-        """
+        """Return the constants in a Context."""
         return MotorConstants(**self._numbers(context))
 
     def set_constants(self, context: Context, **constants: ArrayLike) -> None:
         """Changes constants in a Context.
 
         Args:
-            context: Context of this system.
             **constants: Those of the constructor's arguments that change; one for all motors or
                 (n,).
 
@@ -117,12 +112,7 @@ class _DcMotor(JointSystem):
         return own["gear_ratio"] * own["torque_constant"] * current
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        """Rates of currents; see `LeafSystem`.
-
-        Args:
-            context: Context of this system.
-            derivatives: Receives the rates, A/s.
-        """
+        """Rates of currents; see `LeafSystem`."""
         if not derivatives.size():
             return
         slow = self._slow

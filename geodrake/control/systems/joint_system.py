@@ -19,10 +19,6 @@ from geodrake.model.simulation.scalar_system import ScalarSystem
 def count_of(value: ArrayLike, name: str) -> int:
     """How many joints there are, by numbers (n,) or the one number of the only joint.
 
-    Args:
-        value: What the caller passed.
-        name: What messages call it.
-
     Raises:
         ArgumentError: It is no such array.
     """

@@ -45,10 +45,6 @@ class ModelResidual(LeafSystem):
     def __init__(self, control: ControlModel, *, filtered: FilteredRegressor | None = None) -> None:
         """Constructs the system.
 
-        Args:
-            control: The robot.
-            filtered: The filter, whose period is that of the system.
-
         Raises:
             ArgumentError: The robot has joints of several degrees of freedom, or the filter is one
                 for another robot.

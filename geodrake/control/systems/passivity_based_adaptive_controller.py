@@ -107,9 +107,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         """Constructs the system.
 
         Args:
-            control: The robot.
             law: How the estimate moves; None for a controller that does not adapt.
-            gains: The gains.
             time_step: Period of control and adaptation, s; zero for continuous time.
             parameters: (p,) first estimate; that of the model if None.
             truth: (p,) true parameters, for the port `lyapunov`.
@@ -135,10 +133,6 @@ class PassivityBasedAdaptiveController(AdaptiveController):
 
     def set_gains(self, context: Context, gains: VaryingGains | FixedGains) -> None:
         """Changes the gains in a Context.
-
-        Args:
-            context: Context of this system.
-            gains: Gains of the same kind as before.
 
         Raises:
             ArgumentError: They are of the other kind, or not as many as the joints.

@@ -61,18 +61,13 @@ class _PositionServo(JointSystem):
         self.DeclareVectorOutputPort("actuation", self._vector(n), self._calc_actuation, known)
 
     def gains(self, context: Context) -> ServoGains:
-        """Return the gains in a Context.
-
-        Args:
-            context: Context of this system.
-        """
+        """Return the gains in a Context."""
         return ServoGains(**self._numbers(context))
 
     def set_gains(self, context: Context, **gains: ArrayLike) -> None:
         """Changes gains in a Context.
 
         Args:
-            context: Context of this system.
             **gains: Those of kp, kd, ki, limit and dead_band that change; one for all joints or
                 (n,).
 
@@ -97,7 +92,6 @@ class _PositionServo(JointSystem):
         """Rates of the integrals; see `LeafSystem`.
 
         Args:
-            context: Context of this system.
             derivatives: Receives the rates, rad or m.
         """
         if derivatives.size():
@@ -195,9 +189,6 @@ class PositionServo(_PositionServo, LeafSystem):
 
         Joints that have none are without gains, and pass feedforward on.
 
-        Args:
-            model: The model.
-
         Raises:
             ModelError: It has no servos, or joints of several degrees of freedom.
         """
@@ -218,9 +209,6 @@ class PositionServo(_PositionServo, LeafSystem):
         instants a sampling period apart: a millisecond, or the shortest delay.
 
         Args:
-            builder: The diagram's builder.
-            model: The model.
-            robot: What `model.add_to_builder` or `model.add_to_scene` returned.
             command: Commanded positions (n,) in the order of `model.joints`, rad or m.
             rate: Their rates (n,); zero if None.
 

@@ -83,7 +83,6 @@ class Prediction:
     """`PredictionError` of one controller.
 
     Attributes:
-        filtered: The filter.
         weight: (nv,) W.
         tolerance: (nv,) errors that are not believed.
         measured: Whether efforts come in by a port.
@@ -103,8 +102,6 @@ class Prediction:
         """For a robot and a period of control.
 
         Args:
-            error: What is asked for.
-            control: The robot.
             time_step: Period of control, s.
 
         Raises:
@@ -143,9 +140,7 @@ class Prediction:
         Args:
             memory: That of the last sample.
             p: (p,) estimate.
-            seen: The sample.
             effort: (nv,) efforts.
-            sample: The robot at it.
         """
         size = self.filtered.size
         now = self.filtered.advanced(
@@ -170,7 +165,6 @@ class Prediction:
         """Y_fᵀ W (Y_f p̂ − u_f) + S p̂ − c (p,), shortened so that no step of the law overshoots.
 
         Args:
-            law: The law that takes it.
             p: (p,) estimate.
             memory: That of the last sample.
         """

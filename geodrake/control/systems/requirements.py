@@ -26,11 +26,6 @@ def checked_time_step(time_step: float) -> float:
 def checked_gains(values: ArrayLike, nv: int, name: str) -> Array:
     """Gains (nv,) from one for all joints, or one for each.
 
-    Args:
-        values: The gains.
-        nv: Number of joints.
-        name: What they are, for the message.
-
     Raises:
         ArgumentError: They are not positive and finite, or neither one nor nv.
     """
@@ -54,10 +49,6 @@ def require_single_joints(control: ControlModel) -> None:
 def require_same_robot(control: ControlModel, filtered: FilteredRegressor) -> None:
     """Checks that a filter is one for the robot.
 
-    Args:
-        control: The robot's regressor.
-        filtered: The filter.
-
     Raises:
         ArgumentError: It was made with another `ControlModel`.
     """
@@ -74,7 +65,6 @@ def checked_estimate(
     """A copy of parameters (p,) that an estimate can start from; those of the model if None.
 
     Args:
-        control: The robot.
         domain: The manifold where the estimate lives, or the law that moves it; None for neither.
         parameters: (p,) the parameters.
 

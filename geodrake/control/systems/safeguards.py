@@ -67,7 +67,6 @@ class Safeguards(Short):
         """Return the effort limits of a plant's actuators, which must be at single-degree joints.
 
         Args:
-            plant: A finalized plant.
             stale_time: Age of a sample from which a sensor counts as failed, s.
         """
         check_plant(plant)
@@ -159,7 +158,6 @@ class Watch:
     Attributes:
         size: Number n of positions, which are as many as velocities.
         period: From sample to sample, s; zero where nothing is remembered.
-        stale_time, drift, settling_time: Those of `Safeguards`.
     """
 
     size: int
@@ -228,7 +226,6 @@ def calc_measured(
 
     Args:
         state: (2 n,) measured positions and velocities.
-        times: Period, stale time and drift of a `Watch`.
         memory: (4 n + 4,) of the last sample, then of this one.
     """
     period, stale, most = times

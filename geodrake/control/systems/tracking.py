@@ -27,7 +27,6 @@ def add_tracking_drives(
     its gains may be as stiff as those of real drives.
 
     Args:
-        builder: Where the plant is and the rest goes.
         plant: A finalized discrete plant of one robot, an actuator with controller gains at every
             joint, in the order of the joints.
         motion: (nq) positions over time, twice differentiable.

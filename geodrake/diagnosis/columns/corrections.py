@@ -13,7 +13,8 @@ from geodrake.boundary.arguments import instance, instances
 from geodrake.diagnosis.columns.finding import ColumnFinding
 from geodrake.diagnosis.columns.kinds import KINDS
 from geodrake.errors import ArgumentError
-from geodrake.logs.motion import JointLog
+from geodrake.logs.inspection import UnderstoodColumn
+from geodrake.logs.motion import EFFORT_KINDS, JointLog
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal
 from geodrake.model.motor_limit import MotorLimit
 from geodrake.model.robot_model import RobotModel
@@ -63,6 +64,30 @@ def _corrected(log: JointLog, finding: ColumnFinding) -> JointLog:
             else:
                 own[:, at] *= np.asarray(finding.values)
     return replace(log, **changed) if changed else log
+
+
+def corrected_columns(
+    columns: Sequence[UnderstoodColumn], findings: Sequence[ColumnFinding]
+) -> tuple[UnderstoodColumn, ...]:
+    """Return what columns of a log are, with what was found corrected that a mapping can say.
+
+    Zeros, limits of motors, time and what was taken out of efforts are no part of it.
+    """
+    found = {(each.joint, each.quantity): each for each in columns}
+    for finding in findings:
+        kinds = KINDS[finding.kind].columns if finding.kind != "position_zero" else ()
+        for quantity in kinds:
+            own = EFFORT_KINDS if quantity == "effort" else (quantity,)
+            at = [k for j in finding.joints for q in own if (k := (j, q)) in found]
+            before = [found[key] for key in at]
+            if finding.kind.startswith("swapped"):
+                pairs = zip(at, before, reversed(before), strict=True)
+                found |= {key: replace(b, joint=a.joint) for key, a, b in pairs}
+                continue
+            factors = dict(zip(finding.joints, finding.values, strict=True))
+            each = zip(at, before, strict=True)
+            found |= {k: replace(b, factor=b.factor * factors[b.joint]) for k, b in each}
+    return tuple(found.values())
 
 
 def with_motor_limits(

@@ -71,10 +71,34 @@ class JointDesign:
         return replace(self, X=X, gram=gram, beyond=beyond)
 
 
-def joint_designs(
-    samples: ColumnSamples, layout: Layout, assignment: Assignment
-) -> list[JointDesign]:
-    """Return the designs of all joints for one motion."""
+class MotionDesigns:
+    """Designs of all joints for one motion, each with any column of efforts.
+
+    Data are the samples of a column of efforts in which the joint that it is named after moves,
+    whatever else it is taken for: what is judged by other samples cannot be compared.
+    """
+
+    def __init__(self, samples: ColumnSamples, layout: Layout, assignment: Assignment) -> None:
+        self._samples, self._columns = samples, layout.columns
+        self._all = _joint_columns(samples, layout, assignment)
+        self._made = dict[tuple[int, int], JointDesign]()
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all columns."""
+        return sum(X.nbytes for X in self._all) + sum(d.X.nbytes for d in self._made.values())
+
+    def __call__(self, joint: int, source: int) -> JointDesign:
+        """Return the design of a joint with the samples of a column of efforts."""
+        if (joint, source) not in self._made:
+            rows = np.flatnonzero(self._samples.used[:, source])
+            X = self._all[joint][rows]
+            self._made[joint, source] = JointDesign(self._columns[joint], rows, X, X.T @ X)
+        return self._made[joint, source]
+
+
+def _joint_columns(samples: ColumnSamples, layout: Layout, assignment: Assignment) -> list[Array]:
+    """Return the columns of all joints for one motion, in all samples."""
     model, (q, v, vd) = layout.model, samples.motion(assignment)
     at, down = model.positions(q), np.array(assignment.gravity or model.tree.gravity)
     tree = with_gravity(model.tree, down)
@@ -88,15 +112,12 @@ def joint_designs(
             columns[j][:, : len(bodies)] += weight[:, j, bodies]
     tilts = RobotBodies(tree, at, model.total_phi).gravity_efforts(np.cross(down, np.eye(3)[:2]).T)
     turned = np.nan_to_num(effort_slopes(tree, at, v, vd, model.total_phi).position)
-    designs = []
+    found = []
     for j, joint in enumerate(model.joints):
-        rows = np.flatnonzero(samples.used[:, assignment.position[j]])
-        unknown = _unknown_function(joint, q[rows, j], v[rows, j], float(width[j]))
-        parts = [part[rows] for part in (columns[j], tilts[:, j], turned[:, j])]
-        parts += [unknown, held[rows, j, None], samples.effort[rows]]
-        X = np.hstack(parts)
-        designs.append(JointDesign(layout.columns[j], rows, X, X.T @ X))
-    return designs
+        unknown = _unknown_function(joint, q[:, j], v[:, j], float(width[j]))
+        parts = [columns[j], tilts[:, j], turned[:, j], unknown, held[:, j, None], samples.effort]
+        found.append(np.hstack(parts))
+    return found
 
 
 def _columns(

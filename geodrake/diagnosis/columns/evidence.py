@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.columns.assignment import Assignment
-from geodrake.diagnosis.columns.design import UNKNOWN, JointDesign, joint_designs
+from geodrake.diagnosis.columns.design import UNKNOWN, JointDesign, MotionDesigns
 from geodrake.diagnosis.columns.gaussian import JointEquations, most_probable
 from geodrake.diagnosis.columns.limits import spread
 from geodrake.diagnosis.columns.samples import ColumnSamples
@@ -105,7 +105,7 @@ class ColumnModel:
         self.mean = np.concatenate([*stated, none, np.zeros(len(errors))])
         self.lower = np.full(len(self.mean), -np.inf)
         self.lower[size:first] = [q.lower for e in self.effects for q in e.parameters]
-        self._designs: dict[tuple[object, ...], list[JointDesign]] = {}
+        self._designs: dict[tuple[object, ...], MotionDesigns] = {}
         periods = [segment.period for t in samples.trajectories for segment in t.segments]
         self._rate = 1.0 / float(np.median(periods))
         self._rates = samples.effective(list(samples.v.T), [np.arange(len(samples))] * n)
@@ -115,12 +115,15 @@ class ColumnModel:
         key, samples = assignment.motion_key, self.samples
         found = self._designs.pop(key, None)
         if found is None:
-            found = joint_designs(samples, self.layout, assignment)
-            each = sum(design.X.nbytes for design in found)
-            while self._designs and (len(self._designs) + 1) * each > _MOST_KEPT:
-                self._designs.pop(next(iter(self._designs)))
+            found = MotionDesigns(samples, self.layout, assignment)
+            kept = found.nbytes + sum(each.nbytes for each in self._designs.values())
+            while self._designs and kept > _MOST_KEPT:
+                kept -= self._designs.pop(next(iter(self._designs))).nbytes
         self._designs[key] = found
-        return [design.read_as(samples, assignment, j) for j, design in enumerate(found)]
+        return [
+            found(j, source).read_as(samples, assignment, j)
+            for j, source in enumerate(assignment.effort.tolist())
+        ]
 
     def hopeful(self) -> Array:
         """Return (n,) independent samples of each column, as long as mistakes may be in it."""
@@ -278,11 +281,9 @@ class ColumnModel:
         """Fit all joints by an assignment.
 
         Args:
-            assignment: The assignment.
             worth: (n,) independent samples of each column of efforts.
             near: A fit whose errors say how much each joint counts at first; by default, all
                 count as if they were explained.
-            wide: Parameters of errors that may be large.
             moved: (p,) by how much the assignment has moved these already.
         """
         joints = self._joints(assignment)

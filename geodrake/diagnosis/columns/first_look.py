@@ -40,25 +40,28 @@ class FirstLook:
             self._moments[key] = self._moments_at(assignment)
         needed, products, powers = self._moments[key]
         at, gain = (np.arange(len(needed)), assignment.effort), assignment.gain
-        return needed, gain * products[at], gain**2 * powers[at]
+        return needed[at], gain * products[at], gain**2 * powers[at]
 
     def _moments_at(self, assignment: Assignment) -> tuple[Array, Array, Array]:
-        """Return mean squares (n,), and products and mean squares (n, n) of columns of efforts."""
+        """Return mean squares, products and mean squares of columns of efforts, each (n, n).
+
+        They are of each joint with each column, in the samples of that (see `MotionDesigns`).
+        """
         samples, rows = self._model.samples, self._rows
         _, v, vd = samples.motion(assignment, rows)
         load, efforts = self._model.needed_by_model(assignment, rows), samples.effort[rows]
         for source, signs in assignment.signs.items():
             efforts[:, source] *= signs[rows]
-        found = []
-        for j, position in enumerate(assignment.position.tolist()):
-            used = samples.used[rows, position]
-            v_j = v[used, j]
-            beside = np.column_stack([np.ones(len(v_j)), v_j, np.sign(v_j), vd[used, j]])
-            Q, _ = np.linalg.qr(beside)
-            both = np.column_stack([load[used, j], efforts[used]])
-            both -= Q @ (Q.T @ both)
-            own = both[:, 0]
-            found.append((own @ own, own @ both[:, 1:], np.square(both[:, 1:]).sum(axis=0)))
-        needed, products, powers = (np.array(part) for part in zip(*found, strict=True))
-        counts = np.maximum(samples.used[rows][:, assignment.position].sum(axis=0), 1)
-        return needed / counts, products / counts[:, None], powers / counts[:, None]
+        n = len(assignment.effort)
+        found = np.zeros((3, n, n))
+        for source in range(n):
+            used = samples.used[rows, source]
+            for j in range(n):
+                v_j = v[used, j]
+                beside = np.column_stack([np.ones(len(v_j)), v_j, np.sign(v_j), vd[used, j]])
+                Q, _ = np.linalg.qr(beside)
+                both = np.column_stack([load[used, j], efforts[used, source]])
+                both -= Q @ (Q.T @ both)
+                products = both.T @ both / max(len(v_j), 1)
+                found[:, j, source] = products[0, 0], products[0, 1], products[1, 1]
+        return found[0], found[1], found[2]

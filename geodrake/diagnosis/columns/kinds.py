@@ -14,7 +14,8 @@ _MOTION = ("position", "velocity", "acceleration", "command")
 _ALL = (*_MOTION, "effort", "temperature")
 _POSITIONS, _EFFORTS = ("position", "scale", "zero", "rate"), ("effort", "gain")
 _GEARED = 5.0  # all gains beyond it are those of gears and of motor constants
-_BY_SWAP = "Swap them in the mapping (--mapping), or name the columns so."
+_BY_MAPPING = "`geodrake log --write-mapping FILE.yaml` writes a mapping that corrects it"
+_BY_SWAP = f"{_BY_MAPPING}; or name the columns so."
 _BY_MODEL = "Log the efforts before that, or use a model without it."
 
 
@@ -35,7 +36,7 @@ def _gain(words: str, factors: tuple[float, ...] = ()) -> Kind:
 
 def _position(words: str, changes: tuple[str, ...], columns: tuple[str, ...]) -> Kind:
     factors = (-1.0,) if words.endswith("sign") else (DEGREE, 1.0 / DEGREE)
-    advice = "Correct it in the mapping (--mapping), by `{entry}`."
+    advice = f"{_BY_MAPPING}, or by `{{entry}}`."
     return Kind(words, advice, changes, columns, factors)
 
 
@@ -59,7 +60,8 @@ KINDS: Mapping[str, Kind] = {
     "effort_magnitude": Kind(
         "the efforts of {where} never change their sign, though the motion needs both: they are "
         "magnitudes",
-        "Log them with their sign: no other column can give it back.",
+        "Log them with their sign; or, where servos' commands are logged too, use these in their "
+        "place: --kind command.",
     ),
     "swapped_efforts": Kind("the efforts of {where} are swapped", _BY_SWAP, _EFFORTS, ("effort",)),
     "swapped_positions": Kind(
@@ -127,7 +129,10 @@ def words_of(
         "turn": _angle(value),
         "off": _angle(-value),
     }
-    return KINDS[kind].words.format(**said), KINDS[kind].advice.format(**said)
+    advice = KINDS[kind].advice.format(**said)
+    if kind == "position_unit" and all_joints and small:
+        advice = "Say so: --units position=deg."
+    return KINDS[kind].words.format(**said), advice
 
 
 def _angle(value: float) -> str:

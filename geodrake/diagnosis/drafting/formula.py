@@ -21,7 +21,6 @@ class _Function:
     Attributes:
         evaluate: Its values, from x (N,) and c.
         code: The same in Python, with {x} and {c}.
-        words: The same in words.
         power: Power of the signal's unit that it has.
     """
 
@@ -76,9 +75,6 @@ class Factor:
     """A function of one signal of one joint.
 
     Attributes:
-        joint: The joint.
-        signal: Field of `JointMotion`.
-        function: Key of `FUNCTIONS`.
         constant: What the function turns at; used by "above" and "below" alone.
     """
 

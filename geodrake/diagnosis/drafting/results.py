@@ -21,7 +21,6 @@ class Correlate:
     """What the error that is left at a joint goes with.
 
     Attributes:
-        joint: The joint.
         words: Such as "its direction of motion times the position of wrist_1_joint".
         share: Share of the joint's squared held-out error that goes with it.
     """
@@ -36,7 +35,6 @@ class DraftedEffect(Short):
     """A formula for what is missing at a joint.
 
     Attributes:
-        formula: The formula.
         coefficients: (k,) fitted coefficients, in the units of `formula.parameters`.
         deviations: (k,) their standard deviations.
         rms_before: Held-out RMS of the joint without it, N·m or N.
@@ -72,8 +70,6 @@ class Draft(Short):
         correlates: What the error left goes with, joint by joint, most first.
         needless: Effects that the explanation had, and that the formulas make needless.
         before: Held-out errors without the formulas, everything that may move refitted.
-        after: Held-out errors with them.
-        logs: Names of the logs.
     """
 
     effects: tuple[DraftedEffect, ...]

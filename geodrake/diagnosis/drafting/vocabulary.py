@@ -44,8 +44,6 @@ def vocabulary(
     """Return the terms for the effort of a joint: functions of one signal, and products of two.
 
     Args:
-        joint: The joint.
-        joints: Joints whose motion may matter.
         reach: Joint -> least and greatest position in the logs, rad or m. Without it, only the
             commonest of all terms: enough to see what an error goes with, and quickly so.
 

@@ -86,9 +86,7 @@ class LogIdentifiability(Shown):
     Attributes:
         model: The model, with the effects that were asked for.
         identifiable: Directions with their variances, and how many are identifiable.
-        bodies: Every body, payloads included.
         effects: Every parameter of an effect.
-        combinations: Every base parameter.
         noise: (nv,) deviation that a filtered sample counts with, N·m or N.
         floor: (nv,) estimated sensor noise after filtering, N·m or N.
         floor_variances: (n_B,) variances if the sensor noise were all there is, ascending.

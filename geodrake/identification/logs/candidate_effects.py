@@ -41,9 +41,7 @@ def candidate_effects(
     known from other logs, or known payloads, identify.
 
     Args:
-        model: The robot.
         trajectories: Prepared logs; shape grids scale with their speeds and temperatures.
-        extra: Further effect classes.
         known_gains: Joints at which known payloads take the place of known inertias, as
             `joints_with_known_gain` gives them.
         speeds: (nv,) peak speeds, rad/s or m/s; by default those of the logs.
@@ -62,21 +60,25 @@ def candidate_effects(
     spans = np.max([np.ptp(segment.position, axis=0) for segment in segments], axis=0)
     reach = dict(zip(model.joints, spans.tolist(), strict=True))
     duration = max(float(t.segments[-1][-1:].time[0] - t.began) for t in trajectories)
+    passive = {joint for trajectory in trajectories for joint in trajectory.passive}
+
+    def has_none(effect: type[Effect], joint: str) -> bool:
+        slides = effect.turning_only and joint in model.sliding_joints
+        return slides or (effect.of_motor and joint in passive)
+
     for effect in (*catalogue(), *extra):
         unknown = effect.needs_known_inertia and model.information is None
         from_residual = effect.proposer in _FROM_RESIDUAL
         if from_residual or (unknown and effect.places != "joint"):
             continue
         if effect.places == "joint":
-            for joint in known if unknown else single:
-                if effect.turning_only and joint in model.sliding_joints:
-                    continue
+            for joint in (j for j in (known if unknown else single) if not has_none(effect, j)):
                 if speed[joint] > 0.0 and effect.proposer in (Proposer.WARMING, Proposer.BRISTLES):
                     found.extend(effect.shaped(joint, reach=reach[joint], duration=duration))
                 elif speed[joint] > 0.0:
                     found.extend(_at_joint(effect, joint, speed[joint], temperatures.get(joint)))
         elif effect.places == "joint_pair":
-            for pair in model.joint_pairs:
+            for pair in (p for p in model.joint_pairs if not any(has_none(effect, j) for j in p)):
                 found.extend(candidates_of(effect, pair))
         elif effect.places == "body":
             for body in model.bodies:

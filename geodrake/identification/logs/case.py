@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,11 +38,12 @@ from geodrake.logs.smoothing import Segment
 from geodrake.logs.uniform_log import make_uniform
 from geodrake.logs.unit_hints import effort_unit_hint, position_unit_hint
 from geodrake.model.carried_payloads import joints_with_known_gain, payload_notes
-from geodrake.model.logged_joints import holding_resting, log_of_model
+from geodrake.model.logged_joints import holding_resting, log_of_model, reading_for
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 Logs = Sequence[JointLog | str | Path]
+T = TypeVar("T")
 
 _OTHER_SCALE = 0.1  # of a logarithm: time that is so far from what velocities say is another
 _LEAST_EFFORT = 1e-12  # N·m or N, by which a measured effort changes
@@ -119,15 +121,11 @@ def open_case(
     """Prepare and reduce logs for a model.
 
     Args:
-        model: The model.
-        logs: Logs or their files.
         candidates: Whether effects that the model lacks get columns too.
-        extra: Effect classes of the user's own to try.
         bandwidth: Bandwidth of the filter, Hz; by default that at which the model was fitted to
             these logs, or chosen from the data.
         blocks: Blocks into which every log is cut for validation; by default whole logs if there
             are four or more, and about eight blocks otherwise.
-        motion_bandwidth: As in `prepare_logs`, for a given bandwidth.
         hold_resting: Whether joints that hardly move in any log are held; see
             `holding_resting`.
 
@@ -143,23 +141,25 @@ def open_case(
         model, matched = held, [log_of_model(log, held) for log in matched]
     model, matched, gain_notes = with_efforts(model, matched)
     _check_efforts(matched)
-    uniform = [make_uniform(log) for log in matched]
-    hints = [hint for each in uniform for hint in _hints(each.log, model.effort_limits)]
-    units = tuple(hints)
+
+    def prepare(logs: Sequence[JointLog]) -> tuple[tuple[Trajectory, ...], list[str]]:
+        uniform = [make_uniform(log) for log in logs]
+        hints = [hint for each in uniform for hint in _hints(each.log, model.effort_limits)]
+        known = {model.bandwidths.get(log.fingerprint) for log in logs}
+        with _naming_units(hints):
+            if bandwidth is None and len(known) == 1 and (both := known.pop()) is not None:
+                fit = {"bandwidth": both[0], "motion_bandwidth": both[1]}
+                return prepare_logs(uniform, **fit, how="as the model was fitted at"), hints
+            if bandwidth is None:
+                trajectories, changed = prepare_for_model(model, uniform)
+                return trajectories, [*hints, *([changed] if changed else [])]
+            sharp = motion_bandwidth
+            return prepare_logs(uniform, bandwidth=bandwidth, motion_bandwidth=sharp), hints
+
+    (trajectories, hints), matched, left_out = _with_usable(matched, prepare)
     hints += payload_notes(model, matched)
     fitted = all(log.fingerprint in model.fitted_to for log in matched)
-    known = {model.bandwidths.get(log.fingerprint) for log in matched}
-    with _naming_units(units):
-        if bandwidth is None and len(known) == 1 and (both := known.pop()) is not None:
-            fit = {"bandwidth": both[0], "motion_bandwidth": both[1]}
-            trajectories = prepare_logs(uniform, **fit, how="as the model was fitted at")
-        elif bandwidth is None:
-            trajectories, changed = prepare_for_model(model, uniform)
-            hints += [changed] if changed else []
-        else:
-            trajectories = prepare_logs(
-                uniform, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth
-            )
+    with _naming_units(hints):
         folds = validation_blocks(trajectories, blocks=blocks)
     effects = effects_of(model)
     delays: tuple[float, ...] = (0.0,)
@@ -181,7 +181,7 @@ def open_case(
     hints += [
         _filtered_note(trajectory, fitted=fitted or candidates) for trajectory in trajectories
     ]
-    notes = [*model.notes, *gain_notes, *filter(None, hints)]
+    notes = [*left_out, *model.notes, *gain_notes, *filter(None, hints)]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
     notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
     notes += _trained_on(model, matched)
@@ -222,23 +222,44 @@ def prepared_as_measured(
     """Return prepared logs and their folds, whatever the model says of efforts.
 
     Args:
-        model: The model, whose joints the logs are of.
-        logs: Logs or their files.
         bandwidth: Bandwidth of the filter, Hz; by default chosen from the motion.
-        blocks: As for `open_case`.
     """
     logs = checked_logs(model, logs, (), bandwidth, blocks)
     _, matched, _ = with_efforts(model, _matched(model, logs))
-    uniform = [make_uniform(log) for log in matched]
-    how = "as asked for"
-    if bandwidth is None:
+
+    def prepare(logs: Sequence[JointLog]) -> tuple[Trajectory, ...]:
+        uniform = [make_uniform(log) for log in logs]
+        if bandwidth is not None:
+            return prepare_logs(uniform, bandwidth=bandwidth)
         # Spectra are of so many seconds: of time that may be wrong, those that velocities say.
         scale = float(np.median([each.time_scale for each in uniform]))
         is_wrong = abs(np.log(scale)) > _OTHER_SCALE
-        bandwidth = motion_bandwidth_of(uniform, time_scale=scale if is_wrong else 1.0)
-        how = "chosen from the data"
-    trajectories = prepare_logs(uniform, bandwidth=bandwidth, how=how)
+        chosen = motion_bandwidth_of(uniform, time_scale=scale if is_wrong else 1.0)
+        return prepare_logs(uniform, bandwidth=chosen, how="chosen from the data")
+
+    trajectories, _, _ = _with_usable(matched, prepare)
     return trajectories, validation_blocks(trajectories, blocks=blocks)
+
+
+def _with_usable(
+    logs: Sequence[JointLog], prepare: Callable[[Sequence[JointLog]], T]
+) -> tuple[T, list[JointLog], list[str]]:
+    """Prepare logs, those that cannot be used left out: what came of it, the rest, and why.
+
+    Raises:
+        LogError: None can be used.
+    """
+    used, notes = list(logs), list[str]()
+    while True:
+        try:
+            return prepare(used), used, notes
+        except LogError as error:
+            name = error.evidence.get("log")
+            rest = [log for log in used if log.name != name]
+            if not rest or len(rest) == len(used):
+                raise
+            used = rest
+            notes.append(f"{name} is left out: {error.problem}")
 
 
 def reopen(case: Case, model: RobotModel) -> Case:
@@ -309,8 +330,11 @@ def series(
 
 def _matched(model: RobotModel, logs: Sequence[JointLog | str | Path]) -> list[JointLog]:
     """Return logs, read if they are files, joints in the model's order, each of its own name."""
+    known, reading = model.known_joints, reading_for(model)
     read = [
-        log if isinstance(log, JointLog) else read_log(log, joints=model.known_joints, partial=True)
+        log
+        if isinstance(log, JointLog)
+        else read_log(log, joints=known, partial=True, reading=reading)
         for log in logs
     ]
     matched = [log_of_model(log, model) for log in read]
@@ -367,12 +391,15 @@ def _check_efforts(logs: Sequence[JointLog]) -> None:
         lowest = log.effort.min(axis=0, initial=np.inf, where=known)
         largest = np.maximum(np.abs(highest), np.abs(lowest))
         constant = highest - np.maximum(1e-9 * largest, _LEAST_EFFORT) <= lowest
-        constant &= known.any(axis=0)
+        constant &= known.any(axis=0) & ~np.isin(log.joints, log.passive)
         if constant.any():
             joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
+            zero = [joint for joint in joints if largest[log.joints.index(joint)] == 0.0]
             raise LogError(
                 f"The effort of {', '.join(joints)} never changes in log {log.name!r}.",
-                advice="Check what is logged there, or hold such a joint: --lock JOINT=POSITION.",
+                advice=f"It is 0. Has the joint no motor? Then say so: --passive {zero[0]}."
+                if zero
+                else "Check what is logged there, or hold such a joint: --lock JOINT=POSITION.",
                 joints=joints,
             )
 

@@ -37,7 +37,7 @@ def prepare_for_model(
     """
     uniform = [log if isinstance(log, UniformLog) else make_uniform(log) for log in logs]
     trajectories = prepare_logs(uniform)
-    chosen = trajectories[0].filter.bandwidth
+    chosen = min(trajectory.filter.bandwidth for trajectory in trajectories)
     coherent = coherent_bandwidth(model, trajectories)
     if coherent is not None:
         lowered = prepare_logs(
@@ -83,7 +83,8 @@ def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) ->
 def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
     """Return the power of the effort that the model needs over that of the measured effort.
 
-    Those are frequencies (K,) in Hz, without 0, and ratios (K,), the geometric mean over joints.
+    Those are frequencies (K,) in Hz, without 0, and ratios (K,), the geometric mean over joints
+    that have a motor.
     """
     robots = {t.payloads: carrying(model, t.payloads) for t in trajectories}
     held = [(robots[t.payloads], segment) for t in trajectories for segment in t.segments]
@@ -101,7 +102,8 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
         needed = needed + _density(robot.effort(motion), segment, window, frequency)
         measured = measured + _density(start.effort, segment, window, frequency)
     tiny = np.finfo(float).tiny
-    ratio = np.mean(np.log(needed + tiny) - np.log(measured + tiny), axis=1)
+    driven = ~np.isin(model.joints, [joint for t in trajectories for joint in t.passive])
+    ratio = np.mean((np.log(needed + tiny) - np.log(measured + tiny))[:, driven], axis=1)
     return frequency, np.exp(np.minimum(ratio, _LARGEST_RATIO))
 
 

@@ -34,7 +34,9 @@ _ROUNDING = 1e-12  # by which a parameter may be beyond its bound
 class HeldOut:
     """Held-out squared errors."""
 
-    sse: Array  # (F, nv) sums of squared held-out residuals, (N·m)² or N²
+    # (F, nv) sums of squared held-out residuals, (N·m)² or N²; of joints without motors those of
+    # accelerations times the inertia that the model gave the joint before.
+    sse: Array
     samples: NDArray[np.int_]  # (F, nv) rows behind them
     x: Array  # (F, p) parameters fitted without each fold
 
@@ -53,17 +55,15 @@ def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0) 
     """Return the errors of given parameters in every fold, through the triangular factors.
 
     Args:
-        dataset: The reduced logs.
         columns: (p,) columns in use.
         x: (F, p) parameters for each fold.
-        delay: Index of the effort column.
     """
     sse = np.empty((len(dataset.folds), len(dataset.joints)))
     for j, (data, late) in enumerate(zip(dataset.data, dataset.delay_of_each(delay), strict=True)):
         n = len(data.columns)
         predicted = (data.factors[:, :, :n] @ data.parameters(columns, x)[..., None])[..., 0]
         sse[:, j] = np.square(data.factors[:, :, n + late] - predicted).sum(1)
-    return HeldOut(sse, dataset.samples, x)
+    return HeldOut(sse / dataset.inertias(columns, x).T ** 2, dataset.samples, x)
 
 
 def normal_matrices(
@@ -72,10 +72,8 @@ def normal_matrices(
     """Return the weighted AᵀA (F, p, p) and Aᵀb (F, p) of every fold.
 
     Args:
-        dataset: The reduced logs.
         weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)² or 1 / N².
         columns: (p,) columns of A in the dataset.
-        delay: Index of the effort column that b is.
     """
     p, folds = len(columns), len(dataset.folds)
     gram, rhs = np.zeros((p, p, folds)), np.zeros((p, folds))
@@ -93,11 +91,7 @@ class CrossValidation:
     """Fits of given unknowns to all folds but one.
 
     Args:
-        dataset: The reduced logs.
-        unknowns: What the fit may move.
         weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)².
-        delay: Index of the effort column to fit.
-        held_out: The held-out errors, if they are known already.
         physical: Whether bodies are kept physical.
     """
 
@@ -128,7 +122,7 @@ class CrossValidation:
     def _whole(self) -> tuple[Array, Array]:
         """Normal matrix (p, p) and right side (p,) of all folds with the prior."""
         (gram, rhs), prior = self._own, self.unknowns.information
-        return gram.sum(0) + prior, rhs.sum(0) + prior @ self.unknowns.mean
+        return gram.sum(0) + prior, rhs.sum(0) + prior @ self.unknowns.mean + self.unknowns.pull
 
     @property
     def is_physical(self) -> bool:
@@ -175,7 +169,6 @@ def _within(x: Array, rhs: Array, scaled: tuple[Array, Array], unknowns: Unknown
         x: (p,) the minimizer without bounds.
         rhs: (p,) right side of the normal equations.
         scaled: Their matrix (p, p) of unit diagonal, and by what (p,) it was scaled.
-        unknowns: The unknowns.
     """
     free, (matrix, scale) = np.ones(len(x), bool), scaled
     lower, upper = unknowns.lower - _ROUNDING, unknowns.upper + _ROUNDING

@@ -25,6 +25,9 @@ Delay = int | Sequence[int]
 """Index of a dataset's delay: that of all joints, or one for each."""
 
 
+_LEAST_INERTIA = 1e-3  # of the model's, that a joint without a motor feels
+
+
 @dataclass(frozen=True, eq=False)
 class JointRows:
     """Filtered, decimated rows of one joint in one block."""
@@ -137,6 +140,44 @@ class Dataset(Short):
     gain_uncertainty: Array
     # (nv,) whether the noise floor is known whatever a model leaves.
     noise_known: NDArray[np.bool_] | bool = True
+    # (nv, 10·nb) what each inertial parameter adds to the inertia that a joint without a motor
+    # feels, over that of the model's bodies; zeros at others. None if all have motors.
+    passive_inertia: Array | None = None
+
+    def passive_shares(self, columns: Indices) -> Array:
+        """Return (nv, p) `passive_inertia` in global columns (p,), zeros where one is −1."""
+        shares = np.zeros((len(self.joints), self._width + 1))
+        if self.passive_inertia is not None:
+            shares[:, : self.passive_inertia.shape[1]] = self.passive_inertia
+        return shares[:, columns]
+
+    def inertias(self, columns: Indices, x: Array) -> Array:
+        """Return (nv, …) inertias at joints without motors over the model's, 1 at others.
+
+        They are those of parameters (…, p) of global columns (p,).
+        """
+        shares = self.passive_shares(columns)
+        inertias = np.maximum(shares @ np.asarray(x).T, _LEAST_INERTIA)
+        inertias[~shares.any(axis=1)] = 1.0
+        return inertias
+
+    def passive_pull(self, columns: Indices, x: Array, power: Array) -> Array | float:
+        """Return the slope (p,) of the log likelihood by the inertias at joints without motors.
+
+        Nothing was measured of efforts there: 0 = Yφ + noise holds for bodies of any scale. What
+        is noisy is the acceleration, of a variance that is that of the residuals over the squared
+        inertia m, so that n independent samples add n log m, and a part of it goes in the right
+        side of the normal equations. Without it noise would shrink these bodies to nothing.
+
+        Args:
+            columns: (p,) columns in use.
+            x: (p,) parameters that inertias are those of.
+            power: (nv,) weighted sums of squared residuals, which are n with the weights of maximum
+                likelihood.
+        """
+        if self.passive_inertia is None:
+            return 0.0
+        return np.asarray((power / self.inertias(columns, x)) @ self.passive_shares(columns))
 
     @cached_property
     def starts(self) -> Mapping[Effect, int]:

@@ -85,10 +85,6 @@ class SignalRows:
         """Return the rows of a joint.
 
         Args:
-            dataset: Logs whose efforts are the signals, reduced.
-            joint: Index of the joint.
-            d: Number of inertial parameters.
-            free: Effects whose columns are projected out.
             added: An effect whose column is added to the signal.
             held: What has the effort of known payloads as its column.
         """
@@ -168,7 +164,6 @@ def signal_gains(
 
     Args:
         rows: What logs say of each joint.
-        model: The model, whose inertias are known.
         known: (nv,) standard deviations of log |gain| about 0, of signals that are efforts or
             nearly so; inf where nothing is known of the gain.
         kinds: Kinds (nv,) of the signals.

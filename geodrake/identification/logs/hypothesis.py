@@ -70,10 +70,8 @@ def residual_blocks(
     """Return held-out residuals: per joint, one array (K_i,) per block.
 
     Args:
-        dataset: The reduced logs.
         columns: (p,) columns in use.
         x: (F, p) parameters for each fold.
-        delay: Index of the effort column.
     """
     return [
         [
@@ -105,13 +103,13 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
     samples so that coloured residuals do not outvote the prior.
 
     Args:
-        hypothesis: The hypothesis.
         iterations: How often effective samples are counted at most, each time with weights that
             agree with the errors; fewer where the weights stay.
     """
     dataset, unknowns, delay = hypothesis.dataset, hypothesis.unknowns, hypothesis.delay
     samples, variance = dataset.samples.sum(axis=0), dataset.effort_std**2
     weights, effective = hypothesis.weights, hypothesis.effective
+    x, mse = unknowns.mean, hypothesis.held_out.mse
 
     def deserved(cv: CrossValidation) -> Array:
         mse = np.maximum(cv.held_out.mse, 1e-12 * variance)
@@ -122,7 +120,11 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
 
     for _ in range(iterations):
         for _ in range(_MOST_REFITS):
+            power = weights * samples * mse * dataset.inertias(unknowns.columns, x) ** 2
+            pull = dataset.passive_pull(unknowns.columns, x, power)
+            unknowns = replace(unknowns, pull=pull)
             cv = CrossValidation(dataset, unknowns, weights, delay=delay, physical=False)
+            x, mse = cv.held_out.x.mean(0), cv.held_out.mse
             before, weights = weights, deserved(cv)
             if _alike(weights, before):
                 break
@@ -134,7 +136,27 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
         cv = CrossValidation(dataset, unknowns, cv.weights, delay=delay)
         effective = counted(cv)
         weights = deserved(cv)
-    return replace(hypothesis, weights=weights, cv=cv, effective=effective)
+    return replace(hypothesis, unknowns=unknowns, weights=weights, cv=cv, effective=effective)
+
+
+def most_likely(settled: Hypothesis) -> tuple[Unknowns, Array]:
+    """Return unknowns and weights (nv,) of maximum likelihood, for fits with their information.
+
+    Weights are those of the residuals of a settled hypothesis, each joint by its own; the pull of
+    joints without motors is what goes with them.
+    """
+    dataset, unknowns, held_out = settled.dataset, settled.unknowns, settled.held_out
+    for _ in range(_MOST_REFITS if dataset.passive_inertia is not None else 0):
+        samples, x = held_out.samples.sum(0), held_out.x.mean(0)
+        weights = settled.effective / samples / held_out.mse
+        power = settled.effective * dataset.inertias(unknowns.columns, x) ** 2
+        pull = dataset.passive_pull(unknowns.columns, x, power)
+        unknowns = replace(unknowns, pull=pull)
+        cv = CrossValidation(dataset, unknowns, weights, delay=settled.delay, physical=False)
+        before, held_out = held_out, cv.held_out
+        if _alike(held_out.mse, before.mse):
+            break
+    return unknowns, settled.effective / held_out.samples.sum(0) / held_out.mse
 
 
 def _alike(weights: Array, before: Array) -> bool:

@@ -19,7 +19,6 @@ class JointError:
     """Error of one joint's effort.
 
     Attributes:
-        joint: Name of the joint.
         rms: RMS of measured − predicted effort, N·m or N.
         std: Standard deviation of the measured effort, N·m or N; of a joint at rest the effort that
             it holds, or that gravity could ask of it.
@@ -58,11 +57,7 @@ class JointError:
 
 @dataclass(frozen=True)
 class ErrorTable(Short):
-    """Errors of all joints.
-
-    Attributes:
-        joints: One entry per joint.
-    """
+    """Errors of all joints."""
 
     joints: tuple[JointError, ...]
 
@@ -129,8 +124,6 @@ class Series(Short):
     """One joint over one block, filtered and decimated: what figures show.
 
     Attributes:
-        joint: Name of the joint.
-        block: Name of the fold.
         time: (K,) instants, s.
         position: (K,) rad or m.
         velocity: (K,) rad/s or m/s.
@@ -159,7 +152,6 @@ class Failing:
     """A circumstance in which a joint's error is larger than elsewhere.
 
     Attributes:
-        joint: Name of the joint.
         circumstance: In words, such as "at speeds below 0.05 rad/s".
         rms: RMS of the error there, N·m or N.
         elsewhere: RMS of the error otherwise, N·m or N.

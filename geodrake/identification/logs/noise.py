@@ -53,7 +53,6 @@ def known_noise(
     and zero but for the noise of accelerations.
 
     Args:
-        trajectories: The prepared logs.
         model: A model; the floor is then that of its residuals where they are quieter than the
             efforts, as those of a model fitted to the logs are.
         sign_width: (nv,) speed below which the direction of motion is not known, for the model.

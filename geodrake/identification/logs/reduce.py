@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -15,7 +15,7 @@ from geodrake.errors import LogError
 from geodrake.identification.logs.dataset import Dataset, Indices, JointData, JointRows
 from geodrake.identification.logs.log_slices import Layout, LogSlice
 from geodrake.identification.logs.noise import known_noise
-from geodrake.identification.logs.nominal_efforts import effort_scale
+from geodrake.identification.logs.nominal_efforts import effort_scale, passive_inertia
 from geodrake.identification.logs.shared_rows import SharedRows
 from geodrake.identification.logs.unknowns import payload_reference
 from geodrake.inertia import PARAMETERS_PER_BODY
@@ -54,8 +54,6 @@ def reduce_logs(
 
     Args:
         model: The model; its inertial parameters give the load, its delays shift the efforts.
-        trajectories: Prepared logs, joints in the model's order.
-        folds: Validation folds of the trajectories.
         effects: Effects that get columns: those of the model and those to try.
         delays: Delays to try on top of the model's, s, of all joints or (nv,) of each; the first
             must be 0.
@@ -73,7 +71,8 @@ def reduce_logs(
     further = np.array([np.broadcast_to(delay, len(model.joints)) for delay in delays])
     data = reduced_joints(layout, trajectories, folds, list(further + model.delays), shared)
     _check_moving(model.joints, data)
-    deviation = effort_deviation(model.joints, data)
+    passive = {joint for trajectory in trajectories for joint in trajectory.passive}
+    deviation = effort_deviation(model.joints, data, passive)
     floor, known = noise or known_noise(
         trajectories, model, sign_width=layout.sign_width, fitted=fitted
     )
@@ -92,6 +91,7 @@ def reduce_logs(
         payload_reference(model.phi),
         gain_uncertainty(model, trajectories),
         known,
+        passive_inertia(model, layout.tree, trajectories),
     )
 
 
@@ -244,12 +244,10 @@ def _slices(
         first += outputs
 
 
-def effort_deviation(joints: Sequence[str], data: Sequence[JointData]) -> Array:
+def effort_deviation(
+    joints: Sequence[str], data: Sequence[JointData], passive: Collection[str] = ()
+) -> Array:
     """(nv,) standard deviation of the measured efforts, N·m or N; 0 of a joint at rest.
-
-    Args:
-        joints: Their names.
-        data: What logs say about each.
 
     Raises:
         LogError: The effort of a joint that moves never changes: its sensor has nothing to say.
@@ -259,6 +257,7 @@ def effort_deviation(joints: Sequence[str], data: Sequence[JointData]) -> Array:
     mean, power = sums.T / np.maximum(count, 1)
     deviation = np.sqrt(np.maximum(power - mean**2, 0.0))
     constant = (count > 0) & (deviation <= LEAST_DEVIATION * np.sqrt(power))
+    constant &= ~np.isin(joints, list(passive))
     for joint, value, stuck in zip(joints, mean.tolist(), constant.tolist(), strict=True):
         if stuck:
             raise LogError(

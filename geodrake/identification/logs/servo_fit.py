@@ -62,7 +62,9 @@ with follow, one for each stretch.
 LONGEST_DELAY = 0.06
 """Commands are late by no more, s."""
 
-_STEP, _COARSE_STEP = 2.5e-4, 1e-3  # s, of simulations at most: of all, and of first searches
+# Steps of simulations, s: a share of the time between rows, from and up to so much; of all, and of
+# first searches.
+_STEPS, _COARSE_STEPS = (0.05, 2.5e-4, 1e-3), (0.2, 1e-3, 4e-3)
 _WINDOWS = 8  # of all logs, two of a stretch at least; every other one is left out for a test
 _MOST_EVALUATIONS, _FIRST_EVALUATIONS = 60, 20
 _LIMIT_STEP = 1e-3  # of a limit's size, for differences
@@ -86,7 +88,6 @@ class ServoFit:
         start: The same where the search began.
         moved: Deviation of the measured positions, rad or m.
         integral: The last of `PARAMETERS`; 0 for a servo without an integral.
-        integral_deviation: Its standard deviation.
         limit: Effort at which the servo saturates; infinite where the motion shows none.
         own: Whether the servo makes the viscous damping, within its limit.
     """
@@ -121,14 +122,14 @@ class JointMotions:
     own: bool = False
 
     def simulated(
-        self, parameters: Array, *, step: float = _STEP, slopes: bool = False
+        self, parameters: Array, *, coarse: bool = False, slopes: bool = False
     ) -> tuple[Array, Array]:
         """Positions (N,) under the commands, rad or m, and their slopes (N, p) with parameters.
 
         Args:
             parameters: (p,) values of `PARAMETERS`, and efforts w of the stretches; or the first
                 six of a servo without an integral.
-            step: Of the simulation at most, s.
+            coarse: Whether long steps will do.
             slopes: Whether slopes are asked for; there are none (0, p) if not.
         """
         count = len(parameters)
@@ -138,7 +139,8 @@ class JointMotions:
         stretches = zip(self.rows, self.periods, began, strict=True)
         for k, (rows, period, w) in enumerate(stretches):
             servo: Servo = (kp, kr, d, F, armature, delay, ki, w, self.limit, float(self.own))
-            steps = max(1, int(np.ceil(period / step)))
+            share, least, most = _COARSE_STEPS if coarse else _STEPS
+            steps = max(1, int(np.ceil(period / min(max(share * period, least), most))))
             x = np.empty(len(rows))
             own = min(count, len(PARAMETERS) + 1)
             tangent = np.empty((len(rows) if slopes else 0, own))
@@ -192,8 +194,6 @@ class JointMotions:
         nothing of a servo, but would make all residuals go together, as if they were one.
 
         Args:
-            before: Those before.
-            after: Those after.
             rows: Which rows count; all if None.
         """
         rows = np.ones(len(after), bool) if rows is None else rows
@@ -241,12 +241,6 @@ def motions_of(
 ) -> dict[int, JointMotions]:
     """What simulations of some joints, each alone, need; see `JointMotions`.
 
-    Args:
-        model: The model, with the inertias that count.
-        logs: Logs with commands.
-        trajectories: The same, prepared.
-        joints: Indices of the joints.
-
     Returns:
         Index of the joint -> its motions.
     """
@@ -290,7 +284,6 @@ def fit_servo(
     """The servo that moves a joint as it was measured to.
 
     Args:
-        motions: The joint.
         signal: The servo by a linear fit, at which the search begins.
         limit: Largest effort of the joint, N·m or N, by the model: the servo may keep it, or
             another one, or none.
@@ -315,7 +308,6 @@ def _fitted(found: _Half, start: Array, told: float) -> ServoFit | None:
     """The fit to all rows, from that to half of the windows on; see `fit_servo`.
 
     Args:
-        found: The servo by half of the windows.
         start: (6,) the servo by a linear fit.
         told: The integral gain by that; 0 if it has none.
     """
@@ -376,7 +368,6 @@ def _limited(motions: JointMotions, start: Array, told: float, limit: float) -> 
     """The servo by half of the windows, at the limit that the others ask for: of the model, or own.
 
     Args:
-        motions: The joint, without a limit.
         start: (6,) where searches begin.
         told: The integral gain by a linear fit; 0 if it has none.
         limit: Largest effort of the joint by the model, N·m or N.
@@ -410,17 +401,16 @@ def _with_limit(
 
     Args:
         motions: The joint, with a limit to begin with; else it is what bodies need at most.
-        starts: Servos to begin with.
         scale: (7 + S,) sizes of parameters.
         first: Whether it is a first search, which need not settle.
     """
-    step, most = (_COARSE_STEP, _FIRST_EVALUATIONS) if first else (_STEP, _MOST_EVALUATIONS)
+    most = _FIRST_EVALUATIONS if first else _MOST_EVALUATIONS
     needed = float(np.abs(np.concatenate(motions.rows)[:, 0]).max()) or 1.0
     limit = motions.limit if np.isfinite(motions.limit) else needed
     found = []
     for start in starts:
         sizes = np.append(scale[: len(start)], needed)
-        search = _LimitSearch(motions, sizes, step)
+        search = _LimitSearch(motions, sizes, first)
         lower, upper = _bounds(sizes[:-1])
         lower, upper = np.append(lower, _INSIDE), np.append(upper, np.inf)
         begin = np.append(start, limit) / sizes
@@ -441,19 +431,18 @@ class _LimitSearch:
     """Residuals and slopes of a search that moves the limit, too.
 
     Attributes:
-        motions: The joint.
         sizes: (p + 1,) of parameters, and of the limit, by which they are divided.
-        step: Of simulations at most, s.
+        coarse: Whether simulations take long steps.
     """
 
     motions: JointMotions
     sizes: Array
-    step: float
+    coarse: bool
 
     def _simulated(self, x: Array, *, slopes: bool = False) -> tuple[Array, Array]:
         *servo, limit = (x * self.sizes).tolist()
         limited = replace(self.motions, limit=limit)
-        return limited.simulated(np.array(servo), step=self.step, slopes=slopes)
+        return limited.simulated(np.array(servo), coarse=self.coarse, slopes=slopes)
 
     def residual(self, x: Array) -> Array:
         """Residuals of rows that no test needs, rad or m."""
@@ -471,7 +460,6 @@ def _scale(motions: JointMotions, start: Array, told: float) -> Array:
     """(7 + S,) sizes of parameters.
 
     Args:
-        motions: The joint.
         start: (6,) the servo by a linear fit.
         told: Its integral gain; 0 if it has none.
     """
@@ -492,13 +480,12 @@ def _by_half(motions: JointMotions, start: Array, told: float) -> tuple[Array, A
     """A servo by the windows that a test does not need, and sizes of its parameters (p,).
 
     Args:
-        motions: The joint.
         start: (6,) where searches begin.
         told: The integral gain by a linear fit; 0 if it has none.
     """
     whole = _scale(motions, start, told)
     scale = whole[:_PLAIN]
-    begun = _best(motions, _starts(start), scale, ~motions.tested, step=_COARSE_STEP)
+    begun = _best(motions, _starts(start), scale, ~motions.tested, coarse=True)
     half = _best(motions, [begun], scale, ~motions.tested)
     return _integral(motions, (start, half), whole, told) or (half, scale)
 
@@ -515,7 +502,6 @@ def _integral(
     """A servo with an integral by the windows that a fit sees, if the others ask for one.
 
     Args:
-        motions: The joint.
         known: (6,) the servo by a linear fit, and without an integral by the same windows.
         scale: (7 + S,) sizes of its parameters.
         told: The integral gain by a linear fit; 0 if it has none.
@@ -533,7 +519,7 @@ def _integral(
         return None
     else:
         starts = [_with_integral(motions, plain, ratio * plain[0]) for ratio in _RESETS]
-    begun = _best(motions, starts, scale, ~tested, step=_COARSE_STEP)
+    begun = _best(motions, starts, scale, ~tested, coarse=True)
     best = _best(motions, [begun], scale, ~tested)
     free = np.arange(len(best)) != _INTEGRAL
     constants = [constant, np.where(free, best, 0.0)]
@@ -545,11 +531,10 @@ def _promised(motions: JointMotions, constant: Array, scale: Array) -> float:
     """What an integral would gain beside a constant effort, as far as motions are linear in both.
 
     Args:
-        motions: The joint.
         constant: (7 + S,) a servo without an integral.
         scale: (7 + S,) sizes of parameters.
     """
-    J = motions.simulated(constant, step=_COARSE_STEP, slopes=True)[1] * scale
+    J = motions.simulated(constant, coarse=True, slopes=True)[1] * scale
     left, free = motions.residual(constant), np.arange(len(constant)) != _INTEGRAL
     before, after = (left - A @ np.linalg.lstsq(A, left, rcond=None)[0] for A in (J[:, free], J))
     return motions.gain_of(before, after)
@@ -576,23 +561,22 @@ def _best(
     rows: NDArray[np.bool_],
     *,
     free: NDArray[np.bool_] | None = None,
-    step: float = _STEP,
+    coarse: bool = False,
 ) -> Array:
     """Least squares over some rows, from several starts on.
 
     Args:
-        motions: The joint.
         starts: Parameters (p,) to begin with.
         scale: (p,) sizes of parameters.
         rows: (N,) which rows count.
         free: (p,) which parameters move; all if None.
-        step: Of simulations at most, s.
+        coarse: Whether simulations take long steps.
     """
     free = np.ones(len(scale), bool) if free is None else free
     lower, upper = _bounds(scale)
     found = []
     for start in starts:
-        search = _MotionSearch(motions, start, scale, free, rows, step)
+        search = _MotionSearch(motions, start, scale, free, rows, coarse)
         fit = least_squares(
             search.residual,
             np.clip(start / scale, lower + _INSIDE, upper - _INSIDE)[free],
@@ -609,12 +593,11 @@ class _MotionSearch:
     """Residuals and slopes of one search; both are had from one simulation.
 
     Attributes:
-        motions: The joint.
         start: (p,) parameters, of which those that are not free stay.
         scale: (p,) sizes of parameters, by which they are divided.
         free: (p,) which parameters move.
         rows: (N,) which rows count.
-        step: Of simulations at most, s.
+        coarse: Whether simulations take long steps.
     """
 
     motions: JointMotions
@@ -622,7 +605,7 @@ class _MotionSearch:
     scale: Array
     free: NDArray[np.bool_]
     rows: NDArray[np.bool_]
-    step: float
+    coarse: bool
     _last: tuple[bytes, Array, Array] | None = None
 
     def parameters(self, x: Array) -> Array:
@@ -641,7 +624,9 @@ class _MotionSearch:
 
     def _simulated(self, x: Array) -> tuple[bytes, Array, Array]:
         if self._last is None or self._last[0] != x.tobytes():
-            found, slopes = self.motions.simulated(self.parameters(x), step=self.step, slopes=True)
+            found, slopes = self.motions.simulated(
+                self.parameters(x), coarse=self.coarse, slopes=True
+            )
             J = slopes[:, self.free][self.rows] * self.scale[self.free]
             self._last = x.tobytes(), (found - self.motions.measured)[self.rows], J
         return self._last
@@ -673,7 +658,6 @@ def calc_servo_motion(
     Args:
         rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
         period: Time between rows, s.
-        steps: Of the simulation between two rows.
         servo: kp, kr, d, F, I, δ, ki, w, the largest effort, and the share of d within it.
         out: (N,) positions, and (N, p) their slopes with the first six of the servo's numbers, or
             all eight; (0, p) if those are not asked for.
@@ -751,7 +735,6 @@ def calc_bodies_between(
     Args:
         rows: (N, 8) as of `calc_servo_motion`.
         k: Number of the first of the two.
-        f: Share of the way to the next.
     """
     g = 1.0 - f
     return (

@@ -25,7 +25,6 @@ class SharedRows:
     evaluated that no reduction had before. When there is no more room, no more is kept.
 
     Args:
-        room: How many numbers to keep.
         signals: How many of them may be signals at the full rate, which only those need who
             evaluate further columns.
     """

@@ -29,7 +29,7 @@ from geodrake.identification.logs.servo_fit import (
 from geodrake.logs.filtering import HIGHEST_BANDWIDTH
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.learnable import check_saturation
-from geodrake.logs.motion import JointLog, Motion, Trajectory
+from geodrake.logs.motion import PASSIVE, JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
@@ -132,8 +132,6 @@ def calibrated(
     """Find what makes efforts of the signals of all joints whose efforts were not measured.
 
     Args:
-        model: The model.
-        logs: Logs, joints in the model's order.
         kinds: (nv,) what stands for the efforts of each joint.
 
     Raises:
@@ -234,7 +232,11 @@ def signals_as_efforts(logs: Sequence[JointLog], kinds: Sequence[str]) -> list[J
         for j, kind in enumerate(kinds):
             if kind == COMMAND and log.command is not None:
                 effort[:, j] = log.command[:, j] - log.position[:, j]
-        found.append(replace(log, effort=effort, effort_kinds={}, payloads=()))
+        found.append(
+            replace(
+                log, effort=effort, effort_kinds=dict.fromkeys(log.passive, PASSIVE), payloads=()
+            )
+        )
     return found
 
 

@@ -32,7 +32,6 @@ class Weighing:
     """One γ of a sweep.
 
     Attributes:
-        gamma: The weight.
         nrms: Held-out nrms with it; inf where a fit failed.
     """
 

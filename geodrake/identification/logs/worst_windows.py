@@ -25,7 +25,6 @@ class WorstWindow:
     """A stretch of time in which a joint errs much more than usual.
 
     Attributes:
-        joint: Name of the joint.
         block: Name of the fold it is in.
         start: First instant in the log's own time, s.
         end: Last instant in the log's own time, s.
@@ -43,10 +42,6 @@ class WorstWindow:
 
 def worst_windows(series: Sequence[Series], *, most: int = 3) -> tuple[WorstWindow, ...]:
     """The worst stretches of one joint, those of largest share of its squared error first.
-
-    Args:
-        series: All series of one joint.
-        most: Largest number of windows to return.
 
     Returns:
         None where the error is about the same throughout.

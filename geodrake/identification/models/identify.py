@@ -11,7 +11,7 @@ import numpy as np
 from geodrake.boundary.arguments import function, instance, instances
 from geodrake.effects import Effect, FittedEffect, Role
 from geodrake.effects.dependencies import declares_signals
-from geodrake.errors import ArgumentError, GeodrakeError, IdentificationError
+from geodrake.errors import ArgumentError, GeodrakeError, IdentificationError, LogError
 from geodrake.identification.identify import IdentificationResult, physical_prior
 from geodrake.identification.logs.case import error_table, open_case, reopen
 from geodrake.identification.logs.compare import comparison
@@ -79,6 +79,12 @@ def identify_model(
     if case.model.joints != prior.joints:  # some are held
         held = {joint: case.model.held[joint] for joint in prior.joints if joint in case.model.held}
         model, prior = holding(model, held), case.model
+    passive = {joint for log in case.asked.logs for joint in log.passive}
+    if passive:
+        raise LogError(
+            f"{', '.join(sorted(passive))} has no motor: `identify` fits measured efforts alone.",
+            advice="`explain`, `diagnose` and `add` fit bodies beside joints without a motor.",
+        )
     unknowns = log_unknowns(case.dataset, prior)
     settled = settle(first_hypothesis(case.dataset, unknowns), iterations=_MOST_ITERATIONS)
     fits = LogFits(case.dataset, unknowns, settled.weights, settings.total_mass)

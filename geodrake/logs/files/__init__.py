@@ -10,22 +10,20 @@ understood as well, by `recognition`, or by what the user says of them, a `Readi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 from geodrake.boundary.arguments import file_path, instance, instances, typed
 from geodrake.errors import LogError
 from geodrake.logs.files.column_names import Columns, is_used, listed
-from geodrake.logs.files.csv_file import read_csv
-from geodrake.logs.files.formats import check_log, read_table
+from geodrake.logs.files.formats import check_log, read_table, table_of
 from geodrake.logs.files.joined_files import joined_table, parts_of
 from geodrake.logs.files.mapping_file import read_mapping
-from geodrake.logs.files.npz_file import read_npz
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.recognition import is_time
 from geodrake.logs.files.recording import Recording
+from geodrake.logs.files.shapes import reshaped
 from geodrake.logs.files.signal_columns import without_use
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.files.understanding import columns_of
@@ -44,20 +42,6 @@ __all__ = [
     "understand",
     "write_log",
 ]
-
-
-class Reader(Protocol):
-    """What reads files of a format."""
-
-    def __call__(
-        self, path: Path, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
-    ) -> tuple[JointLog, Columns]:
-        """Return the log in a file, and what its columns were taken for."""
-
-
-_TEXT = (".csv", ".txt", ".dat", ".tsv", ".log")
-READERS: Mapping[str, Reader] = {**dict.fromkeys(_TEXT, read_csv), ".npz": read_npz}
-"""Suffix -> what reads such a file; those of `formats` are read as tables."""
 
 
 def read_log(
@@ -136,11 +120,9 @@ def _read(
             table = joined_table(parts, reading)  # whose time is in s
             units = {name: unit for name, unit in reading.units.items() if name != "time"}
             reading = replace(reading, units=units)
-            return _understood(table, joints, reading, partial=partial)
-        if reader := READERS.get(path.suffix.lower()):
-            log, columns = reader(path, joints, reading, partial=partial)
-            return replace(log, notes=(*_unused(path, reading), *log.notes)), columns
-        return _understood(read_table(path, reading), joints, reading, partial=partial)
+        else:
+            table = table_of(path, reading, joints)
+        return _understood(table, joints, reading, partial=partial)
     except UnicodeDecodeError as error:
         raise LogError(
             f"Log {str(path)!r} is no text in UTF-8: {error.reason} at byte {error.start}.",
@@ -151,16 +133,6 @@ def _read(
             f"Log {str(path)!r} cannot be read: {error}.",
             advice="Check the file's permissions, and that there is memory for it.",
         ) from error
-
-
-def _unused(path: Path, reading: Reading) -> list[str]:
-    """Return what was said of topics and episodes, which a table has none of, in words."""
-    said = {"topic": ", ".join(reading.topics) or None, "episode": reading.episode}
-    return [
-        f"{path.name} has no {name}s, so that {value!r} chooses nothing in it"
-        for name, value in said.items()
-        if value is not None
-    ]
 
 
 @typed
@@ -174,11 +146,9 @@ def log_of(
     """Return the log that a table of columns is, whatever they are called; see `read_log`.
 
     Args:
-        table: The columns.
         joints: Names of a model's joints, if the log must have the same and in their order.
         partial: Whether it may lack some of these joints, or their efforts alone: joints that stand
             still then are `JointLog.standing`.
-        reading: What the user said of the table.
 
     Raises:
         LogError: A needed column or joint is missing or there twice, or time does not increase.
@@ -194,19 +164,22 @@ def log_of(
 def _understood(
     table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool
 ) -> tuple[JointLog, Columns]:
+    table = reshaped(table, reading)
     _check_silent(table, reading)
     columns = columns_of(
         table.path,
-        list(table.columns),
+        table.names,
         joints,
         reading,
         table.units,
         origins=table.origins,
         partial=partial,
     )
-    recording = Recording(columns, len(table))
-    recording.put(slice(0, len(table)), table.columns)
-    log = recording.log(len(table))
+    recording, rows = Recording(columns, table.rows(columns.files)), 0
+    for part, numbers in table.parts(columns.groups, recording.torn):
+        recording.put(part, numbers)
+        rows = part.stop
+    log = recording.log(rows)
     return replace(log, notes=(*table.notes, *log.notes)), columns
 
 
@@ -215,7 +188,7 @@ def _check_silent(table: LogTable, reading: Reading) -> None:
     needed = {str(mapped.column) for _, mapped in reading.mapping or ()}
     if reading.mapping is None:
         needed = {name for name in table.silent if is_used(name) and name != "time"}
-        if reading.rate is None and not any(map(is_time, table.columns)):
+        if reading.rate is None and not any(map(is_time, table.names)):
             needed |= {name for name in table.silent if is_time(name)}
     for name, words in table.silent.items():
         if name in needed:

@@ -10,7 +10,7 @@ from pathlib import Path
 from geodrake.errors import LogError
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.units import Unit
-from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
+from geodrake.logs.motion import EFFORT_KINDS, PASSIVE, QUANTITIES
 
 HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
 _MOST_COLUMNS = 10_000  # ten times more than a robot of a hundred joints has
@@ -24,7 +24,6 @@ class Source:
     """Where the numbers of a column of a log come from.
 
     Attributes:
-        column: Column of the file.
         factor: What its numbers are multiplied by.
         unit: The unit that they are in; None for SI that nobody said.
         nanoseconds: Column of what is to be added to time, ns.
@@ -48,7 +47,6 @@ class Columns:
     """What is read from a file.
 
     Attributes:
-        path: The file.
         joints: Names of the n joints, in the order of the log to be.
         quantities: Quantities that every joint has; and efforts and commands, which some may lack.
         notes: What was left out or converted, in words.
@@ -57,6 +55,7 @@ class Columns:
         rate: Rows a second, Hz, where there is no column of time.
         reading: How the user said that the file is to be read.
         standing: Further joints, of which there is the position alone.
+        passive: Joints among them without a motor, which need no column of efforts.
         others: Joint -> further columns that could be taken for its efforts, or in their place.
         origin: Since when time is, ns since 1970, if that is known.
     """
@@ -69,6 +68,7 @@ class Columns:
     rate: float | None = None
     reading: Reading = field(default_factory=Reading)
     standing: tuple[str, ...] = ()
+    passive: tuple[str, ...] = ()
     others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     origin: int | None = None
 
@@ -76,15 +76,11 @@ class Columns:
     def kinds(self) -> dict[str, str]:
         """Joint -> what is in the place of its efforts, where it has none."""
         found = {j: self.sources[f"{j}.effort"].kind for j in self.joints if self.has(j, "effort")}
+        found |= dict.fromkeys(self.passive, PASSIVE)
         return {joint: kind for joint, kind in found.items() if kind != "effort"}
 
     def has(self, joint: str, quantity: str) -> bool:
-        """Return whether there is a column of a quantity of a joint.
-
-        Args:
-            joint: The joint.
-            quantity: Such as "position".
-        """
+        """Return whether there is a column of a quantity of a joint."""
         return f"{joint}.{quantity}" in self.sources
 
     @property
@@ -108,12 +104,7 @@ class Columns:
 
 
 def check_text(path: Path, names: Sequence[str]) -> None:
-    """Refuse names that no text has, and those of the format that come twice.
-
-    Args:
-        path: The file, for messages.
-        names: Its columns.
-    """
+    """Refuse names that no text has, and those of the format that come twice."""
     if len(names) > _MOST_COLUMNS:
         raise LogError(
             f"Log {str(path)!r} has {len(names)} columns; at most {_MOST_COLUMNS} are read.",
@@ -128,13 +119,7 @@ def check_text(path: Path, names: Sequence[str]) -> None:
 
 
 def check_twice(path: Path, names: Sequence[str], used: Collection[str]) -> None:
-    """Refuse columns that are needed and there twice.
-
-    Args:
-        path: The file, for messages.
-        names: All its columns.
-        used: Those that are needed.
-    """
+    """Refuse columns that are needed and there twice."""
     counts = Counter(names)
     twice = sorted(name for name in set(used) if counts[name] > 1)
     if twice:
@@ -146,12 +131,7 @@ def check_twice(path: Path, names: Sequence[str], used: Collection[str]) -> None
 
 
 def check_once(path: Path, names: Sequence[str]) -> None:
-    """Refuse columns that are there twice, where only their names tell them apart.
-
-    Args:
-        path: The file, for messages.
-        names: All its columns.
-    """
+    """Refuse columns that are there twice, where only their names tell them apart."""
     check_twice(path, names, names)
 
 

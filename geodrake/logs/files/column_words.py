@@ -40,12 +40,7 @@ def _is_doubtful(meaning: Meaning) -> bool:
 
 
 def unit_words(sources: Mapping[str, Source], reading: Reading) -> Iterator[str]:
-    """Which units were converted, in words.
-
-    Args:
-        sources: Column of the log -> where it comes from.
-        reading: What the user said of the log.
-    """
+    """Which units were converted, in words."""
     same: dict[str, dict[str, Source]] = defaultdict(dict)
     for name, source in sources.items():
         quantity = name.rpartition(".")[2]

@@ -14,9 +14,7 @@ def readable(path: Path, what: str, advice: str = "Write it again, or as CSV.") 
     """Whatever is raised by the reader of a file that is none of its kind is an error of the log.
 
     Args:
-        path: The file.
         what: What it should be, such as "Parquet file".
-        advice: What the user can do.
     """
     try:
         yield

@@ -1,22 +1,28 @@
-"""The formats of log files beside CSV and NPZ, by suffix, by what is in a folder, and by bytes."""
+"""The formats of log files, by suffix, by what is in a folder, and by bytes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from geodrake.boundary.arguments import file_path, typed
 from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.errors import LogError
+from geodrake.logs.files.json_file import read_json
 from geodrake.logs.files.lcm_log import MAGIC, read_lcm
 from geodrake.logs.files.lerobot_dataset import INFO, read_lerobot
-from geodrake.logs.files.mat_file import read_mat
+from geodrake.logs.files.mat_file import read_hdf5, read_mat
+from geodrake.logs.files.npz_file import read_npz
 from geodrake.logs.files.parquet_file import read_feather, read_parquet
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.ros_bag import read_bag
 from geodrake.logs.files.table import LogTable
+from geodrake.logs.files.text_file import read_text
 
 Reader = Callable[[Path, Reading], LogTable]
+
+TEXT = (".csv", ".txt", ".dat", ".tsv", ".log")
+"""Suffixes of tables of text."""
 
 SUFFIXES: Mapping[str, Reader] = {
     ".bag": read_bag,
@@ -29,8 +35,11 @@ SUFFIXES: Mapping[str, Reader] = {
     ".lcm": read_lcm,
     ".lcmlog": read_lcm,
     ".mat": read_mat,
+    ".h5": read_hdf5,
+    ".hdf5": read_hdf5,
+    **dict.fromkeys((".json", ".jsonl", ".ndjson"), read_json),
 }
-"""Reader of files, by their suffix."""
+"""Reader of files beside text and NPZ, by their suffix."""
 
 FOLDERS: Mapping[str, Reader] = {
     "metadata.yaml": read_bag,
@@ -44,9 +53,38 @@ BEGINNINGS: Mapping[bytes, Reader] = {MAGIC: read_lcm}
 """Reader of files by their first bytes: lcm-logger's names end in a date."""
 
 
+def table_of(
+    path: Path, reading: Reading, joints: Sequence[str] | None = None, *, numbered: bool = False
+) -> LogTable:
+    """Return the columns of a file of any format, which may be yet to be read.
+
+    Args:
+        joints: Names of the model's joints, if there is a model, for a proposed mapping.
+        numbered: Whether columns without names may be called by their numbers.
+    """
+    kind = path.suffix.lower()
+    if kind not in (*TEXT, ".npz"):
+        reader = reader_of(check_log(path))
+        if reader is None:
+            raise LogError(
+                f"Log {str(path)!r} ends in {path.suffix!r}, which geodrake does not read.",
+                advice=f"Convert it to .csv, .npz or one of {', '.join(SUFFIXES)}.",
+            )
+        return reader(path, reading)
+    is_text = kind in TEXT
+    table = read_text(path, reading, joints, numbered=numbered) if is_text else read_npz(path)
+    said = {"topic": ", ".join(reading.topics) or None, "episode": reading.episode}
+    notes = [
+        f"{path.name} has no {name}s, so that {value!r} chooses nothing in it"
+        for name, value in said.items()
+        if value is not None
+    ]
+    return table.noting(*notes)
+
+
 @typed
 def read_table(path: str | Path, reading: Reading | None = None) -> LogTable:
-    """Read a log of any format but CSV and NPZ.
+    """Read the columns of a log of any format.
 
     Args:
         path: The file, or the folder of a rosbag2 or a LeRobot dataset.
@@ -61,14 +99,7 @@ def read_table(path: str | Path, reading: Reading | None = None) -> LogTable:
         LogError: There is no such format or it cannot be read, a package for it is not installed,
             or it has no joints, or several topics with some.
     """
-    path = file_path(path)
-    reader = reader_of(check_log(path))
-    if reader is None:
-        raise LogError(
-            f"Log {str(path)!r} ends in {path.suffix!r}, which geodrake does not read.",
-            advice=f"Convert it to .csv, .npz or one of {', '.join(SUFFIXES)}.",
-        )
-    return reader(path, reading or Reading())
+    return table_of(check_log(file_path(path)), reading or Reading(), numbered=True).loaded()
 
 
 def reader_of(path: Path) -> Reader | None:

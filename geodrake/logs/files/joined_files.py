@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from geodrake.boundary.arguments import typed
-from geodrake.logs.files.csv_file import csv_table
-from geodrake.logs.files.formats import read_table
+from geodrake.logs.files.formats import table_of
 from geodrake.logs.files.joined_tables import joined_tables, meanings_of
-from geodrake.logs.files.npz_file import npz_table
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.recognition import OF_JOINTS, is_time, meaning_of, quantity_of
+from geodrake.logs.files.shapes import reshaped
 from geodrake.logs.files.table import LogTable
 
-_TEXT = (".csv", ".txt", ".dat", ".tsv", ".log")
+_TOLD = re.compile(r"(?<![a-z])controls?(?![a-z])")  # in the name of a file of commands
 
 
 @typed
@@ -32,7 +32,6 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
     Args:
         paths: Files of any format. The name of a file may say the quantity of its columns, as
             that of `efforts.csv` does.
-        reading: What the user said of the log.
 
     Raises:
         LogError: One cannot be read, files without time are not equally long, their times do not
@@ -44,10 +43,10 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
 
 def _table(path: Path, reading: Reading) -> LogTable:
     """Return the columns of one file; bare names of joints get the quantity of the file's name."""
-    kind = path.suffix.lower()
-    read = csv_table if kind in _TEXT else npz_table if kind == ".npz" else read_table
-    table = read(path, reading)
+    table = reshaped(table_of(path, reading, numbered=True).loaded(), reading)
     quantity = quantity_of(path.stem)
+    if quantity is None and _TOLD.search(path.stem.lower()):
+        quantity = "command"
     if quantity is None or any(m.quantity == quantity for m in meanings_of(table)):
         return table
     if quantity == "command" and any(m.quantity in OF_JOINTS for m in meanings_of(table)):
@@ -67,4 +66,4 @@ def _table(path: Path, reading: Reading) -> LogTable:
     columns = {named(name): values for name, values in table.columns.items()}
     units = {named(name): unit for name, unit in table.units.items()}
     origins = {named(name): zero for name, zero in table.origins.items()}
-    return LogTable(path, columns, units, table.notes, origins)
+    return LogTable(path, columns, units, table.notes, origins, table.silent)

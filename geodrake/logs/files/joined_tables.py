@@ -13,6 +13,7 @@ from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.recognition import Meaning, is_time, meaning_of
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.files.units import unit_of
+from geodrake.logs.time_stamps import time_unit
 
 Array = NDArray[np.float64]
 
@@ -29,7 +30,6 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     Args:
         log: What messages call the log.
         tables: Its parts; messages call each by its path.
-        reading: What the user said of the log.
 
     Raises:
         LogError: Parts without time are not equally long, their times do not meet, or one has more
@@ -37,7 +37,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     """
     units = {column: unit for table in tables for column, unit in table.units.items()}
     noted = tuple(note for table in tables for note in table.notes)
-    times, origins = _one_clock(log, tables, reading)
+    times, origins, unit_notes = _one_clock(log, tables, reading)
     stamped = [k for k, time in enumerate(times) if time is not None]
     if len(stamped) < 2:
         columns = _side_by_side(log, tables)
@@ -64,7 +64,7 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
                 columns[column] = _at(known[base], time, values, holds=holds)
     rate = 1.0 / periods[base]
     note = f"joined by time, at the {rate:.4g} rows a second of {tables[base].path}"
-    return LogTable(log, columns, units, (note, *noted), origins)
+    return LogTable(log, columns, units, (note, *unit_notes, *noted), origins)
 
 
 def meanings_of(table: LogTable) -> list[Meaning]:
@@ -72,31 +72,35 @@ def meanings_of(table: LogTable) -> list[Meaning]:
     return [meaning for name in table.columns if (meaning := meaning_of(name)) is not None]
 
 
-def _time(table: LogTable, reading: Reading) -> Array | None:
-    """Time stamps of a table, s."""
+def _time(table: LogTable, reading: Reading) -> tuple[Array | None, str]:
+    """Time stamps of a table, s, and a note of a unit that nobody said."""
     times = [m for m in meanings_of(table) if m.quantity == "time"]
     if not times:
-        return None
+        return None, ""
     best = min(times, key=lambda meaning: meaning.role)
     if best.column in table.origins:
-        return table.columns[best.column]
+        return table.columns[best.column], ""
     unit = unit_of(reading.units["time"], "time") if "time" in reading.units else best.unit
-    return table.columns[best.column] * (unit.factor if unit else 1.0)
+    time = table.columns[best.column]
+    factor, note = (unit.factor, "") if unit else time_unit(best.column, time) or (1.0, "")
+    return factor * time, note
 
 
 def _one_clock(
     log: Path, tables: Sequence[LogTable], reading: Reading
-) -> tuple[list[Array | None], dict[str, int]]:
-    """Time stamps of each table, s, and since when they are, if any says it.
+) -> tuple[list[Array | None], dict[str, int], tuple[str, ...]]:
+    """Time stamps of each table, s, since when they are, if any says it, and notes of their units.
 
     Raises:
         LogError: Some are since a date, and others since nobody knows when.
     """
-    times = [_time(table, reading) for table in tables]
+    stamps = [_time(table, reading) for table in tables]
+    times = [time for time, _ in stamps]
+    notes = tuple(dict.fromkeys(note for _, note in stamps if note))
     zeros = [next((o for c, o in t.origins.items() if is_time(c)), None) for t in tables]
     known = [zero for zero in zeros if zero is not None]
     if not known or sum(time is not None for time in times) < 2:
-        return times, {}
+        return times, {}, notes
     first = min(known)
     moved: list[Array | None] = []
     for table, time, zero in zip(tables, times, zeros, strict=True):
@@ -110,7 +114,7 @@ def _one_clock(
                 advice="Log dates, or seconds since 1970, in each part.",
             )
         moved.append(time - 1e-9 * first)
-    return moved, {"time": first}
+    return moved, {"time": first}, notes
 
 
 def _side_by_side(log: Path, tables: Sequence[LogTable]) -> dict[str, Array]:

@@ -28,11 +28,6 @@ def joined_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> LogT
     Of a column that two have, that of the first is taken. Messages without stamps are put on the
     clock of those with: on average they take no time from there to the recorder.
 
-    Args:
-        path: The recording.
-        topics: What is joined, with all messages.
-        reading: What the user said of the log.
-
     Raises:
         LogError: Messages of a topic do not go together, or topics do not meet in time, or one has
             more than ten times the messages a second of another.

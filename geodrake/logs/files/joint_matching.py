@@ -16,7 +16,6 @@ def matched(
     """The joint that each column is of.
 
     Args:
-        meanings: Columns of quantities of joints.
         joints: The model's joints in its order, if there is a model.
 
     Returns:
@@ -54,7 +53,6 @@ def _as_others(style: Sequence[Meaning], ordered: Mapping[int, set[str]]) -> dic
     """Column -> joint of numbered columns of some joints, where those of all joints are in order.
 
     Args:
-        style: Columns that are named alike.
         ordered: Number -> joints that columns of others have under it.
     """
     found: dict[str, str] = {}

@@ -145,7 +145,6 @@ class MessageRows:
 
     Attributes:
         topic: What messages for the user call the topic.
-        fields: Where messages have what.
         count: How many messages there were.
         from_controller: Whether efforts are what a controller puts out.
     """

@@ -25,7 +25,6 @@ class JointSeries:
     """Joints that come in the same messages.
 
     Attributes:
-        joints: The n joints.
         stamps: (N,) when they were measured, ns.
         values: (N, n) numbers of each quantity.
     """
@@ -45,7 +44,6 @@ class JointSeries:
         """The series of numbers that stand one message after the other.
 
         Args:
-            joints: The n joints.
             quantities: The m quantities in each message.
             stamps: (N,) when messages were measured, ns.
             numbers: (N·m·n,) their numbers.
@@ -60,11 +58,7 @@ class JointSeries:
 
 
 def is_complete(quantities: Iterable[str]) -> bool:
-    """Whether positions and something of efforts are among quantities.
-
-    Args:
-        quantities: Names of quantities.
-    """
+    """Whether positions and something of efforts are among quantities."""
     known = set(quantities)
     return "position" in known and not known.isdisjoint((*EFFORT_KINDS, "command"))
 

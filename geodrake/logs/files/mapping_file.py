@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +19,16 @@ from geodrake.logs.files.reading import (
     check_rate,
     parsed_gain,
 )
-from geodrake.logs.files.recognition import OF_JOINTS, Meaning, meaning_of
+from geodrake.logs.files.recognition import DESIRED, OF_JOINTS, Meaning, meaning_of
 from geodrake.logs.files.units import UNITS, unit_of
-from geodrake.logs.motion import EFFORT_KINDS
+from geodrake.logs.motion import EFFORT_KINDS, PASSIVE
 
 MOST_COLUMNS = 500  # of a file for which a mapping is proposed
 _ASKED = ("position", "velocity", "effort")
 _FORM = (
     "Write `time: COLUMN` or `rate: HZ`, and `joints:`, each with `position:` and `effort:` (or "
-    "`current:`, `voltage:`, `pwm:`, `command:`) and the name or number of a column, or {column: "
-    "NAME, unit: deg, gain: 1.0}."
+    "`current:`, `voltage:`, `pwm:`, `command:`; `effort: passive` without a motor) and the name "
+    "or number of a column, or {column: NAME, unit: deg, gain: 1.0}."
 )
 
 
@@ -98,6 +98,8 @@ def _column(content: object, quantity: str, what: str) -> MappedColumn:
 def _check_once(mapping: ColumnMapping) -> None:
     seen: dict[str | int, str] = {}
     for name, mapped in mapping:
+        if mapped.column == PASSIVE:
+            continue
         if mapped.column in seen:
             raise ArgumentError(
                 f"it names column {mapped.column!r} twice, for {seen[mapped.column]!r} and for "
@@ -108,14 +110,17 @@ def _check_once(mapping: ColumnMapping) -> None:
 
 
 def proposed_mapping(
-    path: Path, names: Sequence[str], joints: Sequence[str] | None, *, headed: bool = True
+    path: Path,
+    names: Sequence[str],
+    joints: Sequence[str] | None,
+    *,
+    headed: bool = True,
+    motorless: Collection[str] = (),
 ) -> str | None:
     """A mapping as text, to be edited, filled in as far as the names of columns are understood.
 
     Args:
         path: The log, for its first line.
-        names: Its columns.
-        joints: The model's joints, if there is a model.
         headed: Whether the file has these names; columns of others are given by their numbers.
 
     Returns:
@@ -124,9 +129,18 @@ def proposed_mapping(
     if len(names) > MOST_COLUMNS:
         return None
     meanings = [m for name in names if headed and (m := meaning_of(name)) is not None]
-    time = next((m.column for m in meanings if m.quantity == "time"), None)
+    times = sorted((m for m in meanings if m.quantity == "time"), key=lambda m: m.role)
+    time = times[0].column if times else None
     of_joints = sorted((m for m in meanings if m.quantity in OF_JOINTS), key=lambda m: m.role)
     found, _ = matched(of_joints, joints)
+    named, _ = matched(of_joints, None)
+    positions = (m.column for m in meanings if m.quantity == "position" and m.column in named)
+    called = list(dict.fromkeys(named[column] for column in positions))
+    known = set(found.values()).intersection(joints or ())
+    by_order = joints is not None and not known and len(called) == len(joints)
+    if by_order:
+        model = dict(zip(called, joints or (), strict=True))
+        found = {column: model[joint] for column, joint in named.items() if joint in model}
     places = {(found[m.column], m.quantity): m for m in reversed(of_joints) if m.column in found}
     own = joints or list(dict.fromkeys(found.values())) or ["JOINT"]
     guessed = {} if meanings else _guess(names, own, headed=headed)
@@ -135,14 +149,21 @@ def proposed_mapping(
     lines += [f"#   {k}: {_word(name)}" for k, name in enumerate(names, 1)]
     units = (f"{quantity} {', '.join(known)}" for quantity, known in UNITS.items())
     lines += [f"# Units: {'; '.join(units)}."]
-    lines += ["# Without efforts, write current:, voltage:, pwm: or command: in their place."]
+    lines += ["# Without efforts, write current:, voltage:, pwm: or command: in their place;"]
+    lines += ["# of a joint without a motor, effort: passive."]
     lines += ["# gain: such as torque constant times gear ratio, for motor currents.", ""]
+    if by_order:
+        pairs = (f"{joint} is {name!r}" for name, joint in model.items())
+        lines += [f"# A guess by the order of the joints, to be checked: {', '.join(pairs)}."]
     if guessed:
         lines += ["# A guess by the count of the columns, to be checked:"]
     timed = guessed.get(("", "time"), _filled(time))
     lines += [f"time: {timed}", "# rate: 500  # Hz, in place of time", "joints:"]
     for joint in own:
         lines.append(f"  {_word(joint)}:")
+        effort = places.get((joint, "effort"))
+        if joint in motorless and (effort is None or effort.role >= DESIRED):
+            guessed[joint, "effort"] = PASSIVE
         for quantity in _keys(joint, places):
             column = guessed.get((joint, quantity), _filled_column(places.get((joint, quantity))))
             lines.append(f"    {quantity}: {column}")
@@ -185,13 +206,7 @@ def _word(text: str) -> str:
 
 
 def with_proposal(error: LogError, path: Path, proposal: str | None) -> LogError:
-    """Return the error of a failed reading with a proposed mapping as evidence, where there is one.
-
-    Args:
-        error: What went wrong.
-        path: The log.
-        proposal: Text of the mapping.
-    """
+    """Return the error of a failed reading with a proposed mapping as evidence, if any."""
     if proposal is None:
         return error
     evidence = {**error.evidence, "path": path, "proposal": proposal}

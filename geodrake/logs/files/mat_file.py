@@ -1,4 +1,4 @@
-"""Logs in MATLAB's files: variables, and fields of structs by `<struct>.<field>`."""
+"""Logs in MATLAB's files and in HDF5: arrays, and those in structs by `<struct>.<field>`."""
 
 from __future__ import annotations
 
@@ -42,6 +42,14 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
     return table
 
 
+def read_hdf5(path: Path, reading: Reading) -> LogTable:
+    """Return the arrays of an HDF5 file by their paths; images and the like are left out."""
+    with readable(path, "HDF5 file"):
+        arrays = dict(_flattened(_of_hdf5(path, matlab=False)))
+    lengths = [len(array) for array in arrays.values()]
+    return numeric_table(path, arrays, max(set(lengths), key=lengths.count, default=0))
+
+
 def _is_hdf5(path: Path) -> bool:
     with open_regular(path, "log", LogError) as file:
         for start in _HDF5_STARTS:
@@ -51,9 +59,9 @@ def _is_hdf5(path: Path) -> bool:
     return False
 
 
-def _of_hdf5(path: Path) -> dict[str, Any]:
-    """Return the variables of a file of version 7.3: every object once, whatever leads to it."""
-    what = "MATLAB files of version 7.3 (or save them with -v7)"
+def _of_hdf5(path: Path, *, matlab: bool = True) -> dict[str, Any]:
+    """Return the arrays of a file: every object once, whatever leads to it."""
+    what = "MATLAB files of version 7.3 (or save them with -v7)" if matlab else "HDF5 files"
     h5py = optional_package("h5py", "mat", what, LogError)
     names: list[str] = []
 
@@ -72,6 +80,7 @@ def _of_hdf5(path: Path) -> dict[str, Any]:
             )
         found = {name: file[name] for name in names}
         arrays = {n: v for n, v in found.items() if isinstance(v, h5py.Dataset) and v.shape}
+        arrays = {n: v for n, v in arrays.items() if matlab or len(v.shape) <= 2}
         size = sum(value.size for value in arrays.values())
         check_room(path, size, f"{size} numbers")
         for name, value in arrays.items():
@@ -80,7 +89,8 @@ def _of_hdf5(path: Path) -> dict[str, Any]:
             for struct in structs:
                 inside = inside.setdefault(struct, {})
             is_text = value.attrs.get("MATLAB_class", b"double") in (b"char", b"cell")
-            inside[last] = None if is_text else np.asarray(value).T  # columns come first there
+            array = None if is_text else np.asarray(value)
+            inside[last] = array.T if matlab and array is not None else array  # columns come first
     return variables
 
 

@@ -16,15 +16,12 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.input_files import open_regular
 from geodrake.errors import GeodrakeError, LogError
-from geodrake.logs.files.column_names import Columns, is_used
+from geodrake.logs.files.column_names import is_used
 from geodrake.logs.files.dates import dates
 from geodrake.logs.files.numeric_columns import numeric_table
-from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.recognition import is_time, meaning_of
-from geodrake.logs.files.recording import Recording
-from geodrake.logs.files.table import LogTable
-from geodrake.logs.files.understanding import columns_of
-from geodrake.logs.motion import JointLog
+from geodrake.logs.files.table import Groups, LogTable, Part
+from geodrake.logs.files.torn_rows import TornRows
 
 Array = NDArray[np.float64]
 
@@ -33,32 +30,51 @@ _MOST_JOINTS = 1000  # columns of a matrix
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
-def read_npz(
-    path: Path, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
-) -> tuple[JointLog, Columns]:
-    """Read a log from an NPZ file, and what its columns are; see `read_log`.
-
-    Args:
-        path: The file.
-        joints: Names of the model's joints, if the log must have them.
-        reading: What the user said of the file.
-        partial: Whether the log may lack some of the joints.
-    """
+def read_npz(path: Path) -> LogTable:
+    """Return the columns of an NPZ file, of which nothing is unpacked before it is asked for."""
     with _archive(path) as archive:
-        entries = archive.infolist()
-        places = [place for entry in entries for place in _places(archive, entry)]
-        names = [place.name for place in places]
-        origins = _origins(archive, places)
-        columns = columns_of(path, names, joints, reading, origins=origins, partial=partial)
-        members = {name: places[names.index(name)] for name in columns.files}
-        lengths = {name: _length(path, archive, name, place) for name, place in members.items()}
-        rows = _common(path, lengths)
-        recording = Recording(columns, rows)
-        last = _Read()
-        for group in columns.groups:
-            arrays = {name: last.column(archive, members[name]) for name in group}
-            recording.put(slice(0, rows), arrays)
-    return recording.log(rows), columns
+        places = [place for entry in archive.infolist() for place in _places(archive, entry)]
+        return ArchiveTable(path, places, _origins(archive, places))
+
+
+class ArchiveTable(LogTable):
+    """A table whose columns are members of an archive, read one by one."""
+
+    def __init__(self, path: Path, places: Sequence[_Place], origins: Mapping[str, int]) -> None:
+        super().__init__(path, {}, origins=origins)
+        self._places = places
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Names of the columns."""
+        return [place.name for place in self._places]
+
+    def rows(self, names: Sequence[str]) -> int:
+        """Return the length that some columns have, by their headers."""
+        places = {name: self._places[self.names.index(name)] for name in names}
+        with _archive(self.path) as archive:
+            lengths = {n: _length(self.path, archive, n, place) for n, place in places.items()}
+        return _common(self.path, lengths)
+
+    def parts(self, groups: Groups, torn: TornRows) -> Iterator[Part]:
+        """Yield the numbers of each group in all rows; see `LogTable`."""
+        places, last = {place.name: place for place in reversed(self._places)}, _Read()
+        with _archive(self.path) as archive:
+            for group in groups:
+                numbers = {name: last.column(archive, places[name]) for name in group}
+                yield slice(0, len(numbers[group[0]])), numbers
+
+    def loaded(self) -> LogTable:
+        """Return the table of all arrays of numbers; others are left out."""
+        arrays: dict[str, Any] = {}
+        with _archive(self.path) as archive:
+            for entry in archive.infolist():
+                name = entry.filename.removesuffix(".npy").strip()
+                shape, dtype = _declared(self.path, archive, name, entry)
+                if not dtype.hasobject and shape:
+                    with archive.open(entry) as file:
+                        arrays[name] = npy.read_array(file, allow_pickle=False)
+        return numeric_table(self.path, arrays, max(map(len, arrays.values()), default=0))
 
 
 @dataclass(frozen=True)
@@ -66,7 +82,6 @@ class _Place:
     """Where the numbers of a column are: in an array, or in a column of one.
 
     Attributes:
-        name: Name of the column.
         entry: The member of the archive.
         column: Which column of a matrix; None for an array of numbers.
     """
@@ -93,20 +108,6 @@ class _Read:
                 )
             self._entry = place.entry
         return self._array if place.column is None else self._array[:, place.column]
-
-
-def npz_table(path: Path, reading: Reading) -> LogTable:
-    """The arrays of an NPZ file as they are, those without numbers left out; see `read_bag`."""
-    arrays: dict[str, Any] = {}
-    with _archive(path) as archive:
-        for entry in archive.infolist():
-            name = entry.filename.removesuffix(".npy").strip()
-            shape, dtype = _declared(path, archive, name, entry)
-            if not dtype.hasobject and shape:
-                with archive.open(entry) as file:
-                    arrays[name] = npy.read_array(file, allow_pickle=False)
-    rows = max(map(len, arrays.values()), default=0)
-    return numeric_table(path, arrays, rows)
 
 
 def _origins(archive: zipfile.ZipFile, places: Sequence[_Place]) -> dict[str, int]:

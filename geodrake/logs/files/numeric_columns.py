@@ -25,7 +25,6 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
     """Return a table of numbers, wider arrays as columns `name[0]`, `name[1]` and so on.
 
     Args:
-        path: What the arrays are from.
         arrays: Name -> (N,) or (N, n) values, in whatever can be made an array. Dates and times
             become seconds: dates from the first row on.
         rows: N; arrays of another length are left out.
@@ -34,19 +33,21 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
         The table, with a note of what was left out.
     """
     columns: dict[str, Array] = {}
-    origins, silent = {}, {}
+    origins, silent, words = {}, {}, {}
     for name, values in arrays.items():
         found, origin = numbers(values)
         if found is None or found.ndim not in (1, 2) or len(found) != rows:
             silent[name] = _what_else(values, rows)
+            if rows and np.shape(values) == (rows,) and isinstance(values[0], str):
+                words[name] = np.array([str(value) for value in values], object)
             continue
         columns.update(spread(name, found))
         if origin is not None:
             origins[name] = origin
     more = " …" if len(silent) > _MOST_NAMES else ""
-    words = f"columns without numbers: {', '.join([*silent][:_MOST_NAMES])}{more}"
-    notes = (words,) if silent else ()
-    return LogTable(path, columns, notes=notes, origins=origins, silent=silent)
+    note = f"columns without numbers: {', '.join([*silent][:_MOST_NAMES])}{more}"
+    notes = (note,) if silent else ()
+    return LogTable(path, columns, notes=notes, origins=origins, silent=silent, words=words)
 
 
 def _what_else(values: Any, rows: int) -> str:
@@ -65,7 +66,6 @@ def spread(name: str, values: Array) -> Iterator[tuple[str, Array]]:
     """The columns of an array.
 
     Args:
-        name: Its name.
         values: (N,) or (N, n).
     """
     if values.ndim == 1:

@@ -38,12 +38,7 @@ def read_feather(path: Path, reading: Reading) -> LogTable:
 
 
 def arrow_table(path: Path, table: Any) -> LogTable:
-    """Return the columns of a table of Arrow: structs by `<struct>.<field>`, lists by `<list>[0]`.
-
-    Args:
-        path: Its file.
-        table: A `pyarrow.Table`.
-    """
+    """Return columns of an Arrow table: structs by `<struct>.<field>`, lists by `<list>[0]`."""
     while any(str(field.type).startswith("struct") for field in table.schema):
         table = table.flatten()
     check_once(path, table.column_names)

@@ -98,6 +98,7 @@ class Reading:
             time; None for what fits.
         episode: Episode of a dataset; None for all of them, one after the other.
         ignored: Columns that are not used.
+        motorless: Joints that are passive where a log has no effort of them, or zeros alone.
 
     Raises:
         ArgumentError: A rate, gain or deviation is no such number, or a unit or kind is not known.
@@ -114,6 +115,7 @@ class Reading:
     gain_deviations: Mapping[str, float] = field(default_factory=dict)
     kinds: Mapping[str, str] = field(default_factory=dict)
     ignored: frozenset[str] = frozenset()
+    motorless: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", instances(self.columns, "columns", str))
@@ -151,12 +153,7 @@ class Reading:
     def effort_uncertainty(
         self, joints: Sequence[str], usual: float = USUAL_GAIN_DEVIATION
     ) -> float | Array:
-        """How well the gains of efforts are known: a share of each (n,), or one of all.
-
-        Args:
-            joints: Names of the n joints.
-            usual: Of joints of which nothing was said.
-        """
+        """How well the gains of efforts are known: a share of each (n,), or one of all."""
         stated = {joint: self._stated_uncertainty(joint) for joint in joints}
         if all(share is None for share in stated.values()):
             return usual
@@ -175,10 +172,6 @@ class Reading:
 
 def parsed_gain(text: str, what: str) -> tuple[float, float | None]:
     """A gain and its standard deviation, if one was given, as in `13.2±0.5` or `13.2+-0.5`.
-
-    Args:
-        text: What was given.
-        what: What messages call it.
 
     Raises:
         ArgumentError: It is neither.
@@ -205,13 +198,7 @@ def check_rate(rate: object, what: str) -> None:
 
 
 def check_gain(gain: object, what: str, deviation: object = None) -> None:
-    """Raise an ArgumentError unless a gain is a number other than 0, of a sign that is known.
-
-    Args:
-        gain: What was given.
-        what: What messages call it.
-        deviation: Its standard deviation, if one was given.
-    """
+    """Raise an ArgumentError unless a gain is a number other than 0, of a sign that is known."""
     if not _is_number(gain) or gain == 0:
         raise ArgumentError(f"{what} must be a number other than 0; got {gain!r}.")
     if deviation is not None and not (

@@ -13,24 +13,24 @@ from dataclasses import dataclass
 from itertools import zip_longest
 
 from geodrake.logs.files.units import Unit, find_unit
-from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, QUANTITIES, SIGNAL_KINDS
+from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, PASSIVE, QUANTITIES, SIGNAL_KINDS
 
 Words = tuple[str | int, ...]
 
-OF_JOINTS = (*QUANTITIES, *SIGNAL_KINDS)
+OF_JOINTS = (*QUANTITIES, *SIGNAL_KINDS, PASSIVE)
 """What a column of a joint may be."""
 
 QUANTITY_WORDS: Mapping[str, str] = {
     **dict.fromkeys(["position", "positions", "pos", "q", "angle", "angles", "theta"], "position"),
-    **dict.fromkeys(["qm", "qg", "qj"], "position"),
+    **dict.fromkeys(["qm", "qg", "qj", "qpos"], "position"),
     **dict.fromkeys(["velocity", "velocities", "vel", "qd", "dq", "qdot", "speed"], "velocity"),
-    **dict.fromkeys(["omega", "dtheta", "v"], "velocity"),
+    **dict.fromkeys(["omega", "dtheta", "v", "qvel"], "velocity"),
     **dict.fromkeys(
         ["acceleration", "accelerations", "acc", "qdd", "ddq", "qddot"], "acceleration"
     ),
     **dict.fromkeys(["effort", "efforts", "eff", "torque", "torques", "tau", "moment"], "effort"),
     **dict.fromkeys(["trq", "tq", "force", "load"], "effort"),
-    **dict.fromkeys(["current", "currents", "cur", "curr", "i"], "current"),
+    **dict.fromkeys(["current", "currents", "cur", "curr", "i", "iq"], "current"),
     **dict.fromkeys(["voltage", "voltages", "volt", "volts"], "voltage"),
     **dict.fromkeys(["pwm", "pwms", "duty"], "pwm"),
     **dict.fromkeys(["temperature", "temperatures", "temp", "temps"], "temperature"),
@@ -69,7 +69,7 @@ ROLE_WORDS: Mapping[str, int] = {
 ROLES = ("measured", "", "of motors", "desired", "of something else")
 _FILLERS = frozenset(
     ["joint", "joints", "jnt", "axis", "axes", "link", "robot", "side", "states", "field"]
-) | {"msg", "data", "value", "actual", "estimated", "est", "filtered", "filt", "cycle"}
+) | {"msg", "data", "value", "actual", "estimated", "est", "filtered", "filt", "cycle", "estimate"}
 _NO_SIGNAL = frozenset(["limit", "limits", "min", "max", "error", "err", "errors"])
 _SUPPLY = frozenset(["supply", "bus", "battery", "main", "input"])  # which no joint has of its own
 _TIMES = frozenset(("time", "timestamp", "timestamps", "stamp", "t", "clock", "sec", "secs"))
@@ -77,7 +77,9 @@ _TIMES |= {"datetime"}
 _NANOSECONDS = frozenset(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"))
 _BESIDE_TIME = _TIMES | _NANOSECONDS | {"header", "ros", "rostime", "elapsed", "controller"}
 _BESIDE_TIME |= {"joint", "states", "state", "robot", "system", "log", "msg", "field", "seconds"}
+_TURNS = {"pos_estimate": "rev", "vel_estimate": "rev/s", "input_pos": "rev"}  # of ODrive
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
+_SECOND = re.compile(r"(?<![A-Za-z])(q2d|qd2|d2q)(?![a-z])")  # second derivatives
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
 _LONGEST_NAME = 200  # letters of a name of words
@@ -139,6 +141,17 @@ def quantity_of(text: str) -> str | None:
     return _quantity(_split(text))
 
 
+def plain_words(text: str) -> frozenset[str]:
+    """The words in a text, in small letters."""
+    return frozenset(word for word in _split(text) if isinstance(word, str))
+
+
+def number_of(text: str) -> int | None:
+    """The number that a text ends in."""
+    last = _split(text)[-1:]
+    return last[0] if last and isinstance(last[0], int) else None
+
+
 def words_of(text: str) -> Words:
     """The words of a joint's name that tell it from others, and its numbers."""
     words = _split(text)
@@ -183,8 +196,9 @@ def _time(name: str) -> Meaning | None:
         unit = find_unit(parts[-1], "time")
         plain = "_".join(parts[:-1]) if unit else plain
     words = _split(plain)
-    if not words or not _BESIDE_TIME.issuperset(words):
+    if not words or not (_BESIDE_TIME | ROLE_WORDS.keys()).issuperset(words):
         return None
+    asked = DESIRED in (ROLE_WORDS.get(str(w)) for w in words)  # by a plan's clock
     context = tuple(map(str, words[:-1]))
     if words[-1] in _NANOSECONDS:
         return Meaning(name, "nanoseconds", style=context)
@@ -193,12 +207,13 @@ def _time(name: str) -> Meaning | None:
     if name.startswith("%"):
         unit = find_unit("ns", "time")  # of `rostopic echo -p`
     rank = 0 if "header" in words else 1 if not name.startswith(("_", "%")) else 2
+    rank += 3 * asked
     return Meaning(name, "time", role=1 + rank, unit=unit, style=context)
 
 
 def _joint(column: str) -> Meaning | None:
     """Names of a quantity of a joint, in whatever order."""
-    name = _INDEX.sub(r"_\1", column)
+    name = _INDEX.sub(r"_\1", _SECOND.sub("qdd", column))
     brackets = _BRACKETS.search(name)
     cut = brackets.start() if brackets else len(name)
     parts = [part for part in name[:cut].split("/") if part] or [name]
@@ -218,6 +233,8 @@ def _joint(column: str) -> Meaning | None:
     plain, unit = _without_unit(parts[place], quantity)
     if unit is None and quantity in SIGNAL_KINDS:  # of another kind: see `understanding`
         plain, unit = _without_unit(parts[place], "effort")
+    vendor = parts[place].rpartition(".")[2]
+    unit = find_unit(_TURNS[vendor], quantity) if unit is None and vendor in _TURNS else unit
     used = _used(_split(plain))
     joint = _rest(plain, used)
     counted = plain if place + 1 == len(parts) else f"{plain}/{parts[-1]}"  # as in command/data[2]

@@ -11,14 +11,13 @@ from geodrake.errors import LogError
 from geodrake.logs.files.column_names import Columns, Source
 from geodrake.logs.files.room import check_room
 from geodrake.logs.files.torn_rows import TornRows
-from geodrake.logs.motion import JointLog
+from geodrake.logs.motion import PASSIVE, JointLog
+from geodrake.logs.time_stamps import repeats, time_unit, with_clock_set_back
 
 Array = NDArray[np.float64]
 
 LEAST_ROWS = 10
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
-_UNITS = {"ns": 1e-9, "µs": 1e-6, "ms": 1e-3}
-_EPOCH = 9e8, 4.2e9  # s since 1970 at which a robot may have been logged: from 1998 to 2103
 
 
 class Recording:
@@ -52,7 +51,6 @@ class Recording:
         """Put numbers into some rows.
 
         Args:
-            rows: Samples that the numbers are of.
             numbers: Column of the file -> (n,) its numbers in these rows; those of
                 `Columns.files`, or some of them.
         """
@@ -93,13 +91,20 @@ class Recording:
         if self.columns.rate is not None:
             self.time[:rows] = np.arange(rows) / self.columns.rate
         time, notes = self._seconds(self.time[:rows])
+        time, more = with_clock_set_back(time)
+        again = repeats(time)
+        if again.any():
+            time = np.where(again, np.nan, time)
+            more += (f"{again.sum()} rows with the time of the row before left out",)
         kept, torn = self.torn.settle(time)
+        kept = ~again if kept is None and again.any() else kept
         values = {quantity: numbers[:rows] for quantity, numbers in self.values.items()}
-        passive = {joint: numbers[:rows] for joint, numbers in self._standing.items()}
+        alone = {joint: numbers[:rows] for joint, numbers in self._standing.items()}
+        kinds, more_notes = self._without_motors(values["effort"])
         if kept is not None:
             time = time[kept]
             values = {quantity: numbers[kept] for quantity, numbers in values.items()}
-            passive = {joint: numbers[kept] for joint, numbers in passive.items()}
+            alone = {joint: numbers[kept] for joint, numbers in alone.items()}
         return JointLog(
             path.stem,
             self.columns.joints,
@@ -108,15 +113,33 @@ class Recording:
             values["effort"],
             values.get("velocity"),
             values.get("acceleration"),
-            (*self.columns.notes, *notes, *torn),
-            effort_uncertainty=self.columns.reading.effort_uncertainty(self.columns.joints),
+            (*self.columns.notes, *notes, *more, *more_notes, *torn),
+            effort_uncertainty=self._uncertainty(kinds),
             standing={joint: self._place(joint, rows) for joint in self._standing},
-            passive=passive,
+            alone=alone,
             command=values.get("command"),
-            effort_kinds=self.columns.kinds,
+            effort_kinds=kinds,
             temperature=values.get("temperature"),
             origin=self.columns.origin,
         )
+
+    def _without_motors(self, effort: Array) -> tuple[dict[str, str], list[str]]:
+        """Return the kinds of efforts, with zeros (N, n) at joints without a motor, and notes."""
+        kinds, notes = self.columns.kinds, []
+        for at, joint in enumerate(self.columns.joints):
+            if joint in self.columns.reading.motorless and not np.nan_to_num(effort[:, at]).any():
+                kinds[joint] = PASSIVE
+                notes.append(f"{joint} has no motor by the model, and no effort here: passive")
+            if kinds.get(joint) == PASSIVE:
+                effort[:, at] = 0.0
+        return kinds, notes
+
+    def _uncertainty(self, kinds: Mapping[str, str]) -> float | Array:
+        """Return how well gains of efforts are known; zeros of passive joints are exact."""
+        joints = self.columns.joints
+        found = self.columns.reading.effort_uncertainty(joints)
+        passive = np.array([kinds.get(joint) == PASSIVE for joint in joints])
+        return np.where(passive, 0.0, found) if passive.any() else found
 
     def _place(self, joint: str, rows: int) -> float:
         """Return where a joint stands whose effort is not there; NaN if it moves."""
@@ -127,13 +150,9 @@ class Recording:
         return float(numbers[0] + (numbers - numbers[0]).mean())
 
     def _seconds(self, time: Array) -> tuple[Array, tuple[str, ...]]:
-        """Time stamps in s, where they are of an epoch in ms, µs or ns, and a note of that."""
+        """Time stamps in s, where nobody said their unit, and a note of it."""
         source = self.columns.sources.get("time")
         if source is None or source.unit is not None or source.nanoseconds is not None:
             return time, ()
-        known = np.sort(time[np.isfinite(time)])
-        typical = known[len(known) // 2] if len(known) else 0.0
-        for name, factor in _UNITS.items():
-            if _EPOCH[0] < factor * typical < _EPOCH[1]:
-                return factor * time, (f"time is in {name} since 1970, by its size: converted",)
-        return time, ()
+        found = time_unit(source.column, time)
+        return (time, ()) if found is None else (found[0] * time, (found[1],))

@@ -14,7 +14,6 @@ def check_room(path: Path, count: int, words: str) -> None:
     """Raise a LogError if numbers and what is made of them would fill the memory.
 
     Args:
-        path: The log.
         count: How many numbers it has, of 8 bytes.
         words: What it has, such as "100 rows of 15 numbers".
     """

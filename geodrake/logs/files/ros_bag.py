@@ -65,10 +65,6 @@ _INTERFACES = (
 def read_bag(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a ROS bag.
 
-    Args:
-        path: Its file or folder.
-        reading: Which part of it is read.
-
     Raises:
         LogError: It cannot be read, or has not one topic with positions and efforts of joints, or
             one of each.

@@ -27,11 +27,6 @@ def candidates(
 
     A joint with efforts of any kind has no command, unless one is called as geodrake itself does.
 
-    Args:
-        meanings: Columns of joints.
-        found: Column -> its joint.
-        reading: What the user said of the file.
-
     Returns:
         (joint, quantity) -> columns; and joint -> further columns that could stand for efforts.
     """
@@ -83,13 +78,6 @@ def effort_source(
 ) -> Source:
     """Where the efforts of a joint come from, and what they are.
 
-    Args:
-        path: The file, for messages.
-        meaning: What the name of the column says.
-        joint: The joint.
-        reading: What the user said of the file.
-        stated: The unit that the file states, "" for none.
-
     Raises:
         LogError: What the column is by its name, by the user and by its unit cannot all be.
     """
@@ -125,10 +113,6 @@ def check_kind(path: Path, column: str, joint: str, kind: str, unit: Unit | None
     """Refuse a unit that is not of the kind of efforts in a column.
 
     Args:
-        path: The file, for messages.
-        column: The column.
-        joint: Its joint.
-        kind: What it is to be.
         unit: Its unit; None where nobody said one.
 
     Raises:
@@ -147,10 +131,6 @@ def without_use(log: JointLog, columns: Columns) -> frozenset[str]:
     """Columns that were taken for efforts and say nothing, where others may stand for them.
 
     They are empty, or they are the voltage of a supply, which hardly changes.
-
-    Args:
-        log: The log that was read from the columns.
-        columns: The columns.
     """
     found = set()
     for at, joint in enumerate(log.joints):

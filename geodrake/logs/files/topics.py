@@ -23,8 +23,6 @@ class Topic:
     """A topic of a bag, or a channel of an LCM log.
 
     Attributes:
-        name: Its name.
-        kind: Its message type.
         rows: What its messages, or the first of them, say of joints; None if none of it is known.
         made_for_joints: Whether the type is for the state of joints, and nothing else.
         is_wanted: Whether positions in it are what joints are told, by its name.
@@ -74,11 +72,6 @@ class Topic:
 
 def chosen_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> tuple[Topic, ...]:
     """The topic that is the log, or those that are parts of it.
-
-    Args:
-        path: The recording, for messages.
-        topics: All its topics.
-        reading: Whether the user named some.
 
     Raises:
         LogError: None fits, several do, or there is no such topic.
@@ -139,11 +132,6 @@ def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
 
 def topic_table(path: Path, topic: Topic, others: Sequence[Topic]) -> LogTable:
     """The table of a topic.
-
-    Args:
-        path: The recording.
-        topic: One that fits, with all its messages.
-        others: All topics of the recording.
 
     Raises:
         LogError: Its messages do not go together.

@@ -29,8 +29,6 @@ class TornRows:
     """Bad rows of a file while it is read.
 
     Attributes:
-        path: The file.
-        lines: Lines of the file.
         skip: Whether they are to be left out.
         rows: Their numbers, from 0 on.
         first: What is wrong with the first.

@@ -22,10 +22,10 @@ from geodrake.logs.files.dates import date_words
 from geodrake.logs.files.joint_matching import matched
 from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
 from geodrake.logs.files.reading import ColumnMapping, Reading
-from geodrake.logs.files.recognition import OF_JOINTS, Meaning, meaning_of
+from geodrake.logs.files.recognition import OF_JOINTS, Meaning, meaning_of, words_of
 from geodrake.logs.files.signal_columns import candidates, check_kind, effort_source
 from geodrake.logs.files.units import Unit, find_unit, unit_of
-from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, QUANTITIES, check_joints
+from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, PASSIVE, QUANTITIES, check_joints
 
 _MAPPING_ADVICE = "Or say which column is what by --mapping."
 
@@ -43,12 +43,9 @@ def columns_of(
     """The columns of a file with these names, joints in the order given if any is.
 
     Args:
-        path: The file, for messages.
         names: All columns of the file, in its order.
         joints: Names of the model's joints, which the log must have, in the order that it shall
             have them in; None for the order of the file.
-        reading: What the user said of the file.
-        units: Units of columns, where the file states them.
         origins: Columns of seconds since an instant -> this, ns since 1970; see `LogTable`.
         partial: Whether the log may lack some of the model's joints, or their efforts.
 
@@ -60,14 +57,15 @@ def columns_of(
     if reading.mapping is not None:
         understood = _Understood.by_mapping(path, names, reading, reading.mapping)
         understood = understood.dated(origins or {})
-        return understood.columns(*understood.joints(joints, partial=partial))
+        return understood.columns(*understood.joints(joints, partial=partial), joints)
     understood = _Understood.by_names(path, names, joints, reading, units or {})
     understood = understood.dated(origins or {})
     try:
         own, standing = understood.joints(joints, partial=partial)
     except LogError as error:
-        raise with_proposal(error, path, proposed_mapping(path, names, joints)) from error
-    return understood.columns(own, standing)
+        proposal = proposed_mapping(path, names, joints, motorless=reading.motorless)
+        raise with_proposal(error, path, proposal) from error
+    return understood.columns(own, standing, joints)
 
 
 @dataclass(frozen=True)
@@ -75,11 +73,8 @@ class _Understood:
     """Which column of a file is which quantity of which joint, before that is checked.
 
     Attributes:
-        path: The file.
-        names: Its columns.
         reading: What the user said of it.
         places: (joint, quantity) -> source, in the order of the file; `("", "time")` is time.
-        notes: What was noticed.
         rate: Rows a second, Hz.
         own: Whether joints are those of geodrake's own names, of which none is left out unasked.
         others: Joint -> further columns that could be taken for its efforts, or in their place.
@@ -132,6 +127,9 @@ class _Understood:
         """What a mapping says."""
         places = {}
         for name, mapped in mapping:
+            if name.endswith(".effort") and mapped.column == PASSIVE and PASSIVE not in names:
+                places[name.removesuffix(".effort"), PASSIVE] = Source(PASSIVE)
+                continue
             column, (joint, _, quantity) = mapped.column, name.rpartition(".")
             if isinstance(column, int):  # by number, unless that is a name
                 by_number = names[column - 1] if 0 < column <= len(names) else str(column)
@@ -192,13 +190,14 @@ class _Understood:
             LogError: Time, a position, an effort and what may stand for it, or a joint is missing.
         """
         if self.rate is None and ("", "time") not in self.places:
-            close = difflib.get_close_matches("time", [n.lower() for n in self.names[:100]], 1, 0.4)
+            close = difflib.get_close_matches("time", [n.lower() for n in self.names[:100]], 1)
             raise LogError(
                 f"Log {str(self.path)!r} has no column 'time'; it has {listed(self.names)}.",
                 advice=(f"Is it {close[0]!r}? " if close else "")
                 + f"{HEADER_ADVICE} Without time, give the rows a second by --rate.",
             )
-        moved, heard = self._having("position"), {*self._having("effort", "command")}
+        moved = self._of_model(self._having("position"), wanted)
+        heard = {*self._having("effort", "command"), *self._passive(moved)}
         silent = [joint for joint in moved if joint not in heard]
         if len(silent) == len(moved):
             raise LogError(
@@ -221,7 +220,25 @@ class _Understood:
         check_joints(self.path.stem, [*own, *standing], wanted, partial=partial)
         return tuple(joint for joint in wanted if joint in own), standing
 
-    def columns(self, joints: Sequence[str], standing: Sequence[str]) -> Columns:
+    def _of_model(self, joints: Sequence[str], wanted: Sequence[str] | None) -> tuple[str, ...]:
+        """Joints without those that the model lacks, if it has some of the log's.
+
+        A joint that is called like one that the log lacks stays: it is that one, misspelled.
+        """
+        if wanted is None or not set(wanted).intersection(self._having("position")):
+            return tuple(joints)
+        lacking = set(wanted).difference(self._having("position"))
+        missing = ["".join(map(str, words_of(joint))) for joint in lacking]
+        names = {joint: "".join(map(str, words_of(joint))) for joint in joints}
+        return tuple(
+            joint
+            for joint in joints
+            if joint in wanted or difflib.get_close_matches(names[joint], missing, 1)
+        )
+
+    def columns(
+        self, joints: Sequence[str], standing: Sequence[str], model: Sequence[str] | None
+    ) -> Columns:
         """What is read for these joints.
 
         Args:
@@ -242,13 +259,22 @@ class _Understood:
                 quantities.append(quantity)
             elif len(missing) < len(joints):
                 notes.append(f"{quantity} is not used: there is no {listed(missing)}")
+        passive = self._passive(joints)
+        if said := [joint for joint in passive if joint not in self.reading.motorless]:
+            notes.append(f"no motor at {listed(said)}: bodies and friction need no effort there")
         sources = {
             quantity if quantity == "time" else f"{joint}.{quantity}": self._scaled(joint, quantity)
             for joint, quantity in self.places
             if quantity == "time"
-            or (joint in joints and quantity in quantities)
+            or (
+                (joint in joints and quantity in quantities)
+                and not (joint in passive and quantity == "effort")
+            )
             or (joint in standing and quantity == "position")
         }
+        beside = [j for j in self._having("position") if j not in (*joints, *standing)]
+        if beside and model is not None:
+            notes.append(f"left out, as the model has no such joint: {listed(beside)}")
         notes += unit_words(sources, self.reading)
         kept = {
             c
@@ -267,8 +293,20 @@ class _Understood:
             self.rate,
             self.reading,
             tuple(standing),
+            self._passive(joints),
             self.others,
             self.origin,
+        )
+
+    def _passive(self, joints: Sequence[str]) -> tuple[str, ...]:
+        """Those of some joints without a motor, as the log, the user or the model says."""
+        heard, said = self._having("effort", "command"), self._having(PASSIVE)
+        return tuple(
+            joint
+            for joint in joints
+            if joint in said
+            or self.reading.kinds.get(joint) == PASSIVE
+            or (joint in self.reading.motorless and joint not in heard)
         )
 
     def _having(self, *quantities: str) -> list[str]:
@@ -302,7 +340,7 @@ class _Understood:
                 )
         for joint in joints:
             kind = self.reading.kind_of(joint)
-            if kind is not None and joint not in (told if kind == "command" else heard):
+            if kind not in (None, PASSIVE) and joint not in (told if kind == "command" else heard):
                 if joint not in self.reading.kinds:
                     continue  # said of all joints that have it
                 raise LogError(

@@ -11,6 +11,7 @@ from functools import lru_cache
 from geodrake.errors import ArgumentError
 
 _ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi}
+_ANGLES["ticks"] = 2 * math.pi / 4096  # of servos with twelve bits a turn
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 _TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 _EFFORTS = {"Nm": 1.0, "Nmm": 1e-3, "mNm": 1e-3, "Ncm": 1e-2, "kNm": 1e3, "N": 1.0, "kN": 1e3}
@@ -37,6 +38,7 @@ _SPELLINGS = {
     "°": "deg",
     "degree": "deg",
     "degrees": "deg",
+    "tick": "ticks",
     "radian": "rad",
     "radians": "rad",
     "rads": "rad/s",

@@ -96,11 +96,6 @@ def _certificate(
 
     What is left of ∇h(y) − ∇h(x) − Aᵀ λ is shared out to x and y: with both moved by no more than
     the length returned, it would be zero.
-
-    Args:
-        manifold: Where x and y live.
-        points: x and y.
-        push: A and λ.
     """
     (x, y), (A, held) = points, push
     if not (np.isfinite(y).all() and bool(manifold.calc_contains(y))):

@@ -36,8 +36,6 @@ class State:
         """The state of x itself.
 
         Args:
-            manifold: Whose barrier measures distances.
-            limits: The k rows of limits on the point.
             x: (n,) point inside the manifold.
         """
         return cls(manifold, limits, x, np.zeros(len(limits.matrix)))

@@ -12,10 +12,8 @@ def half_space_projection(manifold: Manifold, x: Array, a: Array, limit: float) 
     `bregman_projection` does. Check that it is in the half-space.
 
     Args:
-        manifold: Where x lives.
         x: (n,) point inside of the manifold, outside of the half-space.
         a: (n,) normal of the half-space, not zero.
-        limit: Greatest value of aᵀ y.
 
     Returns:
         (n,) the projection; the last point on the way to it if the half-space is out of reach.

@@ -18,12 +18,7 @@ _LONG, _SHORT = 1e-3, 4.0  # factors of the weight on the way away from x and on
 
 
 def attempts(start: State, max_iterations: int) -> Iterator[State]:
-    """States that may be optimal, each at more expense than the last one.
-
-    Args:
-        start: Multipliers zero, at the point to be projected.
-        max_iterations: Most steps between two points of the path.
-    """
+    """States that may be optimal, each at more expense than the last one."""
     state = solved(start, _EXACT, max_iterations)
     yield state
     if state.error < _PRECISE:  # but some point on the way was known less precisely
@@ -41,9 +36,7 @@ def solved(state: State, enough: float, max_iterations: int) -> State:
     """The best of a sequence of states towards the optimum.
 
     Args:
-        state: Where to begin.
         enough: Error of a state below which it is good enough.
-        max_iterations: Most steps.
     """
     single = True  # where rows are far apart, one at a time goes further than all at once
     best = state

@@ -51,7 +51,6 @@ def halfspace(a: ArrayLike, b: float) -> Polyhedron:
 
     Args:
         a: (n,) normal, pointing inside.
-        b: Least value of aᵀ y.
     """
     return slab(a, number(b, "b"), np.inf)
 

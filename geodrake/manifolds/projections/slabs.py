@@ -56,7 +56,6 @@ def slab_projection(
     others go through `bregman_projection`, whose certificate is of the same kind.
 
     Args:
-        manifold: Where x lives.
         x: (n,) point inside of the manifold.
         rows: (k, n) A.
         values: (k,) b.

@@ -68,10 +68,7 @@ def order_of(model: RobotModel, place: Callable[[str], int], file: Path, name: s
     """Where a simulator has each joint of a model.
 
     Args:
-        model: The model.
         place: Joint -> its place, below 0 or a KeyError if there is none.
-        file: The file that was loaded.
-        name: Name of the simulator.
 
     Raises:
         ModelError: A joint is not there.

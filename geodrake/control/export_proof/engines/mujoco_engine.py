@@ -25,10 +25,6 @@ class MujocoEngine(Engine):
     motors, or servos, late or not. At other joints they are applied as they are, and other
     actuators are without force.
 
-    Args:
-        file: The exported file.
-        model: The model, for the names of its joints.
-
     Raises:
         ModelError: MuJoCo cannot read the file.
     """

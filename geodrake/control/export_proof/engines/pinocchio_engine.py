@@ -18,10 +18,6 @@ from geodrake.model.robot_model import RobotModel
 class PinocchioEngine(Engine):
     """A model of Pinocchio: the rigid bodies alone.
 
-    Args:
-        file: The exported URDF.
-        model: The model, for the names of its joints.
-
     Raises:
         ModelError: Pinocchio cannot read the file.
     """

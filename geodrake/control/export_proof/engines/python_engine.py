@@ -16,10 +16,6 @@ from geodrake.model.robot_model import RobotModel
 class PythonEngine(Engine):
     """A module with a function effort(q, v, vd).
 
-    Args:
-        file: The exported module.
-        model: The model, for the names of its joints.
-
     Raises:
         ModelError: Its positions are others than those of single joints.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -20,19 +21,22 @@ COMMENTS = ("#", "%", "//")
 _HEADER_LINES = 1000  # of a header whose names have line ends
 _LINES_AHEAD = 20  # in which dates are looked for
 _WHITESPACE = None
+_LIST = re.compile(r"[\[(]([^\[\]()]*)[\])]")
+_BETWEEN = re.compile(r"\s*[,;]\s*|\s+")
 
 
 @dataclass(frozen=True)
-class CsvLayout:
+class TextLayout:
     """How a table is laid out.
 
     Attributes:
-        names: Names of its columns.
         separator: What is between cells; None for any white space.
         decimal: The decimal point, or comma.
         lines: Lines that come before the rows.
         units: Units of columns, where the line after the header has them.
         origins: Columns of dates -> the first, ns since 1970.
+        lists: Columns whose cells are lists of numbers -> how many each has.
+        texts: Columns whose cells are words.
     """
 
     names: tuple[str, ...]
@@ -41,6 +45,30 @@ class CsvLayout:
     lines: int
     units: Mapping[str, str] = field(default_factory=dict)
     origins: Mapping[str, int] = field(default_factory=dict)
+    lists: Mapping[str, int] = field(default_factory=dict)
+    texts: tuple[str, ...] = ()
+
+    @property
+    def places(self) -> dict[str, tuple[int, int | None]]:
+        """Name of each column -> its cell in a row, and the place in the list in that."""
+        found = dict[str, tuple[int, int | None]]()
+        for cell, name in enumerate(self.names):
+            if name in self.lists:
+                found |= {f"{name}[{k}]": (cell, k) for k in range(self.lists[name])}
+            else:
+                found.setdefault(name, (cell, None))
+        return found
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the columns, those of a list one by one."""
+        return [
+            each
+            for name in self.names
+            for each in (
+                [f"{name}[{k}]" for k in range(self.lists[name])] if name in self.lists else [name]
+            )
+        ]
 
     def cells(self, lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
         """Cells of every line that has some and is no comment, with the number of its line.
@@ -61,21 +89,17 @@ class CsvLayout:
             yield line, [c.replace(",", ".") for c in kept] if self.decimal == "," else kept
 
 
-def csv_layout(
+def text_layout(
     path: Path,
     file: Iterator[str],
     reading: Reading,
     joints: Sequence[str] | None,
     *,
     numbered: bool = False,
-) -> tuple[CsvLayout, Iterator[str]]:
+) -> tuple[TextLayout, Iterator[str]]:
     """The layout of a table, and its lines from the first row on.
 
     Args:
-        path: The file, for messages.
-        file: Its lines.
-        reading: What the user said of it.
-        joints: The model's joints, for a proposed mapping.
         numbered: Whether columns without names may be called by their numbers.
 
     Raises:
@@ -101,20 +125,29 @@ def csv_layout(
         if units:
             following, used = next(rest, ""), used + 1
         decimal = "," if separator == ";" and "," in following else "."
-        layout = CsvLayout(tuple(header), separator, decimal, count + used, units)
-        return _dated(layout, chain([following], rest))
+        layout = TextLayout(tuple(header), separator, decimal, count + used, units)
+        return _with_contents(layout, chain([following], rest))
     decimal = "," if separator == ";" and "," in first else "."
     names = _renamed(path, reading, cells) if reading.columns else None
     names = names or _names_in_comment(cells, comment)
     if names is None and not (numbered or reading.mapping):
-        proposal = proposed_mapping(path, cells, joints, headed=False)
+        proposal = proposed_mapping(path, cells, joints, headed=False, motorless=reading.motorless)
         raise with_proposal(_no_header(path, cells), path, proposal)
     names = names or [str(k) for k in range(1, len(cells) + 1)]
-    return _dated(CsvLayout(tuple(names), separator, decimal, count), chain([first], rest))
+    return _with_contents(TextLayout(tuple(names), separator, decimal, count), chain([first], rest))
 
 
-def _dated(layout: CsvLayout, lines: Iterator[str]) -> tuple[CsvLayout, Iterator[str]]:
-    """The layout with its columns of dates, by the first cell of each that is not empty."""
+def list_of(cell: str) -> list[float] | None:
+    """The numbers of a cell such as `[0.1, 0.2]` or `(0.1 0.2)`; None if it is no list of some."""
+    found = _LIST.fullmatch(cell.strip())
+    try:
+        return [float(number) for number in _BETWEEN.split(found[1].strip())] if found else None
+    except ValueError:
+        return None
+
+
+def _with_contents(layout: TextLayout, lines: Iterator[str]) -> tuple[TextLayout, Iterator[str]]:
+    """The layout with columns of dates, lists and words, by the first cell that is not empty."""
     ahead = list(islice(lines, _LINES_AHEAD))
     first: dict[str, str] = {}
     with suppress(csv.Error):  # said when the rows are read
@@ -124,7 +157,11 @@ def _dated(layout: CsvLayout, lines: Iterator[str]) -> tuple[CsvLayout, Iterator
                     first.setdefault(name, cell)
     dates = {name: date_of(cell) for name, cell in first.items()}
     origins = {name: date for name, date in dates.items() if date is not None}
-    return replace(layout, origins=origins), chain(ahead, lines)
+    found = {name: list_of(cell) for name, cell in first.items()}
+    lists = {name: len(numbers) for name, numbers in found.items() if numbers is not None}
+    texts = tuple(n for n, c in first.items() if n not in {*origins, *lists} and not is_number(c))
+    whole = replace(layout, origins=origins, lists=lists, texts=texts)
+    return whole, chain(ahead, lines)
 
 
 def _units(header: Sequence[str], line: str, separator: str | None) -> dict[str, str]:
@@ -168,15 +205,17 @@ def _header_cells(
     return cells, reader.line_num, file
 
 
-def _are_numbers(cells: Sequence[str]) -> bool:
-    def is_number(cell: str) -> bool:
-        try:
-            float(cell.replace(",", "."))
-        except ValueError:
-            return date_of(cell) is not None
-        return True
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number."""
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
 
-    return any(cells) and all(map(is_number, cells))
+
+def _are_numbers(cells: Sequence[str]) -> bool:
+    return any(cells) and all(is_number(cell) or date_of(cell) is not None for cell in cells)
 
 
 def _check_names(path: Path, names: Sequence[str]) -> None:

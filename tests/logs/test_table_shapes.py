@@ -1,0 +1,232 @@
+"""Tables as robots write them: lists and names in cells, a row a joint, JSON, HDF5, clocks."""
+
+import csv
+import json
+
+import h5py
+import numpy as np
+import pandas
+import pytest
+
+from geodrake.errors import LogError
+from geodrake.logs.files import read_log, read_table, text_file
+from geodrake.logs.motion import JointLog
+
+JOINTS = ("base", "elbow")
+ROWS = 60
+TIME = 0.01 * np.arange(ROWS)
+POSITION = np.column_stack([np.sin(3 * TIME), np.cos(2 * TIME)])
+EFFORT = np.column_stack([4 * TIME, 1 - TIME])
+
+
+def _write(path, header, rows):
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows([header, *rows])
+    return path
+
+
+def _lists(folder):
+    rows = zip(TIME, map(list, POSITION.tolist()), map(tuple, EFFORT.tolist()), strict=True)
+    return _write(
+        folder / "lists.csv",
+        ["type", "time", "positions", "torques"],
+        [
+            ["STATE", time, positions, str(efforts).replace(",", "")]
+            for time, positions, efforts in rows
+        ],
+    )
+
+
+def _named_cells(folder, *, swaps=False):
+    rows = []
+    for k in range(ROWS):
+        order = [1, 0] if swaps and k % 2 else [0, 1]
+        names = [JOINTS[j] for j in order]
+        rows.append(
+            [int(1e9 * (1.7e9 + TIME[k])), "world", *names, *POSITION[k][order], *EFFORT[k][order]]
+        )
+    header = ["%time", "field.header.frame_id", "field.name0", "field.name1"]
+    header += [f"field.{q}{k}" for q in ("position", "effort") for k in (0, 1)]
+    return _write(folder / "echo.csv", header, rows)
+
+
+def _swapping_cells(folder):
+    return _named_cells(folder, swaps=True)
+
+
+def _long(folder):
+    rows = [
+        [TIME[k], joint, POSITION[k, j], EFFORT[k, j]]
+        for k in range(ROWS)
+        for j, joint in enumerate(JOINTS)
+    ]
+    return _write(folder / "long.csv", ["time", "joint", "position", "effort"], rows)
+
+
+def _long_parquet(folder):
+    frame = pandas.read_csv(_long(folder))
+    frame.to_parquet(folder / "long.parquet")
+    return folder / "long.parquet"
+
+
+def _records(folder):
+    path = folder / "messages.jsonl"
+    records = [
+        {
+            "header": {"stamp": {"sec": 1700000000, "nanosec": round(1e9 * TIME[k])}},
+            "name": JOINTS[::-1],
+            "position": POSITION[k, ::-1].tolist(),
+            "effort": EFFORT[k, ::-1].tolist(),
+        }
+        for k in range(ROWS)
+    ]
+    path.write_text("\n".join(map(json.dumps, records)))
+    return path
+
+
+def _object(folder):
+    path = folder / "log.json"
+    content = {"time": TIME.tolist(), "q": POSITION.tolist(), "tau": EFFORT.tolist(), "robot": "x"}
+    path.write_text(json.dumps(content))
+    return path
+
+
+def _hdf5(folder):
+    path = folder / "episode.hdf5"
+    with h5py.File(path, "w") as file:
+        file["timestamp"] = TIME
+        file["observations/qpos"], file["observations/effort"] = POSITION, EFFORT
+        file["observations/images/top"] = np.zeros((ROWS, 2, 2, 3), np.uint8)
+    return path
+
+
+SHAPES = [_lists, _named_cells, _swapping_cells, _long, _long_parquet, _records, _object, _hdf5]
+
+
+@pytest.mark.parametrize("write", SHAPES)
+def test_a_table_of_any_shape_is_the_same_log(tmp_path, write):
+    log = read_log(write(tmp_path), joints=JOINTS)
+    assert log.joints == JOINTS
+    np.testing.assert_allclose(log.time - log.time[0], TIME, atol=1e-6)
+    np.testing.assert_allclose(log.position, POSITION, atol=1e-12)
+    np.testing.assert_allclose(log.effort, EFFORT, atol=1e-12)
+
+
+def test_a_log_without_a_model_has_the_joints_that_its_cells_name(tmp_path):
+    for write in (_named_cells, _long, _records):
+        assert set(read_log(write(tmp_path)).joints) == set(JOINTS)
+
+
+def test_a_list_of_another_length_is_a_bad_row(tmp_path):
+    path = _lists(tmp_path)
+    lines = path.read_text().splitlines()
+    lines[20] = 'STATE,0.19,"[1.0]","(0.1 0.2)"'
+    path.write_text("\n".join(lines))
+    with pytest.raises(LogError, match=r"Row 20, column 'positions'.*no list of 2 numbers"):
+        read_log(path)
+
+
+def test_joints_that_the_model_lacks_are_left_out_and_named(tmp_path):
+    header = ["time", *(f"{j}.{q}" for j in (*JOINTS, "gripper") for q in ("position", "effort"))]
+    rows = np.column_stack([TIME, *(c for j in (0, 1, 0) for c in (POSITION[:, j], EFFORT[:, j]))])
+    path = _write(tmp_path / "log.csv", header, rows.tolist())
+    log = read_log(path, joints=JOINTS)
+    assert log.joints == JOINTS
+    assert any("no such joint: gripper" in note for note in log.notes)
+    with pytest.raises(LogError, match="no joint 'elbow'"):  # misspelled, not one joint more
+        read_log(path, joints=("base", "elbows", "gripper"), partial=True)
+
+
+def _with_time(folder, time, name="time"):
+    rows = np.column_stack([time, POSITION[:, 0], EFFORT[:, 0]])
+    return _write(folder / "log.csv", [name, "a.position", "a.effort"], rows.tolist())
+
+
+def test_a_clock_that_was_set_back_leaves_a_gap(tmp_path):
+    time = TIME - 0.15 * (np.arange(ROWS) >= 30)
+    log = read_log(_with_time(tmp_path, time))
+    steps = np.diff(log.time)
+    assert np.all(steps > 0)
+    assert steps[29] == pytest.approx(1.0)
+    np.testing.assert_allclose(np.delete(steps, 29), 0.01, atol=1e-9)
+    assert any("set back by 0.14 s at row 31" in note for note in log.notes)
+
+
+def test_rows_of_another_time_are_no_clock_set_back(tmp_path):
+    time = TIME.copy()
+    time[30:45] -= 0.25
+    with pytest.raises(LogError, match="runs backwards"):
+        read_log(_with_time(tmp_path, time))
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e6, "µs"), (1e3, "ms"), (1e9, "ns")])
+def test_the_rate_tells_the_unit_of_time_that_nobody_said(tmp_path, factor, unit):
+    log = read_log(_with_time(tmp_path, factor * TIME, "timestamp"))
+    np.testing.assert_allclose(log.time, TIME, atol=1e-12)
+    assert any(f"time is in {unit}, as 100 rows a second say" in note for note in log.notes)
+
+
+def test_turns_and_currents_of_an_odrive(tmp_path):
+    header = ["time"] + [f"axis{j}.{n}" for j in (0, 1) for n in ("pos_estimate", "Iq_measured")]
+    columns = [c for j in (0, 1) for c in (POSITION[:, j] / (2 * np.pi), EFFORT[:, j])]
+    path = _write(tmp_path / "odrive.csv", header, np.column_stack([TIME, *columns]).tolist())
+    log = read_log(path, joints=JOINTS)
+    np.testing.assert_allclose(log.position, POSITION, atol=1e-12)
+    assert log.effort_kinds == dict.fromkeys(JOINTS, "current")
+
+
+@pytest.mark.parametrize("odd", ["none", "empty cell", "cut off", "text", "one cell more"])
+def test_many_lines_are_read_by_pandas_as_without_it(tmp_path, monkeypatch, odd):
+    random = np.random.default_rng(0).normal(size=(ROWS, 3)) * 10.0 ** np.arange(-9, 9, 6)
+    rows = [[repr(v) for v in row] for row in np.column_stack([TIME, random]).tolist()]
+    if odd == "empty cell":
+        rows[50][2] = ""
+    elif odd != "none":
+        rows[50] = {"cut off": rows[50][:2], "text": ["0.5", "x", "1", "1"]}.get(
+            odd, [*rows[50], "1"]
+        )
+    path = _write(tmp_path / "log.csv", ["time", "a.position", "a.effort", "a.noise"], rows)
+
+    def read():
+        try:
+            return read_log(path)
+        except LogError as error:
+            return str(error)
+
+    plain = read()
+    monkeypatch.setattr(text_file, "_MANY", 20)
+    again = read()
+    assert isinstance(plain, str) == (odd not in ("none", "empty cell"))
+    if isinstance(plain, str):
+        assert again == plain
+    else:
+        np.testing.assert_array_equal(again.position, random[:, :1])
+        np.testing.assert_array_equal(again.effort, plain.effort)
+
+
+def test_every_format_is_a_table(tmp_path):
+    table = read_table(_lists(tmp_path))
+    assert list(table.columns) == [
+        "time",
+        "positions[0]",
+        "positions[1]",
+        "torques[0]",
+        "torques[1]",
+    ]
+    assert set(table.words["type"]) == {"STATE"}
+    assert isinstance(read_log(_object(tmp_path)), JointLog)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.json", '{"a": 1', "no JSON file that can be read"),
+        ("a.json", "3", "neither an object nor records"),
+        ("a.jsonl", "[1]\n[2]", "neither an object nor records"),
+        ("a.h5", "no archive", "no HDF5 file that can be read"),
+    ],
+)
+def test_files_that_are_none_of_their_kind(tmp_path, name, text, words):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(LogError, match=words):
+        read_log(tmp_path / name)
