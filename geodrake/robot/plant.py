@@ -304,7 +304,7 @@ def _draft(
     start, still = loops.places(held, description.path)
     if held or still:
         places = checked_held(joints, followers, {**still, **held}, description.path)
-        still = {**fixed, **still}
+        still = {name: held[name] for name in fixed} | still
         if len(places) == draft.plant.num_velocities() and still:
             raise ModelError(
                 f"No joint moves in {description.path}: constraints hold {', '.join(still)}.",

@@ -297,6 +297,15 @@ def test_a_held_joint_holds_all_of_its_loop(tmp_path):
         load(tmp_path, gripper(), lock={"left": 0.3, "left_bar": 0.9})
 
 
+def test_what_a_ball_of_a_loop_has_is_told(tmp_path):
+    ball = '<joint name="rod" type="ball"'
+    model = load(tmp_path, leg().replace(ball, f'{ball} damping=".1" stiffness="2"'))
+    assert "The stiffness of the ball joint rod of a closed loop is left out." in model.left_out
+    assert any("damping of the ball joint rod" in words for words in model.left_out)
+    assert not check_dynamics(model, samples=2).holds
+    assert not load(tmp_path, leg()).left_out
+
+
 def test_springs_hold_what_motors_do_not_determine(tmp_path):
     model = load(tmp_path, leg())
     assert any("tarsus, rod_1, rod_2 follow knee, shin, heel" in note for note in model.notes)
@@ -370,6 +379,7 @@ def test_an_equality_of_one_joint_holds_it(tmp_path):
     np.testing.assert_allclose(model.effort(Motion(q, v, vd)), expected, rtol=1e-9)
     save_model(model, tmp_path / "saved.yaml")
     assert load_model(tmp_path / "saved.yaml").held == {"arm": 0.5}
+    assert load(tmp_path, text, lock={"arm": 0.1}).held == {"arm": 0.1}
 
 
 def test_a_constraint_that_holds_nothing_is_none(tmp_path):

@@ -106,7 +106,7 @@ class MjcfText(ModelText):
         self.compiled, self.gravity = source.model, terms.gravity
         self.followers, self.bent = terms.followers_in(scope), terms.bent_followers
         self.closures, self.closing = terms.closures_in(scope), tuple(terms.closures)
-        self.left_out += terms.left_out
+        self.left_out += (*source.about, *terms.left_out)
         self.notes += [
             *source.split,
             *terms.notes,

@@ -14,14 +14,18 @@ import numpy as np
 
 from geodrake.inertia import Array
 
-_COPIED = ("armature", "frictionloss", "damping")
+_COPIED = ("armature", "frictionloss", "damping")  # which is not quite the same
+_LOST = ("stiffness",)
 _SUFFIXES = ("_1", "_2", "_spin")
 
 
 def split_balls(
     spec: Any, m: Any, mujoco: ModuleType, unused: Callable[[str], str]
-) -> tuple[str, ...]:
-    """Put three hinges in the place of ball joints of closed loops; return what is said of them.
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Put three hinges in the place of ball joints of closed loops.
+
+    Returns:
+        Sentences on them, and on what of them is lost by that.
 
     Args:
         spec: MuJoCo's editable model; changed where there are such joints.
@@ -29,14 +33,14 @@ def split_balls(
         mujoco: The package.
         unused: Makes names that no joint has.
     """
-    balls, said = _balls(m, mujoco), list[str]()
+    balls, said, lost = _balls(m, mujoco), list[str](), list[str]()
     for joint, axis in balls.items():
         name = mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_JOINT, joint)
         body = mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_BODY, int(m.jnt_bodyid[joint]))
         old = next(each for each in spec.joints if each.name == name)
         across = np.linalg.svd(axis[None])[2][1:]
         names, of_ball = [unused(f"{name}{suffix}") for suffix in _SUFFIXES], dict[str, Any]()
-        for key in _COPIED:
+        for key in (*_COPIED, *_LOST):
             of_ball[key] = np.array(getattr(old, key), float)
         place, holder = np.array(old.pos), next(b for b in spec.bodies if b.name == body)
         spec.delete(old)
@@ -44,14 +48,17 @@ def split_balls(
             hinge = holder.add_joint(
                 name=own, type=mujoco.mjtJoint.mjJNT_HINGE, axis=direction, pos=place
             )
-            for key, value in of_ball.items():
-                setattr(hinge, key, value if value.ndim else float(value))
-        has = " and ".join(key for key, value in of_ball.items() if value.any())
+            for key in _COPIED:
+                setattr(hinge, key, of_ball[key] if of_ball[key].ndim else float(of_ball[key]))
         said.append(
-            f"The ball joint {name} of a closed loop is read as the hinges {', '.join(names)}"
-            + (f", each of which has its {has}." if has else ".")
+            f"The ball joint {name} of a closed loop is read as the hinges {', '.join(names)}."
         )
-    return tuple(said)
+        for key in (key for key, value in of_ball.items() if value.any()):
+            how = (
+                "is left out" if key in _LOST else "is that of each hinge, which is about the same"
+            )
+            lost.append(f"The {key} of the ball joint {name} of a closed loop {how}.")
+    return tuple(said), tuple(lost)
 
 
 def _balls(m: Any, mujoco: ModuleType) -> dict[int, Array]:

@@ -97,6 +97,7 @@ class CompiledMjcf:
         plugins: Places of plugins, which are left out.
         said: What MuJoCo warned of.
         split: Sentences on ball joints of closed loops, which are three hinges.
+        about: Sentences on what of them is not quite the same.
     """
 
     model: Any
@@ -107,6 +108,7 @@ class CompiledMjcf:
     plugins: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
     split: tuple[str, ...] = ()
+    about: tuple[str, ...] = ()
 
 
 def compiled(root: Element, path: Path, mujoco: ModuleType, *, geoms: bool = False) -> CompiledMjcf:
@@ -177,7 +179,8 @@ class _Compiler:
             absent = self._take_meshes(spec)
             model = spec.compile()
             free = unused({joint.name for joint in spec.joints})
-            if split := split_balls(spec, model, self.mujoco, free):
+            split, about = split_balls(spec, model, self.mujoco, free)
+            if split:
                 model = spec.compile()
         self._check_finite(model)
         return CompiledMjcf(
@@ -189,6 +192,7 @@ class _Compiler:
             tuple(self.plugins),
             tuple(said),
             split,
+            about,
         )
 
     def _prepare(self, root: Element, path: Path, prefix: str, chain: tuple[Path, ...]) -> Sizes:
