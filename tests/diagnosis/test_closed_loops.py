@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from closed_loops import four_bar, four_bar_sdf, gripper
+from closed_loops import four_bar, four_bar_sdf, gripper, leg
 
 from geodrake import load_model, save_model
 from geodrake.control.rollout import roll_out
 from geodrake.diagnosis import explain
 from geodrake.errors import LogError
 from geodrake.identification.logs.compare import compare
-from geodrake.logs import JointLog
-from geodrake.model.logged_joints import log_of_model, model_of_logs
+from geodrake.logs import JointLog, read_log
+from geodrake.model.logged_joints import log_of_model, model_of_logs, reading_for
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -173,3 +173,41 @@ def test_a_gripper_that_no_log_has_is_held(tmp_path):
     held = model_of_logs(model, [log])
     assert held.joints == ("arm",) and held.held["left"] == 0.0
     assert set(held.held) == {"left", "left_tip", "left_bar", "right_tip", "right_bar"}
+
+
+def walking(text, folder, seconds=10.0):
+    """A log of the motors of a leg, and of the positions of its springs, by MuJoCo."""
+    m, rng = mujoco.MjModel.from_xml_string(text), np.random.default_rng(0)
+    m.opt.timestep, m.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    m.eq_solref[:], m.eq_solimp[:] = [1e-3, 1], [0.9999, 0.9999, 0.001, 0.5, 2]
+    data, motors, springs, rows = mujoco.MjData(m), ("hip", "knee", "crank"), ("shin", "heel"), []
+    phases, gains = rng.uniform(0, 2 * np.pi, (3, 6)), np.array([800.0, 400.0, 80.0])
+    own = [data.joint(name) for name in motors]
+    for k in range(int(seconds / STEP)):
+        turns = WAVES * k * STEP + phases
+        wanted = 0.4 * (np.sin(turns) - np.sin(phases)) @ SIZES
+        rates = 0.4 * np.cos(turns) @ (SIZES * WAVES)
+        q, v = np.array([[j.qpos[0], j.qvel[0]] for j in own]).T
+        data.ctrl[:] = gains * (wanted - q) + 0.05 * gains * (rates - v)
+        if k % round(1.0 / RATE / STEP) == 0:
+            there = [data.joint(name).qpos[0] for name in springs]
+            rows.append([k * STEP, *q, *(data.ctrl + 0.02 * rng.normal(size=3)), *there])
+        mujoco.mj_step(m, data)
+    names = [f"{j}.position" for j in motors] + [f"{j}.effort" for j in motors]
+    head = ",".join(["time", *names, *(f"{j}.position" for j in springs)])
+    np.savetxt(folder / "leg.csv", rows, delimiter=",", header=head, comments="")
+    return folder / "leg.csv"
+
+
+def test_springs_of_a_leg_are_joints_without_a_motor(tmp_path):
+    model = model_of(tmp_path, leg())
+    reading = reading_for(model)
+    log = read_log(
+        walking(leg(), tmp_path), joints=model.known_joints, partial=True, reading=reading
+    )
+    model = model_of_logs(model, [log])
+    assert set(model.joints) == {"hip", "knee", "shin", "heel", "crank"}
+    assert set(log.passive) == {"shin", "heel"}
+    errors = {joint.joint: joint for joint in compare(model, [log]).errors.joints}
+    for motor in ("hip", "knee", "crank"):
+        assert errors[motor].rms < 1.5 * errors[motor].floor
