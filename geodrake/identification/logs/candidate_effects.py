@@ -99,7 +99,7 @@ def _effects_behind(model: RobotModel, segments: Sequence[Segment]) -> Iterator[
 def _acts_behind(effect: type[Effect]) -> bool:
     """Return whether an effect is one of joints that no motor drives: friction, or a spring."""
     own = issubclass(effect, JointEffect) and effect.rows is JointEffect.rows
-    own = own and effect.role is Role.FORCE and not (effect.turning_only or effect.by_drive)
+    own = own and effect.role is Role.FORCE and not (effect.turning_only or effect.of_motor)
     return own and of_geodrake(effect) and effect.depends_on in ({"q"}, {"v"})
 
 
