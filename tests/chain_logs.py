@@ -19,9 +19,9 @@ def multisine(time, rng, *, joints=2, base=0.1, harmonics=8, reach=1.2):
     return q, v, -(swing * rate**2 * np.sin(angle)).sum(1)
 
 
-def inverse_dynamics(plant, q, v, vd):
-    """Efforts (N, nv) of a plant's bodies, by Drake."""
-    context = plant.CreateDefaultContext()
+def inverse_dynamics(plant, q, v, vd, context=None):
+    """Efforts (N, nv) of a plant's bodies, by Drake; with the parameters of a Context."""
+    context = plant.CreateDefaultContext() if context is None else context
     rows = []
     for positions, velocities, accelerations in zip(q, v, vd, strict=True):
         plant.SetPositions(context, positions)

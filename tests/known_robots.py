@@ -98,3 +98,22 @@ def moving_joints(plant):
 def assert_close(actual, expected):
     scale = np.abs(expected).max()
     np.testing.assert_allclose(actual, expected, rtol=1e-10, atol=1e-10 * scale)
+
+
+def efforts_on_a_free_base(text, plant, q, v, vd):
+    """By Pinocchio, each sample: R_WB, the wrench (n, f) in the base, efforts, their velocities."""
+    pinocchio = pytest.importorskip("pinocchio")
+    model = pinocchio.buildModelFromXML(text, pinocchio.JointModelFreeFlyer())
+    data, joints = model.createData(), moving_joints(plant)
+    ours = [joint.velocity_start() for joint in joints]
+    pins = [model.joints[model.getJointId(joint.name())].idx_v for joint in joints]
+    for i in range(len(q)):
+        R = pinocchio.Quaternion(*q[i, :4]).matrix()
+        w, t, wd, td = (R.T @ x for x in (v[i, :3], v[i, 3:6], vd[i, :3], vd[i, 3:6]))
+        qs, vs, vds = (np.zeros(n) for n in (model.nq, model.nv, model.nv))
+        qs[:7] = *q[i, 4:7], *q[i, 1:4], q[i, 0]
+        vs[:6], vds[:6] = (*t, *w), (*(td - np.cross(w, t)), *wd)
+        qs[np.add(pins, 1)] = q[i, np.add(ours, 1)]
+        vs[pins], vds[pins] = v[i, ours], vd[i, ours]
+        tau = pinocchio.rnea(model, data, qs, vs, vds)
+        yield R, np.r_[tau[3:6], tau[:3]], tau[pins], ours

@@ -354,13 +354,14 @@ class JointEffect(Effect):
         """One column per parameter, (N,) or a number, from the motion of the joint."""
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """Return the columns at the joint itself.
+        """Return the columns at the joint itself, or at the joints that move it.
 
         Raises:
             ArgumentError: There is no such joint, or `columns` gave something unusable.
         """
         columns = self.columns(motion.joint(self.joint))
-        return {self.joint: stacked(self, columns, self.joint, len(motion.v))}
+        own = stacked(self, columns, self.joint, len(motion.v))
+        return motion.efforts_at(self.joint, own)
 
     def formula_rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """Return the columns at the joint itself; see `Effect.formula_rows`."""
@@ -368,7 +369,7 @@ class JointEffect(Effect):
             return self.rows(motion)
         columns = self.columns(motion.joint(self.joint))
         shaped = [np.broadcast_to(column, (len(motion.v),)) for column in columns]
-        return {self.joint: np.stack(shaped, -1)}
+        return motion.efforts_at(self.joint, np.stack(shaped, -1))
 
     def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]] | None:
         """Of each column, its derivatives by `JointMotion` field; fields left out have none.
@@ -381,7 +382,7 @@ class JointEffect(Effect):
 
     def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient | None:
         """Gradient of Σ weights ∘ regressor with respect to the motion; see `Effect.gradient`."""
-        if type(self).rows is not JointEffect.rows:
+        if type(self).rows is not JointEffect.rows or self.joint not in motion.joints:
             return None
         slopes = self.slopes(motion.joint(self.joint))
         return joint_gradient(motion, self.joint, self.columns, slopes, weights)

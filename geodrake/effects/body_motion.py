@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
 from geodrake.robot.driven_tree import (
+    DrivenTree,
     RobotTree,
     actuator_rows,
     joint_positions,
@@ -65,6 +67,22 @@ class RobotBodies:
     def gravity(self) -> Array:
         """(3,) gravity in the world frame, m/s²."""
         return self.tree.gravity
+
+    @property
+    def joints_behind(self) -> Mapping[str, tuple[int, int]]:
+        """Joint behind a transmission, or in a loop -> its position and velocity in the tree's."""
+        return self.tree.actuation.behind if isinstance(self.tree, DrivenTree) else {}
+
+    def tree_samples(self, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
+        """Positions, velocities and accelerations of the joints of the tree, and J.
+
+        Args:
+            v: (N, nv) velocities.
+            vd: (N, nv) accelerations.
+        """
+        if isinstance(self.tree, DrivenTree):
+            return self.tree.actuation.all_samples(self.q, v, vd)
+        return self.q, v, vd, np.eye(self.tree.num_velocities)[None]
 
     def motion(self, body: str) -> BodyMotion:
         """Pose and Jacobian of a body.

@@ -34,11 +34,8 @@ class CoupledRotorInertia(SharedActuatorEffect):
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """[v̇ⱼ] at joint i and [v̇ᵢ] at joint j."""
-        i, j = self.joints
-        return {
-            i: motion.vd[:, motion.index(j), np.newaxis],
-            j: motion.vd[:, motion.index(i), np.newaxis],
-        }
+        i, j = map(motion.joint, self.joints)
+        return motion.at_both(self.joints, j.vd[:, None], i.vd[:, None])
 
     @staticmethod
     def shared(v: Array, turned_v: Array, turned_vd: Array, direction: Direction) -> Array:
@@ -46,8 +43,10 @@ class CoupledRotorInertia(SharedActuatorEffect):
         del v, turned_v, direction
         return turned_vd[..., np.newaxis]
 
-    def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient:
+    def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient | None:
         """Of either column by the other joint's v̇."""
+        if not set(motion.joints).issuperset(self.joints):
+            return None
         i, j = map(motion.index, self.joints)
         gradient = RobotGradient.zero(motion)
         gradient.vd[:, i], gradient.vd[:, j] = weights[:, j, 0], weights[:, i, 0]

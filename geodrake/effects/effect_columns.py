@@ -22,6 +22,9 @@ from geodrake.effects.robot_motion import Array, JointMotion, RobotMotion
 
 Indices = NDArray[np.intp]
 
+_BEHIND = frozenset({"q", "v", "bodies"})
+"""Signals that effects of joints behind a transmission depend on, beside their own."""
+
 Seen = Callable[[JointMotion], RobotMotion]
 """From the motion of all joints at one sample to that of the robot with its bodies."""
 
@@ -117,7 +120,11 @@ class EffectColumns:
     @cached_property
     def _signals(self) -> tuple[frozenset[str], ...]:
         """What each effect depends on."""
-        return tuple(dependencies(e, self.trial, len(self.joints)) for e in self.effects)
+        own = [dependencies(e, self.trial, len(self.joints)) for e in self.effects]
+        return tuple(
+            names | _BEHIND if e.at_motor and not self._indices.keys() >= {*e.where} else names
+            for names, e in zip(own, self.effects, strict=True)
+        )
 
     @cached_property
     def _together(self) -> tuple[_Together, ...]:
@@ -125,6 +132,8 @@ class EffectColumns:
         groups: list[list[tuple[JointEffect, slice]]] = []
         for effect, part in zip(self.effects, self._parts, strict=True):
             if not effect.parameters or not sees_joint_only(effect):
+                continue
+            if effect.joint not in self._indices:  # behind a transmission, or in a loop
                 continue
             for group in groups:
                 if replace(effect, joint=group[0][0].joint) == group[0][0]:

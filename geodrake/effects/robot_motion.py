@@ -78,16 +78,57 @@ class RobotMotion(Short):
     temperature: Array | None = None
 
     def joint(self, name: str) -> JointMotion:
-        """Return the motion of one joint.
+        """Return the motion of one joint, which may be one behind a transmission or in a loop.
+
+        Nothing tells what load such a joint has: it is 0 there.
 
         Raises:
             ArgumentError: There is no such joint.
         """
+        if (found := self._behind(name)) is not None:
+            tree, at_q, at_v = found
+            theta, rates, accelerations, J = tree
+            v, width = rates[:, at_v], np.abs(J[:, at_v]) @ self.sign_width
+            sign_v = self.direction(v, width)
+            return JointMotion(theta[:, at_q], v, accelerations[:, at_v], np.zeros_like(v), sign_v)
         i = self.index(name)
         v = self.v[:, i]
         return JointMotion(
             self.q[:, i], v, self.vd[:, i], self.load[:, i], self.direction(v, self.sign_width[i])
         )
+
+    def efforts_at(self, name: str, columns: Array) -> Mapping[str, Array]:
+        """Columns by joint, of those (N, k) of efforts at one joint, τ_q = Jᵀ τ_θ.
+
+        Args:
+            name: Name of the joint.
+            columns: (N, k) columns.
+        """
+        if (found := self._behind(name)) is None:
+            return {name: columns}
+        (*_, J), _, at = found
+        moving = np.flatnonzero(J[:, at].any(axis=0))
+        return {self.joints[i]: J[:, at, i, None] * columns for i in moving}
+
+    def at_both(self, joints: tuple[str, str], first: Array, second: Array) -> Mapping[str, Array]:
+        """Return columns by joint, of those (N, k) of efforts at two joints."""
+        found = dict(self.efforts_at(joints[0], first))
+        for joint, columns in self.efforts_at(joints[1], second).items():
+            found[joint] = found[joint] + columns if joint in found else columns
+        return found
+
+    def _behind(self, name: str) -> tuple[tuple[Array, Array, Array, Array], int, int] | None:
+        """Motion of the tree, and where in it a joint is that is none of these; None for others."""
+        if name in self.joints or self.bodies is None:
+            return None
+        places = self.bodies.joints_behind
+        return (self._tree, *places[name]) if name in places else None
+
+    @cached_property
+    def _tree(self) -> tuple[Array, Array, Array, Array]:
+        """Positions, velocities and accelerations of the tree's joints, and J."""
+        bodies = self.body_motions("A joint behind a transmission")
+        return bodies.tree_samples(self.v, self.vd)
 
     def index(self, name: str) -> int:
         """Return the column of a joint; ArgumentError if there is no such joint."""

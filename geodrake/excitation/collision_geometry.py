@@ -134,7 +134,6 @@ def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
     )
     with drake_messages(), errors, TemporaryDirectory() as folder:
         _parse(parser, model, Path(folder))
-        plant.Finalize()
         for i in range(plant.num_bodies()):
             body = plant.get_body(BodyIndex(i))
             solids = []

@@ -11,6 +11,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from geodrake.boundary.arguments import instance
@@ -92,6 +93,8 @@ def _plain(value: Any) -> Any:
     elif dataclasses.is_dataclass(value):
         own = {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
         plain = [type(value).__qualname__, own]
+    elif isinstance(value, msgspec.Struct):
+        plain = [type(value).__qualname__, _plain(msgspec.structs.asdict(value))]
     elif isinstance(value, Mapping):
         plain = {str(key): _plain(each) for key, each in value.items()}
     elif isinstance(value, set | frozenset):  # whose order changes from run to run

@@ -66,6 +66,7 @@ class JointLog(Short):
             each: 5 % by default, as torque constants are; 0 for calibrated torque sensors.
         standing: Other joint, of which only positions are known -> where it stands, rad or m; NaN
             if it moves.
+        alone: Such a joint -> its positions (N,), rad or m, where they are kept.
         command: (N, n) positions that servos were told to go to, rad or m; NaN at joints that have
             none.
         effort_kinds: Joint -> what its efforts are, of `EFFORT_KINDS`; efforts where it is none.
@@ -89,6 +90,7 @@ class JointLog(Short):
     payloads: tuple[KnownPayload, ...] = ()
     effort_uncertainty: float | Array = USUAL_GAIN_DEVIATION
     standing: Mapping[str, float] = field(default_factory=dict)
+    alone: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
     command: Array | None = None
     effort_kinds: Mapping[str, str] = field(default_factory=dict)
     temperature: Array | None = None

@@ -25,10 +25,6 @@ _LEAST = 1e-9  # of a parameter beyond a bound, in its unit
 def check_body(what: str, phi: Array) -> None:
     """Refuses inertial parameters (10,) of no body.
 
-    Args:
-        what: What they are, for the message.
-        phi: The parameters.
-
     Raises:
         ModelError: The message has the values.
     """
@@ -67,7 +63,8 @@ def check_effect(fitted: FittedEffect) -> None:
         check_body(what, values)
     elif not manifold.contains(values):
         raise ModelError(f"{what} are {values.tolist()}, outside of what the effect allows.")
-    for name, value in zip(names, _none_as_empty(fitted.deviations), strict=False):
+    deviations = [] if fitted.deviations is None else fitted.deviations.tolist()
+    for name, value in zip(names, deviations, strict=False):
         if not value >= 0.0:
             raise ModelError(
                 f"deviations of {place_of(fitted)} have {name} = {value:g}, which is less than 0."
@@ -78,10 +75,6 @@ def _check_finite(what: str, names: Sequence[str], values: Array) -> None:
     for name, value in zip(names, values, strict=True):
         if not abs(value) <= LARGEST:
             raise ModelError(f"{what} have {name} = {value:g}.")
-
-
-def _none_as_empty(values: Array | None) -> Array:
-    return np.zeros(0) if values is None else values
 
 
 def place_of(fitted: FittedEffect) -> str:

@@ -9,50 +9,42 @@ from geodrake.errors import GeodrakeError, ModelError, OutputError
 
 
 def existing_base(path: Path) -> Path:
-    """Absolute path of the model file, which a saved model needs to be read again.
+    """Return the absolute path of the model file, which a saved model needs to be read again.
 
     Raises:
         OutputError: The file is gone, or its path is none that YAML can hold.
     """
     base = path.resolve()
-    if not base.is_file():
-        raise OutputError(
-            f"Cannot save the model: its file {base} is gone.", advice="Put it back.", path=base
-        )
-    try:
-        str(base).encode()
-    except UnicodeEncodeError as error:
-        raise OutputError(
-            f"Cannot save the model: the path of its file {base} is not UTF-8.",
-            advice="Rename the file or its folder.",
-            path=base,
-        ) from error
-    return base
+    problem, advice = f"its file {base} is gone", "Put it back."
+    if base.is_file():
+        try:
+            str(base).encode()
+            return base
+        except UnicodeEncodeError:
+            problem = f"the path of its file {base} is not UTF-8"
+            advice = "Rename the file or its folder."
+    raise OutputError(f"Cannot save the model: {problem}.", advice=advice, path=base)
 
 
 def find_base(path: Path, relative: str, absolute: str, sha256: str) -> Path:
-    """Return the model file that a saved model is based on, wherever both are now.
+    """Return the model file that the saved model `path` is based on, wherever both are now.
 
-    Both may have moved together, or into one folder, or the model file stayed where it was. Where
-    there are several files, it is the one that is as it was when the model was saved.
-
-    Args:
-        path: The saved model.
-        relative: Path of the model file from there when it was saved.
-        absolute: Its absolute path then; empty if that is not known.
-        sha256: Its digest then.
+    Both may have moved together, or into one folder, or the model file stayed where it was
+    (`absolute`, if known). Where there are several files, it is the one that is as it was, by its
+    digest.
 
     Raises:
         ModelError: There is no such file.
     """
     folder = path.resolve().parent
-    places = [folder / relative, folder / Path(relative).name]
-    if absolute:
-        places.append(Path(absolute))
+    places = [
+        folder / relative,
+        folder / Path(relative).name,
+        *([Path(absolute)] if absolute else ()),
+    ]
     there = [place for place in places if is_file(place)] or places[:1]
-    base = there[0]
-    if there[1:]:
-        base = next((place for place in there if digest(place) == sha256), base)
+    alike = [place for place in there if digest(place) == sha256] if there[1:] else []
+    base = [*alike, *there][0]
     try:
         return regular_file(base, "file", ModelError)
     except ModelError as error:
@@ -72,7 +64,7 @@ def is_file(path: Path) -> bool:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file; nothing if it cannot be read."""
+    """Return the SHA-256 of a file; nothing if it cannot be read."""
     try:
         return sha256_of(path)
     except GeodrakeError:

@@ -23,11 +23,7 @@ Payloads = tuple[KnownPayload, ...]
 
 
 def carried_phi(model: RobotModel, payloads: Payloads) -> Array:
-    """(nb, 10) inertial parameters that known payloads add to the bodies of a model.
-
-    Args:
-        model: The model of the robot without the payloads.
-        payloads: Known payloads, each in the frame of a body or of a link that is welded to one.
+    """Return (nb, 10) inertial parameters that known payloads add to the bodies of a model.
 
     Raises:
         ArgumentError: The model has no such body, or it does not move.
@@ -40,12 +36,7 @@ def carried_phi(model: RobotModel, payloads: Payloads) -> Array:
 
 
 def carrying(model: RobotModel, payloads: Payloads) -> RobotModel:
-    """The model of the robot while it carries known payloads; itself if there are none.
-
-    Args:
-        model: The model of the robot without the payloads.
-        payloads: Known payloads.
-    """
+    """Return the model of the robot while it carries known payloads; itself if there are none."""
     phi = carried_phi(model, payloads)
     carried = [
         FittedEffect(payload, own)
@@ -57,13 +48,9 @@ def carrying(model: RobotModel, payloads: Payloads) -> RobotModel:
 
 
 def joints_with_known_gain(model: RobotModel, logs: Sequence[Payloads]) -> tuple[str, ...]:
-    """Joints whose gain known payloads identify: those that bear what not all logs have alike.
+    """Return joints whose gain known payloads identify: those that bear what not all logs have.
 
     What the robot holds in all of them its bodies can take in, with any gain.
-
-    Args:
-        model: The model.
-        logs: Known payloads of every log.
     """
     phi = np.array([carried_phi(model, payloads) for payloads in logs])
     changes = np.any(phi != phi[0], axis=(0, 2))
@@ -75,10 +62,6 @@ def joints_with_known_gain(model: RobotModel, logs: Sequence[Payloads]) -> tuple
 
 def payload_notes(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
     """What is done about known payloads, in words.
-
-    Args:
-        model: The model.
-        logs: The logs, with the payloads known in each.
 
     Raises:
         ArgumentError: The model has no such body, or it does not move.

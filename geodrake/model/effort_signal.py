@@ -1,15 +1,17 @@
-"""Where a joint's efforts come from: what was measured in their place, and its gains."""
+"""Where a joint's efforts come from: what was measured in their place, its gains, its limits."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from geodrake.boundary.arguments import instance, number
 from geodrake.errors import ArgumentError
+from geodrake.inertia import Array
 from geodrake.logs.motion import SIGNAL_KINDS
-from geodrake.model.motor_limit import MotorLimit
 
 COMMAND = "command"
 """The kind of a joint of which only the position that its servo was told to go to is known."""
@@ -31,6 +33,35 @@ _NOT_NEGATIVE = (
     "integral",
     "integral_deviation",
 )
+
+
+@dataclass(frozen=True)
+class MotorLimit:
+    """A motor gives the less the faster it drives: −L (1 + v/w) ≤ effort ≤ L (1 − v/w).
+
+    Attributes:
+        effort: L, its largest effort, N·m or N.
+        no_load_speed: w, at which it gives none, rad/s or m/s; infinite if the limit is the same
+            at every speed.
+    """
+
+    effort: float
+    no_load_speed: float = np.inf
+
+    def times(self, factor: float) -> MotorLimit:
+        """Return that of efforts multiplied by a factor above 0."""
+        return replace(self, effort=factor * self.effort)
+
+    def given(self, asked: Array, velocity: Array) -> Array:
+        """Return efforts (K,), N·m or N, that the motor gives of those asked for, at velocities."""
+        falling = velocity / self.no_load_speed
+        return np.clip(asked, -self.effort * (1.0 + falling), self.effort * (1.0 - falling))
+
+    def beyond(self, asked: Array, velocity: Array) -> tuple[float, float]:
+        """Return the share of samples (K,) beyond the limit, and their mean square beyond it."""
+        excess = asked - self.given(asked, velocity)
+        share = float(np.mean(excess != 0.0))
+        return share, float(np.mean(excess**2)) / share if share else 1.0
 
 
 @dataclass(frozen=True)
@@ -123,10 +154,5 @@ class EffortSignal:
 
 
 def signal_of(signals: Iterable[EffortSignal], joint: str) -> EffortSignal | None:
-    """The signal in the place of a joint's efforts; None where these are measured.
-
-    Args:
-        signals: Of some joints.
-        joint: The joint.
-    """
+    """The signal in the place of a joint's efforts; None where these are measured."""
     return next((signal for signal in signals if signal.joint == joint), None)

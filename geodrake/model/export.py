@@ -56,11 +56,7 @@ class Export:
 
 
 def save_export(model: RobotModel, path: str | Path) -> Export:
-    """Write a copy of a model's file that has the model's inertias; whole or not at all.
-
-    Args:
-        model: The model; its `total_phi` is written, payloads included.
-        path: Where to.
+    """Write a copy of a model's file with the model's inertias, `total_phi`; whole or not at all.
 
     Raises:
         ModelError: The model's file cannot take them.
@@ -75,10 +71,6 @@ def save_export(model: RobotModel, path: str | Path) -> Export:
 
 def check_export(model: RobotModel, path: Path) -> None:
     """Refuse a model, or a name for its copy, before the work.
-
-    Args:
-        model: The model to be exported.
-        path: Target.
 
     Raises:
         ModelError: The model is put together from several files.
@@ -105,15 +97,24 @@ def export_model(model: RobotModel) -> Export:
     otherwise all are stretched and reweighted by the one affine map that takes the body of the
     file to the identified one.
 
-    Args:
-        model: The model; its `total_phi` is written, payloads included.
-
     Raises:
         ModelError: The model's file cannot take the inertias.
     """
     exported = export_bodies(instance(model, "model", RobotModel))
-    notes = *_left_out(model), *exported.notes, *_relative_note(exported.content, model.path)
-    return Export(exported.content, exported.links, notes)
+    before, after = list[str](), list[str]()
+    names = dict.fromkeys(f.effect.name for f in model.effects if f.effect.role is not Role.BODY)
+    if names:
+        before += [
+            f"the exported file has the inertias only, not {', '.join(names)} (damping, friction "
+            "and armature in it stay as they are): --save keeps everything",
+            *reasons(model.effects),
+        ]
+    if _RELATIVE.search(exported.content):
+        after.append(
+            f"{model.path.name} names other files by relative paths, so the exported file belongs "
+            "into the same folder"
+        )
+    return Export(exported.content, exported.links, (*before, *exported.notes, *after))
 
 
 def export_bodies(model: RobotModel) -> Export:
@@ -136,7 +137,8 @@ def export_bodies(model: RobotModel) -> Export:
         changed = {
             name: new
             for name, old, new in zip(names, before, after, strict=True)
-            if _differ(old, new) or (anew and name in here and new[0] > 0.0)
+            if not np.all(np.abs(new - old) <= _UNCHANGED * np.abs(new).max())  # NaN differs
+            or (anew and name in here and new[0] > 0.0)
         }
         if not here.issuperset(changed) and kind == "xml":
             absent.append(body.name)  # between several joints of one body, or made by MuJoCo
@@ -148,20 +150,24 @@ def export_bodies(model: RobotModel) -> Export:
     content = with_comments(content, model.path, repair_comments(model))
     _check(content, model.path, written)
     links = tuple(name.rpartition("::")[2] for name in written)
-    return Export(content, links, (*_body_notes(model, absent), *shared, *_file_notes(data, model)))
+    notes = [*_body_notes(model, absent), *shared]
+    if is_xacro(model.path):
+        notes.append(f"the exported file is what {model.path.name} expands to, without its macros")
+    elif anew:
+        notes.append(
+            f"settings of {model.path.name} by which MuJoCo changes masses are not in the exported "
+            "file, which states all inertias"
+        )
+    return Export(content, links, tuple(notes))
 
 
 def repair_comments(model: RobotModel) -> list[str]:
-    """Return what a file that is made of a model says of inertias that its own file states in vain.
-
-    Args:
-        model: The model.
-    """
+    """Return what a file made of a model says of inertias that its own file states in vain."""
     return [f"geodrake did not take {model.path.name} as it stands: {r}" for r in model.repairs]
 
 
 def distributed(body: LumpedBody, stated: Array, phi: Array) -> tuple[Array, str]:
-    """Return an identified body shared among the links that make it up.
+    """Share an identified body among the k links that make it up.
 
     Args:
         body: The links.
@@ -169,15 +175,15 @@ def distributed(body: LumpedBody, stated: Array, phi: Array) -> tuple[Array, str
         phi: (10,) identified parameters in the frame of the representative.
 
     Returns:
-        (k, 10) inertial parameters of each link in its own frame, and how several of them share
-        the body, in words.
+        (k, 10) parameters of each link in its own frame, and how several share it, in words.
     """
     frames = [(m.X_RB.rotation().matrix(), m.X_RB.translation()) for m in body.members]
+    back = [(R_RB.T, -R_RB.T @ p_RoBo_R) for R_RB, p_RoBo_R in frames]
     counts = np.isfinite(stated).all(1) & (stated[:, 0] > 0)
     after = stated.copy()
     if counts.sum() <= 1:
         taker = int(np.argmax(counts))
-        after[taker] = _into_frame(phi, *frames[taker])
+        after[taker] = change_frame(phi, *back[taker])
         return after, ""
     parts = np.array([change_frame(x, *frame) for x, frame in zip(stated, frames, strict=True)])
     parts[~counts] = 0.0
@@ -195,7 +201,7 @@ def distributed(body: LumpedBody, stated: Array, phi: Array) -> tuple[Array, str
         parts = _stretched(parts, phi)
         how = f"{', '.join(names)}: welded together, so all change alike to be the identified body"
     for k in np.flatnonzero(counts):
-        after[k] = _into_frame(parts[k], *frames[k])
+        after[k] = change_frame(parts[k], *back[k])
     return after, how
 
 
@@ -217,11 +223,6 @@ def _upper_root(phi: Array) -> Array:
     return np.asarray(np.linalg.cholesky(pseudo_inertia(phi)[::-1, ::-1])[::-1, ::-1])
 
 
-def _into_frame(phi: Array, R_RB: Array, p_RoBo_R: Array) -> Array:
-    """Parameters in the representative's frame R, in the frame B of a link."""
-    return change_frame(phi, R_RB.T, -R_RB.T @ p_RoBo_R)
-
-
 def _stated_inertias(model: RobotModel) -> Mapping[str, Array]:
     """Return what a model's file says of every link (10,), possible or not, by scoped name."""
     with drake_messages():
@@ -233,11 +234,6 @@ def _stated_inertias(model: RobotModel) -> Mapping[str, Array]:
         spatial = plant.get_body(BodyIndex(k)).default_spatial_inertia()
         found[_scoped(plant, k)] = from_spatial_inertia(spatial)
     return found | dict(description.set_aside)
-
-
-def _differ(old: Array, new: Array) -> bool:
-    scale = np.abs(new).max()
-    return not np.all(np.abs(new - old) <= _UNCHANGED * scale)  # NaN differs
 
 
 def _check(content: bytes, path: Path, written: Mapping[str, Array]) -> None:
@@ -255,20 +251,8 @@ def _check(content: bytes, path: Path, written: Mapping[str, Array]) -> None:
             )
 
 
-def _left_out(model: RobotModel) -> list[str]:
-    """Return a note on what a file of inertias cannot carry."""
-    names = dict.fromkeys(f.effect.name for f in model.effects if f.effect.role is not Role.BODY)
-    if not names:
-        return []
-    return [
-        f"the exported file has the inertias only, not {', '.join(names)} (damping, friction "
-        "and armature in it stay as they are): --save keeps everything",
-        *reasons(model.effects),
-    ]
-
-
 def _body_notes(model: RobotModel, absent: Sequence[str]) -> list[str]:
-    """Notes on payloads, and on bodies that the file has no place for."""
+    """Return notes on payloads, and on bodies that the file has no place for."""
     notes = []
     carried = [f.effect.where[0] for f in model.effects if f.effect.role is Role.BODY]
     if carried:
@@ -279,26 +263,6 @@ def _body_notes(model: RobotModel, absent: Sequence[str]) -> list[str]:
             "that MuJoCo puts there, so the exported file has no place for its inertia"
         )
     return notes
-
-
-def _relative_note(data: bytes, path: Path) -> list[str]:
-    if not _RELATIVE.search(data):
-        return []
-    return [
-        f"{path.name} names other files by relative paths, so the exported file belongs into "
-        "the same folder"
-    ]
-
-
-def _file_notes(data: bytes, model: RobotModel) -> list[str]:
-    if is_xacro(model.path):
-        return [f"the exported file is what {model.path.name} expands to, without its macros"]
-    if data == without_mass_settings(data, model.path):
-        return []
-    return [
-        f"settings of {model.path.name} by which MuJoCo changes masses are not in the exported "
-        "file, which states all inertias"
-    ]
 
 
 def file_kind(model: RobotModel) -> str:

@@ -21,7 +21,7 @@ from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.inertia.kernels import calc_change_frame
-from geodrake.model.robot_model import RobotModel, as_in_file, from_loaded_plant, read_again
+from geodrake.model.robot_model import RobotModel, from_loaded_plant, is_of_file
 from geodrake.robot.plant import load_plant
 from geodrake.robot.transmission.drive import Drive
 
@@ -60,11 +60,11 @@ def holding(
         plant=loaded.plant,
         held=loaded.held,
         followers=loaded.followers,
-        transmission=drives,
+        transmission=(*drives, *(loop.drive for loop in loaded.loops if loop.map.actuators)),
     )
     lumping = _Lumping.of(model, bare)
     kept, lost = lumping.effects(model)
-    if lost and model.information is None and as_in_file(model, read_again(model)):
+    if lost and model.information is None and is_of_file(model):
         stated = from_loaded_plant(loaded, floating=model.floating, transmission=drives).effects
         kept, lost = [(fitted, np.zeros((0, 0))) for fitted in stated], []
     after = replace(
@@ -85,23 +85,13 @@ def holding(
 
 
 def held_notes(held: Mapping[str, float], why: str = "so that they do not move") -> list[str]:
-    """That joints are held, and where, in words.
-
-    Args:
-        held: Joint -> where it is held, rad or m.
-        why: Why they are.
-    """
+    """That joints are held, and where (rad or m), in words."""
     words = ", ".join(f"{joint} at {value:.4g}" for joint, value in held.items())
     return [f"Held, {why}: {words}."] if words else []
 
 
 def why_no_place(model: RobotModel, name: str) -> str:
-    """Return why a joint or link of the file is none of the model's, in a sentence before a space.
-
-    Args:
-        model: The model.
-        name: Name of a joint or link; nothing is returned for one that there is not at all.
-    """
+    """Return why a joint or link of the file is none of the model's; nothing if there is none."""
     if name in model.held:
         return f"{name} is held, by --lock or as it hardly moves (--no-auto-lock keeps it). "
     for body in lumped_bodies(model.plant):
@@ -124,6 +114,13 @@ def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
                 advice=f"Hold {model.led[joint][0]!r}.",
                 joint=joint,
             )
+        for drive in model.transmission:
+            if joint in drive.joints and joint in model.joints_behind:
+                raise ModelError(
+                    f"Joint {joint!r} cannot be held, as it follows {', '.join(drive.actuators)}.",
+                    advice=f"Hold {', '.join(drive.actuators)}.",
+                    joint=joint,
+                )
         if joint not in model.joints:
             raise ModelError(
                 f"The model has no joint {joint!r} to be held.",
@@ -143,6 +140,8 @@ def _at_joints(
     places, stay = dict(held), []
     for drive in model.transmission:
         own = [name for name in drive.actuators if name in held]
+        if drive.is_loop:  # which is made anew
+            continue
         if not own:
             stay.append(drive)
             continue
@@ -214,7 +213,8 @@ class _Lumping:
                     payloads[carrier] = payloads.get(carrier, 0.0) + change
                 continue
             bodies = (*self.after.bodies, "world")
-            places = bodies if "bod" in fitted.effect.places else self.after.joints
+            joints = (*self.after.joints, *self.after.joints_behind)
+            places = bodies if "bod" in fitted.effect.places else joints
             if set(places).issuperset(fitted.effect.where):
                 kept.append((fitted, rows))
             elif "bod" in fitted.effect.places or not held.issuperset(fitted.effect.where):
@@ -245,12 +245,7 @@ class _Lumping:
 
 
 def schur_complement(information: Array, A: Array) -> Array:
-    """(q, q) information about y = A x, of that about x: the least of xᵀ Λ x with A x = y.
-
-    Args:
-        information: (p, p) Λ, positive semidefinite.
-        A: (q, p) of rank q.
-    """
+    """(q, q) information about y = A x, A (q, p) of rank q, of that Λ (p, p) ⪰ 0 about x."""
     size = np.sqrt(np.maximum(np.diagonal(information), 0.0))
     scale = np.divide(1.0, size, out=np.ones_like(size), where=size > 0.0)  # parameters have units
     information = scale[:, None] * information * scale

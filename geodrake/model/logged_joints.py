@@ -6,17 +6,23 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, instances
-from geodrake.errors import LogError
+from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files import Reading
 from geodrake.logs.motion import JointLog, match_joints
 from geodrake.logs.resting import LARGEST, logged_ranges, readings, resting, travels
 from geodrake.model.holding import holding
-from geodrake.model.robot_model import RobotModel
+from geodrake.model.robot_model import RobotModel, is_of_file, read_again
 from geodrake.robot.plant import motor_joints
+from geodrake.robot.transmission.drive import Drive
+from geodrake.robot.transmission.loop import LoopTransmission
+
+Array = NDArray[np.float64]
 
 _FAR = 0.05  # rad or m, that a joint which rests does not go by its velocities, less their mean
+_CLEAR = 5.0  # deviations of noise, beyond which a joint is not where a loop has it
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 
 
@@ -51,6 +57,7 @@ def model_of_logs(
     """
     instance(model, "model", RobotModel)
     logs = instances(logs, "logs", JointLog)
+    model = _led_by(model, logs)
     silent = [j for j in model.single_joints if not any(_says(log, j) for log in logs)]
     _check_sides(model, logs, silent)
     if len(silent) == len(model.joints):
@@ -60,6 +67,25 @@ def model_of_logs(
         why = "as no log has their efforts (--lock JOINT=VALUE says where)"
         model = holding(model, places, why=why)
     return holding_resting(model, logs) if hold_resting else model
+
+
+def _led_by(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
+    """Return the model with other joints of closed loops free where logs have those in their place.
+
+    A model that is no longer that of its file keeps its own.
+    """
+    leading = list[str]()
+    for drive in model.transmission:
+        if drive.is_loop and not any(j in log.joints for log in logs for j in drive.actuators):
+            leading += (j for j in drive.joints if all(_moves(log, j) for log in logs))
+    own = model.information is None and not model.fitted_to
+    if not leading or not own or not is_of_file(model):
+        return model
+    given = replace(model.given, leading=(*leading, *model.given.leading))
+    found = read_again(replace(model, given=given))
+    added = (note for note in model.notes if note not in read_again(model).notes)
+    note = f"In closed loops {', '.join(leading)} moves freely, as logs have it."
+    return replace(found, notes=(*found.notes, *added, note))
 
 
 def holding_resting(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
@@ -135,7 +161,11 @@ def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
 
 
 def _with_followers(log: JointLog, model: RobotModel) -> JointLog:
-    """Return the log with τ_q = Jᵀ τ_θ at the joints that lead others, where both were logged."""
+    """Return the log with τ_q = Jᵀ τ_θ at the joints that lead others, where both were logged.
+
+    Raises:
+        LogError: A closed loop does not close where the log has it, or lacks the effort of a motor.
+    """
     efforts, notes = log.effort, list(log.notes)
     for joint, (leader, ratio) in model.led.items():
         if joint in log.joints and leader in log.joints:
@@ -143,7 +173,67 @@ def _with_followers(log: JointLog, model: RobotModel) -> JointLog:
             efforts = efforts.copy() if efforts is log.effort else efforts
             efforts[:, own] += ratio * np.nan_to_num(log.effort[:, at])
             notes.append(f"the effort of {joint} is added to that of {leader}, which it follows")
-    return log if efforts is log.effort else replace(log, effort=efforts, notes=tuple(notes))
+    for drive in model.transmission:
+        if isinstance(drive.map, LoopTransmission) and set(drive.actuators) <= set(log.joints):
+            more, said = _of_loop(log, drive, drive.map)
+            efforts, notes = efforts + more, [*notes, *said]
+    return replace(log, effort=efforts, notes=tuple(notes)) if notes else log
+
+
+def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array, list[str]]:
+    """What efforts of the other joints of a closed loop are at its free ones, and what is odd.
+
+    Raises:
+        LogError: The loop does not close where the log has it, or the log lacks a motor's effort.
+    """
+    free = [log.joints.index(name) for name in drive.actuators]
+    others = [joint for joint in loop.joints if joint not in drive.actuators]
+    at = {joint: log.joints.index(joint) for joint in others if joint in log.joints}
+    efforts_of = {joint: log.effort[:, k] for joint, k in at.items()}
+    places_of = {joint: x for joint, x in log.alone.items() if len(x) == len(log)}
+    places_of |= {joint: log.position[:, k] for joint, k in at.items()}
+    for joint in loop.driven:
+        if not np.isfinite(efforts_of.get(joint, np.array([np.nan]))).any():
+            raise LogError(
+                f"Log {log.name!r} has no effort of {joint}, which a motor drives beside "
+                f"{', '.join(drive.actuators)} in the closed loop of {loop.name}.",
+                advice=f"Log its effort, too; or if nothing drives {joint}, take its motor out of "
+                "the model file.",
+                joint=joint,
+            )
+    efforts, notes = np.zeros_like(log.effort), list[str]()
+    seen = [joint for joint in others if joint in places_of]
+    there = np.isfinite(log.position[:, free]).all(axis=1)
+    if not seen or not there.any():
+        return efforts, notes
+    q, names = log.position[there][:, free], ", ".join(drive.actuators)
+    try:
+        theta, G, _ = loop.of_all(q, np.zeros_like(q))
+    except ArgumentError as error:
+        raise LogError(f"Log {log.name!r}: {error.problem}", advice=error.advice) from error
+    for joint in seen:
+        own = loop.joints.index(joint)
+        effort = np.nan_to_num(efforts_of.get(joint, np.zeros(len(log))))[there]
+        if effort.any():
+            block = np.ix_(np.flatnonzero(there), np.array(free))
+            efforts[block] += G[:, own] * effort[:, None]
+            notes.append(f"the effort of {joint} is added to that of {names}, which it follows")
+        levers = np.abs(G[:, own]).max(axis=0)
+        noise = _noise(places_of[joint][there]) + float(levers @ [_noise(x) for x in q.T])
+        apart = readings(places_of[joint][there] - theta[:, own])
+        if len(apart) and np.sqrt(np.mean(apart**2)) > _CLEAR * noise + _STILL:
+            notes.append(
+                f"{joint} is not where the closed loop of {loop.name} has it with {names}: by "
+                f"{apart.mean():.3g} in the mean and {apart.std():.3g} beside that, with noise of "
+                f"{noise:.2g} rad or m (check zero positions and lengths)"
+            )
+    return efforts, notes
+
+
+def _noise(positions: Array) -> float:
+    """Deviation of the noise of positions (N,), by their third differences."""
+    differences = np.diff(readings(positions), 3)
+    return float(np.median(np.abs(differences)) / 0.6745 / np.sqrt(20.0)) if len(differences) else 0
 
 
 def _travels(log: JointLog, joint: str) -> bool:
@@ -161,6 +251,17 @@ def _check_sides(model: RobotModel, logs: Sequence[JointLog], silent: Sequence[s
         for log in logs:
             missing = [name for name in drive.actuators if name in silent]
             there = [joint for joint in drive.joints if joint in (*log.joints, *log.standing)]
+            if drive.is_loop:
+                others = set(there).difference(drive.actuators).intersection(log.joints)
+                there = [joint for joint in there if joint in others and _moves(log, joint)]
+            if missing and there and drive.is_loop:
+                raise LogError(
+                    f"Log {log.name!r} has {', '.join(there)} of a closed loop in which "
+                    f"{', '.join(missing)} moves the others, of which the log says nothing.",
+                    advice=f"Log {', '.join(missing)}; or let the model file say that a motor "
+                    f"drives {there[0]}: by an actuator, or the joint's effort limit.",
+                    joint=missing[0],
+                )
             if missing and there:
                 raise LogError(
                     f"Log {log.name!r} has {', '.join(there)}; the model's transmission has "
@@ -168,6 +269,14 @@ def _check_sides(model: RobotModel, logs: Sequence[JointLog], silent: Sequence[s
                     advice="Log the actuators, name them as the log does in the transmission, or "
                     "leave it out: --transmission none.",
                 )
+
+
+def _moves(log: JointLog, joint: str) -> bool:
+    """Return whether a log has a joint, under efforts that change."""
+    if joint not in log.joints:
+        return False
+    effort = readings(log.effort[:, log.joints.index(joint)])
+    return len(effort) > 0 and bool(np.ptp(effort) > 0.0)
 
 
 def _says(log: JointLog, joint: str) -> bool:

@@ -22,7 +22,7 @@ from geodrake.boundary.arguments import (
     real_array,
 )
 from geodrake.boundary.showing import Short
-from geodrake.effects import RobotMotion, Role
+from geodrake.effects import Effect, RobotMotion, Role
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.delays import delays_of
 from geodrake.effects.effect_columns import EffectColumns
@@ -34,14 +34,8 @@ from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.effort_signal import EffortSignal, signal_of
-from geodrake.model.simulation.driven_robot import Driving, add_driven_robot
-from geodrake.model.simulation.robot_in_diagram import (
-    DiagramOptions,
-    FittedRobot,
-    RobotInDiagram,
-    add_robot,
-    add_robot_to_scene,
-)
+from geodrake.model.simulation.driven_robot import Driving
+from geodrake.model.simulation.robot_in_diagram import DiagramRobot, RobotInDiagram
 from geodrake.model.stated_terms import stated_effects
 from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_positions
 from geodrake.robot.files import Given
@@ -68,6 +62,7 @@ from geodrake.robot.transmission.limits import (
     actuator_positions_between,
     actuator_rates,
 )
+from geodrake.robot.transmission.loop import LoopTransmission
 
 Array = NDArray[np.float64]
 
@@ -80,8 +75,8 @@ class RobotModel(Short):
     """What is known about a robot: effort needed = Y_rb φ + Σ_e Y_e μ_e.
 
     Attributes:
-        plant: Finalized MultibodyPlant of the rigid bodies alone, inertias as in its file;
-            `create_context` has the model's.
+        plant: Finalized MultibodyPlant of the rigid bodies alone, inertias as in its file, closed
+            loops open; `create_context` has the model's.
         path: The model file that the plant came from.
         floating: Whether free roots float instead of being welded to the world.
         phi: (nb, 10) inertial parameters, those of fitted payloads left out.
@@ -99,8 +94,9 @@ class RobotModel(Short):
         held: Joint of the file that is held, and none of the model -> where, rad or m.
         given: How the file was to be read.
         followers: Joints of the plant that follow others, and are none of the model.
-        transmission: What moves joints of the plant in their place; joints without a drive move
-            by themselves. All that is the model's, q, v, efforts and effects, is at the actuators.
+        transmission: What moves joints of the plant in their place, closed loops among it; joints
+            without a drive move by themselves. All that is the model's, q, v, efforts and effects,
+            is at the actuators.
         effort_signals: Of joints whose logs have currents, voltages or commands in the place of
             efforts, or efforts that motors are asked for, what makes efforts of them.
         known_joints: Names of the joints that logs may have: the model's, those that are held, and
@@ -171,17 +167,17 @@ class RobotModel(Short):
         """Names of the nv velocities: the joints', or those of the actuators in their place."""
         return self.tree_joints if self.actuation is None else self.actuation.names
 
+    @cached_property
+    def joints_behind(self) -> tuple[str, ...]:
+        """Return names of joints in loops or behind the transmission, which effects may act at."""
+        return () if self.actuation is None else tuple(self.actuation.behind)
+
     def plant_positions(self, q: Array) -> Array:
         """(N, nq of the plant) positions, of those of the model (N, nq)."""
         return self.coordinates.plant_positions(joint_positions(self.tree, q))
 
     def plant_velocities(self, q: Array, v: Array) -> Array:
-        """(N, nv of the plant) velocities, of positions (N, nq) and velocities of the model.
-
-        Args:
-            q: (N, nq) positions of the model.
-            v: (N, nv) its velocities.
-        """
+        """(N, nv of the plant) velocities, of positions (N, nq) and velocities (N, nv)."""
         if self.actuation is not None:
             v = times(self.actuation.jacobian(q), v)
         return self.coordinates.plant_velocities(v)
@@ -226,21 +222,12 @@ class RobotModel(Short):
         return Driving(self.tree, self.coordinates, self.total_phi, self.joints, needed, gain)
 
     def robot_gradient(self, q: Array, gradient: Array) -> Array:
-        """(N, nq) gradient with the model's positions q, of that with the plant's (N, ·).
-
-        Args:
-            q: (N, nq) positions of the model.
-            gradient: (N, nq of the plant) gradient.
-        """
+        """(N, nq) gradient with the positions q (N, nq), of that with the plant's (N, ·)."""
         gradient = self.coordinates.robot_gradient(gradient)
         return gradient if self.actuation is None else self.actuation.robot_gradient(q, gradient)
 
     def refuse_transmission(self, what: str, advice: str) -> None:
         """Refuses what only works at joints.
-
-        Args:
-            what: What cannot be done, as the beginning of a sentence.
-            advice: What the user can do.
 
         Raises:
             ModelError: The model has a transmission.
@@ -282,10 +269,8 @@ class RobotModel(Short):
     @cached_property
     def acceleration_limits(self) -> Array:
         """Largest accelerations (nv,), rad/s² or m/s²; infinite where there is no limit."""
-        plant = self.plant
-        return self._rates(
-            np.minimum(plant.GetAccelerationUpperLimits(), -plant.GetAccelerationLowerLimits())
-        )
+        lower, upper = self.plant.GetAccelerationLowerLimits, self.plant.GetAccelerationUpperLimits
+        return self._rates(np.minimum(upper(), -lower()))
 
     def _rates(self, limits: Array) -> Array:
         limits = self.coordinates.rate_limits(limits)
@@ -384,36 +369,34 @@ class RobotModel(Short):
             load = real_array(load, "load", motion.v.shape)
         else:
             load = inverse_dynamics(self.tree, *samples, self.total_phi)
-        q = np.full(motion.v.shape, np.nan)
-        at_velocity, at_position = self.single_places
-        q[:, at_velocity] = motion.q[:, at_position]
-        width = self.sign_widths(sign_width)
         seen = RobotMotion(
             self.joints,
-            q,
+            self._by_velocity(motion.q),
             motion.v,
             motion.vd,
             load,
-            width,
+            self.sign_widths(sign_width),
             lambda body: body_regressor(self.tree, *samples, self.bodies.index(body)),
             RobotBodies(self.tree, motion.q, self.total_phi),
             motion.time,
         )
         if motion.before is not None:
-            before = np.full((len(motion.before), len(self.joints)), np.nan)
-            before[:, at_velocity] = motion.before[:, at_position]
-            seen = replace(seen, before=before)
+            seen = replace(seen, before=self._by_velocity(motion.before))
         if motion.temperature is not None:
             seen = replace(seen, temperature=motion.temperature)
         return replace(seen, effort=cache(lambda: self._unscaled_effort(seen)))
 
-    def effort(self, motion: Motion, *, sign_width: ArrayLike = 0.0) -> Array:
-        """Effort that a motion needs, (N, nv), N·m or N; delays are not applied.
+    def _by_velocity(self, q: Array) -> Array:
+        """(N, nv) positions by velocity, of q (N, nq); NaN for joints of several degrees."""
+        found = np.full((len(q), len(self.joints)), np.nan)
+        at_velocity, at_position = self.single_places
+        found[:, at_velocity] = q[:, at_position]
+        return found
 
-        Args:
-            motion: N samples in Drake's order.
-            sign_width: Speed below which dry friction fades, rad/s or m/s; one for all velocities
-                or (nv,).
+    def effort(self, motion: Motion, *, sign_width: ArrayLike = 0.0) -> Array:
+        """Effort that N samples in Drake's order need, (N, nv), N·m or N; delays are not applied.
+
+        Dry friction fades below the speed `sign_width`, rad/s or m/s, one for all or (nv,).
         """
         size = max(1, LARGEST_REGRESSOR // (len(self.joints) * self.phi.size))
         effort = np.empty(instance(motion, "motion", Motion).v.shape)
@@ -497,7 +480,14 @@ class RobotModel(Short):
     def sliding_joints(self) -> tuple[str, ...]:
         """Names of the prismatic joints, whose positions are in m and efforts in N."""
         starts = self.single_places[0]
-        return tuple(self.joints[i] for i in starts if self._types[i] == "prismatic")
+        own = tuple(self.joints[i] for i in starts if self._types[i] == "prismatic")
+        if not self.joints_behind:
+            return own
+        names, slides = joint_names(self.plant), moving_joints(self.plant)
+        at = (int(j.velocity_start()) for j in slides if j.type_name() == "prismatic")
+        loops = (d.map for d in self.transmission if isinstance(d.map, LoopTransmission))
+        closing = (loop.joints[k] for loop in loops for k in loop.cut if loop.slides[k])
+        return (*own, *(names[k] for k in at if names[k] in self.joints_behind), *closing)
 
     @property
     def scoped_joints(self) -> tuple[str, ...]:
@@ -583,17 +573,10 @@ class RobotModel(Short):
         instance(builder, "builder", DiagramBuilder)
         if scene_graph is not None:
             instance(scene_graph, "scene_graph", (SceneGraph, bool))
-        options = DiagramOptions(
-            number(time_step, "time_step", lower=0.0),
-            scene_graph,
-            instance(name, "name", str),
-            self.sign_widths(sign_width),
-            log,
-        )
-        driving = self.driving(self.sign_widths(sign_width), log)
-        if driving is not None:
-            return add_driven_robot(builder, self._as_fitted(), options, driving)
-        return add_robot(builder, self._as_fitted(), options)
+        step, name = number(time_step, "time_step", lower=0.0), instance(name, "name", str)
+        robot = self._in_diagram(name, sign_width, log)
+        driving = self.driving(robot.sign_width, log)
+        return robot.add(builder, step, scene_graph, driving)
 
     def add_to_scene(
         self,
@@ -635,27 +618,16 @@ class RobotModel(Short):
                 advice="Use model.add_to_builder, or hold them: geodrake.model.holding.",
             )
         place = instance(robot, "robot", RobotInstance)
-        place.check_base(self.joint_tree, self.joints, turned=self._sees_world)
+        sees_world = any(isinstance(fitted.effect, RobotEffect) for fitted in self.effects)
+        place.check_base(self.joint_tree, self.joints, turned=sees_world)
         name = "plant" if place.name is None else place.name
-        options = DiagramOptions(0.0, None, name, self.sign_widths(sign_width), log)
-        return add_robot_to_scene(builder, self._as_fitted(), place, options)
+        return self._in_diagram(name, sign_width, log).add_to_scene(builder, place)
 
-    @property
-    def _sees_world(self) -> bool:
-        """Return whether an effect depends on how the base is turned about the vertical."""
-        return any(isinstance(fitted.effect, RobotEffect) for fitted in self.effects)
-
-    def _as_fitted(self) -> FittedRobot:
+    def _in_diagram(self, name: str, sign_width: ArrayLike, log: str | None) -> DiagramRobot:
         """Return what a diagram needs to know."""
-        return FittedRobot(
-            self.path,
-            self.floating,
-            self.total_phi,
-            self.effects,
-            self.held,
-            self.given,
-            self.joints,
-        )
+        file = self.path, self.floating, self.held, self.given
+        fitted, width = (self.total_phi, self.effects, self.joints), self.sign_widths(sign_width)
+        return DiagramRobot(*file, *fitted, name, width, log)
 
     def with_fit(
         self,
@@ -665,13 +637,7 @@ class RobotModel(Short):
         information: Array,
         effort_noise: Array,
     ) -> RobotModel:
-        """Return the model with fitted parameters in place of its own.
-
-        Args:
-            phi: (nb, 10) inertial parameters without payloads.
-            effects: Effects and their parameters.
-            information: (p, p) information matrix of all of them.
-            effort_noise: (nv,) held-out RMS that the fit leaves.
+        """Return the model with fitted parameters, as in its attributes, in place of its own.
 
         Raises:
             ArgumentError: A value is not finite, or a shape does not fit the model.
@@ -682,14 +648,8 @@ class RobotModel(Short):
         information = real_array(information, "information", (p, p), finite=False)
         if not np.isfinite(information).all():
             raise ArgumentError("information must be finite.")
-        effort_noise = real_array(effort_noise, "effort_noise", (len(self.joints),))
-        return replace(
-            self,
-            phi=phi,
-            effects=effects,
-            information=information,
-            effort_noise=effort_noise,
-        )
+        noise = real_array(effort_noise, "effort_noise", (len(self.joints),))
+        return replace(self, phi=phi, effects=effects, information=information, effort_noise=noise)
 
 
 def from_loaded_plant(
@@ -705,7 +665,16 @@ def from_loaded_plant(
     Raises:
         ModelError: The transmission does not fit.
     """
-    drives = instances(transmission, "transmission", Drive)
+    drives = tuple(d for d in instances(transmission, "transmission", Drive) if not d.is_loop)
+    loops = tuple(loop.drive for loop in loaded.loops if loop.map.actuators)
+    for loop in loops:
+        if both := {joint for drive in drives for joint in drive.joints}.intersection(loop.joints):
+            raise ModelError(
+                f"The transmission moves {', '.join(sorted(both))}, which a closed loop of "
+                f"{loaded.path.name} moves, too: {', '.join(loop.joints)}.",
+                advice="Let logs have the joints of the loop, and leave this part of the "
+                "transmission out.",
+            )
     bent, apart = _bent_drives(loaded, drives)
     drives, notes = (*drives, *bent), list[str]()
     left_out = (*loaded.left_out, *apart)
@@ -717,7 +686,7 @@ def from_loaded_plant(
         held=loaded.held,
         given=loaded.given,
         followers=loaded.followers,
-        transmission=drives,
+        transmission=(*drives, *loops),
         known_joints=loaded.joints,
     )
     stated = stated_effects(loaded, bare.tree_joints, bare.joints, bare.actuation)
@@ -774,13 +743,13 @@ def read_again(model: RobotModel) -> RobotModel:
     )
 
 
-def as_in_file(model: RobotModel, again: RobotModel) -> bool:
-    """Return whether a model has the effects of its file, read again, with their values."""
-    own, stated = (
-        [(fitted.effect, fitted.parameters.tolist()) for fitted in each.effects]
-        for each in (model, again)
-    )
-    return own == stated
+def is_of_file(model: RobotModel) -> bool:
+    """Return whether a model has the effects that its file states, and no others."""
+
+    def stated(model: RobotModel) -> list[tuple[Effect, list[float]]]:
+        return [(fitted.effect, fitted.parameters.tolist()) for fitted in model.effects]
+
+    return stated(model) == stated(read_again(model))
 
 
 def load_description(
@@ -791,14 +760,6 @@ def load_description(
     given: Given | None = None,
     transmission: Sequence[Drive] = (),
 ) -> RobotModel:
-    """Return the model of a URDF, SDF, MJCF or Drake directives file.
-
-    Args:
-        path: The file.
-        floating: As in `geodrake.robot.load_plant`.
-        held: Likewise.
-        given: Likewise.
-        transmission: What moves its joints in their place.
-    """
+    """Return the model of a URDF, SDF, MJCF or Drake directives file."""
     loaded = load_plant(path, floating=floating, held=held, given=given)
     return from_loaded_plant(loaded, floating=floating, transmission=transmission)

@@ -1,26 +1,28 @@
-"""Fitted models as YAML files, read and written through Drake's `yaml_load_typed`."""
+"""Fitted models as YAML files."""
 
-# Drake reads the schema from the annotations themselves, so they must not be strings here.
-import dataclasses as dc
+from __future__ import annotations
+
+import dataclasses
 import os
 import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Optional, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import yaml  # type: ignore[import-untyped]
+from msgspec import to_builtins
+from msgspec.structs import asdict
 from numpy.typing import NDArray
-from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
 
 from geodrake.boundary.arguments import file_path, instance, instances, typed
 from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.boundary.whole_files import write_whole
+from geodrake.boundary.yaml_schema import Schema, as_schema
 from geodrake.boundary.yaml_text import yaml_text
 from geodrake.effects import Effect, FittedEffect, effect_class, make_effect
 from geodrake.effects.column_checks import of_geodrake
@@ -45,15 +47,21 @@ from geodrake.robot.transmission.statements import Stated
 
 T = TypeVar("T")
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # those of LibYAML, where it is
-_Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-_INFORMATION = "information:"
 FORMAT = "geodrake model 1"
 _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?format: *['\"]?geodrake model\b", re.MULTILINE)
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
-@dataclass
-class SavedEffect:
+class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
+    """Tables a line a key, lists of numbers in one."""
+
+
+_Dumper.add_representer(
+    dict, lambda self, x: self.represent_mapping("tag:yaml.org,2002:map", x.items(), False)
+)
+
+
+class SavedEffect(Schema):
     """One effect: its name, place, shape and parameters; one of the user's own, its file and class.
 
     Attributes:
@@ -64,14 +72,13 @@ class SavedEffect:
     name: str = ""
     file: str = ""
     class_name: str = ""
-    where: list[str] = dc.field(default_factory=list)
-    shape: dict[str, float] = dc.field(default_factory=dict)
-    parameters: list[float] = dc.field(default_factory=list)
-    deviations: list[float] = dc.field(default_factory=list)
+    where: list[str] = []
+    shape: dict[str, float] = {}
+    parameters: list[float] = []
+    deviations: list[float] = []
 
 
-@dataclass
-class SavedEffortSignal:
+class SavedEffortSignal(Schema):
     """What stands for the efforts of a joint; see `EffortSignal`."""
 
     joint: str = ""
@@ -87,8 +94,7 @@ class SavedEffortSignal:
     no_load_speed: float = float("inf")
 
 
-@dataclass
-class SavedModel:
+class SavedModel(Schema):
     """Schema of `model.yaml`.
 
     Attributes:
@@ -101,15 +107,15 @@ class SavedModel:
         held: Joint that is held -> where, rad or m.
         xacro: Arguments of a xacro file.
         packages: Package of ROS -> its folder, relative to this file, for those that were given.
+        leading: Names of joints that are free in closed loops, before those that motors drive.
         transmission: What moves joints in their place, if anything does.
         inertial_parameters: Body -> [m, hx, hy, hz, Ixx, Iyy, Izz, Ixy, Iyz, Izx].
-        effects: The effects.
-        information: Information matrix of the inertial parameters, then of the effects'.
         effort_signals: What stands for efforts in logs, where these are not measured.
         effort_noise: Joint -> held-out RMS that the fit left, N·m or N.
         fading_speed: Joint -> speed below which dry friction fades, rad/s or m/s.
         fitted_to: Fingerprints of the logs that the model was fitted to.
         bandwidths: Fingerprint of each of them -> bandwidths of efforts and of the motion, Hz.
+        information: Information matrix of the inertial parameters, then of the effects'.
     """
 
     format: str = FORMAT
@@ -118,18 +124,19 @@ class SavedModel:
     base_sha256: str = ""
     floating: bool = False
     robot: str = ""
-    held: dict[str, float] = dc.field(default_factory=dict)
-    xacro: dict[str, str] = dc.field(default_factory=dict)
-    packages: dict[str, str] = dc.field(default_factory=dict)
-    transmission: Optional[Stated] = None  # noqa: UP045 - Drake reads no other spelling
-    inertial_parameters: dict[str, list[float]] = dc.field(default_factory=dict)
-    effects: list[SavedEffect] = dc.field(default_factory=list)
-    effort_signals: list[SavedEffortSignal] = dc.field(default_factory=list)
-    effort_noise: dict[str, float] = dc.field(default_factory=dict)
-    fading_speed: dict[str, float] = dc.field(default_factory=dict)
-    fitted_to: list[str] = dc.field(default_factory=list)
-    bandwidths: dict[str, list[float]] = dc.field(default_factory=dict)
-    information: list[list[float]] = dc.field(default_factory=list)
+    held: dict[str, float] = {}
+    xacro: dict[str, str] = {}
+    packages: dict[str, str] = {}
+    leading: list[str] = []
+    transmission: Stated | None = None
+    inertial_parameters: dict[str, list[float]] = {}
+    effects: list[SavedEffect] = []
+    effort_signals: list[SavedEffortSignal] = []
+    effort_noise: dict[str, float] = {}
+    fading_speed: dict[str, float] = {}
+    fitted_to: list[str] = []
+    bandwidths: dict[str, list[float]] = {}
+    information: list[list[float]] = []
 
 
 @typed
@@ -178,7 +185,7 @@ def load_model(
     drives, notes = _transmission(path, transmission, given)
     notes = [*origin, *notes]
     model = load_description(path, floating=floating, given=given, transmission=drives)
-    if lock and not model.transmission:
+    if lock and all(drive.is_loop for drive in model.transmission):
         model = load_description(path, floating=floating, held=lock, given=given)
         return replace(model, notes=(*model.notes, *notes, *held_notes(model.held)))
     return holding(replace(model, notes=(*model.notes, *notes)), lock or {})
@@ -220,12 +227,10 @@ def is_saved_model(path: Path) -> bool:
 
 
 def save_model(model: RobotModel, path: str | Path) -> None:
-    """Write a model; the file appears whole or not at all.
+    """Write a model into a YAML file, which appears whole or not at all.
 
-    Args:
-        model: The model.
-        path: Target, a YAML file. The base model's path is written relative to it, so that both can
-            be moved together; it is also looked for beside it, and where it was.
+    The base model's path is written relative to it, so that both can be moved together; it is also
+    looked for beside it, and where it was.
 
     Raises:
         OutputError: The target cannot be written.
@@ -237,15 +242,12 @@ def save_model(model: RobotModel, path: str | Path) -> None:
 def saved_text(model: RobotModel, path: str | Path) -> str:
     """Return what `save_model` writes.
 
-    Args:
-        model: The model.
-        path: Where it is to be written; the model file is named from there.
-
     Raises:
         OutputError: The model file is gone, or its path is none that YAML can hold.
     """
     base = existing_base(instance(model, "model", RobotModel).path)
     folder = Path(path).resolve().parent
+    own = [drive for drive in model.transmission if not drive.is_loop]
     saved = SavedModel(
         base_model=os.path.relpath(base, folder),
         base_absolute=str(base),
@@ -257,22 +259,22 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
         packages={
             name: os.path.relpath(place, folder) for name, place in model.given.packages.items()
         },
-        transmission=stated_of(model.transmission) if model.transmission else None,
+        leading=list(model.given.leading),
+        transmission=stated_of(own) if own else None,
         inertial_parameters={
             b: phi.tolist() for b, phi in zip(model.bodies, model.phi, strict=True)
         },
         effects=[_saved_effect(fitted, folder) for fitted in model.effects],
-        effort_signals=[SavedEffortSignal(**dc.asdict(each)) for each in model.effort_signals],
+        effort_signals=[SavedEffortSignal(**dataclasses.asdict(s)) for s in model.effort_signals],
         effort_noise=_by_joint(model, model.effort_noise),
         fading_speed=_by_joint(model, model.fading_speed),
         fitted_to=list(model.fitted_to),
         bandwidths={log: list(both) for log, both in model.bandwidths.items()},
+        information=[] if model.information is None else model.information.tolist(),
     )
-    text = str(yaml_dump_typed(saved, schema=SavedModel))
-    if model.information is None:
-        return text
-    rows = yaml.dump(model.information.tolist(), Dumper=_Dumper, default_flow_style=None)
-    return text.removesuffix(f"{_INFORMATION} []\n") + f"{_INFORMATION}\n{rows}"
+    plain = to_builtins(saved, enc_hook=lambda value: value.item())  # of NumPy's numbers
+    stated = {name: value for name, value in plain.items() if value is not None}
+    return str(yaml.dump(stated, Dumper=_Dumper, default_flow_style=None, sort_keys=False))
 
 
 def _by_joint(model: RobotModel, values: NDArray[np.float64] | None) -> dict[str, float]:
@@ -282,34 +284,30 @@ def _by_joint(model: RobotModel, values: NDArray[np.float64] | None) -> dict[str
 def _saved_effect(fitted: FittedEffect, folder: Path) -> SavedEffect:
     effect, kind = fitted.effect, type(fitted.effect)
     own = {} if of_geodrake(kind) else {"class_name": kind.__name__, "file": _file_of(kind, folder)}
-    shape = {name: float(value) for name, value in effect.shape.items() if value is not None}
-    deviations = [] if fitted.deviations is None else fitted.deviations.tolist()
     return SavedEffect(
         name=effect.name,
         where=list(effect.where),
-        shape=shape,
+        shape={name: float(value) for name, value in effect.shape.items() if value is not None},
         parameters=fitted.parameters.tolist(),
-        deviations=deviations,
+        deviations=[] if fitted.deviations is None else fitted.deviations.tolist(),
         **own,
     )
 
 
 def _file_of(kind: type[Effect], folder: Path) -> str:
-    """Path of the file that defines a class, from a folder; nothing if that cannot be told."""
+    """Return the path of the file that defines a class, from a folder; empty if not to be told."""
     file = getattr(sys.modules.get(kind.__module__), "__file__", None)
     relative = "" if file is None else os.path.relpath(Path(file).resolve(), folder)
     return relative if relative.isprintable() else ""
 
 
 def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel:
-    text = yaml_text(path)
     try:
-        saved = _fields(text)
-    except Exception as error:  # Drake raises RuntimeError and others, depending on the fault
-        field = _odd_field(text)
-        what = f"{path} is no geodrake model" + (f", by its field {field!r}" if field else "")
+        saved = as_schema(yaml.load(yaml_text(path), Loader=_Loader), SavedModel)
+    except (ArgumentError, yaml.YAMLError, ValueError, RecursionError) as error:
+        problem = error.problem if isinstance(error, ArgumentError) else f"{one_line(error)}."
         raise ModelError(
-            f"{what}: {one_line(error)}.", advice="Save the model again.", path=path
+            f"{path} is no geodrake model: {problem}", advice="Save the model again.", path=path
         ) from error
     if saved.format != FORMAT:
         raise ModelError(
@@ -323,7 +321,7 @@ def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel
     model = load_description(base, floating=saved.floating, held=saved.held, given=given)
     try:
         if saved.transmission is not None:
-            drives = drives_of(list(saved.transmission.parts()))
+            drives = drives_of(saved.transmission.parts())
             model = load_description(
                 base, floating=saved.floating, held=saved.held, given=given, transmission=drives
             )
@@ -338,26 +336,6 @@ def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel
     return loaded
 
 
-def _fields(text: str) -> SavedModel:
-    """Return what a saved model states; its information apart, if that is the last of it.
-
-    That is nearly all of the text, and Drake's reader, in Python, takes its time.
-    """
-    start = text.rfind(f"\n{_INFORMATION}") + 1
-    with suppress(yaml.YAMLError, RecursionError):
-        last = yaml.load(text[start:], Loader=_Loader) if start else None
-        rows = last["information"] if isinstance(last, dict) and len(last) == 1 else None
-        if isinstance(rows, list) and all(_is_numbers(row) for row in rows):
-            saved: SavedModel = yaml_load_typed(schema=SavedModel, data=text[:start])
-            return dc.replace(saved, information=[[float(x) for x in row] for row in rows])
-    whole: SavedModel = yaml_load_typed(schema=SavedModel, data=text)
-    return whole
-
-
-def _is_numbers(row: object) -> bool:
-    return isinstance(row, list) and all(type(x) in (float, int) for x in row)
-
-
 def _given_with(path: Path, saved: SavedModel, given: Given) -> Given:
     """How a saved model's file is to be read: as it remembers, packages from where they are now."""
     robot, folder = saved.robot or None, path.resolve().parent
@@ -370,7 +348,8 @@ def _given_with(path: Path, saved: SavedModel, given: Given) -> Given:
         )
     remembered = {name: folder / where for name, where in saved.packages.items()}
     there = {name: where for name, where in remembered.items() if where.is_dir()}
-    return Given(robot, {**there, **given.packages}, saved.xacro, given.trust_xacro)
+    packages = {**there, **given.packages}
+    return Given(robot, packages, saved.xacro, given.trust_xacro, tuple(saved.leading))
 
 
 def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]]) -> None:
@@ -399,17 +378,6 @@ def _how_to_give(path: Path, effect: SavedEffect) -> str:
     return f"Give its file, which was {file.name!r}: --effects FILE.py"
 
 
-def _odd_field(text: str) -> str:
-    """Return the first field that is not of its type; nothing if that cannot be told."""
-    with suppress(Exception):
-        for name, value in yaml_load(data=text).items():
-            try:
-                yaml_load_typed(schema=SavedModel, data=yaml_dump({name: value}))
-            except Exception:  # whatever it is, it is told of already
-                return str(name)
-    return ""
-
-
 def _base_of_saved(path: Path, saved: SavedModel) -> Path:
     """Return the model file that a saved model is based on, wherever it is now."""
     if not _DIGEST.fullmatch(saved.base_sha256):
@@ -435,46 +403,39 @@ def _with_parameters(
     phi = np.array([_numbers(f"inertial_parameters of {b!r}", x, 10) for b, x in bodies.items()])
     effects = tuple(_fitted_effect(model, effect, extra) for effect in saved.effects)
     p = phi.size + sum(len(f.effect.parameters) for f in effects)
-    information = None
-    if saved.information:
-        rows = [_numbers("rows of its information matrix", row, p) for row in saved.information]
-        if len(rows) != p:
-            raise ModelError(f"its information matrix has {len(rows)} rows, and {p} are fitted.")
-        information = np.array(rows)
-    notes = (*model.notes, *held_notes(model.held))
-    if digest(base) != saved.base_sha256:
-        notes += (f"{base.name} has changed since the model was saved.",)
+    rows = [_numbers("rows of its information matrix", row, p) for row in saved.information]
+    if rows and len(rows) != p:
+        raise ModelError(f"its information matrix has {len(rows)} rows, and {p} are fitted.")
+    changed = f"{base.name} has changed since the model was saved."
+    bandwidths = {log: _numbers("bandwidths", x, 2) for log, x in saved.bandwidths.items()}
     return replace(
         model,
         phi=phi,
         effects=effects,
-        information=information,
+        information=np.array(rows) if rows else None,
         effort_signals=_effort_signals(model, saved.effort_signals),
         effort_noise=_of_joints(model, "effort_noise", saved.effort_noise),
         fading_speed=_of_joints(model, "fading_speed", saved.fading_speed),
         fitted_to=tuple(saved.fitted_to),
-        bandwidths=_bandwidths(saved.bandwidths),
-        notes=notes,
+        bandwidths={log: (float(x), float(y)) for log, (x, y) in bandwidths.items()},
+        notes=(
+            *model.notes,
+            *held_notes(model.held),
+            *([] if digest(base) == saved.base_sha256 else [changed]),
+        ),
     )
-
-
-def _bandwidths(saved: dict[str, list[float]]) -> dict[str, tuple[float, float]]:
-    pairs = {log: _numbers("bandwidths", both, 2).tolist() for log, both in saved.items()}
-    return {log: (efforts, motion) for log, (efforts, motion) in pairs.items()}
 
 
 def _fitted_effect(
     model: RobotModel, saved: SavedEffect, extra: Sequence[type[Effect]]
 ) -> FittedEffect:
     effect = make_effect(saved.name, saved.where, saved.shape, extra)
-    places = model.bodies if "bod" in effect.places else model.joints
+    joints = (*model.joints, *model.joints_behind)
+    places = model.bodies if "bod" in effect.places else joints
     places = (*places, "world") if effect.places == "body_pair" else places
     for place in saved.where:
         if place not in places:
-            raise ModelError(
-                f"it has {saved.name} at {place!r}, which the robot does not have.",
-                advice=f"It has {', '.join(places)}.",
-            )
+            raise _foreign(f"it has {saved.name} at {place!r}", places)
     count, what = len(effect.parameters), f"of {saved.name} at {effect.place}"
     return FittedEffect(
         effect,
@@ -489,14 +450,17 @@ def _effort_signals(
     found: dict[str, EffortSignal] = {}
     for each in saved:
         if each.joint not in model.joints:
-            raise ModelError(
-                f"it has a signal for efforts of {each.joint!r}, which the robot does not have.",
-                advice=f"It has {', '.join(model.joints)}.",
-            )
+            raise _foreign(f"it has a signal for efforts of {each.joint!r}", model.joints)
         if each.joint in found:
             raise ModelError(f"it has two signals for efforts of {each.joint!r}.")
-        found[each.joint] = EffortSignal(**dc.asdict(each))
+        found[each.joint] = EffortSignal(**asdict(each))
     return tuple(found.values())
+
+
+def _foreign(what: str, names: Sequence[str]) -> ModelError:
+    return ModelError(
+        f"{what}, which the robot does not have.", advice=f"It has {', '.join(names)}."
+    )
 
 
 def _numbers(what: str, values: Sequence[float], count: int) -> NDArray[np.float64]:

@@ -31,7 +31,7 @@ from geodrake.errors import ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.model.file_terms import DryFriction
-from geodrake.model.robot_model import RobotModel, as_in_file, read_again
+from geodrake.model.robot_model import RobotModel, is_of_file
 from geodrake.robot.files import read_description
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.description import drake_messages
@@ -124,7 +124,7 @@ def second_opinion(
         with drake_messages():
             texts = read_description(model.path, model.given).texts
         alone = len(texts) == 1 and isinstance(texts[0], MjcfText)
-        own = alone and not as_in_file(model, read_again(model))
+        own = alone and not is_of_file(model)
     except ModelError as error:
         return f"the model's file cannot be read again: {error.problem.rstrip('.')}"
     bodies_differ = not np.array_equal(model.total_phi, inertial_parameters(model.plant))

@@ -11,11 +11,7 @@ from geodrake.model.robot_model import RobotModel
 
 
 def servos_of(model: RobotModel) -> tuple[EffortSignal | None, ...]:
-    """The servo of each of a model's joints; None where efforts come from something else.
-
-    Args:
-        model: The model.
-    """
+    """The servo of each of a model's joints; None where efforts come from something else."""
     signals = (signal_of(model.effort_signals, joint) for joint in model.joints)
     return tuple(each if each and each.kind == COMMAND else None for each in signals)
 
@@ -24,9 +20,6 @@ def servo_gains(model: RobotModel) -> tuple[Array, Array, Array, Array]:
     """Stiffness, damping, integral gain and largest effort (n,) of the servos.
 
     They are 0, 0, 0 and ∞ where there is none.
-
-    Args:
-        model: The model.
 
     Raises:
         ModelError: It has no servos, or a joint of several degrees of freedom.
@@ -49,9 +42,5 @@ def servo_gains(model: RobotModel) -> tuple[Array, Array, Array, Array]:
 
 
 def command_delays(model: RobotModel) -> Array:
-    """(n,) times by which commands act late, s; 0 at joints without a servo.
-
-    Args:
-        model: The model.
-    """
+    """(n,) times by which commands act late, s; 0 at joints without a servo."""
     return np.array([servo.delay if servo else 0.0 for servo in servos_of(model)])

@@ -1,4 +1,8 @@
-"""Logs of currents, voltages, commands and efforts asked for, turned into logs of efforts."""
+"""Logs of currents, voltages, commands and efforts asked for, turned into logs of efforts.
+
+How integrals of servos grow is measured, where they began is not. In a long gap nothing is
+measured, and they begin anew after it. Arrays are (N,), of the rows of a log; NaN is not known.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +12,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.compiling import compiled, contiguous
 from geodrake.logs.motion import PASSIVE, JointLog
-from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
-from geodrake.model.motor_limit import MotorLimit
-from geodrake.model.servo_integrals import (
-    constants_beside_friction,
-    error_integral,
-    limited_integral,
-    runs_between_gaps,
-)
+from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, MotorLimit, signal_of
 
 Array = NDArray[np.float64]
+
+LONGEST_BRIDGE = 0.1
+"""Gaps over which an error is taken as on a straight line, s; in longer ones it is not known."""
 
 _ROUNDS = 10  # of where an integral is held, and what it begins with
 
@@ -26,7 +27,7 @@ _ROUNDS = 10  # of where an integral is held, and what it begins with
 def in_efforts(
     log: JointLog, signals: Sequence[EffortSignal], needed: Array | None = None
 ) -> JointLog:
-    """The log with efforts, N·m or N, at the joints that have a signal in the place of theirs.
+    """Return the log with efforts, N·m or N, at joints that have a signal in the place of theirs.
 
     How well the gains are known becomes the log's `effort_uncertainty` at these joints.
 
@@ -52,21 +53,11 @@ def in_efforts(
             kinds.pop(joint, None)
         if signal.kind != EFFORT:
             uncertainty[at] = min(signal.uncertainty, 1.0)
-    return replace(
-        log,
-        effort=effort,
-        effort_uncertainty=uncertainty,
-        effort_kinds=kinds,
-    )
+    return replace(log, effort=effort, effort_uncertainty=uncertainty, effort_kinds=kinds)
 
 
 def kind_of(log: JointLog, joint: str) -> str:
-    """What stands for the effort of a joint: of `KINDS`.
-
-    Args:
-        log: The log.
-        joint: One of its joints.
-    """
+    """Return what stands for the effort of a joint: of `KINDS`."""
     at = log.joints.index(joint)
     told = log.command is not None and np.isfinite(log.command[:, at]).any()
     if told and joint not in log.effort_kinds and not np.isfinite(log.effort[:, at]).any():
@@ -76,15 +67,9 @@ def kind_of(log: JointLog, joint: str) -> str:
 
 
 def limited_effort(log: JointLog, at: int, motor: MotorLimit, asked: Array) -> Array:
-    """(N,) what a motor gives, N·m or N, as the positions of its joint change.
+    """Return what the motor of a log's joint gives of efforts, N·m or N, as its positions change.
 
     What a log has as velocities may be none. Where positions are not known, the joint stands.
-
-    Args:
-        log: The log.
-        at: Which of its joints.
-        motor: What its motor can give.
-        asked: (N,) efforts that were asked for, N·m or N.
     """
     return motor.given(asked, np.nan_to_num(_derived_velocity(log, at)))
 
@@ -92,39 +77,30 @@ def limited_effort(log: JointLog, at: int, motor: MotorLimit, asked: Array) -> A
 def servo_effort(
     log: JointLog, at: int, signal: EffortSignal, needed: Array | None = None
 ) -> Array:
-    """(N,) effort of a servo, N·m or N, by the command of a log.
+    """Return the effort of the servo of a log's joint, N·m or N, by its command.
 
-    Args:
-        log: The log.
-        at: Which of its joints.
-        signal: Its gains.
-        needed: (N,) effort that a model needs, by whose mean an integral begins; at 0 if None.
+    An integral begins so that its mean is that of the effort that a model needs; at 0 if None.
     """
     plain, summed = _parts(log, at, signal, needed)
     return np.clip(plain + summed, -signal.limit, signal.limit)
 
 
 def integral_effort(log: JointLog, at: int, signal: EffortSignal) -> Array:
-    """(N,) what the integral of a servo makes of its effort, N·m or N, by the efforts of a log.
-
-    Args:
-        log: The log, with efforts.
-        at: Which of its joints.
-        signal: Its gains.
-    """
+    """Return what the integral of a servo makes of its effort, N·m or N, by a log's efforts."""
     return _parts(log, at, signal, log.effort[:, at])[1]
 
 
 def _parts(
     log: JointLog, at: int, signal: EffortSignal, needed: Array | None
 ) -> tuple[Array, Array]:
-    """(N,) efforts of a servo without its integral, and of that; before the limit is taken.
+    """Return efforts of a servo without its integral, and of that; before the limit is taken.
 
     What the integral begins with follows from efforts within the limit, and where it is held from
     what it begins with.
     """
-    error, rate = _behind(log, at, signal)
-    plain = signal.gain * error + (signal.damping * rate if signal.damping else 0.0)
+    command, rate = delayed_command(log, at, signal.delay)
+    error, velocity = command - log.position[:, at], _velocity(log, at)
+    plain = signal.gain * error + (signal.damping * (rate - velocity) if signal.damping else 0.0)
     if not signal.integral:
         return plain, np.zeros(len(plain))
     summed, began = signal.integral * error_integral(log.time, error), np.zeros(len(plain))
@@ -133,29 +109,15 @@ def _parts(
         if needed is not None:
             inside = np.abs(plain + summed + began) < signal.limit
             left = np.where(inside, needed - plain - summed, np.nan)
-            began = constants_beside_friction(left, _velocity(log, at), runs)
+            began = constants_beside_friction(left, velocity, runs)
         if np.isfinite(signal.limit):
             start = plain + began, signal.integral, signal.limit
             summed = signal.integral * limited_integral(log.time, error, *start)
     return plain, summed + began
 
 
-def _behind(log: JointLog, at: int, signal: EffortSignal) -> tuple[Array, Array]:
-    """(N,) by how much a joint is behind its late command, and how fast that grows."""
-    command, rate = delayed_command(log, at, signal.delay)
-    return command - log.position[:, at], rate - _velocity(log, at)
-
-
 def delayed_command(log: JointLog, at: int, delay: float) -> tuple[Array, Array]:
-    """(N,) the command of a joint as it was some time before, and its rate.
-
-    NaN where there was none.
-
-    Args:
-        log: A log with commands.
-        at: Which of its joints.
-        delay: How long before, s.
-    """
+    """Return the command of a joint as it was some seconds before, and its rate."""
     column = np.full(len(log), np.nan) if log.command is None else log.command[:, at]
     known = np.isfinite(column) & np.isfinite(log.time)
     if np.count_nonzero(known) < 2:
@@ -168,7 +130,7 @@ def delayed_command(log: JointLog, at: int, delay: float) -> tuple[Array, Array]
 
 
 def _velocity(log: JointLog, at: int) -> Array:
-    """(N,) velocity of a joint, from its positions where it was not measured."""
+    """Return the velocity of a joint, from its positions where it was not measured."""
     derived = _derived_velocity(log, at)
     if log.velocity is None:
         return derived
@@ -176,10 +138,76 @@ def _velocity(log: JointLog, at: int) -> Array:
 
 
 def _derived_velocity(log: JointLog, at: int) -> Array:
-    """(N,) velocity of a joint, from its positions."""
+    """Return the velocity of a joint, from its positions."""
     position = log.position[:, at]
     known = np.isfinite(position) & np.isfinite(log.time)
     derived = np.full(len(log), np.nan)
     if np.count_nonzero(known) > 1:
         derived[known] = np.gradient(position[known], log.time[known])
     return derived
+
+
+def error_integral(time: Array, error: Array) -> Array:
+    """Return the integral of a servo's error, rad·s or m·s, from 0 on at the first known row.
+
+    Straight lines lead over rows of which nothing is known.
+    """
+    known = np.isfinite(error) & np.isfinite(time)
+    if np.count_nonzero(known) < 2:
+        return np.zeros(len(error))
+    t, e = time[known], error[known]
+    grown = np.concatenate([[0.0], np.cumsum(np.diff(t) * 0.5 * (e[1:] + e[:-1]))])
+    return np.interp(time, t, grown)
+
+
+def limited_integral(time: Array, error: Array, effort: Array, gain: float, limit: float) -> Array:
+    """Return `error_integral`, that stays where the servo is at its limit and would go beyond.
+
+    Args:
+        time: Instants, s.
+        error: Commanded less measured position.
+        effort: Effort without what the integral adds from the first row on.
+        gain: The integral gain.
+        limit: Largest effort, N·m or N.
+    """
+    known = np.isfinite(error) & np.isfinite(time) & np.isfinite(effort)
+    if np.count_nonzero(known) < 2:
+        return np.zeros(len(error))
+    grown, columns = np.zeros(np.count_nonzero(known)), (time, error, effort)
+    calc_limited_integral(contiguous(np.stack(columns, axis=1)[known]), gain, limit, grown)
+    return np.interp(time, time[known], grown)
+
+
+@compiled
+def calc_limited_integral(rows: Array, gain: float, limit: float, out: Array) -> None:
+    """Writes the integral into zeros (N,), of rows (N, 3): instants, errors, other efforts."""
+    for k in range(len(rows) - 1):
+        effort, error = rows[k, 2] + gain * out[k], 0.5 * (rows[k, 1] + rows[k + 1, 1])
+        beyond = (effort > limit and error > 0.0) or (effort < -limit and error < 0.0)
+        out[k + 1] = out[k] + (0.0 if beyond else (rows[k + 1, 0] - rows[k, 0]) * error)
+
+
+def runs_between_gaps(time: Array, error: Array) -> NDArray[np.intp]:
+    """Return numbers, from 0 on, of the runs of rows over which an integral is known to grow.
+
+    A new one begins after each gap that is longer than `LONGEST_BRIDGE`.
+    """
+    known = np.flatnonzero(np.isfinite(error) & np.isfinite(time))
+    begins = known[1:][np.diff(time[known]) > LONGEST_BRIDGE]
+    return np.searchsorted(begins, np.arange(len(time)), side="right")
+
+
+def constants_beside_friction(effort: Array, velocity: Array, runs: NDArray[np.intp]) -> Array:
+    """Return the constant of each run in an effort, N·m or N, that is no friction.
+
+    Friction is that of all runs together; a run of which nothing is known has none.
+    """
+    known = np.isfinite(effort) & np.isfinite(velocity)
+    run, v = runs[known], velocity[known]
+    columns = np.stack([v, np.sign(v), effort[known]], axis=1)
+    means, counts = np.zeros((int(runs.max(initial=0)) + 1, 3)), np.bincount(run)
+    for k, column in enumerate(columns.T):
+        means[: len(counts), k] = np.bincount(run, column) / np.maximum(counts, 1)
+    within = columns - means[run]
+    friction = np.linalg.lstsq(within[:, :2], within[:, 2], rcond=None)[0]
+    return np.asarray((means[:, 2] - means[:, :2] @ friction)[runs])

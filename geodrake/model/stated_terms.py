@@ -1,10 +1,10 @@
 """What a model file states of joints, tendons, weights and a medium, as effects of a model.
 
 Files state joints' terms at joints; effects act at actuators. Where one actuator moves a joint by a
-constant ratio J, damping, rotor inertia and stiffness are J² there, and dry friction |J|. A joint
-that several move is to them what a tendon Σ cᵢ qᵢ is to joints: its energy ½ k (Σ cᵢ qᵢ − L₀)² is
-that of a spring at each, and of a coupling of each two; damping and inertia likewise. Where a ratio
-changes, no effect at an actuator is the same: the term is left out, which is said.
+constant ratio J, damping, rotor inertia and stiffness are J² there, and dry friction |J|. Where
+several do, or the ratio changes, as in a closed loop, the effect stays at the joint, τ_q = Jᵀ τ_θ.
+A tendon's energy ½ k (Σ cᵢ qᵢ − L₀)² is that of a spring at each joint, and of a coupling of each
+two; damping and inertia likewise.
 """
 
 from __future__ import annotations
@@ -42,8 +42,6 @@ _DAMPING, _FRICTION, _ROTOR = "damping", "dry friction", "reflected rotor inerti
 _WEIGHTS: Mapping[str, Callable[[Array], Array]] = {_FRICTION: np.abs}
 Placed = tuple[str, Effect, Sequence[float]]
 """Where an effect is, in words, the effect, and its values."""
-
-_BEHIND = "is left out: behind the transmission, no effect at an actuator is the same."
 
 
 @dataclass
@@ -90,44 +88,36 @@ def stated_effects(
         actuation: How the former follow from the latter; None if they are the same.
     """
     found = StatedEffects()
-    at_joints = {what: np.array(values) for what, values in loaded.stated.items()}
-    rows, shifts = _rows(actuation, len(joints))
-    shared = _shared(rows, at_joints, loaded.file_springs, joints)
-    values = {}
-    for what, own in at_joints.items():
-        values[what], lost = _at_actuators(own, actuation, _WEIGHTS.get(what, np.square))
-        found.left_out += (f"The {what} in the file of {joints[at]} {_BEHIND}" for at in lost)
-    own_springs = {k: s for k, s in loaded.file_springs.items() if k not in shared.springs}
-    springs = _springs_through(own_springs, rows, shifts)
-    lost = [at for at in own_springs if len(rows.get(at, {})) != 1]
-    found.left_out += (f"The spring in the file of {joints[at]} {_BEHIND}" for at in lost)
-    tendons = list(shared.tendons)
-    for tendon in loaded.file_tendons:
-        if rows.keys() >= tendon.shares.keys():
-            tendons.append(tendon)
-        else:
-            found.left_out.append(f"The tendon {tendon.name} in the file {_BEHIND}")
-    entries = [*shared.inertias, *((i, j, x) for (i, j), x in loaded.file_inertias.items())]
+    places = _Places(joints, names, actuation, loaded.closing)
+    values = {
+        what: places.of(own, what, _WEIGHTS.get(what, np.square))
+        for what, own in loaded.stated.items()
+    }
+    rows, shifts = _rows(joints, names, actuation)
+    springs = dict[str, stated.Spring]()
+    for at, spring in loaded.file_springs.items():
+        for to, ratio in rows[at].items():
+            _add(springs, to, spring.through(ratio, shifts.get(at, 0.0)))
+    for joint, of_loop in loaded.closing.items():
+        _add(springs, joint, stated.Spring.linear(of_loop.get("spring", 0.0), of_loop["rest"]))
+    entries = ((i, j, x) for (i, j), x in loaded.file_inertias.items())
     inertias = stated.entries_through(entries, rows)
-    for at in range(len(names)):
-        values[_ROTOR][at] += inertias.pop((at, at), 0.0)
-    own_tendons = [each.through(rows, shifts) for each in tendons]
-    across = _across(own_tendons, values, springs, inertias, names)
+    for name in [name for name, other in inertias if name == other]:
+        values[_ROTOR][name] = values[_ROTOR].get(name, 0.0) + inertias.pop((name, name))
+    tendons = [each.through(rows, shifts) for each in loaded.file_tendons]
+    across = _across(tendons, values, springs, inertias, names)
     for kind in catalogue():
         if kind.stated_as in values:
-            own = _without_negligible(values[kind.stated_as], kind.stated_as, names, found.notes)
-            single = zip(names, own.tolist(), strict=True)
+            single = _without_negligible(values[kind.stated_as], kind.stated_as, found.notes)
             found.keep(
                 kind.stated_as,
-                [(n, each, [x]) for n, x in single if x for each in kind.shaped(n)],
+                [(n, each, [x]) for n, x in single.items() for each in kind.shaped(n)],
             )
-    for exponent, own in zip((2.0, 3.0), loaded.file_powers, strict=True):
+    for exponent, of_power in zip((2.0, 3.0), loaded.file_powers, strict=True):
         what = f"damping of the power {exponent:g}"
-        powers, lost = _at_actuators(own, actuation, partial(_power, exponent=exponent + 1.0))
-        found.left_out += (f"The {what} in the file of {joints[at]} {_BEHIND}" for at in lost)
-        single = zip(names, powers.tolist(), strict=True)
-        found.keep(what, [(n, Drag(n, exponent=exponent), [x]) for n, x in single if x])
-    _keep_springs(springs, names, found)
+        single = places.of(of_power, what, partial(_power, exponent=exponent + 1.0))
+        found.keep(what, [(n, Drag(n, exponent=exponent), [x]) for n, x in single.items() if x])
+    _keep_springs(springs, found)
     for what, placed in across.kept.items():
         found.keep(what, placed)
     found.left_out += across.lost
@@ -145,76 +135,47 @@ def stated_effects(
     return found
 
 
-def _springs_through(
-    springs: Mapping[int, stated.Spring],
-    rows: Mapping[int, Mapping[int, float]],
-    shifts: Mapping[int, float],
-) -> dict[int, stated.Spring]:
-    """Return springs at the actuators that alone move their joints by a constant ratio."""
-    found = dict[int, stated.Spring]()
-    for at, spring in springs.items():
-        row = rows.get(at, {})
-        for to, ratio in row.items() if len(row) == 1 else ():
-            _add(found, to, spring.through(ratio, shifts.get(at, 0.0)))
-    return found
+@dataclass(frozen=True)
+class _Places:
+    """Where what is stated of the tree's joints acts in the model.
+
+    Attributes:
+        joints: Names of the velocities of the tree.
+        names: Names of the model's velocities.
+        actuation: How the former follow from the latter.
+        closing: Joint that closes a loop -> what is stated of it.
+    """
+
+    joints: Sequence[str]
+    names: Sequence[str]
+    actuation: Actuation | None
+    closing: Mapping[str, Mapping[str, float]]
+
+    def of(self, own: Array, what: str, weight: Callable[[Array], Array]) -> dict[str, float]:
+        """Return actuator or joint -> its coefficient, of those (nv of the tree,) of the joints."""
+        values, lost = own, list[int]()
+        if self.actuation is not None:
+            values, lost = self.actuation.joined(own, weight)
+        found = dict(zip(self.names, values.tolist(), strict=True))
+        for at in lost:
+            found[self.joints[at]] = found.get(self.joints[at], 0.0) + float(own[at])
+        return found | {joint: each.get(what, 0.0) for joint, each in self.closing.items()}
 
 
-def _keep_springs(
-    springs: Mapping[int, stated.Spring], names: Sequence[str], found: StatedEffects
-) -> None:
-    own_springs = [(names[at], spring) for at, spring in sorted(springs.items())]
-    simple = [(n, s) for n, s in own_springs if _is_simple(s) and any(s.coefficients)]
+def _keep_springs(springs: Mapping[str, stated.Spring], found: StatedEffects) -> None:
+    simple = [(n, s) for n, s in springs.items() if _is_simple(s) and any(s.coefficients)]
     placed = [(n, Spring(n, center=s.center), s.coefficients[1::-1]) for n, s in simple]
     found.keep("spring", placed)
     others = [
-        (n, Polynomial(n, s.center), s.coefficients) for n, s in own_springs if not _is_simple(s)
+        (n, Polynomial(n, s.center), s.coefficients)
+        for n, s in springs.items()
+        if not _is_simple(s)
     ]
     found.keep("spring", others)
 
 
-@dataclass(frozen=True)
-class _Shared:
-    """What joints that several actuators move have, as tendons over those; and whose springs."""
-
-    tendons: list[stated.Tendon]
-    inertias: list[tuple[int, int, float]]
-    springs: set[int]
-
-
-def _shared(
-    rows: Mapping[int, Mapping[int, float]],
-    values: Mapping[str, Array],
-    springs: Mapping[int, stated.Spring],
-    joints: Sequence[str],
-) -> _Shared:
-    """Return what is linear at joints that several actuators move by constant ratios.
-
-    Args:
-        rows: Velocity of the tree -> actuator -> ratio.
-        values: What in the file -> values (nv of the tree,); those that are taken become zero.
-        springs: Velocity of the tree -> spring.
-        joints: Names of the tree's velocities.
-    """
-    found = _Shared([], [], set())
-    for at in (at for at, row in rows.items() if len(row) > 1):
-        taken = {what: float(own[at]) for what, own in values.items()}
-        for own in values.values():
-            own[at] = 0.0
-        preload, stiffness, rest = 0.0, 0.0, 0.0
-        if at in springs and _is_simple(springs[at]) and springs[at].coefficients[1]:
-            found.springs.add(at)
-            preload, stiffness, *_ = springs[at].coefficients
-            rest = springs[at].center - preload / stiffness
-        if stiffness or taken[_DAMPING] or taken[_FRICTION]:
-            numbers = stiffness, rest, taken[_DAMPING], taken[_FRICTION]
-            found.tendons.append(stated.Tendon(joints[at], {at: 1.0}, *numbers))
-        if taken[_ROTOR]:
-            found.inertias.append((at, at, taken[_ROTOR]))
-    return found
-
-
-def _add(springs: dict[int, stated.Spring], at: int, spring: stated.Spring) -> None:
-    springs[at] = springs[at] + spring if at in springs else spring
+def _add(springs: dict[str, stated.Spring], name: str, spring: stated.Spring) -> None:
+    springs[name] = springs[name] + spring if name in springs else spring
 
 
 def _is_simple(spring: stated.Spring) -> bool:
@@ -224,24 +185,24 @@ def _is_simple(spring: stated.Spring) -> bool:
 
 
 def _rows(
-    actuation: Actuation | None, count: int
-) -> tuple[dict[int, dict[int, float]], dict[int, float]]:
-    """Return how velocities of a tree follow actuators, where ratios are constant, and from where.
+    joints: Sequence[str], names: Sequence[str], actuation: Actuation | None
+) -> tuple[dict[int, dict[str, float]], dict[int, float]]:
+    """Return which actuator moves each velocity of the tree, by which constant ratio, from where.
+
+    Where several do, or the ratio changes, that is the joint itself.
 
     Returns:
-        Velocity of the tree -> actuator -> ratio; and its position where those are at zero.
+        Velocity -> name of the actuator, or of the joint -> ratio; and position with it at zero.
     """
-    if actuation is None:
-        return {at: {at: 1.0} for at in range(count)}, {}
-    rows = dict[int, dict[int, float]]()
-    for at, unit in enumerate(np.eye(count)):
-        if actuation.constant is not None:
-            ratios, lost = actuation.constant[at], list[int]()
-        else:
+    rows: dict[int, dict[str, float]] = {at: {name: 1.0} for at, name in enumerate(joints)}
+    shifts = dict[int, float]()
+    if actuation is not None:
+        for at, unit in enumerate(np.eye(len(joints))):
             ratios, lost = actuation.joined(unit, lambda J: J)
-        if not lost:
-            rows[at] = {int(to): float(ratios[to]) for to in np.flatnonzero(ratios)}
-    return rows, dict(enumerate(actuation.offsets.tolist()))
+            if not lost:
+                rows[at] = {names[int(to)]: float(ratios[to]) for to in np.flatnonzero(ratios)}
+                shifts[at] = float(actuation.offsets[at])
+    return rows, shifts
 
 
 @dataclass
@@ -254,38 +215,40 @@ class _Across:
 
 def _across(
     tendons: Sequence[stated.Tendon],
-    values: Mapping[str, Array],
-    springs: dict[int, stated.Spring],
-    inertias: stated.Entries,
+    values: Mapping[str, dict[str, float]],
+    springs: dict[str, stated.Spring],
+    inertias: stated.Entries[str],
     names: Sequence[str],
 ) -> _Across:
     """Add what tendons are at each joint to values and springs; return what they are between them.
 
     Args:
-        tendons: By velocities of the model.
-        values: What in the file -> (nv,) values; changed.
-        springs: Velocity -> spring; changed.
+        tendons: By joints or actuators.
+        values: What in the file -> joint or actuator -> value; changed.
+        springs: Joint or actuator -> spring; changed.
         inertias: What tendons are in the mass matrix between two joints.
         names: Names of the velocities.
     """
-    couplings = defaultdict[tuple[int, int], Array](lambda: np.zeros(2))
-    rubs = defaultdict[tuple[int, int, int], float](float)
+    couplings = defaultdict[tuple[str, str], Array](lambda: np.zeros(2))
+    rubs = defaultdict[tuple[str, str, int], float](float)
     lost = list[str]()
     for tendon in tendons:
-        shares = {at: share for at, share in sorted(tendon.shares.items()) if share}
+        shares = {name: share for name, share in tendon.shares.items() if share}
         k, length = tendon.stiffness, tendon.length
-        for at, share in shares.items():
-            values[_DAMPING][at] += share**2 * tendon.damping
+        for name, share in shares.items():
+            values[_DAMPING][name] = values[_DAMPING].get(name, 0.0) + share**2 * tendon.damping
             if k:
-                _add(springs, at, stated.Spring.linear(share**2 * k, length / share))
-        for pair in combinations(shares, 2):
+                _add(springs, name, stated.Spring.linear(share**2 * k, length / share))
+        for pair in combinations(sorted(shares), 2):
             both = shares[pair[0]] * shares[pair[1]]
             couplings[pair] += (both * k, both * tendon.damping)
-        sizes = {abs(share) for share in shares.values()}
+        sizes, own = {abs(share) for share in shares.values()}, set(names).issuperset(shares)
         if tendon.friction and len(shares) == 1:
-            values[_FRICTION][next(iter(shares))] += next(iter(sizes)) * tendon.friction
-        elif tendon.friction and len(shares) == 2 and len(sizes) == 1:
-            (i, first), (j, second) = shares.items()
+            (name,) = shares
+            rubbing = values[_FRICTION].get(name, 0.0) + abs(shares[name]) * tendon.friction
+            values[_FRICTION][name] = rubbing
+        elif tendon.friction and len(shares) == 2 and len(sizes) == 1 and own:
+            (i, first), (j, second) = sorted(shares.items())
             rubs[i, j, 1 if first == second else -1] += abs(first) * tendon.friction
         elif tendon.friction and shares:
             lost.append(
@@ -294,7 +257,7 @@ def _across(
             )
 
     def placed(make: Callable[..., Effect], found: Mapping[Any, Sequence[float]]) -> list[Placed]:
-        every = [((names[i], names[j]), sign, own) for (i, j, *sign), own in found.items()]
+        every = [((i, j), sign, own) for (i, j, *sign), own in found.items()]
         return [(" & ".join(p), make(p, *sign), own) for p, sign, own in every if any(own)]
 
     kept = {
@@ -314,17 +277,12 @@ def _power(J: Array, exponent: float) -> Array:
     return np.abs(J) ** exponent
 
 
-def _without_negligible(values: Array, what: str, names: Sequence[str], notes: list[str]) -> Array:
-    """Return values with zeros for negligible ones, which a note tells."""
-    small = (values != 0.0) & (np.abs(values) < _LEAST)
-    if small.any():
-        pairs = zip(names, values, small, strict=True)
-        listed = ", ".join(f"{name} {value:g}" for name, value, is_small in pairs if is_small)
+def _without_negligible(
+    values: Mapping[str, float], what: str, notes: list[str]
+) -> dict[str, float]:
+    """Return values without zeros and negligible ones, which a note tells."""
+    small = {name: value for name, value in values.items() if 0.0 < abs(value) < _LEAST}
+    if small:
+        listed = ", ".join(f"{name} {value:g}" for name, value in small.items())
         notes.append(f"The {what} in the file ({listed}) is negligible, and counts as 0.")
-    return np.where(small, 0.0, values)
-
-
-def _at_actuators(
-    values: Array, actuation: Actuation | None, weight: Callable[[Array], Array]
-) -> tuple[Array, list[int]]:
-    return (values, []) if actuation is None else actuation.joined(values, weight)
+    return {name: value for name, value in values.items() if value and name not in small}

@@ -7,20 +7,16 @@
         joint_5: {motor_5: 0.02}
         joint_6: {motor_5: 0.01, motor_6: 0.01}
 
-The lists that there are, and their fields, are those of `geodrake.robot.transmission.Stated`.
+The lists that there are, and their fields, are those of `geodrake.robot.transmission.statements`.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
-from collections.abc import Collection, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, get_args
-
-from pydrake.common.yaml import yaml_dump, yaml_load_typed
 
 from geodrake.boundary.arguments import file_path
+from geodrake.boundary.yaml_schema import as_schema
 from geodrake.boundary.yaml_text import yaml_content
 from geodrake.errors import ArgumentError, GeodrakeError, ModelError
 from geodrake.robot.transmission.drive import Drive
@@ -34,7 +30,7 @@ _MODEL_SUFFIXES = (".xacro", ".urdf", ".sdf", ".xml", ".mjcf", ".yaml", ".yml", 
 
 
 def file_beside(model: Path) -> Path:
-    """Where a model's transmission file is: `arm.transmission.yaml` beside `arm.urdf`."""
+    """Return where a model's transmission file is: `arm.transmission.yaml` beside `arm.urdf`."""
     name = model.name
     while (suffix := Path(name).suffix.lower()) in _MODEL_SUFFIXES:
         name = name[: -len(suffix)]
@@ -42,26 +38,23 @@ def file_beside(model: Path) -> Path:
 
 
 def read_transmission(path: str | Path) -> tuple[Drive, ...]:
-    """The parts of a transmission file.
-
-    Args:
-        path: The YAML file.
+    """Return the parts of a transmission file.
 
     Raises:
         ModelError: It cannot be read, has a list or a field that is none, or its numbers make no
             transmission.
     """
     path = file_path(path)
-    stated = yaml_content(path, "transmission file", ModelError, advice="Correct the file there.")
+    content = yaml_content(path, "transmission file", ModelError, advice="Correct the file there.")
     try:
-        if not isinstance(stated, dict):
-            raise ModelError("it has no lists of parts.", advice=_kinds_words())
-        parts = [
-            part for kind, given in stated.items() for part in _parts_of_kind(str(kind), given)
-        ]
-        if not parts:
-            raise ModelError("it has no part.", advice=_kinds_words())
-        return drives_of(parts)
+        stated = as_schema(content, Stated)
+        order = list(content) if isinstance(content, dict) else []
+        parts = sorted(stated.parts(), key=lambda part: order.index(part[0].partition("[")[0]))
+        drives = drives_of(parts)
+        if not drives:
+            lists = ", ".join(Stated.__struct_fields__)
+            raise ModelError("it has no part.", advice=f"Its lists are: {lists}.")
+        return drives
     except GeodrakeError as error:
         raise ModelError(
             f"{path} is no transmission file: {error.problem}",
@@ -70,11 +63,8 @@ def read_transmission(path: str | Path) -> tuple[Drive, ...]:
         ) from error
 
 
-def drives_of(parts: Sequence[tuple[str, Statement]]) -> tuple[Drive, ...]:
-    """The drives that parts make.
-
-    Args:
-        parts: Where each is, such as `gears[0]`, and what it states.
+def drives_of(parts: Iterable[tuple[str, Statement]]) -> tuple[Drive, ...]:
+    """Return the drives that parts make; each comes with where it is, such as `gears[0]`.
 
     Raises:
         ModelError: The numbers or names of a part make none.
@@ -92,7 +82,7 @@ def drives_of(parts: Sequence[tuple[str, Statement]]) -> tuple[Drive, ...]:
 
 
 def stated_of(drives: Sequence[Drive]) -> Stated:
-    """What makes drives again, to be saved.
+    """Return what makes drives again, to be saved.
 
     Raises:
         ModelError: A drive is a function of the user's own.
@@ -107,54 +97,3 @@ def stated_of(drives: Sequence[Drive]) -> Stated:
             )
         stated.add(drive.statement)
     return stated
-
-
-def _parts_of_kind(kind: str, given: Any) -> list[tuple[str, Statement]]:
-    kinds = {field.name: get_args(field.type)[0] for field in dataclasses.fields(Stated)}
-    if kind not in kinds:
-        raise ModelError(f"it has {kind!r}{_near(kind, kinds)}.", advice=_kinds_words())
-    if not isinstance(given, list):
-        raise ModelError(f"{kind} is no list.", advice=f"Write `{kind}:`, and below it `- …`.")
-    parts = []
-    for number, fields in enumerate(given):
-        place, schema = f"{kind}[{number}]", kinds[kind]
-        known = [field.name for field in dataclasses.fields(schema)]
-        advice = f"Its fields are: {', '.join(known)}."
-        if not isinstance(fields, dict):
-            raise ModelError(f"{place} has no fields.", advice=advice)
-        for name in map(str, fields):
-            if name not in known:
-                raise ModelError(f"{place} has {name!r}{_near(name, known)}.", advice=advice)
-        parts.append((place, _typed(place, schema, fields)))
-    return parts
-
-
-def _typed(place: str, schema: type[Statement], fields: dict[str, Any]) -> Statement:
-    """A part as Drake reads it, field by field so that the one that is wrong is named."""
-    for name, value in fields.items():
-        try:
-            yaml_load_typed(schema=schema, data=yaml_dump({name: value}))
-        except Exception as error:  # Drake raises RuntimeError and others, depending on the fault
-            raise ModelError(
-                f"{place} has {name} = {str(value)[:80]}, which is not what it must be.",
-                advice=f"It is a {_type_words(schema, name)}.",
-            ) from error
-    part: Statement = yaml_load_typed(schema=schema, data=yaml_dump(fields))
-    return part
-
-
-def _type_words(schema: type[Statement], name: str) -> str:
-    stated: Any = schema
-    kind: Any = next(field.type for field in dataclasses.fields(stated) if field.name == name)
-    words: dict[Any, str] = {float: "number", str: "name", bool: "true or false"}
-    return words.get(kind, str(kind).replace("float", "number").replace("str", "name"))
-
-
-def _near(name: str, known: Collection[str]) -> str:
-    near = difflib.get_close_matches(name, known, 1)
-    return f", which is none (was {near[0]} meant?)" if near else ", which is none"
-
-
-def _kinds_words() -> str:
-    kinds = ", ".join(field.name for field in dataclasses.fields(Stated))
-    return f"Its lists are: {kinds}."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from geodrake.control.export_proof.export import ProvenExport
 from geodrake.model.exporting.held import Lost
-from geodrake.model.exporting.joint_numbers import JointNumbers, joint_numbers
+from geodrake.model.exporting.joints import exported_joints
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.tables import Table, cells, effect_cell
@@ -35,10 +35,8 @@ def proof_table(found: ProvenExport, units: Units) -> Table:
 
 def holds_table(found: ProvenExport, units: Units) -> Table:
     """Damping, dry friction, rotors and springs in the files, by joint."""
-    scoped = found.held.scoped_joints
-    of_joints, rows = joint_numbers(found.held), []
-    for joint, name in zip(found.held.joints, scoped, strict=True):
-        values = of_joints.get(name, JointNumbers())
+    rows = []
+    for joint, values in exported_joints(found.held).items():
         terms = {
             "N·m·s/rad": values.damping,
             "N·m": values.friction,

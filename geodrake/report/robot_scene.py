@@ -18,6 +18,7 @@ from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.ellipsoids import LEAST_THICKNESS, placed
+from geodrake.robot.plant import joint_names
 from geodrake.robot.shapes import GRAY, LinkShape, RobotShapes, robot_shapes
 
 FRAMES = 30.0
@@ -127,6 +128,17 @@ class RobotScene:
         for body in self._moving:
             X_WB = plant.EvalBodyPoseInWorld(self._context, body)
             self._meshcat.SetTransform(self.link_path(body), X_WB, time)
+
+    def place_behind(self, name: str) -> JointPlace:
+        """Where a joint of the plant is that follows others, in a closed loop say.
+
+        Args:
+            name: Its name, which the plant has.
+        """
+        plant, names = self._model.plant, joint_names(self._model.plant)
+        joints = (plant.get_joint(index) for index in plant.GetJointIndices())
+        moving = (joint for joint in joints if joint.num_velocities() == 1)
+        return self._place(next(j for j in moving if names[j.velocity_start()] == name), name)
 
     def joint_places(self) -> tuple[JointPlace, ...]:
         """The joints of one degree of freedom, in the model's order."""

@@ -153,7 +153,7 @@ class EffectMarks:
             return [Mark(path, words, effect.place)]
         marks = []
         for joint in effect.where:
-            place = self._places[joint]
+            place = self._places.get(joint) or self._scene.place_behind(joint)
             path = f"{place.link}/ring {path_part(joint)}"
             vertices, faces = ring(0.06 * self._size, 0.005 * self._size)
             self._meshcat.SetTriangleMesh(path, vertices.T, faces.T, _rgba(style.AFTER, 0.9))

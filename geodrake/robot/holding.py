@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Joint, JointActuator, WeldJoint
+from pydrake.multibody.tree import Joint, WeldJoint
 
 from geodrake.errors import ModelError
+from geodrake.robot.cut_joints import remove_joint
 from geodrake.robot.followers import Follower
 from geodrake.robot.several_robots import scoped
 
@@ -130,18 +131,12 @@ def weld_joints(
         poses: Scoped joint name -> pose X_FM that the weld has.
         aside: Whether they get other names, as no robot in question has them.
     """
-    actuators: dict[int, list[JointActuator]] = {}  # read before any of them is removed
-    for index in plant.GetJointActuatorIndices():
-        actuator = plant.get_joint_actuator(index)
-        actuators.setdefault(int(actuator.joint().index()), []).append(actuator)
     for joint in [plant.get_joint(index) for index in plant.GetJointIndices()]:
         if scoped(joint) not in poses or not joint.num_velocities():
             continue
         X_FM, name = poses[scoped(joint)], joint.name() + (_ASIDE if aside else "")
-        for actuator in actuators.get(int(joint.index()), ()):
-            plant.RemoveJointActuator(actuator)
         frames = joint.frame_on_parent(), joint.frame_on_child()
-        plant.RemoveJoint(joint)
+        remove_joint(plant, joint)
         plant.AddJoint(WeldJoint(name, *frames, X_FM))
 
 

@@ -122,21 +122,18 @@ def joint_motions(joint: Joint, sign: float) -> list[FrameMotion]:
     """
     match joint:
         case RevoluteJoint():
-            motions = [_axis_motion(sign * joint.revolute_axis())]
+            motions = [axis_motion(sign * joint.revolute_axis())]
         case PrismaticJoint():
-            along = sign * joint.translation_axis()[:, None]
-            motions = [
-                FrameMotion(Features.CONSTANT, _IDENTITY.reshape(9, 1), along, 0.0 * along, along)
-            ]
+            motions = [slide_motion(sign * joint.translation_axis())]
         case ScrewJoint():
             slide = joint.screw_pitch() / (2.0 * np.pi)
             axis = _screw_axis(joint)
-            motions = [_axis_motion(axis, translation=slide * axis[:, None])]
+            motions = [axis_motion(axis, translation=slide * axis[:, None])]
         case UniversalJoint():
-            motions = [_axis_motion(_X_AXIS), _axis_motion(_Y_AXIS)]
+            motions = [axis_motion(_X_AXIS), axis_motion(_Y_AXIS)]
         case PlanarJoint():
             turn = np.diag(_Z_AXIS)
-            motions = [_axis_motion(_Z_AXIS, translation=_IDENTITY - turn, angular=turn)]
+            motions = [axis_motion(_Z_AXIS, translation=_IDENTITY - turn, angular=turn)]
         case BallRpyJoint():
             motions = [FrameMotion(Features.RPY, np.eye(9), _ZERO, _IDENTITY, _ZERO)]
         case RpyFloatingJoint():
@@ -153,16 +150,32 @@ def joint_motions(joint: Joint, sign: float) -> list[FrameMotion]:
     return motions
 
 
-def _axis_motion(
+def axis_motion(
     axis: Array, *, translation: Array | None = None, angular: Array | None = None
 ) -> FrameMotion:
-    """Rotation about an axis by the last position, with a translation T q at the velocity T v."""
+    """Return rotation about an axis by the last position, with a translation T q at T v.
+
+    Args:
+        axis: (3,) the axis.
+        translation: (3, nq) T; zero if None.
+        angular: (3, nv) what makes the angular velocity of v; the axis if None.
+    """
     angular = axis[:, None] if angular is None else angular
     translation = np.zeros_like(angular) if translation is None else translation
     along = np.outer(axis, axis)
     parts = (along, _IDENTITY - along, np.cross(_IDENTITY, axis))  # of 1, cos, sin
     rotation = np.stack([part.ravel() for part in parts], axis=-1)
     return FrameMotion(Features.ANGLE, rotation, translation, angular, translation)
+
+
+def slide_motion(axis: Array) -> FrameMotion:
+    """Return translation along an axis.
+
+    Args:
+        axis: (3,) the axis.
+    """
+    along = axis[:, None]
+    return FrameMotion(Features.CONSTANT, _IDENTITY.reshape(9, 1), along, 0.0 * along, along)
 
 
 def _screw_axis(joint: ScrewJoint) -> Array:

@@ -21,12 +21,14 @@ from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.files import ModelDescription
 from geodrake.robot.files.base import ModelText
+from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.mjcf_source import mujoco_or_none, quiet_mujoco
 from geodrake.robot.several_robots import scoped
 from geodrake.robot.stated import Spring, Tendon
 
 _STATES = 3
 _TOLERANCE = 1e-9  # of the largest effort
+_APART = 1e-4  # of the size, by which loops of rounded numbers may be open
 _SPEED, _ACCELERATION = 2.0, 5.0
 _FAR = 3.0  # rad or m, where limits leave a choice
 
@@ -92,6 +94,50 @@ def check_against_mujoco(description: ModelDescription, built: JointTerms) -> No
             path=description.path,
             body=body,
         )
+
+
+def check_loops_against_mujoco(
+    description: ModelDescription, plant: MultibodyPlant, states: tuple[Array, Array]
+) -> None:
+    """Compare closed loops with MuJoCo's constraints, where their file is an MJCF.
+
+    Args:
+        description: The file.
+        plant: Its plant, all of whose joints move.
+        states: Positions (N, nq) and velocities (N, nv) of the plant at which the loops are closed.
+
+    Raises:
+        ModelError: Some are not closed by MuJoCo's constraints, or come apart.
+    """
+    mujoco, (text, *others) = mujoco_or_none(), description.texts
+    if mujoco is None or others or not isinstance(text, MjcfText) or text.reference is None:
+        return
+    m = text.compiled
+    data, numbers = mujoco.MjData(m), list[tuple[Joint, int]]()
+    for joint in (plant.get_joint(JointIndex(i)) for i in plant.GetJointIndices()):
+        at = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_JOINT, joint.name())
+        if joint.num_velocities() == joint.num_positions() == 1 and at >= 0:
+            numbers.append((joint, at))
+    for at in range(m.neq):
+        data.eq_active[at] = at in text.closing
+    closing = list(text.closing)
+    places = np.concatenate([m.body_pos.ravel(), m.eq_data[closing, :6].ravel()])
+    size = float(np.abs(places).max(initial=1e-3))
+    for q, v in zip(*states, strict=True):
+        for joint, at in numbers:
+            data.qpos[m.jnt_qposadr[at]] = q[joint.position_start()]
+            data.qvel[m.jnt_dofadr[at]] = v[joint.velocity_start()]
+        with quiet_mujoco(mujoco):
+            mujoco.mj_forward(m, data)
+        own = np.array(data.efc_type) == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        apart = np.concatenate([data.efc_pos[own], data.efc_vel[own]])
+        if not np.abs(apart).max(initial=0.0) <= _APART * size:
+            raise ModelError(
+                f"{description.path}: geodrake does not close its loops as MuJoCo does: they come "
+                f"apart by up to {np.abs(apart).max():.3g} m or rad.",
+                advice="This is a bug in geodrake; please report it with the file.",
+                path=description.path,
+            )
 
 
 def _places(

@@ -7,9 +7,9 @@ are effects of their own in geodrake; inertias that no body can have are repaire
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,14 +33,20 @@ from geodrake.inertia import (
     inertial_parameters,
     to_spatial_inertia,
 )
-from geodrake.inertia.bodies import lumped_bodies
+from geodrake.inertia.bodies import Member, lumped_bodies
+from geodrake.robot.cut_joints import OpenedLoop, open_loops
 from geodrake.robot.files import Given, ModelDescription, read_description
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.named_robots import robot_file
 from geodrake.robot.followers import Follower, OwnCoordinates, resolved
 from geodrake.robot.holding import Arrangement, checked_held, poses_of, weld_joints, welds_of
-from geodrake.robot.mujoco_check import JointTerms, check_against_mujoco
+from geodrake.robot.loops import ClosedLoop, LoopJoints, Loops, closed_loops
+from geodrake.robot.mujoco_check import (
+    JointTerms,
+    check_against_mujoco,
+    check_loops_against_mujoco,
+)
 from geodrake.robot.repairs import Repair, repair_inertias
 from geodrake.robot.several_robots import chosen_robot, robots_of, scoped
 from geodrake.robot.stated import (
@@ -57,6 +63,7 @@ from geodrake.robot.stated import (
 )
 from geodrake.robot.transmission.statements import Followers, Gear
 
+_STATES = 3  # random ones at which loops are compared with MuJoCo's
 _LIMIT = "limit of "  # before the names of actuators that only have a limit of efforts
 _SAME = 1e-9  # of the largest of a body's parameters: what text and Drake may change
 
@@ -83,6 +90,9 @@ class LoadedPlant:
         file_boxes: Bodies as what a medium acts on.
         file_struts: Springs and dampers between points of bodies.
         left_out: Sentences on what of the file bears on efforts, and is in none of these.
+        loops: Closed loops, whose joints are among the plant's own.
+        closing: Joint that closes a loop, and is none of the plant -> what the file states of it,
+            by its name in `stated`, and `spring` and `rest`, SI.
         held: Joint that does not move, though it does in the file -> where it is held, rad or m.
         given: How the file was to be read.
         followers: Joints of the plant that follow others.
@@ -103,7 +113,7 @@ class LoadedPlant:
     file_powers: Array
     file_springs: Mapping[int, Spring]
     file_tendons: tuple[Tendon, ...]
-    file_inertias: Entries
+    file_inertias: Entries[int]
     file_weights: tuple[Weight, ...]
     file_boxes: tuple[BoxInMedium, ...]
     file_struts: tuple[StatedStrut, ...]
@@ -114,6 +124,8 @@ class LoadedPlant:
     bent: tuple[Followers, ...] = ()
     geared: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
+    loops: tuple[ClosedLoop, ...] = ()
+    closing: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def stated(self) -> Mapping[str, Array]:
@@ -137,7 +149,7 @@ def load_plant(
     """Reads a robot from a URDF, SDF, MJCF or Drake directives file.
 
     Geometry does not matter and is not loaded, so meshes and packages may be missing. Closed
-    loops are read as an open tree; joints that follow others are `followers`.
+    loops are open in the plant, and closed by `loops`; joints that follow others are `followers`.
 
     Args:
         path: The model file; the root element, not the suffix, decides between the XML formats.
@@ -162,7 +174,7 @@ def load_plant(
     held = {name: number(value, f"held[{name!r}]") for name, value in held.items()}
     with drake_messages() as messages:
         description = read_description(path, given)
-        draft, arrangement = _draft(description, floating=floating, held=held, given=given)
+        draft, arrangement, loops = _draft(description, floating=floating, held=held, given=given)
         repairs, left_out, changed = repair_inertias(description, draft.plant)
         if phi is not None:
             _write_inertias(description, draft.plant, phi)
@@ -173,6 +185,7 @@ def load_plant(
         if phi is not None:
             _check_inertias(built.plant, phi, path)
     notes = [*origin, *description.notes, *built.notes, *_follower_notes(arrangement)]
+    notes += loops.notes
     ignored, apart = _ignored(description, arrangement), list[str]()
     (apart if any(text.kind == "xml" for text in description.texts) else notes).extend(ignored)
     changes = [*map(str, repairs), *left_out, *description.lost, *_relevant(messages)]
@@ -195,13 +208,15 @@ def load_plant(
         weights_of(built.plant, description.joint_values("carried")),
         boxes_of(built.plant, [box for text in description.texts for box in text.boxes]),
         struts_of(built.plant, [each for text in description.texts for each in text.struts]),
-        held,
+        {**loops.held, **held},
         given,
         arrangement.followers,
-        arrangement.joints,
-        description.bent,
+        (*arrangement.joints, *_closing(description, built, loops)),
+        tuple(part for part in description.bent if part not in loops.taken),
         _geared(description),
-        tuple(dict.fromkeys([*description.left_out, *apart, *lost])),
+        tuple(dict.fromkeys([*description.left_out, *apart, *lost, *loops.left_out])),
+        loops.loops,
+        _closing(description, built, loops),
     )
 
 
@@ -264,7 +279,7 @@ def _motors(description: ModelDescription) -> Iterator[tuple[bool, str]]:
 
 def _draft(
     description: ModelDescription, *, floating: bool, held: Mapping[str, float], given: Given
-) -> tuple[_Built, Arrangement]:
+) -> tuple[_Built, Arrangement, Loops]:
     """Return the plant before repairs, of the robot asked for, with its joints held."""
     arrangement = Arrangement(floating)
     draft = _build(description, arrangement)
@@ -278,8 +293,24 @@ def _draft(
     joints = _single_joints(draft.plant)
     followers = resolved(description.followers, [scoped(joint) for joint in joints.values()])
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
-    if held:
-        places = checked_held(joints, followers, held, description.path)
+    stated = description.joint_values("fixed")
+    fixed = {name: stated[scoped(j)] for name, j in joints.items() if scoped(j) in stated}
+    held = {**fixed, **held}
+    first = (*held, *given.leading)
+    loops = _loops(description, draft, LoopJoints(followers, first=first))
+    if loops.loops:
+        states = _closed_states(draft.plant, followers, joints, loops)
+        check_loops_against_mujoco(description, draft.plant, states)
+    start, still = loops.places(held, description.path)
+    if held or still:
+        places = checked_held(joints, followers, {**still, **held}, description.path)
+        still = {name: held[name] for name in fixed} | still
+        if len(places) == draft.plant.num_velocities() and still:
+            raise ModelError(
+                f"No joint moves in {description.path}: constraints hold {', '.join(still)}.",
+                advice="Correct what closes them; a constraint too many holds a linkage.",
+                path=description.path,
+            )
         if len(places) == draft.plant.num_velocities():
             raise ModelError(
                 f"All joints of {description.path} are held, so nothing moves.",
@@ -293,7 +324,74 @@ def _draft(
             followers=tuple(f for f in followers if f.joint not in places),
         )
         draft = _build(description, arrangement)
-    return draft, arrangement
+        how = LoopJoints(arrangement.followers, first=given.leading, start=start)
+        loops = replace(_loops(description, draft, how), held=still)
+    return draft, arrangement, loops
+
+
+def _loops(description: ModelDescription, built: _Built, how: LoopJoints) -> Loops:
+    """Return the closed loops of a plant of a description."""
+    plant, closures = built.plant, [*description.closures, *(o.closure for o in built.opened)]
+    if not closures:
+        return Loops()
+    names, own = joint_names(plant), OwnCoordinates(plant, how.followers).own_velocities
+    limited = (a.joint() for a in _actuators(plant) if np.isfinite(a.effort_limit()))
+    driven = {names[joint.velocity_start()] for joint in limited} | description.driven_joints
+    driven |= {each.closure.cut.name for each in built.opened if each.driven and each.closure.cut}
+    none = Spring.linear(0.0)
+    stated = {n: description.springs.get(scoped(j), none) for n, j in _single_joints(plant).items()}
+    springs = {name: spring.coefficients[1] for name, spring in stated.items()}
+    sprung = sorted((n for n, k in springs.items() if k > 0.0), key=lambda n: -springs[n])
+    how = replace(how, bent=description.bent, driven=driven, sprung=sprung)
+    found = closed_loops(plant, [names[k] for k in own], closures, path=description.path, how=how)
+    if found.left_out and built.opened:
+        raise ModelError(
+            f"{description.path}: {found.left_out[0]}",
+            advice="Give the loop joints that turn about or slide along one axis.",
+            path=description.path,
+        )
+    return found
+
+
+def _closing(
+    description: ModelDescription, built: _Built, loops: Loops
+) -> dict[str, dict[str, float]]:
+    """Return what the file states of joints that close loops which move."""
+    moving = {loop.map.joints[k] for loop in loops.loops for k in loop.map.cut}
+    friction, armature = (description.joint_values(name) for name in ("friction", "armature"))
+    springs, none = description.springs, Spring.linear(0.0)
+    return {
+        each.closure.cut.name: {
+            "damping": each.damping,
+            "dry friction": friction.get(each.scoped_name, 0.0),
+            "reflected rotor inertia": armature.get(each.scoped_name, each.rotor_inertia),
+            "spring": springs.get(each.scoped_name, none).coefficients[1],
+            "rest": springs.get(each.scoped_name, none).center,
+        }
+        for each in built.opened
+        if each.closure.cut is not None and each.closure.cut.name in moving
+    }
+
+
+def _closed_states(
+    plant: MultibodyPlant,
+    followers: Sequence[Follower],
+    joints: Mapping[str, Joint],
+    loops: Loops,
+) -> tuple[Array, Array]:
+    """Positions (N, nq) and velocities (N, nv) of a plant at which its loops are closed."""
+    context, ways = plant.CreateDefaultContext(), OwnCoordinates(plant, tuple(followers))
+    q = np.repeat(plant.GetPositions(context)[None], _STATES, axis=0)
+    v = np.zeros((_STATES, plant.num_velocities()))
+    rng = np.random.default_rng(0)
+    for loop in loops.loops:
+        theta, rates = loop.some(rng, _STATES)
+        for name, places, speeds in zip(loop.map.joints, theta.T, rates.T, strict=True):
+            if name in joints:
+                q[:, joints[name].position_start()] = places
+                v[:, joints[name].velocity_start()] = speeds
+    q, v = q[:, ways.own_positions], v[:, ways.own_velocities]
+    return ways.plant_positions(q), ways.plant_velocities(v)
 
 
 def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:
@@ -330,9 +428,10 @@ def _last(name: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Built(JointTerms):
-    """A plant, and notes on how it was read."""
+    """A plant, notes on how it was read, and the joints that closed its loops."""
 
     notes: tuple[str, ...]
+    opened: tuple[OpenedLoop, ...]
 
 
 def _build(
@@ -341,6 +440,7 @@ def _build(
     plant = MultibodyPlant(time_step=0.0) if plant is None else plant
     description.add_to(plant)
     with drake_errors(description.path):
+        opened = open_loops(plant)
         weld_joints(plant, arrangement.held)
         weld_joints(plant, arrangement.aside, aside=True)
         notes = [*_root_notes(plant, arrangement)]
@@ -349,8 +449,11 @@ def _build(
             j: np.array(joint.default_damping_vector()) for j, joint in enumerate(_joints(plant))
         }
         rotor = _take_rotor_inertia(plant, description)
+        starts = description.joint_values("start")
         for joint in _joints(plant):
             joint.set_default_damping_vector(np.zeros(joint.num_velocities()))
+            if (start := starts.get(scoped(joint), 0.0)) and joint.num_positions() == 1:
+                joint.set_default_positions([start])
         plant.Finalize()
         check_poses(plant, description.path)
     if plant.num_velocities() == 0:
@@ -378,11 +481,12 @@ def _build(
         values = {j: stated.get(scoped(joint), 0.0) for j, joint in enumerate(_joints(plant))}
         return {j: np.full(count, values[j]) for j, count in counts.items() if count <= most}
 
-    springs = {j: own for text in description.texts for j, own in text.springs.items()}
+    springs = description.springs
     single = [joint for joint in _joints(plant) if joint.num_velocities() == 1]
     return _Built(
         plant,
         notes=tuple(notes),
+        opened=opened,
         damping=per_velocity(damping),
         friction=per_velocity(of_text("friction")),
         rotor_inertia=per_velocity(rotor),
@@ -448,6 +552,7 @@ def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:
         plant: A plant that is not finalized, such as one with geometry; changed.
         other: The finalized plant of a model.
     """
+    open_loops(plant)
     weld_joints(plant, welds_of(other))
     weld_joints(plant, welds_of(other, aside=True), aside=True)
     standing = {
@@ -541,16 +646,18 @@ def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayL
     Raises:
         ArgumentError: The shape does not fit, or a value is not finite.
     """
-    lumps = lumped_bodies(plant)
+    set_lump_inertias(plant, context, [body.members for body in lumped_bodies(plant)], phi)
+
+
+def set_lump_inertias(
+    plant: MultibodyPlant, context: Context, lumps: Sequence[Sequence[Member]], phi: ArrayLike
+) -> None:
+    """Writes inertial parameters (nb, 10) of groups of links into their first links."""
     phi = real_array(phi, "phi", (len(lumps), PARAMETERS_PER_BODY))
-    for body, parameters in zip(lumps, phi, strict=True):
-        for member in body.members[1:]:
-            plant.get_body(member.index).SetSpatialInertiaInBodyFrame(
-                context, SpatialInertia.Zero()
-            )
-        plant.get_body(body.body_index).SetSpatialInertiaInBodyFrame(
-            context, to_spatial_inertia(parameters)
-        )
+    for members, parameters in zip(lumps, phi, strict=True):
+        inertias = [to_spatial_inertia(parameters)] + [SpatialInertia.Zero()] * (len(members) - 1)
+        for member, inertia in zip(members, inertias, strict=True):
+            plant.get_body(member.index).SetSpatialInertiaInBodyFrame(context, inertia)
 
 
 @typed

@@ -17,7 +17,6 @@ from pydrake.multibody.tree import (
     PrismaticSpring,
     RevoluteSpring,
     RigidBody,
-    SpatialInertia,
 )
 from pydrake.systems.framework import Context, DiagramBuilder, InputPort, OutputPort
 from pydrake.systems.primitives import Adder, MatrixGain
@@ -25,15 +24,13 @@ from pydrake.systems.primitives import Adder, MatrixGain
 from geodrake.boundary.arguments import instance, instances, real_array, typed
 from geodrake.errors import ArgumentError
 from geodrake.inertia import (
-    PARAMETERS_PER_BODY,
     Array,
     inertial_parameters,
-    to_spatial_inertia,
 )
 from geodrake.inertia.bodies import Member, body_names, check_context, check_plant, lumped_bodies
 from geodrake.robot.floating_base import body_poses
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.plant import joint_names
+from geodrake.robot.plant import joint_names, set_lump_inertias
 
 _SAME_GRAVITY = 1e-6  # m/s², between two files of one robot
 _SAME_ROTATION = 1e-6
@@ -97,15 +94,15 @@ class RobotInstance:
             )
 
     @property
-    def index(self) -> ModelInstanceIndex | None:
-        """Index of the model instance, if it is one."""
-        return None if self.name is None else self.plant.GetModelInstanceByName(self.name)
+    def _which(self) -> tuple[ModelInstanceIndex, ...]:
+        """The model instance, if it is one, as the plant's methods take it."""
+        return () if self.name is None else (self.plant.GetModelInstanceByName(self.name),)
 
     @cached_property
     def velocities(self) -> NDArray[np.intp]:
         """(n,) places of the robot's velocities in v of the plant, in Drake's order."""
-        spans = [(int(j.velocity_start()), j.num_velocities()) for j in self._moving]
-        return np.array([start + k for start, count in spans for k in range(count)], int)
+        starts = [j.velocity_start() + k for j in self._moving for k in range(j.num_velocities())]
+        return np.array(starts, int)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
@@ -128,16 +125,12 @@ class RobotInstance:
     def body_names(self) -> Mapping[str, str]:
         """Name of a body among all of the plant -> what the robot calls it."""
         names = body_names(self.plant)
-        found = {name: name for name in names}
-        for index in () if self.index is None else self.plant.GetBodyIndices(self.index):
-            found[names[int(index)]] = self.plant.get_body(index).name()
-        return found
+        own = [i for which in self._which for i in self.plant.GetBodyIndices(which)]
+        short = {names[int(index)]: self.plant.get_body(index).name() for index in own}
+        return {name: short.get(name, name) for name in names}
 
     def positions(self, joints: Sequence[str] | None = None) -> NDArray[np.intp]:
-        """(n,) places of the positions of joints in q of the plant.
-
-        Args:
-            joints: Names of the robot's joints in some order; all in Drake's order if None.
+        """Return (n,) places in q of the plant of joints in some order, or of all in Drake's.
 
         Raises:
             ArgumentError: A joint has not one degree of freedom, as a base that floats has not.
@@ -154,7 +147,7 @@ class RobotInstance:
         return np.array([places[joint] for joint in joints or self.joints], int)
 
     def order(self, joints: Sequence[str]) -> NDArray[np.intp]:
-        """(n,) where each of some joints is among the robot's own.
+        """Return (n,) where each of the robot's joints, in some order, is among its own.
 
         Raises:
             ArgumentError: They are not the robot's joints.
@@ -171,21 +164,16 @@ class RobotInstance:
         return np.array([self.joints.index(joint) for joint in joints], int)
 
     def ports(self, builder: DiagramBuilder, joints: Sequence[str]) -> RobotPorts:
-        """Where a controller of the robot connects, with its joints in an order of one's own.
+        """Return where a controller connects, with all the robot's joints in an order of its own.
 
         Efforts go to the actuators of the robot; to generalized forces of its joints if it has no
         actuators.
-
-        Args:
-            builder: The builder that the plant is in.
-            joints: Names of all the robot's joints.
 
         Raises:
             ArgumentError: They are not the robot's joints, a joint has several degrees of freedom,
                 or only some have an actuator.
         """
-        order = self.order(joints)
-        plant, which = self.plant, () if self.index is None else (self.index,)
+        order, plant, which = self.order(joints), self.plant, self._which
         if self._actuators:
             effort = builder.AddSystem(MatrixGain(self._to_actuators(joints)))
             builder.Connect(effort.get_output_port(), plant.get_actuation_input_port(*which))
@@ -197,16 +185,12 @@ class RobotInstance:
         return RobotPorts(
             tuple(joints),
             self.state_port(builder, joints),
-            _selected(builder, acceleration, at_v),
+            selected(builder, acceleration, at_v),
             effort.get_input_port(),
         )
 
     def state_port(self, builder: DiagramBuilder, joints: Sequence[str]) -> OutputPort:
-        """Output (2 n) with positions and then velocities of joints.
-
-        Args:
-            builder: The builder that the plant is in.
-            joints: Names of all the robot's joints, in the order of the output.
+        """Return an output (2 n) of positions and then velocities of the robot's joints.
 
         Raises:
             ArgumentError: They are not the robot's joints, or one has several degrees of freedom.
@@ -214,15 +198,11 @@ class RobotInstance:
         order, (q, v) = self.order(joints), self._in_ports
         at_q = _places(self.positions(joints), q)
         at_v = _places(self.velocities[order], v)
-        which = () if self.index is None else (self.index,)
-        port = self.plant.get_state_output_port(*which)
-        return _selected(builder, port, np.concatenate([at_q, len(q) + at_v]))
+        port = self.plant.get_state_output_port(*self._which)
+        return selected(builder, port, np.concatenate([at_q, len(q) + at_v]))
 
     def to_plant(self, joints: Sequence[str]) -> Array:
-        """(nv, n) matrix that puts efforts at joints to the plant's velocities.
-
-        Args:
-            joints: Names of all the robot's joints, in the order of the efforts.
+        """Return the matrix (nv, n) that puts efforts at joints to the plant's velocities.
 
         Raises:
             ArgumentError: They are not the robot's joints.
@@ -234,10 +214,7 @@ class RobotInstance:
     def set_state(self, context: Context, joints: Sequence[str], state: ArrayLike) -> None:
         """Puts the robot somewhere in a Context of its plant; all else stays.
 
-        Args:
-            context: The plant's Context, changed.
-            joints: Names of all the robot's joints.
-            state: (2 n,) their positions and then velocities.
+        The state (2 n,) is positions and then velocities of all joints in order.
 
         Raises:
             ArgumentError: They are not the robot's joints, or the state is not theirs.
@@ -252,34 +229,20 @@ class RobotInstance:
         self.plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
 
     def set_inertial_parameters(self, context: Context, phi: ArrayLike) -> None:
-        """Gives the robot's bodies inertial parameters in a Context of its plant.
+        """Gives the robot's bodies inertial parameters (nb, 10) in a Context of its plant.
 
-        What other model instances weld to a body, as a gripper, stays beside them.
-
-        Args:
-            context: The plant's Context, changed.
-            phi: (nb, 10) parameters of the robot's bodies, in the order of `lumped_bodies` of a
-                plant of its own.
+        Their order is that of `lumped_bodies` of a plant of its own. What other model instances
+        weld to a body, as a gripper, stays beside them.
 
         Raises:
             ArgumentError: The shape does not fit, or a value is not finite.
         """
         check_context(self.plant, context)
         lumps = [[m for m in lump.members if self._is_own(m)] for lump in lumped_bodies(self.plant)]
-        lumps = [members for members in lumps if members]
-        phi = real_array(phi, "phi", (len(lumps), PARAMETERS_PER_BODY))
-        for members, parameters in zip(lumps, phi, strict=True):
-            for member in members[1:]:
-                body = self.plant.get_body(member.index)
-                body.SetSpatialInertiaInBodyFrame(context, SpatialInertia.Zero())
-            body = self.plant.get_body(members[0].index)
-            body.SetSpatialInertiaInBodyFrame(context, to_spatial_inertia(parameters))
+        set_lump_inertias(self.plant, context, [members for members in lumps if members], phi)
 
     def plant_parameters(self, phi: ArrayLike) -> Array:
         """(nb, 10) inertial parameters of the whole plant, with those of the robot in their places.
-
-        Args:
-            phi: As for `set_inertial_parameters`.
 
         Raises:
             ArgumentError: The shape does not fit, or a value is not finite.
@@ -305,12 +268,8 @@ class RobotInstance:
     ) -> None:
         """Checks that gravity acts on the robot's base as it does in a model of the robot.
 
-        A base may stand anywhere and be turned about the vertical, as efforts are then the same.
-
-        Args:
-            tree: Kinematics of the model.
-            joints: Names of its velocities.
-            turned: Whether a turn about the vertical matters too, as to what acts in world axes.
+        A base may stand anywhere and be turned about the vertical, as efforts are then the same;
+        not so where `turned`, as a turn matters to what acts in world axes.
 
         Raises:
             ArgumentError: The joints are others, or the base moves, or leans otherwise than that of
@@ -356,16 +315,16 @@ class RobotInstance:
 
     def _is_own(self, member: Member) -> bool:
         body = self.plant.get_body(member.index)
-        return self.index is None or body.model_instance() == self.index
+        return not self._which or body.model_instance() in self._which
 
     @cached_property
     def _in_ports(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Places in q and v of the plant of what the robot's state port has, in its order."""
         plant = self.plant
         q, v = np.arange(plant.num_positions()), np.arange(plant.num_velocities())
-        if self.index is not None:
-            q = plant.GetPositionsFromArray(self.index, q.astype(float)).astype(int)
-            v = plant.GetVelocitiesFromArray(self.index, v.astype(float)).astype(int)
+        for index in self._which:
+            q = plant.GetPositionsFromArray(index, q.astype(float)).astype(int)
+            v = plant.GetVelocitiesFromArray(index, v.astype(float)).astype(int)
         return q, v
 
     def _name(self, joint: Joint) -> str:
@@ -378,21 +337,14 @@ class RobotInstance:
     @cached_property
     def _moving(self) -> list[Joint]:
         """Joints that move, in the order of their velocities."""
-        plant, index = self.plant, self.index
-        indices = plant.GetJointIndices() if index is None else plant.GetJointIndices(index)
-        joints = [plant.get_joint(i) for i in indices]
+        joints = map(self.plant.get_joint, self.plant.GetJointIndices(*self._which))
         moving = [joint for joint in joints if joint.num_velocities()]
         return sorted(moving, key=lambda joint: int(joint.velocity_start()))
 
     @cached_property
     def _actuators(self) -> list[JointActuator]:
-        plant, index = self.plant, self.index
-        indices = (
-            plant.GetJointActuatorIndices()
-            if index is None
-            else plant.GetJointActuatorIndices(index)
-        )
-        return [plant.get_joint_actuator(i) for i in indices]
+        indices = self.plant.GetJointActuatorIndices(*self._which)
+        return [self.plant.get_joint_actuator(i) for i in indices]
 
     def _to_actuators(self, joints: Sequence[str]) -> Array:
         """(n, n) matrix that puts efforts at joints to the robot's actuators."""
@@ -409,11 +361,7 @@ class RobotInstance:
 
 @typed
 def take_out_stated(plant: MultibodyPlant, name: str) -> None:
-    """Takes damping and rotor inertia out of a robot, where they are to be effects of a model.
-
-    Args:
-        plant: A plant that is not finalized.
-        name: Name of the robot's model instance.
+    """Takes damping and rotor inertia out of a robot, as they are to be effects of a model.
 
     Raises:
         ArgumentError: The plant is finalized, or has no such instance.
@@ -427,8 +375,7 @@ def take_out_stated(plant: MultibodyPlant, name: str) -> None:
     for joint_index in plant.GetJointIndices(index):
         joint = plant.get_mutable_joint(joint_index)
         joint.set_default_damping_vector(np.zeros(joint.num_velocities()))
-    for actuator_index in plant.GetJointActuatorIndices():
-        actuator = plant.get_mutable_joint_actuator(actuator_index)
+    for actuator in map(plant.get_mutable_joint_actuator, plant.GetJointActuatorIndices()):
         if actuator.model_instance() == index:
             actuator.set_default_rotor_inertia(0.0)
 
@@ -436,12 +383,7 @@ def take_out_stated(plant: MultibodyPlant, name: str) -> None:
 def add_generalized_force(
     builder: DiagramBuilder, plant: MultibodyPlant, force: OutputPort
 ) -> None:
-    """Connects a generalized force to a plant, beside those that already act on it.
-
-    Args:
-        builder: The builder that the plant is in.
-        plant: A finalized plant.
-        force: Output (nv), N·m or N.
+    """Connects a generalized force (nv), N·m or N, to a plant, beside those that act on it.
 
     Raises:
         ArgumentError: The plant's port for generalized forces is an input of the diagram.
@@ -464,8 +406,8 @@ def add_generalized_force(
     builder.Connect(force, port)
 
 
-def _selected(builder: DiagramBuilder, port: OutputPort, places: NDArray[np.intp]) -> OutputPort:
-    """Return the values of a port at some places."""
+def selected(builder: DiagramBuilder, port: OutputPort, places: NDArray[np.intp]) -> OutputPort:
+    """Return an output with the values of a port at some places."""
     if np.array_equal(places, np.arange(port.size())):
         return port
     gain = builder.AddSystem(MatrixGain(np.eye(port.size())[places]))

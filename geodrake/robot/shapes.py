@@ -121,7 +121,6 @@ def _read(
         _prepare(root, parser.package_map(), path, folder, lost)
         kind = "urdf" if root.tag == "robot" else "sdf"
         parser.AddModelsFromString(tostring(root, encoding="unicode"), kind)
-    plant.Finalize()
     inspector, links = scene.model_inspector(), {}
     for role in (Role.kProximity, Role.kIllustration):  # of links that have both, the latter
         for i in range(plant.num_bodies()):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -98,35 +98,36 @@ class Tendon:
         """Return the tendon with the names that joints of a model have."""
         return replace(self, shares={f"{scope}::{j}": share for j, share in self.shares.items()})
 
-    def through(self, rows: Mapping[Any, Mapping[int, float]], at: Mapping[Any, float]) -> Tendon:
+    def through(self, rows: Mapping[Any, Mapping[Any, float]], at: Mapping[Any, float]) -> Tendon:
         """Return the tendon over what its joints follow.
 
         Args:
-            rows: Joint -> velocity that it follows -> ratio; none of a joint that stands still.
+            rows: Joint -> what it follows -> ratio; none of a joint that stands still.
             at: Joint -> its position where those are at zero, rad or m.
         """
-        shares, shift = dict[int, float](), 0.0
+        shares, shift = dict[Any, float](), 0.0
         for joint, share in self.shares.items():
             shift += share * at.get(joint, 0.0)
-            for velocity, ratio in rows[joint].items():
-                shares[velocity] = shares.get(velocity, 0.0) + share * ratio
+            for place, ratio in rows[joint].items():
+                shares[place] = shares.get(place, 0.0) + share * ratio
         return replace(self, shares=shares, length=self.length - shift)
 
 
-Entries = dict[tuple[int, int], float]
-"""Entries of a symmetric matrix of velocities i ≤ j."""
+Place = TypeVar("Place", int, str)
+Entries = dict[tuple[Place, Place], float]
+"""Entries of a symmetric matrix of velocities, or joints, i ≤ j."""
 
 
 def entries_through(
-    entries: Iterable[tuple[Any, Any, float]], rows: Mapping[Any, Mapping[int, float]]
-) -> Entries:
+    entries: Iterable[tuple[Any, Any, float]], rows: Mapping[Any, Mapping[Place, float]]
+) -> Entries[Place]:
     """Return what entries between two joints each are between what the joints follow.
 
     Args:
         entries: Two joints, or one twice, and the entry between them.
         rows: Joint -> velocity that it follows -> ratio.
     """
-    found: Entries = {}
+    found: Entries[Place] = {}
     for first, second, value in entries:
         once = 0.5 if first == second else 1.0
         for i, own in rows.get(first, {}).items():

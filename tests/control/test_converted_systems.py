@@ -21,7 +21,7 @@ from geodrake.control.systems import (
 )
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
-from geodrake.model.simulation.differenced_system import differenced
+from geodrake.model.simulation.scalar_system import differenced
 from geodrake.model.simulation.scalars import scalars
 
 START = perturbed(0.15)

@@ -21,9 +21,8 @@ from geodrake.diagnosis.columns.kinds import KINDS, words_of
 from geodrake.diagnosis.columns.limits import likely_limits, spread
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
-from geodrake.model.effort_signal import EffortSignal
-from geodrake.model.exporting.actuators import actuators_of
-from geodrake.model.motor_limit import MotorLimit
+from geodrake.model.effort_signal import EffortSignal, MotorLimit
+from geodrake.model.exporting.joints import exported_joints
 from geodrake.model.saved_model import save_model
 from geodrake.model.signal_efforts import in_efforts
 from geodrake.report.numbers import Units
@@ -136,7 +135,7 @@ def test_limits_of_a_model_are_those_of_corrected_columns():
     (signal,) = able.effort_signals
     assert signal == EffortSignal(second, "effort", 1.0, limit=6.0, no_load_speed=5.0)
     assert able.known_effort_limits[1] == 6.0
-    assert actuators_of(able)[1].limit == 6.0
+    assert [*exported_joints(able).values()][1].effort == 6.0
     currents = replace(log, effort_kinds={first: "current"})
     assert with_motor_limits(model, [currents], [limit]).effort_signals == ()
     assert corrected(currents, [limit]).effort.tolist() == log.effort.tolist()

@@ -30,9 +30,10 @@ LONG_NAMES = re.compile(rf"\b(?:{'|'.join(sorted(name for name in NAMES if '_' i
 CLASSES = {effect.__name__ for effect in catalogue()}
 
 ALLOWED = {
+    "cli/app.py": "examples of help name effects",
     "fleet/fleet_file.py": "payload is a key of a fleet's file",
     "logs/files/recognition.py": "contact is a word in names of columns",
-    "model/exporting/anew.py": "drake:rotor_inertia is a tag of Drake's",
+    "model/exporting/from_plant.py": "drake:rotor_inertia is a tag of Drake's",
     "model/exporting/isaac.py": "viscous_friction is a key of Isaac's actuators",
     "model/file_terms.py": "says what files have of their own of what effects are",
     "robot/files/joint_text.py": "drake:rotor_inertia is a tag of Drake's",

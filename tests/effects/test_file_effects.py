@@ -8,6 +8,7 @@ import pytest
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake import load_model, save_model
+from geodrake.control.export_proof import export_to
 from geodrake.effects import FittedEffect, make_effect
 from geodrake.effects.lookup import catalogue, file_effects
 from geodrake.errors import ArgumentError
@@ -67,8 +68,7 @@ def test_a_held_joint_still_pulls(arm):
 
 def test_a_held_joint_of_a_model_that_was_changed_is_told_of(arm):
     model = load_model(arm)
-    offset = FittedEffect(make_effect("effort_offset", ["a"]), np.array([1.0]))
-    held = holding(dataclasses.replace(model, effects=(*model.effects, offset)), {"c": 0.4})
+    held = holding(with_offset(model), {"c": 0.4})
     (said,) = [note for note in held.notes if note.startswith("Left out")]
     assert "joint_coupling of a & c" in said and "carried_weight of c" in said
 
@@ -123,6 +123,23 @@ def test_a_simulation_has_them(arm):
     data.qpos[:], data.qvel[:] = q, v
     mujoco.mj_forward(reference, data)
     np.testing.assert_allclose(rates, data.qacc, rtol=1e-7)
+
+
+def with_offset(model):
+    offset = FittedEffect(make_effect("effort_offset", ["a"]), np.array([1.0]))
+    return dataclasses.replace(model, effects=(*model.effects, offset))
+
+
+def test_an_mjcf_holds_them_as_long_as_the_model_is_that_of_its_file(arm, tmp_path):
+    model = load_model(arm)
+    same = export_to("mjcf", model, tmp_path / "same")
+    assert not same.lacks and all(each.is_rounding for each in same.proof.differences)
+    text = arm.read_text(encoding="utf-8")
+    assert (tmp_path / "same" / "arm.xml").read_text(encoding="utf-8") == text
+    other = export_to("mjcf", with_offset(model), tmp_path / "other")
+    assert {"strut", "carried_weight", "medium_drag"} < {each.lost.effect for each in other.lacks}
+    assert len(other.proof.differences) == 2
+    assert all(each.is_rounding for each in other.proof.differences)
 
 
 def test_nobody_proposes_them():

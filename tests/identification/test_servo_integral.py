@@ -20,12 +20,12 @@ from geodrake.model import EffortSignal
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.saved_model import load_model as load_saved
 from geodrake.model.saved_model import save_model
-from geodrake.model.servo_integrals import (
+from geodrake.model.signal_efforts import (
     constants_beside_friction,
     error_integral,
     runs_between_gaps,
+    servo_effort,
 )
-from geodrake.model.signal_efforts import servo_effort
 from geodrake.report.numbers import Units
 from geodrake.report.tables import signals_table
 

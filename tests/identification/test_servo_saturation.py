@@ -15,7 +15,7 @@ from geodrake.identification.logs.servo_fit import JointMotions, fit_servo, moti
 from geodrake.identification.logs.signal_calibration import signals_as_efforts, with_efforts
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model import EffortSignal
-from geodrake.model.servo_integrals import error_integral, limited_integral
+from geodrake.model.signal_efforts import error_integral, limited_integral
 
 
 def pendulum(folder, effort):

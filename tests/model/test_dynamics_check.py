@@ -244,3 +244,19 @@ def test_a_floating_base_has_a_second_opinion(tmp_path, name):
         re.sub(r'mass value="([0-9.]+)"', r'mass value="\g<1>1"', text), encoding="utf-8"
     )
     assert not check_dynamics(model, samples=20).second.holds
+
+
+BENT = """<mujoco model="r"><compiler angle="radian"/><worldbody><body name="a" pos="0 0 .3">
+<joint name="a" axis="0 1 .2"/><geom type="box" size=".05 .04 .1" pos=".1 0 .05"/>
+<body name="t" pos=".1 0 .2"><joint name="t" axis="0 1 0" {}/>
+<geom type="box" size=".05 .04 .1" pos=".1 0 .05"/></body></body></worldbody><equality>
+<joint joint1="t" joint2="a" polycoef=".1 .5 .3 0 0"/></equality>{}</mujoco>"""
+TENDON = """<tendon><fixed name="p" stiffness="5" springlength=".3" damping=".3" armature=".1">
+<joint joint="a" coef="1"/><joint joint="t" coef="2"/></fixed></tendon>"""
+
+
+@pytest.mark.parametrize("tendon", ["", TENDON])
+@pytest.mark.parametrize("has", ["", 'damping=".1 .2 .3"', 'armature=".1"', 'stiffness="2 1 -1"'])
+def test_what_a_joint_has_that_follows_along_a_curve_is_no_bug(tmp_path, has, tendon):
+    found = check_dynamics(written(tmp_path / "m.xml", BENT.format(has, tendon)), samples=10)
+    assert found.holds and found.joints == ("a",) and found.second.relative < 1e-12

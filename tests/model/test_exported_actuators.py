@@ -170,17 +170,6 @@ def test_defaults_of_actuators_would_change_what_is_added(tmp_path):
     assert mujoco.MjModel.from_xml_path(str(path)).nu == 2
 
 
-def test_joints_of_included_files_are_refused(tmp_path):
-    body = MJCF[MJCF.index("<body name") : MJCF.index("  </worldbody>")]
-    (tmp_path / "own").mkdir()
-    (tmp_path / "own" / "inner.xml").write_text(f"<mujoco>{body}</mujoco>")
-    path = tmp_path / "own" / "arm.xml"
-    own = MJCF.format(before="", after="")
-    path.write_text(own.replace(body, '<include file="inner.xml"/>'))
-    with pytest.raises(ModelError, match="is not in"):
-        exported(servoed(load_model(path)), tmp_path / "out")
-
-
 def test_samples_are_enough_for_the_delay():
     for steps in (1, 2.5, 7, 20, 33.3):
         for step in (1e-3, 2e-3, 0.7e-3):

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 import pinocchio
 import pytest
+from chain_logs import inverse_dynamics
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import MultibodyForces
 
 from geodrake.effects import (
     AsymmetricFriction,
@@ -153,14 +153,7 @@ def drake_effort(path, moved):
     if path.suffix == ".urdf":
         plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
     plant.Finalize()
-    context, forces = plant.CreateDefaultContext(), MultibodyForces(plant)
-    found = []
-    for q, v, vd in zip(moved.q, moved.v, moved.vd, strict=True):
-        plant.SetPositions(context, q)
-        plant.SetVelocities(context, v)
-        plant.CalcForceElementsContribution(context, forces)
-        found.append(plant.CalcInverseDynamics(context, vd, forces))
-    return np.array(found)
+    return inverse_dynamics(plant, moved.q, moved.v, moved.vd)
 
 
 def dry(model, moved):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydrake.multibody.tree import MultibodyForces
+from chain_logs import inverse_dynamics
 
 from geodrake import load_model
 from geodrake.effects import (
@@ -41,16 +41,9 @@ def motion(arm):
 
 
 def drake_effort(model, motion):
-    """Inverse dynamics of Drake's plant with the model's bodies, sample by sample."""
-    plant, context = model.plant, model.create_context()
-    rows = []
-    for q, v, vd in zip(motion.q, motion.v, motion.vd, strict=True):
-        plant.SetPositions(context, q)
-        plant.SetVelocities(context, v)
-        forces = MultibodyForces(plant)
-        plant.CalcForceElementsContribution(context, forces)
-        rows.append(plant.CalcInverseDynamics(context, vd, forces))
-    return np.array(rows)
+    """Inverse dynamics of Drake's plant with the model's bodies."""
+    samples = motion.q, motion.v, motion.vd
+    return inverse_dynamics(model.plant, *samples, model.create_context())
 
 
 def fitted(effect, *values):

@@ -1,15 +1,18 @@
-"""Saved models: they come back as they were, and say so when something around them changed."""
+"""Saved models: they come back as they were, move with their base file and without, or say why."""
 
 import os
 import shutil
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from geodrake import load_model
 from geodrake.boundary.whole_files import write_whole
+from geodrake.cli.app import app
 from geodrake.effects import (
     AsymmetricFriction,
     CoulombFriction,
@@ -27,6 +30,7 @@ from geodrake.effects import (
     RotorInertia,
     StribeckFriction,
     ViscousFriction,
+    load_effect_file,
 )
 from geodrake.errors import ModelError, OutputError
 from geodrake.inertia import from_mass_com_inertia
@@ -35,6 +39,21 @@ from geodrake.model import EffortSignal
 from geodrake.model.saved_model import is_saved_model, save_model
 
 MODELS = Path(__file__).parents[2] / "models"
+DEMO = Path(str(files("geodrake") / "demo" / "demo.urdf"))
+HOSE = """
+from dataclasses import dataclass
+import numpy as np
+from geodrake.effects import JointEffect, Parameter
+
+
+@dataclass(frozen=True)
+class HangingHose(JointEffect):
+    name = "hanging_hose"
+    parameters = (Parameter("cosine", "N·m"), Parameter("sine", "N·m"))
+
+    def columns(self, joint):
+        return [np.cos(joint.q), np.sin(joint.q)]
+"""
 
 
 def every_effect(model):
@@ -76,7 +95,9 @@ def fitted(tmp_path):
     p = model.phi.size + sum(len(e.parameters) for e in effects)
     root = rng.normal(size=(p, p))
     fading = np.array([0.0, 0.01, 1 / 3, 0.0, 0.0, 0.0])
-    return replace(model, fading_speed=fading, bandwidths={"abc": (3.0, 10 / 3)}).with_fit(
+    signal = EffortSignal(model.joints[0], "current", np.float64(0.7), deviation=np.float64(0.1))
+    known = {"bandwidths": {"abc": (3.0, np.float64(10 / 3))}, "effort_signals": (signal,)}
+    return replace(model, fading_speed=fading, **known).with_fit(
         model.phi * rng.uniform(1.0, 1.1, (len(model.bodies), 1)),
         effects,
         information=root @ root.T,
@@ -102,6 +123,7 @@ def test_comes_back_exactly(fitted, saved):
     np.testing.assert_array_equal(again.delays, fitted.delays)
     assert fitted.delays.any()
     assert again.bandwidths == fitted.bandwidths
+    assert again.effort_signals == fitted.effort_signals
     assert again.notes == fitted.notes
 
 
@@ -140,32 +162,12 @@ def test_floating_base_is_remembered(tmp_path):
     assert load_model(path).plant.num_velocities() == 8
 
 
-def test_moves_together_with_its_base(saved, tmp_path):
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    shutil.copytree(tmp_path / "robot", elsewhere / "robot")
-    shutil.move(saved, elsewhere / saved.name)
-    assert len(load_model(elsewhere / saved.name).effects) == 15
-
-
-def test_works_from_any_directory(saved, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert len(load_model(saved.name).effects) == 15
-
-
 def test_saved_through_a_link_to_a_folder(fitted, tmp_path):
     real, link = tmp_path / "a" / "b", tmp_path / "link"
     real.mkdir(parents=True)
     link.symlink_to(real)
     save_model(fitted, link / "model.yaml")
     assert len(load_model(link / "model.yaml").effects) == 15
-
-
-def test_base_that_moved_is_named(saved, tmp_path):
-    (tmp_path / "robot").rename(tmp_path / "attic")
-    with pytest.raises(ModelError, match=r"robot/arm6\.urdf.*Move it back") as error:
-        load_model(saved)
-    assert error.value.evidence["base"] == tmp_path / "robot" / "arm6.urdf"
 
 
 def test_base_that_changed_is_noted(fitted, saved):
@@ -184,11 +186,17 @@ def test_base_of_another_robot_is_refused(fitted, saved):
     ("old", "new", "words"),
     [
         ("floating: false", "floating: [", "is no geodrake model"),
-        ("floating: false", "floating: maybe", "is no geodrake model"),
-        ("floating: false", "colour: red", "is no geodrake model"),
+        ("floating: false", "floating: maybe", "is no geodrake model: floating = maybe: expected"),
+        ("floating: false", "colour: red", "has 'colour', which is none"),
         ("name: viscous_friction", "name: viscous_fiction", "viscous_friction"),
         ("sign: -1", "sign: -2", "sign 1 or −1"),
-        ("exponent: 2.5", "exponent: heavy", "is no geodrake model"),
+        ("exponent: 2.5", "exponent: heavy", r"effects\[4\]\.shape\.exponent = heavy: expected"),
+        (
+            "parameters: [",
+            "parameters: [x, ",
+            r"effects\[0\]\.parameters\[0\] = x: expected a number",
+        ),
+        ("parameters: [", "parmeters: [", r"'parmeters', which is none \(was parameters meant\?\)"),
     ],
 )
 def test_corrupted_file_is_refused(saved, old, new, words):
@@ -298,3 +306,112 @@ def test_an_effect_of_the_users_own_asks_for_its_file(saved):
     with pytest.raises(ModelError, match=words) as error:
         load_model(saved)
     assert "does not fit" not in str(error.value)
+
+
+@pytest.fixture
+def moving(tmp_path):
+    """A saved model in one folder, whose base file is in another one."""
+    base = tmp_path / "robots" / "arm.urdf"
+    base.parent.mkdir()
+    shutil.copy(DEMO, base)
+    model = load_model(base)
+    friction = FittedEffect(ViscousFriction(model.joints[0]), np.array([2.0]))
+    path = tmp_path / "fits" / "arm.yaml"
+    path.parent.mkdir()
+    save_model(replace(model, phi=1.1 * model.phi, effects=(friction,)), path)
+    return path
+
+
+def is_that_model(path, base):
+    model = load_model(path)
+    assert model.path.resolve() == base.resolve()
+    np.testing.assert_allclose(model.phi, 1.1 * load_model(DEMO).phi)
+    assert not any("changed" in note for note in model.notes)
+
+
+def test_both_move_together(moving, tmp_path):
+    shutil.copytree(tmp_path / "fits", tmp_path / "there" / "fits")
+    shutil.copytree(tmp_path / "robots", tmp_path / "there" / "robots")
+    for folder in ("fits", "robots"):
+        shutil.rmtree(tmp_path / folder)
+    is_that_model(tmp_path / "there/fits/arm.yaml", tmp_path / "there/robots/arm.urdf")
+
+
+def test_both_move_into_one_folder(moving, tmp_path):
+    (tmp_path / "new").mkdir()
+    moving.rename(tmp_path / "new" / "arm.yaml")
+    (tmp_path / "robots" / "arm.urdf").rename(tmp_path / "new" / "arm.urdf")
+    is_that_model(tmp_path / "new" / "arm.yaml", tmp_path / "new" / "arm.urdf")
+
+
+def test_the_saved_model_moves_alone(moving, tmp_path):
+    (tmp_path / "far" / "away").mkdir(parents=True)
+    moving.rename(tmp_path / "far" / "away" / "other.yaml")
+    is_that_model(tmp_path / "far/away/other.yaml", tmp_path / "robots" / "arm.urdf")
+
+
+def test_another_file_of_that_name_is_not_taken(moving, tmp_path):
+    """A copy beside another arm.urdf is still of the one that it was fitted to."""
+    shutil.copy(moving, tmp_path / "arm.yaml")
+    (tmp_path / "arm.urdf").write_text(DEMO.read_text().replace('"2.6"', '"2.7"') + "<!-- -->")
+    is_that_model(tmp_path / "arm.yaml", tmp_path / "robots" / "arm.urdf")
+
+
+def test_from_another_working_directory(moving, tmp_path, monkeypatch):
+    monkeypatch.chdir(moving.parent)
+    is_that_model(Path("arm.yaml"), tmp_path / "robots" / "arm.urdf")
+    monkeypatch.chdir(tmp_path / "robots")
+    is_that_model(Path("../fits/arm.yaml"), tmp_path / "robots" / "arm.urdf")
+
+
+def test_a_base_that_is_gone(moving, tmp_path):
+    (tmp_path / "robots" / "arm.urdf").unlink()
+    with pytest.raises(ModelError, match=r"is based on '\.\./robots/arm\.urdf'") as caught:
+        load_model(moving)
+    assert "beside the saved model" in caught.value.advice
+    assert caught.value.evidence["base"].resolve() == tmp_path / "robots" / "arm.urdf"
+
+
+class TestOwnEffects:
+    @pytest.fixture
+    def folder(self, tmp_path, monkeypatch):
+        (tmp_path / "my hose.py").write_text(HOSE, encoding="utf-8")
+        shutil.copy(DEMO, tmp_path / "arm.urdf")
+        (hose,) = load_effect_file(tmp_path / "my hose.py")
+        model = load_model(tmp_path / "arm.urdf")
+        own = FittedEffect(hose(model.joints[0]), np.array([1.0, 2.0]))
+        save_model(replace(model, effects=(own,)), tmp_path / "arm.yaml")
+        monkeypatch.chdir(tmp_path)
+        return tmp_path
+
+    def test_their_file_is_named(self, folder):
+        with pytest.raises(ModelError) as caught:
+            load_model(folder / "arm.yaml")
+        assert "'hanging_hose', of the class HangingHose" in caught.value.problem
+        assert "--effects 'my hose.py'" in caught.value.advice
+
+    def test_their_file_is_named_where_it_is(self, folder, monkeypatch):
+        (folder / "elsewhere").mkdir()
+        monkeypatch.chdir(folder / "elsewhere")
+        with pytest.raises(ModelError) as caught:
+            load_model("../arm.yaml")
+        assert "--effects '../my hose.py'" in caught.value.advice
+
+    def test_a_file_that_is_gone_is_named(self, folder):
+        (folder / "my hose.py").unlink()
+        with pytest.raises(ModelError) as caught:
+            load_model("arm.yaml")
+        assert "which was 'my hose.py': --effects FILE.py" in caught.value.advice
+
+    def test_the_advice_works(self, folder):
+        log = str(DEMO.with_suffix(".csv"))
+        refused = CliRunner().invoke(app, ["compare", "arm.yaml", log])
+        assert refused.exit_code == 2
+        taken = CliRunner().invoke(app, ["compare", "arm.yaml", log, "--effects", "my hose.py"])
+        assert taken.exit_code == 0, taken.output
+
+    def test_nothing_is_run_unasked(self, folder):
+        (folder / "my hose.py").write_text("open('RUN', 'w')", encoding="utf-8")
+        with pytest.raises(ModelError):
+            load_model("arm.yaml")
+        assert not (folder / "RUN").exists()

@@ -290,9 +290,7 @@ class TestOwnEffects:
     @pytest.mark.parametrize("name", ["decided", "sampled"])
     def test_what_is_no_formula_is_refused(self, own, name):
         model = with_effects([(own[name]("elbow_pitch"), [1.0])])
-        message = (
-            rf"{name} of elbow_pitch cannot be written as source code \(line \d+ of .*own.py\)"
-        )
+        message = rf"{name} of elbow_pitch is known for numbers only \(line \d+ of .*own.py\)"
         with pytest.raises(ModelError, match=message) as caught:
             python_source(model)
         assert "NumPy" in caught.value.advice

@@ -267,12 +267,15 @@ def test_damping_and_limits_of_the_file_are_the_actuators(tmp_path):
     np.testing.assert_allclose(model.velocity_limits, [3.0, 3.0, 15.0])
     np.testing.assert_allclose(model.effort_limits, [40.0, 40.0, 8.0])
     model = arm(tmp_path, WRIST, extra=rub)
-    motion, bare = motion_of(model), replace(model, effects=())
-    J = model.actuation.jacobian(motion.q)[:, [model.tree_joints.index("roll")]]
-    rate = (J @ motion.v[..., None])[:, 0]
-    rubs = J[:, 0] * (0.3 * rate + 0.2 * np.sign(rate))
-    assert_close(model.effort(motion), bare.effort(motion) + rubs)
-    assert not model.left_out
+    values = {(f.effect.name, *f.effect.where): f.parameters.tolist() for f in model.effects}
+    assert values == {("viscous_friction", "roll"): [0.3], ("coulomb_friction", "roll"): [0.2]}
+    motion = Motion(*np.random.default_rng(0).uniform(-0.5, 0.5, (3, 6, 3)))
+    J = model.actuation.constant
+    (at,) = (k for k, name in enumerate(model.tree_joints) if name == "roll")
+    rate = motion.v @ J[at]
+    rubbing = (0.3 * rate + 0.2 * np.sign(rate))[:, None] * J[at]
+    bare = replace(model, effects=())
+    np.testing.assert_allclose(model.effort(motion) - bare.effort(motion), rubbing, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["wrist", "curved"])

@@ -4,16 +4,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from chain_logs import inverse_dynamics as drakes_efforts
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from known_robots import HUMANOIDS, assert_close, description, moving_joints, plant_of
+from known_robots import (
+    HUMANOIDS,
+    assert_close,
+    description,
+    efforts_on_a_free_base,
+    plant_of,
+)
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
-    MultibodyForces,
     RevoluteJoint,
     SpatialInertia,
 )
@@ -50,38 +56,22 @@ def test_wrench_on_a_floating_base_is_drakes(name):
     q[:, :4] /= np.linalg.norm(q[:, :4], axis=1, keepdims=True)
     X_WP = np.broadcast_to(np.eye(4), (3, 4, 4)).copy()
     X_WP[:, :3, 3] = q[:, 4:7]  # about the base's origin, expressed in the world
-    ours, context = wrench(plant, q, v, vd, X_WP=X_WP), plant.CreateDefaultContext()
-    for i in range(3):
-        plant.SetPositions(context, q[i])
-        plant.SetVelocities(context, v[i])
-        tau = plant.CalcInverseDynamics(context, vd[i], MultibodyForces(plant))
-        assert_close(ours[i], (tau - plant.CalcGravityGeneralizedForces(context))[:6])
+    efforts = drakes_efforts(plant, q, v, vd)
+    for ours, theirs in zip(wrench(plant, q, v, vd, X_WP=X_WP), efforts[:, :6], strict=True):
+        assert_close(ours, theirs)
 
 
 @pytest.mark.parametrize("name", HUMANOIDS)
 def test_wrench_in_the_base_is_pinocchios(name):
-    pinocchio = pytest.importorskip("pinocchio")
     text = description(name)
     plant = plant_of(text, floating=True)
-    model = pinocchio.buildModelFromXML(text, pinocchio.JointModelFreeFlyer())
-    data, (q, v, vd) = model.createData(), random_motion(plant, np.random.default_rng(1), 3)
+    q, v, vd = random_motion(plant, np.random.default_rng(1), 3)
     q[:, :4] /= np.linalg.norm(q[:, :4], axis=1, keepdims=True)
     (root,) = plant.GetFloatingBaseBodies()
     base = [body.body_index for body in lumped_bodies(plant)].index(root)
     ours = wrench(plant, q, v, vd, X_WP=body_poses(plant, q)[:, base])
-    joints = moving_joints(plant)
-    velocities = [joint.velocity_start() for joint in joints]
-    pins = [model.joints[model.getJointId(joint.name())].idx_v for joint in joints]
-    for i in range(3):
-        R = pinocchio.Quaternion(*q[i, :4]).matrix()
-        w, t, wd, td = (R.T @ x for x in (v[i, :3], v[i, 3:6], vd[i, :3], vd[i, 3:6]))
-        qs, vs, vds = (np.zeros(n) for n in (model.nq, model.nv, model.nv))
-        qs[:7] = *q[i, 4:7], *q[i, 1:4], q[i, 0]
-        vs[:6], vds[:6] = (*t, *w), (*(td - np.cross(w, t)), *wd)
-        qs[np.add(pins, 1)] = q[i, np.add(velocities, 1)]
-        vs[pins], vds[pins] = v[i, velocities], vd[i, velocities]
-        tau = pinocchio.rnea(model, data, qs, vs, vds)
-        assert_close(ours[i], np.r_[tau[3:6], tau[:3]])
+    for i, (_, theirs, _, _) in enumerate(efforts_on_a_free_base(text, plant, q, v, vd)):
+        assert_close(ours[i], theirs)
 
 
 @settings(max_examples=30)

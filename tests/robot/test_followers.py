@@ -216,12 +216,10 @@ def test_efforts_are_those_of_mujoco_with_equalities(tmp_path):
     np.testing.assert_allclose(model.motion(motion).load[:, 0], efforts, rtol=1e-9, atol=1e-9)
 
 
-def test_equalities_that_hold_no_joint_to_another_are_left_out_and_said(tmp_path):
-    weld = '<weld body1="b" body2="c"/>'
-    model = loaded(tmp_path, MJCF.format(weld), "m.xml")
-    assert model.joints == ("j",)
-    (words,) = model.left_out
-    assert "<equality>: the constraint <weld> of b and c" in words and words in model.notes
+def test_a_weld_that_followers_contradict_is_refused(tmp_path):
+    weld = '<weld body1="b" body2="c"/>'  # where k = 0.2, not 0, as the first equality has it
+    with pytest.raises(ModelError, match=r"<weld> of b and c cannot close .*j = -0\.22"):
+        loaded(tmp_path, MJCF.format(weld), "m.xml")
 
 
 def test_efforts_of_followers_are_added_to_their_leaders(tmp_path):

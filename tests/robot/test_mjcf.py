@@ -324,6 +324,13 @@ def no_ellipsoids(theirs):
 
 
 LEFT_OUT = {
+    "drag acts on the ellipsoids of a, t": (
+        mjcf(
+            tip(geom='<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>' + GEOM),
+            head='<default><geom fluidshape="ellipsoid"/></default><option density="90"/>',
+        ).replace("<worldbody>", f"<worldbody>{GEOM}"),
+        no_ellipsoids,
+    ),
     "tendon p with stiffness 40": (
         mjcf(
             tip(geom=GEOM + '<site name="u" pos="0 0 .1"/><site name="v"/>'),
@@ -356,10 +363,6 @@ LEFT_OUT = {
         ),
         no_ellipsoids,
     ),
-    "constraint <connect> of a and t": (
-        mjcf(tip(), tail='<equality><connect body1="a" body2="t" anchor="0 0 0"/></equality>'),
-        lambda theirs: None,
-    ),
 }
 
 
@@ -369,6 +372,12 @@ def test_what_is_left_out_is_said_with_its_value(tmp_path, words):
     model = assert_as_mujoco(tmp_path, text, "a t", change)
     (said,) = model.left_out
     assert words in said and said in model.notes and said.endswith("is left out.")
+
+
+def test_a_joint_whose_body_is_connected_to_its_parent_does_not_move(tmp_path):
+    tail = '<equality><connect body1="a" body2="t" anchor="0 0 0"/></equality>'
+    model = assert_as_mujoco(tmp_path, mjcf(tip(), tail=tail), "a")
+    assert model.held == {"t": 0.0} and not model.left_out
 
 
 def test_a_joint_that_follows_is_drawn_elsewhere_too(tmp_path):

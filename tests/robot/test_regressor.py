@@ -4,13 +4,11 @@ import weakref
 
 import numpy as np
 import pytest
+from chain_logs import inverse_dynamics as drakes_efforts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import (
-    MultibodyForces,
-    RevoluteJoint,
-)
+from pydrake.multibody.tree import RevoluteJoint
 from random_plants import JOINTS, random_body, random_motion, random_plant, random_tree
 
 from geodrake.errors import ArgumentError, ModelError
@@ -25,22 +23,10 @@ from geodrake.robot.regressor import (
 )
 
 
-def drake_efforts(plant, q, v, vd):
-    context = plant.CreateDefaultContext()
-    efforts = np.empty_like(v)
-    for i in range(len(q)):
-        plant.SetPositions(context, q[i])
-        plant.SetVelocities(context, v[i])
-        forces = MultibodyForces(plant)
-        gravity = plant.CalcGravityGeneralizedForces(context)
-        efforts[i] = plant.CalcInverseDynamics(context, vd[i], forces) - gravity
-    return efforts
-
-
 def assert_equals_drake(plant, rng):
     motion = random_motion(plant, rng, 4)
     efforts = inverse_dynamics_regressor(plant, *motion) @ inertial_parameters(plant).ravel()
-    expected = drake_efforts(plant, *motion)
+    expected = drakes_efforts(plant, *motion)
     scale = np.abs(expected).max(initial=0.0)
     np.testing.assert_allclose(efforts, expected, rtol=1e-10, atol=1e-10 * scale)
 

@@ -4,6 +4,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from chain_logs import inverse_dynamics as drakes_efforts
 from known_robots import (
     ARMS,
     HUMANOIDS,
@@ -12,6 +13,7 @@ from known_robots import (
     assert_close,
     cases,
     description,
+    efforts_on_a_free_base,
     moving_joints,
     plant_of,
     random_motion,
@@ -19,7 +21,6 @@ from known_robots import (
 from measurements import REFERENCE
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import MultibodyForces
 
 from geodrake.inertia import inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
@@ -48,27 +49,14 @@ def test_every_entry_is_pinocchios(name):
 
 @pytest.mark.parametrize("name", cases(*HUMANOIDS))
 def test_efforts_on_a_floating_base_are_pinocchios(name):
-    pinocchio = pytest.importorskip("pinocchio")
     text = description(name)
     plant = plant_of(text, floating=True)
-    model = pinocchio.buildModelFromXML(text, pinocchio.JointModelFreeFlyer())
-    data, (q, v, vd) = model.createData(), random_motion(plant, 3)
+    q, v, vd = random_motion(plant, 3)
     q[:, :4] /= np.linalg.norm(q[:, :4], axis=1, keepdims=True)
     efforts = inverse_dynamics(plant, q, v, vd, inertial_parameters(plant))
-    joints = moving_joints(plant)
-    ours = [joint.velocity_start() for joint in joints]
-    pins = [model.joints[model.getJointId(joint.name())].idx_v for joint in joints]
-    for i in range(3):
-        R = pinocchio.Quaternion(*q[i, :4]).matrix()
-        w, t, wd, td = (R.T @ x for x in (v[i, :3], v[i, 3:6], vd[i, :3], vd[i, 3:6]))
-        positions, velocities, accelerations = (np.zeros(n) for n in (model.nq, model.nv, model.nv))
-        positions[:7] = *q[i, 4:7], *q[i, 1:4], q[i, 0]
-        velocities[:6], accelerations[:6] = (*t, *w), (*(td - np.cross(w, t)), *wd)
-        positions[np.add(pins, 1)] = q[i, np.add(ours, 1)]
-        velocities[pins], accelerations[pins] = v[i, ours], vd[i, ours]
-        tau = pinocchio.rnea(model, data, positions, velocities, accelerations)
-        assert_close(efforts[i, ours], tau[pins])
-        assert_close(efforts[i, :6], np.concatenate([R @ tau[3:6], R @ tau[:3]]))
+    for i, (R, wrench, tau, ours) in enumerate(efforts_on_a_free_base(text, plant, q, v, vd)):
+        assert_close(efforts[i, ours], tau)
+        assert_close(efforts[i, :6], np.concatenate([R @ wrench[:3], R @ wrench[3:]]))
 
 
 # MuJoCo refuses the last link of tx40, which has no mass.
@@ -112,11 +100,7 @@ def test_efforts_of_an_sdf_arm_are_drakes():
 
 
 def assert_efforts_are_drakes(plant):
-    q, v, vd = random_motion(plant, 3)
-    efforts = inverse_dynamics_regressor(plant, q, v, vd) @ inertial_parameters(plant).ravel()
-    context = plant.CreateDefaultContext()
-    for i in range(3):
-        plant.SetPositions(context, q[i])
-        plant.SetVelocities(context, v[i])
-        tau = plant.CalcInverseDynamics(context, vd[i], MultibodyForces(plant))
-        assert_close(efforts[i], tau - plant.CalcGravityGeneralizedForces(context))
+    motion = random_motion(plant, 3)
+    efforts = inverse_dynamics_regressor(plant, *motion) @ inertial_parameters(plant).ravel()
+    for ours, theirs in zip(efforts, drakes_efforts(plant, *motion), strict=True):
+        assert_close(ours, theirs)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.model.exporting.actuators import actuators_of
+from geodrake.model.exporting.joints import exported_joints
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -35,9 +35,9 @@ class Drives:
         Args:
             joints: Joints that are driven by actuators; the others are told efforts at once.
         """
-        known = {each.joint: each for each in actuators_of(model) if each.joint in joints}
+        known = {name: each for name, each in exported_joints(model).items() if name in joints}
         rows = [
-            (a.stiffness, a.damping, a.delay) if (a := known.get(joint)) else (0.0, 0.0, 0.0)
+            (a.kp, a.kd, a.delay) if (a := known.get(joint)) else (0.0, 0.0, 0.0)
             for joint in model.joints
         ]
         return Drives(*np.array(rows, float).reshape(-1, 3).T)

@@ -11,6 +11,7 @@ from geodrake.boundary.arguments import number
 from geodrake.control.export_proof.costs import Cost, Costs, costs_of
 from geodrake.control.export_proof.lost_integral import lost_integrals
 from geodrake.control.export_proof.proof import Proof, prove
+from geodrake.control.export_proof.refusals import check_format
 from geodrake.control.export_proof.samples import (
     compared,
     logged_motions,
@@ -82,11 +83,7 @@ def export_with_proof(
         ModelError: The model's file cannot take what is to be written.
         LogError: A log cannot be used.
     """
-    if not form.at_actuators:
-        model.refuse_transmission(
-            f"The format {form.name} has efforts and friction at joints, and the model at",
-            "Export to python or cpp, or the inertias alone: geodrake identify --export.",
-        )
+    check_format(model, form)
     if bandwidth is not None:
         number(bandwidth, "bandwidth", lower=0.0)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth) if len(logs) else None

@@ -9,6 +9,7 @@ from pathlib import Path
 from geodrake.boundary.arguments import file_path, instances, positive, typed
 from geodrake.boundary.whole_files import Content, made_folder, write_together
 from geodrake.control.export_proof.export import ProvenExport, export_with_proof
+from geodrake.control.export_proof.refusals import check_format
 from geodrake.errors import OutputError
 from geodrake.logs.motion import JointLog
 from geodrake.model.exporting.export_format import ExportFormat
@@ -74,6 +75,7 @@ def check_folder(
             advice="Name a folder.",
             path=folder,
         )
+    check_format(model, form)
     taken = {os.path.realpath(path) for path in (*inputs, model.path)}
     for name in form.write(model, HeldModel(model, ()), folder).files:
         path = folder / name

@@ -13,7 +13,7 @@ from geodrake.control.rollout.acting import Acting, picked
 from geodrake.control.rollout.passages import Passage
 from geodrake.control.rollout.simulation import FASTEST, positions_along
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.simulation.driven_robot import ActuatorState, Driving, JointEffort
+from geodrake.model.simulation.driven_robot import DrivenPlant, Driving
 from geodrake.robot.plant import load_plant, set_inertial_parameters
 
 Array = NDArray[np.float64]
@@ -46,16 +46,11 @@ class DrivenSimulation:
         self._driving = driving.in_plant(self._plant)
         places = model.positions(np.arange(len(model.joints), dtype=float)[None])[0]
         self._order = np.argsort(places)  # where the position of each velocity stands
-        seen = builder.AddSystem(ActuatorState(self._driving))
-        force = builder.AddSystem(JointEffort(self._driving))
-        for system in (seen, force):
-            port = system.GetInputPort("plant_state")
-            builder.Connect(self._plant.get_state_output_port(), port)
+        system = builder.AddSystem(DrivenPlant(self._driving))
+        system.connect(builder)
         own = np.concatenate([self._order, len(places) + np.arange(len(places))])
-        state = picked(builder, seen.get_output_port(), own)
-        builder.Connect(acting.add(builder, state), force.GetInputPort("effort"))
-        port = self._plant.get_applied_generalized_force_input_port()
-        builder.Connect(force.get_output_port(), port)
+        state = picked(builder, system.GetOutputPort("state"), own)
+        builder.Connect(acting.add(builder, state), system.GetInputPort("effort"))
         self._diagram = builder.Build()
 
     def positions(self, passage: Passage) -> Array:

@@ -16,7 +16,7 @@ from geodrake.control.systems.prediction_error import PredictionError
 from geodrake.control.systems.requirements import checked_gains
 from geodrake.control.systems.safeguards import Safeguards, Seen
 from geodrake.inertia import Array
-from geodrake.model.simulation.differenced_system import differenced
+from geodrake.model.simulation.scalar_system import differenced
 
 
 @differenced

@@ -12,7 +12,7 @@ from geodrake.boundary.arguments import instance, instances, number
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
-from geodrake.model.simulation.differenced_system import differenced
+from geodrake.model.simulation.scalar_system import differenced
 
 _USUAL_GAPS = 5.0  # median sampling intervals
 

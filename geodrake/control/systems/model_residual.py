@@ -10,7 +10,7 @@ from geodrake.control.regressor import ControlModel
 from geodrake.control.systems.requirements import require_same_robot, require_single_joints
 from geodrake.errors import GeodrakeError
 from geodrake.inertia import Array
-from geodrake.model.simulation.differenced_system import differenced
+from geodrake.model.simulation.scalar_system import differenced
 
 
 @differenced

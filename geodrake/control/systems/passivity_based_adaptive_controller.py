@@ -21,7 +21,7 @@ from geodrake.control.systems.requirements import checked_gains
 from geodrake.control.systems.safeguards import Safeguards, Seen
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
-from geodrake.model.simulation.differenced_system import differenced
+from geodrake.model.simulation.scalar_system import differenced
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.model.motor_limit import MotorLimit
+from geodrake.model.effort_signal import MotorLimit
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -15,8 +15,7 @@ from geodrake.diagnosis.columns.kinds import KINDS
 from geodrake.errors import ArgumentError
 from geodrake.logs.inspection import UnderstoodColumn
 from geodrake.logs.motion import EFFORT_KINDS, JointLog
-from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal
-from geodrake.model.motor_limit import MotorLimit
+from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, MotorLimit
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.signal_efforts import kind_of, limited_effort
 

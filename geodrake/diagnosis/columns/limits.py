@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from geodrake.model.motor_limit import MotorLimit
+from geodrake.model.effort_signal import MotorLimit
 
 Array = NDArray[np.float64]
 

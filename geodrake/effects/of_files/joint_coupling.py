@@ -31,14 +31,13 @@ class JointCoupling(JointPairEffect):
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """[qⱼ, vⱼ] at joint i and [qᵢ, vᵢ] at joint j."""
-        i, j = map(motion.index, self.joints)
-        return {
-            self.joints[at]: np.stack([motion.q[:, of], motion.v[:, of]], -1)
-            for at, of in ((0, j), (1, i))
-        }
+        i, j = map(motion.joint, self.joints)
+        return motion.at_both(self.joints, *(np.stack([x.q, x.v], -1) for x in (j, i)))
 
-    def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient:
+    def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient | None:
         """Of either joint's columns by the other one's q and v."""
+        if not set(motion.joints).issuperset(self.joints):
+            return None
         gradient = RobotGradient.zero(motion)
         i, j = map(motion.index, self.joints)
         for at, of in ((i, j), (j, i)):

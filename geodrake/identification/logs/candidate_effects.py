@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects import catalogue
-from geodrake.effects.base import Effect
-from geodrake.effects.role import Proposer
+from geodrake.effects.base import Effect, JointEffect
+from geodrake.effects.column_checks import of_geodrake
+from geodrake.effects.role import Proposer, Role
 from geodrake.effects.user_code import candidates_of
 from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.logs.motion import Trajectory
+from geodrake.logs.smoothing import Segment
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -83,7 +85,38 @@ def candidate_effects(
                 found.extend(candidates_of(effect, body))
         elif effect.places == "robot":
             found.extend(candidates_of(effect))
-    return tuple(found)
+    return (*found, *_effects_behind(model, segments))
+
+
+def _effects_behind(model: RobotModel, segments: Sequence[Segment]) -> Iterator[Effect]:
+    """Yield effects of joints that follow others by a ratio that changes, in a closed loop say."""
+    speeds = _speeds_behind(model, segments)
+    for effect in catalogue() if speeds else ():
+        for joint, peak in speeds.items() if _acts_behind(effect) else ():
+            yield from candidates_of(effect, joint, peak)
+
+
+def _acts_behind(effect: type[Effect]) -> bool:
+    """Return whether an effect is one of joints that no motor drives: friction, or a spring."""
+    own = issubclass(effect, JointEffect) and effect.rows is JointEffect.rows
+    own = own and effect.role is Role.FORCE and not (effect.turning_only or effect.of_motor)
+    return own and of_geodrake(effect) and effect.depends_on in ({"q"}, {"v"})
+
+
+def _speeds_behind(model: RobotModel, segments: Sequence[Segment]) -> dict[str, float]:
+    """Joint that follows others by a ratio that changes -> its largest speed, rad/s or m/s."""
+    actuation, found = model.actuation, dict[str, float]()
+    if actuation is None or actuation.constant is not None:
+        return found
+    constant = [p.drive for p in actuation.places if p.drive.map.constant_jacobian is not None]
+    aside = {joint for drive in constant for joint in drive.joints}
+    for segment in segments:
+        q, v = model.positions(segment.position), segment.velocity
+        peaks = np.abs(actuation.all_samples(q, v, np.zeros_like(v))[1]).max(axis=0, initial=0.0)
+        for joint in set(actuation.behind).difference(aside):
+            peak = float(peaks[actuation.behind[joint][1]])
+            found[joint] = max(found.get(joint, 0.0), peak)
+    return {joint: found[joint] for joint in actuation.behind if found.get(joint, 0.0) > 0.0}
 
 
 def _at_joint(

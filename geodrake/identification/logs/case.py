@@ -399,7 +399,7 @@ def _check_efforts(logs: Sequence[JointLog]) -> None:
                 f"The effort of {', '.join(joints)} never changes in log {log.name!r}.",
                 advice=f"It is 0. Has the joint no motor? Then say so: --passive {zero[0]}."
                 if zero
-                else "Check what is logged there.",
+                else "Check what is logged there, or hold such a joint: --lock JOINT=POSITION.",
                 joints=joints,
             )
 

@@ -23,7 +23,7 @@ from geodrake.logs.smoothing import SPLINE_REACH, Segment, Stretch
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.base_parameters import BaseParameters
-from geodrake.robot.driven_tree import RobotTree, with_gravity
+from geodrake.robot.driven_tree import RobotTree, inside, with_gravity
 from geodrake.robot.regressor import (
     inverse_dynamics,
     inverse_dynamics_regressor,
@@ -320,7 +320,7 @@ class LogSlice:
 def _probe(model: RobotModel, samples: int) -> Motion:
     """Random motion, to see which columns can be nonzero."""
     random, nv = np.random.default_rng(0), len(model.joints)
-    q = model.positions(random.normal(size=(samples, nv)))
+    q = inside(model.tree, model.positions(random.normal(size=(samples, nv))))
     return Motion(q, random.normal(size=(samples, nv)), random.normal(size=(samples, nv)))
 
 

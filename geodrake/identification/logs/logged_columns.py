@@ -11,7 +11,7 @@ from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
 from geodrake.effects.robot_effect import RobotEffect
 from geodrake.effects.robot_motion import RobotMotion, log_number
 from geodrake.logs.motion import JointLog
-from geodrake.model.servo_integrals import error_integral
+from geodrake.model.signal_efforts import error_integral
 
 _BEFORE = 1.0  # s before a log, for which commands were as at its beginning
 

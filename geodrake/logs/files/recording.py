@@ -99,10 +99,12 @@ class Recording:
         kept, torn = self.torn.settle(time)
         kept = ~again if kept is None and again.any() else kept
         values = {quantity: numbers[:rows] for quantity, numbers in self.values.items()}
+        alone = {joint: numbers[:rows] for joint, numbers in self._standing.items()}
         kinds, more_notes = self._without_motors(values["effort"])
         if kept is not None:
             time = time[kept]
             values = {quantity: numbers[kept] for quantity, numbers in values.items()}
+            alone = {joint: numbers[kept] for joint, numbers in alone.items()}
         return JointLog(
             path.stem,
             self.columns.joints,
@@ -114,6 +116,7 @@ class Recording:
             (*self.columns.notes, *notes, *more, *more_notes, *torn),
             effort_uncertainty=self._uncertainty(kinds),
             standing={joint: self._place(joint, rows) for joint in self._standing},
+            alone=alone,
             command=values.get("command"),
             effort_kinds=kinds,
             temperature=values.get("temperature"),

@@ -1,52 +1,73 @@
-"""The formats that a model is exported to, by name."""
+"""The formats that a model is exported to: what each holds of it, and the files that it writes."""
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.multibody.tree import BodyIndex, RigidBody
+
+from geodrake.boundary.escaping import printable
 from geodrake.effects import Effect
 from geodrake.errors import ArgumentError
-from geodrake.model.exporting.directives import KINDS, drake_files, stands_free
+from geodrake.model.export import repair_comments
 from geodrake.model.exporting.export_format import Exported, ExportFormat, Holding, Write
 from geodrake.model.exporting.held import HeldModel
 from geodrake.model.exporting.isaac import isaac_files
-from geodrake.model.exporting.model_text import model_file, written_kind
-from geodrake.model.file_terms import Damping, Delay, DryFriction, Rotor, Spring, Tilt
+from geodrake.model.exporting.model_text import (
+    model_file,
+    own_kind,
+    stands_as_it_is,
+    tilt_rotation,
+    written_kind,
+)
+from geodrake.model.file_terms import (
+    Damping,
+    Delay,
+    DryFriction,
+    Rotor,
+    Spring,
+    Tilt,
+)
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.source import effort_source, is_written
 
 _JOINT_TERMS = (Damping, DryFriction, Rotor)
 _WITH_SPRINGS = frozenset({"sdf", "xml"})  # formats of files that have springs
+_DRAKE_KINDS = ("sdf", "urdf")  # of files that directives add, the usual one first
 
 
-def _joints(*kinds: str) -> Holding:
-    """What files of some formats hold of joints: friction, rotors, and springs, if they have some.
+Able = Callable[[RobotModel], bool]
+"""Whether the files of a model can hold something."""
 
-    The usual format comes first.
+
+def _holding(
+    *kinds: str, beside: tuple[type[Effect], ...] = (), able: Able = lambda model: True
+) -> Holding:
+    """Return what files hold of joints: friction, rotors, and springs, if their format has some.
+
+    Args:
+        kinds: Formats of the files, the usual one first.
+        beside: Further effects that they hold.
+        able: Whether they can hold these of a model.
     """
 
     def holding(model: RobotModel) -> Callable[[Effect], bool]:
         springs = written_kind(model, kinds) in _WITH_SPRINGS
+        more = beside if beside and able(model) else ()
+        if stands_as_it_is(model, kinds[0]):
+            return lambda effect: True
 
         def holds(effect: Effect) -> bool:
             if isinstance(effect, Spring):
                 return springs and effect.exponent == 1
-            return isinstance(effect, _JOINT_TERMS)
+            return isinstance(effect, (*_JOINT_TERMS, *more))
 
         return holds
-
-    return holding
-
-
-def _and(
-    joints: Holding, kind: type[Effect], able: Callable[[RobotModel], bool] = lambda model: True
-) -> Holding:
-    """Beside what files hold of joints, effects of a kind where a model makes them possible."""
-
-    def holding(model: RobotModel) -> Callable[[Effect], bool]:
-        of_joints, possible = joints(model), able(model)
-        return lambda effect: of_joints(effect) or (possible and isinstance(effect, kind))
 
     return holding
 
@@ -55,7 +76,8 @@ def _file(kind: str) -> Write:
     """Writes one file of a format."""
 
     def write(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
-        name, data, notes = model_file(held.model, kind, folder)
+        stands = stands_as_it_is(model, kind)
+        name, data, notes = model_file(held.model, kind, folder, stands=stands)
         return Exported({name: data}, notes)
 
     return write
@@ -72,32 +94,98 @@ def _source(language: str) -> Write:
     return write
 
 
-def _written(model: RobotModel) -> Callable[[Effect], bool]:
-    return is_written
+def _drake_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
+    """Return a robot's file, the directives that add and weld it, and the package that they are.
+
+    A tilted base is welded as it stands.
+    """
+    kind = written_kind(model, _DRAKE_KINDS)
+    name, data, notes = model_file(held.model, kind, folder)
+    package = re.sub(r"[^a-z0-9_]+", "_", folder.resolve().name.lower()).strip("_") or "robot"
+    plant = model.plant
+    roots, instance = [], name.partition(".")[0]
+    if name == model.path.name:
+        roots = _free_roots(held.model)
+        last = plant.get_body(BodyIndex(plant.num_bodies() - 1))
+        instance = plant.GetModelInstanceName(last.model_instance())
+    lines = [
+        "# Inertias, damping and rotors are those of the model; dry friction is in the file, but",
+        "# Drake does not simulate it. parser.package_map().PopulateFromFolder(…) finds the file.",
+        *(f"# {printable(each)}" for each in repair_comments(model)),
+        "directives:",
+        "- add_model:",
+        f"    name: {json.dumps(instance)}",
+        f"    file: package://{package}/{name}",
+    ]
+    for body, X_WB in roots:
+        angles = (np.rad2deg(RollPitchYaw(X_WB.rotation()).vector()) + 0.0).tolist()
+        lines += [
+            "- add_weld:",
+            "    parent: world",
+            f"    child: {json.dumps(body.scoped_name().get_full())}",
+            f"    X_PC: {{translation: {X_WB.translation().tolist()}, "
+            f"rotation: !Rpy {{deg: {angles}}}}}",
+        ]
+    manifest = (
+        f'<package format="2">\n  <name>{package}</name>\n  <version>0.0.0</version>\n'
+        f"  <description>{model.path.stem}, by geodrake</description>\n"
+        '  <maintainer email="nobody@example.com">nobody</maintainer>\n'
+        "  <license>as the robot's own file</license>\n</package>\n"
+    )
+    files = {
+        f"{model.path.stem}.dmd.yaml": ("\n".join(lines) + "\n").encode(),
+        name: data,
+        "package.xml": manifest.encode(),
+    }
+    return Exported(files, notes)
 
 
-_MJCF, _ISAAC = _and(_and(_joints("xml"), Tilt), Delay), _and(_joints("urdf"), Delay)
+def _stands_free(model: RobotModel) -> bool:
+    """Whether the robot's own file leaves it free, so that directives decide how it stands."""
+    if own_kind(model) not in _DRAKE_KINDS:
+        return False
+    plant = model.plant
+    joints = (plant.get_joint(index) for index in plant.GetJointIndices())
+    on_world = [joint for joint in joints if joint.parent_body().index() == 0]
+    return len(on_world) == len(_free_roots(model))
+
+
+def _free_roots(model: RobotModel) -> list[tuple[RigidBody, RigidTransform]]:
+    """Return bodies, as they stand, that geodrake welds to the world and the file leaves free."""
+    plant, tilt = model.plant, RotationMatrix(tilt_rotation(model))
+    found = []
+    for index in plant.GetJointIndices():
+        joint = plant.get_joint(index)
+        welded = joint.type_name() == "weld" and joint.parent_body().index() == 0
+        if welded and not model.floating and joint.name().startswith("world_welds_to_"):
+            X_WB = joint.frame_on_parent().GetFixedPoseInBodyFrame()
+            found.append((joint.child_body(), RigidTransform(tilt, np.zeros(3)) @ X_WB))
+    return found
+
+
 _URDF_ENGINES = ("drake", "pinocchio")
+_OF_DRAKE = _holding(*_DRAKE_KINDS, beside=(Tilt,), able=_stands_free)
+_OF_ISAAC = _holding("urdf", beside=(Delay,))
 
 FORMATS = {
     each.name: each
     for each in (
-        ExportFormat("urdf", _joints("urdf"), _file("urdf"), _URDF_ENGINES),
-        ExportFormat("sdf", _joints("sdf"), _file("sdf"), ("drake",)),
-        ExportFormat("mjcf", _MJCF, _file("xml"), ("mujoco",), servos=True),
-        ExportFormat("drake", _and(_joints(*KINDS), Tilt, stands_free), drake_files, ("drake",)),
+        ExportFormat("urdf", _holding("urdf"), _file("urdf"), _URDF_ENGINES),
+        ExportFormat("sdf", _holding("sdf"), _file("sdf"), ("drake",)),
         ExportFormat(
-            "isaac", _and(_joints("urdf"), Delay), isaac_files, _URDF_ENGINES, servos=True
+            "mjcf", _holding("xml", beside=(Tilt, Delay)), _file("xml"), ("mujoco",), servos=True
         ),
-        ExportFormat("python", _written, _source("python"), ("python",), True),
-        ExportFormat("cpp", _written, _source("cpp"), at_actuators=True),
+        ExportFormat("drake", _OF_DRAKE, _drake_files, ("drake",)),
+        ExportFormat("isaac", _OF_ISAAC, isaac_files, _URDF_ENGINES, servos=True),
+        ExportFormat("python", lambda _: is_written, _source("python"), ("python",), True),
+        ExportFormat("cpp", lambda _: is_written, _source("cpp"), at_actuators=True),
     )
 }
 """By name; a further format is one more entry."""
 
 
 def export_format(name: str) -> ExportFormat:
-    """A format by name.
+    """Return a format by name.
 
     Raises:
         ArgumentError: There is no such format.

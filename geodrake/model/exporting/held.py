@@ -59,7 +59,7 @@ def held_by(
     *,
     keep: Holds = lambda effect: False,
 ) -> HeldModel:
-    """The model that a format can hold and that is nearest to a model on some motion.
+    """Return the model that a format can hold and that is nearest to a model on some motion.
 
     Effects of a kind at a joint become one. What the format cannot hold is approximated at each
     joint by least squares over the motion: friction that depends on load or direction, or that
@@ -75,7 +75,7 @@ def held_by(
     kept, lost = list[FittedEffect](), list[FittedEffect]()
     for fitted in _folded(model.effects, holds, keep):
         effect = fitted.effect
-        stays = holds(effect) or keep(effect) or _is_inertia(effect)
+        stays = holds(effect) or keep(effect) or effect.role in (Role.BODY, Role.INERTIA)
         (kept if stays else lost).append(fitted)
     merged, into = _merged(kept), dict[Effect, tuple[str, ...]]()
     bases = [kind for kind in _BASES if holds(kind(model.joints[0]))]
@@ -91,32 +91,17 @@ def held_by(
 
 
 def reasons(effects: Sequence[FittedEffect]) -> list[str]:
-    """Return why no model file can hold some effects, of those that are none of the robot's.
-
-    Args:
-        effects: Effects that a file is without.
-    """
+    """Return why no model file can hold some effects, of those that are none of the robot's."""
     pushing, passing = dict[str, list[str]](), list[str]()
     for effect in (fitted.effect for fitted in effects):
         if effect.by_drive:
             pushing.setdefault(effect.name, []).append(effect.place)
         if effect.role is Role.EPISODE:
             passing.append(f"{effect.name} of {effect.place}")
-    return [
-        *(
-            f"{name} of {', '.join(places)} is not in the files: it is what the drive does, which "
-            "pushes and does not resist"
-            for name, places in pushing.items()
-        ),
-        *(
-            f"{what} is not in the files: it belongs to one log, and is no part of the robot"
-            for what in passing
-        ),
-    ]
-
-
-def _is_inertia(effect: Effect) -> bool:
-    return effect.role in (Role.BODY, Role.INERTIA)
+    why = "it is what the drive does, which pushes and does not resist"
+    found = {f"{name} of {', '.join(places)}": why for name, places in pushing.items()}
+    found |= dict.fromkeys(passing, "it belongs to one log, and is no part of the robot")
+    return [f"{what} is not in the files: {why}" for what, why in found.items()]
 
 
 def _folded(effects: Sequence[FittedEffect], holds: Holds, keep: Holds) -> list[FittedEffect]:
@@ -136,8 +121,7 @@ def _folded(effects: Sequence[FittedEffect], holds: Holds, keep: Holds) -> list[
         if spring is None or stays or not isinstance(fitted.effect, Offset):
             found.append(fitted)
         else:
-            preload = np.array([0.0, fitted.parameters[0]])
-            found.append(FittedEffect(spring.effect, preload))
+            found.append(FittedEffect(spring.effect, np.array([0.0, fitted.parameters[0]])))
     return found
 
 
@@ -147,10 +131,8 @@ def _merged(effects: Sequence[FittedEffect]) -> dict[Effect, FittedEffect]:
     for fitted in effects:
         effect, values = fitted.effect, fitted.parameters
         if isinstance(effect, Spring) and effect.exponent == 1:
-            effect, values = (
-                Spring(effect.joint),
-                values - [0.0, values[0] * effect.center],
-            )
+            values = values - [0.0, values[0] * effect.center]
+            effect = Spring(effect.joint)
         if isinstance(effect, Tilt):  # exact, as simulators turn gravity
             effect = Tilt(*values.tolist())
         before = found.get(effect)
@@ -194,7 +176,8 @@ def _stand_ins(
     used = [kind(joint) for kind in bases if kind.depends_on <= signals]
     if not wanted or not used:
         return {}, {}
-    A = np.concatenate([np.stack(_columns(used, motion, joint), axis=1) for motion in seen])
+    joints = [motion.joint(joint) for motion in seen]
+    A = np.array([np.concatenate([each.columns(j)[0] for j in joints]) for each in used], float).T
     b = np.sum([*wanted.values()], axis=0)
     have = np.array([held[e].parameters[0] if e in held else 0.0 for e in used])
     x = _bounded(A, b, have)
@@ -210,14 +193,6 @@ def _stand_ins(
         for effect in wanted
     }
     return changed, named
-
-
-def _columns(
-    effects: Sequence[Basis],
-    motion: RobotMotion,
-    joint: str,
-) -> list[Array]:
-    return [np.asarray(effect.columns(motion.joint(joint))[0], float) for effect in effects]
 
 
 def _bounded(A: Array, b: Array, have: Array) -> Array:

@@ -14,7 +14,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from geodrake.model.exporting.actuators import Actuator, actuators_of
+from geodrake.model.exporting.joints import ExportedJoint, exported_joints
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.mjcf_sections import with_sections
@@ -28,7 +28,7 @@ SHORTEST_STEP = 1e-3
 def with_actuators(
     data: bytes, path: Path, model: RobotModel, *, anew: bool
 ) -> tuple[bytes, tuple[str, ...]]:
-    """An MJCF file with actuators at the end, and with sensors of efforts that are measured late.
+    """Return an MJCF file with actuators at the end, sensors of late efforts, and notes on it.
 
     Actuators of the file stay as they are, and the joints that they drive get no other one. A file
     of the user's own gets some only for servos and delays, which it does not hold otherwise.
@@ -38,17 +38,14 @@ def with_actuators(
         path: Where it is from, for messages.
         model: The model.
         anew: Whether the file was written from the model alone.
-
-    Returns:
-        The file, and notes on it.
     """
     text = model_text_of(data, path)
     if not isinstance(text, MjcfText) or model.transmission:
         return data, ()
-    all_of_them, driven = actuators_of(model), text.driven_joints
-    free = [each for each in all_of_them if each.joint not in driven]
-    wanted = [each for each in all_of_them if each.is_servo or each.delay]
-    kept = [each for each in wanted if each.joint in driven]
+    joints, driven = list(exported_joints(model).values()), text.driven_joints
+    free = [each for each in joints if each.name not in driven]
+    wanted = [each for each in joints if each.is_servo or each.delay]
+    kept = [each for each in wanted if each.name in driven]
     notes = [_kept_note(kept, path)] if kept else []
     if text.actuator_defaults and set(wanted).intersection(free):
         notes.append(
@@ -56,7 +53,7 @@ def with_actuators(
             "has no actuators for servos and delays of the model"
         )
         free = []
-    late = [each for each in all_of_them if each.measured_late]
+    late = [each for each in joints if each.measured_late]
     adds = free if anew or set(wanted).intersection(free) else []
     if not adds and not late:
         return data, tuple(notes)
@@ -65,40 +62,37 @@ def with_actuators(
         "actuator": [_actuator(each, step) for each in adds],
         "sensor": [_sensor(each, step) for each in late],
     }
-    data = with_sections(data, path, sections, [each.joint for each in (*adds, *late)])
+    data = with_sections(data, path, sections, [each.name for each in (*adds, *late)])
     return data, (*notes, *_notes(adds, late, step, text.timestep))
 
 
 def samples_of(delay: float, step: float) -> int:
-    """How many signals MuJoCo has to keep for a delay: one more than the steps that it takes.
-
-    Args:
-        delay: The delay, s.
-        step: Step of the simulation, s.
-    """
+    """Return how many signals MuJoCo has to keep for a delay: one more than the steps it takes."""
     return int(np.ceil(delay / step - 1e-9)) + 1
 
 
-def _actuator(actuator: Actuator, step: float) -> str:
-    name = quoteattr(actuator.joint)
+def _actuator(joint: ExportedJoint, step: float) -> str:
+    name = quoteattr(joint.name)
     attributes = [f"name={name} joint={name}"]
-    if actuator.is_servo:
-        kp, kv = words(actuator.stiffness), words(actuator.damping)
-        attributes.append(f'kp="{kp}" kv="{kv}"')
-    if np.isfinite(actuator.limit):
-        limit = words(np.array([-actuator.limit, actuator.limit]))
+    if joint.is_servo:
+        attributes.append(_gains(joint))
+    if np.isfinite(joint.effort):
+        limit = words(np.array([-joint.effort, joint.effort]))
         attributes.append(f'forcelimited="true" forcerange="{limit}"')
-        if not actuator.is_servo:
+        if not joint.is_servo:
             attributes.append(f'ctrllimited="true" ctrlrange="{limit}"')
-    if actuator.delay:
-        attributes.append(_delay(actuator.delay, step))
-    return f"<{'position' if actuator.is_servo else 'motor'} {' '.join(attributes)}/>"
+    if joint.delay:
+        attributes.append(_delay(joint.delay, step))
+    return f"<{'position' if joint.is_servo else 'motor'} {' '.join(attributes)}/>"
 
 
-def _sensor(actuator: Actuator, step: float) -> str:
-    name, joint = quoteattr(f"{actuator.joint}_effort"), quoteattr(actuator.joint)
-    late = _delay(actuator.measured_late, step)
-    return f"<jointactuatorfrc name={name} joint={joint} {late}/>"
+def _gains(joint: ExportedJoint) -> str:
+    return f'kp="{words(joint.kp)}" kv="{words(joint.kd)}"'
+
+
+def _sensor(joint: ExportedJoint, step: float) -> str:
+    name, of = quoteattr(f"{joint.name}_effort"), quoteattr(joint.name)
+    return f"<jointactuatorfrc name={name} joint={of} {_delay(joint.measured_late, step)}/>"
 
 
 def _delay(delay: float, step: float) -> str:
@@ -106,17 +100,17 @@ def _delay(delay: float, step: float) -> str:
 
 
 def _notes(
-    adds: Sequence[Actuator], late: Sequence[Actuator], step: float, timestep: float
+    adds: Sequence[ExportedJoint], late: Sequence[ExportedJoint], step: float, timestep: float
 ) -> list[str]:
     notes = []
-    damped = [each.joint for each in adds if each.is_servo and each.damping]
+    damped = [each.name for each in adds if each.is_servo and each.kd]
     if damped:
         notes.append(
             f"kv of {', '.join(damped)} damps the motion itself, and that of the model its error: "
             "told c + (kv / kp) dc/dt, they do the same"
         )
-    delays = {each.joint: each.delay for each in adds if each.delay}
-    delays |= {each.joint: each.measured_late for each in late}
+    delays = {each.name: each.delay for each in adds if each.delay}
+    delays |= {each.name: each.measured_late for each in late}
     if delays:
         notes.append(
             "delays need MuJoCo 3.5 or later; they are kept with steps of the simulation of "
@@ -124,7 +118,7 @@ def _notes(
         )
     if late:
         notes.append(
-            f"efforts of {', '.join(each.joint for each in late)} are measured late: sensors "
+            f"efforts of {', '.join(each.name for each in late)} are measured late: sensors "
             "<joint>_effort have them as the log does"
         )
     short = [joint for joint, delay in delays.items() if delay < timestep * (1.0 - 1e-9)]
@@ -137,13 +131,12 @@ def _notes(
     return notes
 
 
-def _kept_note(kept: Sequence[Actuator], path: Path) -> str:
-    """What the user's own actuators would need to be those of the model."""
-    words_of = []
+def _kept_note(kept: Sequence[ExportedJoint], path: Path) -> str:
+    """Return what the user's own actuators would need to be those of the model."""
+    of_each = []
     for each in kept:
-        servo = f'kp="{words(each.stiffness)}" kv="{words(each.damping)}"' if each.is_servo else ""
-        delay = _delay(each.delay, SHORTEST_STEP) if each.delay else ""
-        words_of.append(f"{each.joint}: {' '.join(filter(None, (servo, delay)))}")
-    return (
-        f"actuators of {path.name} stay as they are; those of the model have {'; '.join(words_of)}"
-    )
+        parts = [_gains(each)] if each.is_servo else []
+        parts += [_delay(each.delay, SHORTEST_STEP)] if each.delay else []
+        of_each.append(f"{each.name}: {' '.join(parts)}")
+    values = "; ".join(of_each)
+    return f"actuators of {path.name} stay as they are; those of the model have {values}"

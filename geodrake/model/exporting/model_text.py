@@ -1,4 +1,4 @@
-"""A copy of the user's own model file with all that the format holds of a model."""
+"""A robot's file with all that the format holds of a model: a copy of the user's own, or anew."""
 
 from __future__ import annotations
 
@@ -6,30 +6,24 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import AngleAxis
 
+from geodrake.inertia import Array
 from geodrake.model.export import export_bodies, file_kind
-from geodrake.model.exporting.anew import SUFFIXES, written_anew
-from geodrake.model.exporting.joint_numbers import (
-    changed_numbers,
-    joint_numbers,
-    stated_numbers,
-)
+from geodrake.model.exporting.from_plant import SUFFIXES, from_plant
+from geodrake.model.exporting.joints import all_numbers, changed_numbers, exported_joints
 from geodrake.model.exporting.mjcf_actuators import with_actuators
 from geodrake.model.file_terms import Tilt
-from geodrake.model.robot_model import RobotModel
-from geodrake.robot.files.joint_text import with_gravity, with_joint_numbers
+from geodrake.model.robot_model import RobotModel, is_of_file
+from geodrake.robot.files.joint_text import with_gravity, with_joint_numbers, without_passive_forces
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.reading import model_text_of
 from geodrake.robot.files.references import with_references
 from geodrake.robot.files.xacro_file import read_expanded
 
-Array = NDArray[np.float64]
-
 
 def written_kind(model: RobotModel, kinds: Sequence[str]) -> str:
-    """The format of the file that an export writes: that of the robot's own file if it may be.
+    """Return the format that an export writes: that of the robot's own file if it may be.
 
     Args:
         model: The model.
@@ -40,12 +34,19 @@ def written_kind(model: RobotModel, kinds: Sequence[str]) -> str:
 
 
 def own_kind(model: RobotModel) -> str:
-    """The format of the robot's file if it can be edited; nothing for directives."""
+    """Return the format of the robot's file if it can be edited; nothing for directives."""
     return "" if model.path.suffix.lower() in (".yaml", ".yml") else file_kind(model)
 
 
-def model_file(model: RobotModel, kind: str, folder: Path) -> tuple[str, bytes, tuple[str, ...]]:
-    """A robot's file with all that it can hold of a model.
+def stands_as_it_is(model: RobotModel, kind: str) -> bool:
+    """Return whether a model has the effects of its own file, which an export of a kind copies."""
+    return kind == "xml" == own_kind(model) and is_of_file(model)
+
+
+def model_file(
+    model: RobotModel, kind: str, folder: Path, *, stands: bool = False
+) -> tuple[str, bytes, tuple[str, ...]]:
+    """Return the name of a robot's file with all that it can hold of a model, the file, and notes.
 
     That is a copy of the user's own file if it has the format, expanded if it is of xacro, and
     else a new one of bodies and joints alone.
@@ -54,9 +55,7 @@ def model_file(model: RobotModel, kind: str, folder: Path) -> tuple[str, bytes, 
         model: The model, of effects that the format holds.
         kind: The format: urdf, sdf, or xml for MJCF.
         folder: Where the file will be: relative paths in it lead from there.
-
-    Returns:
-        Its name, what is in it, and notes on it.
+        stands: Whether the model has the effects of its own file.
 
     Raises:
         ModelError: The file cannot take the numbers, or the robot cannot be written anew.
@@ -64,51 +63,39 @@ def model_file(model: RobotModel, kind: str, folder: Path) -> tuple[str, bytes, 
     name = f"{model.path.name.partition('.')[0]}{SUFFIXES[kind]}"
     if own_kind(model) == kind:
         macros = model.path.suffix.lower() == ".xacro"
-        return name if macros else model.path.name, *model_text(model, folder)
+        return name if macros else model.path.name, *_edited(model, folder, stands)
     note = (
         f"{name} is made of the bodies and joints of {model.path.name}, without geometry; links "
         "that are welded together are one"
     )
-    data = written_anew(model, kind, tilted_gravity(model))
+    data = from_plant(model, kind, _tilted_gravity(model))
     if kind != "xml":
         return name, data, (note,)
     data, more = with_actuators(data, folder / name, model, anew=True)
     return name, data, (note, *more)
 
 
-def model_text(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]:
-    """The user's file with what it holds of a model; the rest stays.
+def _edited(model: RobotModel, folder: Path, stands: bool) -> tuple[bytes, tuple[str, ...]]:
+    """Return the user's file with what it holds of a model, and notes; the rest stays.
 
-    Args:
-        model: The model, of effects that the format of its file holds.
-        folder: Where the file will be: relative paths in it lead from there.
-
-    Returns:
-        The file, and notes on it.
-
-    Raises:
-        ModelError: The file cannot take the numbers.
+    Of an MJCF, forces that are no joint's own only stay where the model has all effects of it.
     """
     exported = export_bodies(model)
     data, path = exported.content, model.path
-    before = stated_numbers(model)
-    changes = {
-        name: changed_numbers(before[name], after) for name, after in joint_numbers(model).items()
-    }
+    changes = {} if stands else changed_numbers(model)
+    bare = data if stands else without_passive_forces(data, path)
+    if bare != data:
+        data, changes = bare, all_numbers(model)
     text = model_text_of(read_expanded(path, model.given), path)
     if isinstance(text, MjcfText) and text.degrees:
-        turning = {name for name, numbers in before.items() if numbers.turns}
-        changes = {
-            name: {**change, "rest": float(np.rad2deg(change["rest"]))}
-            if name in turning and "rest" in change
-            else change
-            for name, change in changes.items()
-        }
+        for joint in exported_joints(model).values():
+            if joint.turns and "rest" in changes.get(joint.scoped, {}):
+                changes[joint.scoped]["rest"] = float(np.rad2deg(joint.rest))
     data = with_joint_numbers(data, path, changes)
-    if text.kind == "xml" and tilted(model):
-        data = with_gravity(data, path, tilted_gravity(model))
     acting = _notes_on_limits(model)
     if text.kind == "xml":
+        if any(isinstance(fitted.effect, Tilt) for fitted in model.effects):
+            data = with_gravity(data, path, _tilted_gravity(model))
         data, acting = with_actuators(data, path, model, anew=False)
     moved = with_references(data, path, folder)
     elsewhere = (
@@ -119,7 +106,7 @@ def model_text(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]
 
 
 def _notes_on_limits(model: RobotModel) -> tuple[str, ...]:
-    """A note on limits of effort that logs told, and that the user's file does not have."""
+    """Return a note on limits of effort that logs told, and that the user's file does not have."""
     known = model.known_effort_limits
     less = [
         f"{joint} {limit:.3g} {'N' if joint in model.sliding_joints else 'N·m'}"
@@ -130,19 +117,14 @@ def _notes_on_limits(model: RobotModel) -> tuple[str, ...]:
     return (f"{stay}{', '.join(less)}",) if less else ()
 
 
-def tilted(model: RobotModel) -> bool:
-    """Whether a model's base is turned against its file's."""
-    return any(isinstance(fitted.effect, Tilt) for fitted in model.effects)
-
-
-def tilted_gravity(model: RobotModel) -> Array:
-    """(3,) gravity in the frame of a model's base, as that is turned, m/s²."""
+def _tilted_gravity(model: RobotModel) -> Array:
+    """Return (3,) gravity in the frame of a model's base, as that is turned, m/s²."""
     gravity = np.array(model.plant.gravity_field().gravity_vector())
     return np.asarray(tilt_rotation(model).T @ gravity)
 
 
 def tilt_rotation(model: RobotModel) -> Array:
-    """(3, 3) rotation R(θ) by which a model's base is turned against its file's."""
+    """Return (3, 3) rotation R(θ) by which a model's base is turned against its file's."""
     turn = np.eye(3)
     for fitted in model.effects:
         if isinstance(fitted.effect, Tilt):

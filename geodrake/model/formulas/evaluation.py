@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -12,7 +13,7 @@ from pydrake import symbolic
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression
 
-from geodrake.model.formulas.symbols import Formulas, Operand, Symbol
+from geodrake.model.formulas.symbols import Formulas, Symbol, in_order
 
 Scalars = NDArray[Any]
 """An array of floats, or of one of Drake's other scalar types."""
@@ -22,12 +23,13 @@ _DRAKES = {  # NumPy's name -> that in pydrake.math
     **{name: f"a{name[3:]}" for name in ("arcsin", "arccos", "arctan")},
     **{"absolute": "abs", "maximum": "max", "minimum": "min", "arctan2": "atan2"},
 }
+_OPERATORS: Mapping[str, Callable[..., Any]] = {
+    **{"negative": operator.neg, "add": operator.add, "subtract": operator.sub},
+    **{"multiply": operator.mul, "divide": operator.truediv},
+    **{"greater": operator.gt, "greater_equal": operator.ge, "less": operator.lt},
+    **{"less_equal": operator.le, "equal": operator.eq, "not_equal": operator.ne},
+}
 _OF_OTHERS: Mapping[str, Callable[..., Any]] = {  # by functions that they have
-    "negative": lambda f, x: -x,
-    "add": lambda f, x, y: x + y,
-    "subtract": lambda f, x, y: x - y,
-    "multiply": lambda f, x, y: x * y,
-    "divide": lambda f, x, y: x / y,
     "power": lambda f, x, y: x**y if isinstance(y, float) else f("exp", y * f("log", x)),
     "cbrt": lambda f, x: f("sign", x) * f("absolute", x) ** (1.0 / 3.0),
     "expm1": lambda f, x: f("exp", x) - 1.0,
@@ -40,61 +42,30 @@ _OF_OTHERS: Mapping[str, Callable[..., Any]] = {  # by functions that they have
     "sign": lambda f, x: f("where", x > 0.0, 1.0, f("where", x < 0.0, -1.0, 0.0)),
     "remainder": lambda f, x, y: x - f("floor", x / y) * y,
     "fmod": lambda f, x, y: x - f("where", x / y >= 0.0, f("floor", x / y), f("ceil", x / y)) * y,
-    "greater": lambda f, x, y: x > y,
-    "greater_equal": lambda f, x, y: x >= y,
-    "less": lambda f, x, y: x < y,
-    "less_equal": lambda f, x, y: x <= y,
-    "equal": lambda f, x, y: x == y,
-    "not_equal": lambda f, x, y: x != y,
 }
 
 
 def evaluated(formulas: Formulas, inputs: Mapping[str, Scalars], scalar: type) -> Scalars:
-    """The values of formulas.
+    """Return the values of formulas in the same shape, all of a scalar type.
 
     Args:
         formulas: Array of symbols and numbers.
-        inputs: Name -> its values, for the inputs that the formulas are of.
-        scalar: AutoDiffXd or Expression; values may be floats, too.
-
-    Returns:
-        Their values in the same shape, all of the scalar type.
+        inputs: Name -> its values, for the inputs that the formulas are of; some may be floats.
+        scalar: AutoDiffXd or Expression.
     """
     apply = _AUTODIFF if scalar is AutoDiffXd else _SYMBOLIC
-    known: dict[int, Any] = {}
-    flat = np.asarray(formulas, object).ravel()
-    for formula in flat:
-        _evaluate(formula, inputs, apply, known)
-    found = np.empty(len(flat), object)
-    for i, formula in enumerate(flat):
-        value = known[id(formula)] if isinstance(formula, Symbol) else formula
-        found[i] = value if isinstance(value, scalar) else scalar(value)
-    return found.reshape(np.shape(formulas))
-
-
-def _evaluate(
-    formula: Operand,
-    inputs: Mapping[str, Scalars],
-    apply: Callable[..., Any],
-    known: dict[int, Any],
-) -> None:
-    """Finds the value of a formula, after those of what it is of; without recursion."""
-    pending = [formula]
-    while pending:
-        node = pending[-1]
-        if not isinstance(node, Symbol) or id(node) in known:
-            pending.pop()
-            continue
+    flat, known = np.asarray(formulas, object).ravel(), dict[Symbol, Any]()
+    for node in in_order(flat):
         if node.operation == "input":
             name, place = node.operands
-            known[id(node)] = inputs[name][place]
-            continue
-        unknown = [x for x in node.operands if isinstance(x, Symbol) and id(x) not in known]
-        if unknown:
-            pending += unknown
-            continue
-        values = [known[id(x)] if isinstance(x, Symbol) else x for x in node.operands]
-        known[id(node)] = apply(node.operation, *values)
+            known[node] = inputs[name][place]
+        else:
+            operands = (known[x] if isinstance(x, Symbol) else x for x in node.operands)
+            known[node] = apply(node.operation, *operands)
+    values = [known[x] if isinstance(x, Symbol) else x for x in flat]
+    found = np.empty(len(flat), object)
+    found[:] = [x if isinstance(x, scalar) else scalar(x) for x in values]
+    return found.reshape(np.shape(formulas))
 
 
 def _applied(scalar: type, own: Mapping[str, Callable[..., Any]]) -> Any:
@@ -105,6 +76,8 @@ def _applied(scalar: type, own: Mapping[str, Callable[..., Any]]) -> Any:
             return own[name](*operands)
         if not any(isinstance(x, scalar) for x in operands):
             return getattr(np, name)(*operands)
+        if name in _OPERATORS:
+            return _OPERATORS[name](*operands)
         if name in _DRAKES:
             each = [x if isinstance(x, scalar) else scalar(x) for x in operands]
             return getattr(pydrake.math, _DRAKES[name])(*each)

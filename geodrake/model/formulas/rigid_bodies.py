@@ -24,11 +24,7 @@ _DIGITS = 15  # of a rotation, whose zeros and ones come out with rounding error
 
 
 def joint_formulas(tree: RobotTree, q: Formulas) -> Formulas:
-    """Positions (nq of the tree of joints) as formulas of the robot's (nq).
-
-    Args:
-        tree: The robot's kinematics.
-        q: (nq,) positions.
+    """Return positions (nq of the tree of joints) as formulas of the robot's (nq).
 
     Raises:
         ModelError: Ratios of the transmission change with the position.
@@ -38,7 +34,8 @@ def joint_formulas(tree: RobotTree, q: Formulas) -> Formulas:
     actuation = tree.actuation
     if actuation.constant is None:
         raise ModelError(
-            "Source code cannot have a transmission whose ratios change with the position.",
+            "Source code cannot have a closed loop, or a transmission whose ratios change with the "
+            "position.",
             advice="Write the formula of the joints, and map it in your own code.",
         )
     whole = Symbols.of(np.zeros(actuation.sizes[0]))
@@ -54,14 +51,7 @@ def joint_formulas(tree: RobotTree, q: Formulas) -> Formulas:
 def inverse_dynamics_formula(
     tree: RobotTree, q: Formulas, v: Formulas, vd: Formulas, phi: Array
 ) -> Formulas:
-    """Effort (nv,) that the rigid bodies need, at the actuators if there is a transmission.
-
-    Args:
-        tree: The robot's kinematics.
-        q: (nq,) positions.
-        v: (nv,) velocities.
-        vd: (nv,) accelerations.
-        phi: (nb, 10) inertial parameters.
+    """Return the effort (nv,) of the bodies φ (nb, 10), at the actuators of a transmission if any.
 
     Raises:
         ModelError: Ratios of the transmission change with the position.
@@ -81,9 +71,9 @@ def _joint_efforts(
         inboard = motions[mobilizer.parent] if mobilizer.parent >= 0 else _world(tree, mobilizer)
         motions.append(_moved(mobilizer, inboard, (q, v, vd)))
     effort = Symbols.of(np.zeros(tree.num_velocities))
-    wrenches = [
-        (m.force(own), m.moment(own)) for m, own in zip(motions, _phis(tree, phi), strict=True)
-    ]
+    none = np.zeros(phi.shape[1])  # of a frame within a joint
+    own_phi = [phi[m.body] if m.body >= 0 else none for m in tree.mobilizers]
+    wrenches = [(m.force(x), m.moment(x)) for m, x in zip(motions, own_phi, strict=True)]
     for index in range(len(motions) - 1, -1, -1):
         mobilizer, motion, (f, n) = tree.mobilizers[index], motions[index], wrenches[index]
         n = n + cross(mobilizer.p_MoBo_B, f)
@@ -98,12 +88,7 @@ def _joint_efforts(
 
 
 def cross(a: Any, b: Any) -> Formulas:
-    """The cross product of two vectors.
-
-    Args:
-        a: (3,) the first one.
-        b: (3,) the second one.
-    """
+    """Return the cross product of two vectors (3,)."""
     return Symbols.of(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )
@@ -186,14 +171,18 @@ def _features(kind: Features, q: Formulas, ratio: float) -> Formulas:
     return Symbols.of(rows).ravel()
 
 
-def _phis(tree: KinematicTree, phi: Array) -> list[Array]:
-    """Inertial parameters (10,) of each mobilizer's body; zero for a frame within a joint."""
-    return [phi[m.body] if m.body >= 0 else np.zeros(phi.shape[1]) for m in tree.mobilizers]
-
-
 @dataclass(frozen=True, eq=False)
 class BodyFormulas(RobotBodies):
     """The bodies of a robot in one configuration of symbols; `q` is (1, nq)."""
+
+    def tree_samples(self, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
+        """Positions, velocities and accelerations (1, ·) of the joints of the tree, and J."""
+        theta = joint_formulas(self.tree, Symbols.of(self.q)[0])
+        J = np.eye(v.shape[1])
+        if isinstance(self.tree, DrivenTree):
+            J = self.tree.actuation.jacobian(np.zeros(self.q.shape))[0]
+        rates, accelerations = (Symbols.of([J @ x[0]]) for x in (v, vd))
+        return theta[None], rates, accelerations, J[None]
 
     @cached_property
     def _motions(self) -> dict[str, BodyMotion]:

@@ -6,7 +6,7 @@ arrays of symbols instead of numbers, the same code says which formula it is.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,11 +63,7 @@ _MADE_OF: dict[str, Callable[..., Operand]] = {  # what is written by other oper
 
 
 def record(name: str, *operands: Operand) -> Operand:
-    """An operation on symbols and numbers; a number where none of them is a symbol.
-
-    Args:
-        name: NumPy's name of the operation.
-        *operands: What it is of.
+    """Return an operation, by NumPy's name; a number where no operand is a symbol.
 
     Raises:
         ArgumentError: It is none of those that can be written.
@@ -179,6 +175,21 @@ class Symbol:
     # fmt: on
 
 
+def in_order(formulas: Iterable[Operand]) -> Iterator[Symbol]:
+    """Yield all symbols of formulas once, each after what it is of; without recursion."""
+    pending, seen = [x for x in formulas if isinstance(x, Symbol)][::-1], set[Symbol]()
+    while pending:
+        symbol = pending[-1]
+        of = () if symbol.operation == "input" or symbol in seen else symbol.operands
+        waiting = [x for x in of if isinstance(x, Symbol) and x not in seen]
+        pending += waiting
+        if not waiting:
+            pending.pop()
+            if symbol not in seen:
+                seen.add(symbol)
+                yield symbol
+
+
 class Symbols(np.ndarray):
     """An array of symbols and numbers; what NumPy does with it is recorded."""
 
@@ -189,12 +200,7 @@ class Symbols(np.ndarray):
 
     @classmethod
     def inputs(cls, name: str, count: int) -> Symbols:
-        """(count,) inputs of a function: entries of an array of a name.
-
-        Args:
-            name: The array's name.
-            count: Its length.
-        """
+        """Return (count,) inputs of a function: entries of an array of a name."""
         return cls.of([Symbol("input", (name, k)) for k in range(count)])
 
     def __array_ufunc__(

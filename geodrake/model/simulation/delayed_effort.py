@@ -8,7 +8,7 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 
 from geodrake.boundary.arguments import positive, real_array
 from geodrake.errors import ArgumentError
-from geodrake.model.simulation.differenced_system import differenced
+from geodrake.model.simulation.scalar_system import differenced
 
 _MOST_SAMPLES = 1_000_000
 

@@ -1,11 +1,11 @@
 """A Drake plant that is moved by actuators, and whose joints follow others.
 
-A plant knows its joints alone. Systems here stand between it and a model whose coordinates are
-those of actuators, or lack joints that follow others: one makes the model's state of the plant's,
-the other the plant's generalized forces of the efforts τ at the actuators. There the robot
-accelerates so that it needs just these efforts, M q̈ + h = τ with all effects in M and h, and what
-the plant needs for that at θ̈ = J q̈ + J̇ q̇ is its inverse dynamics. Where there are more joints than
-actuators, what drifts from θ = T(q) is drawn back to it.
+A plant knows its joints alone. A system here stands between it and a model whose coordinates are
+those of actuators, or lack joints that follow others: it makes the model's state of the plant's,
+and the plant's generalized forces of the efforts τ at the actuators. There the robot accelerates so
+that it needs just these efforts, M q̈ + h = τ with all effects in M and h, and what the plant needs
+for that at θ̈ = J q̈ + J̇ q̇ is its inverse dynamics. Where there are more joints than actuators, what
+drifts from θ = T(q) is drawn back to it.
 """
 
 from __future__ import annotations
@@ -17,24 +17,13 @@ from functools import cached_property
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import PassThrough
 
-from geodrake.effects.delays import delays_of
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.model.simulation.robot_in_diagram import (
-    DiagramOptions,
-    Driven,
-    FittedRobot,
-    RobotInDiagram,
-    add_plant,
-    late,
-)
 from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_positions, plant_jacobians
 from geodrake.robot.followers import OwnCoordinates
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.regressor import inverse_dynamics
-from geodrake.robot.robot_instance import RobotInstance
 
 _RETURN = 50.0  # rate at which joints come back to where their actuators have them, 1/s
 _MOST_ITERATIONS = 100
@@ -45,7 +34,7 @@ Needed = Callable[[Array, Array, Array, float], Array]
 
 
 @dataclass(frozen=True, eq=False)
-class Driving(Driven):
+class Driving:
     """How a plant moves with a model.
 
     Attributes:
@@ -66,17 +55,17 @@ class Driving(Driven):
 
     @property
     def sizes(self) -> tuple[int, int, int, int]:
-        """Nq and nv of the plant, then of the model."""
+        """Return nq and nv of the plant, then of the model."""
         plant, tree = self.coordinates.plant, self.tree
         own = tree.num_positions, tree.num_velocities
         return plant.num_positions(), plant.num_velocities(), *own
 
     def in_plant(self, plant: MultibodyPlant) -> Driving:
-        """The same with another plant of the same robot."""
+        """Return the same with another plant of the same robot."""
         return replace(self, coordinates=replace(self.coordinates, plant=plant))
 
     def model_state(self, state: Array) -> tuple[Array, Array]:
-        """Q (nq,) and v (nv,) of the model, of a state of the plant."""
+        """Return q (nq,) and v (nv,) of the model, of a state of the plant."""
         nq, ways = self.sizes[0], self.coordinates
         theta, rate = state[:nq][ways.own_positions], state[nq:][ways.own_velocities]
         if not isinstance(self.tree, DrivenTree):
@@ -86,18 +75,13 @@ class Driving(Driven):
         return q[0], np.asarray(np.linalg.pinv(J) @ rate)
 
     def plant_state(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Positions and velocities of the plant, of those of the model.
-
-        Args:
-            q: (nq,) positions of the model.
-            v: (nv,) velocities of the model.
-        """
+        """Return positions and velocities of the plant, of those (nq,), (nv,) of the model."""
         J, _ = self._jacobians(q, v)
         theta = joint_positions(self.tree, q[None])
         return self.coordinates.plant_positions(theta)[0], J @ v
 
     def plant_force(self, state: Array, effort: Array, time: float) -> Array:
-        """Generalized forces (nv of the plant,) of efforts of the actuators and of all effects.
+        """Return generalized forces (nv of the plant,) of the actuators' efforts and all effects.
 
         Args:
             state: Positions and velocities of the plant.
@@ -108,7 +92,11 @@ class Driving(Driven):
             ModelError: Load-dependent friction does not settle.
         """
         q, v = self.model_state(state)
-        (J, rate), (whole, rates) = self._jacobians(q, v), self.plant_state(q, v)
+        J, rate = self._jacobians(q, v)
+        whole, rates = (
+            self.coordinates.plant_positions(joint_positions(self.tree, q[None]))[0],
+            J @ v,
+        )
         acceleration = J @ self.acceleration(q, v, effort / self.gain, time) + rate @ v
         nq, nv, _, own = self.sizes
         if own < nv:
@@ -118,15 +106,9 @@ class Driving(Driven):
         return inverse_dynamics(self._plant_tree, *sample, self.phi)[0]
 
     def acceleration(self, q: Array, v: Array, effort: Array, time: float) -> Array:
-        """q̈ (nv,) under efforts that act at the actuators.
+        """Return q̈ (nv,) at q (nq,) and v (nv,) under efforts (nv,) that act at the actuators.
 
         What is needed is affine in q̈, but for friction that depends on the load.
-
-        Args:
-            q: (nq,) positions.
-            v: (nv,) velocities.
-            effort: (nv,) efforts, N·m or N.
-            time: Time since the log began, s.
 
         Raises:
             ModelError: Load-dependent friction does not settle.
@@ -145,20 +127,14 @@ class Driving(Driven):
         )
 
     def mass_and_drift(self, q: Array, v: Array, time: float) -> tuple[Array, Array]:
-        """M (nv, nv), and the effort (nv,) that is needed without acceleration.
-
-        Args:
-            q: (nq,) positions.
-            v: (nv,) velocities.
-            time: Time since the log began, s.
-        """
+        """Return M (nv, nv), and the effort (nv,) that is needed without acceleration."""
         count = len(v)
         places, rates = (np.repeat(x[None], count + 1, axis=0) for x in (q, v))
         efforts = self.needed(places, rates, np.eye(count + 1, count), time)
         return (efforts[:count] - efforts[count]).T, efforts[count]
 
     def _jacobians(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """J and J̇ (nv of the plant, nv)."""
+        """Return J and J̇ (nv of the plant, nv)."""
         J, rate = plant_jacobians(self.tree, self.coordinates, q[None], v[None])
         return J[0], rate[0]
 
@@ -171,16 +147,21 @@ class Driving(Driven):
         return self.coordinates.plant.CreateDefaultContext()
 
 
-class ActuatorState(LeafSystem):
-    """The state of a model, of that of its plant.
+class DrivenPlant(LeafSystem):
+    """What stands between a plant and a model of other coordinates.
 
     .. pydrake_system::
 
-        name: ActuatorState
+        name: DrivenPlant
         input_ports:
         - plant_state
+        - effort
         output_ports:
         - state
+        - generalized_force
+
+    `state` is that of the model, `generalized_force` that of the plant by the model's efforts,
+    effects included.
     """
 
     def __init__(self, driving: Driving) -> None:
@@ -188,76 +169,24 @@ class ActuatorState(LeafSystem):
         LeafSystem.__init__(self)
         self._driving = driving
         nq, nv, own_nq, own_nv = driving.sizes
-        self._port = self.DeclareVectorInputPort("plant_state", BasicVector(nq + nv))
-        size, known = own_nq + own_nv, {self._port.ticket()}
-        self.DeclareVectorOutputPort("state", BasicVector(size), self._calc_state, known)
+        self._state_port = self.DeclareVectorInputPort("plant_state", BasicVector(nq + nv))
+        self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(own_nv))
+        known, size = {self._state_port.ticket()}, BasicVector(own_nq + own_nv)
+        self.DeclareVectorOutputPort("state", size, self._calc_state, known)
+        known = {*known, self._effort_port.ticket(), self.time_ticket()}
+        self.DeclareVectorOutputPort("generalized_force", BasicVector(nv), self._calc_force, known)
+
+    def connect(self, builder: DiagramBuilder) -> None:
+        """Connects it with its plant; both are in the builder."""
+        plant = self._driving.coordinates.plant
+        builder.Connect(plant.get_state_output_port(), self._state_port)
+        port = plant.get_applied_generalized_force_input_port()
+        builder.Connect(self.GetOutputPort("generalized_force"), port)
 
     def _calc_state(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(np.concatenate(self._driving.model_state(self._port.Eval(context))))
-
-
-class JointEffort(LeafSystem):
-    """Generalized forces of a plant, of the efforts of its actuators, effects included.
-
-    .. pydrake_system::
-
-        name: JointEffort
-        input_ports:
-        - plant_state
-        - effort
-        output_ports:
-        - generalized_force
-    """
-
-    def __init__(self, driving: Driving) -> None:
-        """Constructs the system for a plant and how it moves."""
-        LeafSystem.__init__(self)
-        self._driving = driving
-        nq, nv, _, own = driving.sizes
-        self._state_port = self.DeclareVectorInputPort("plant_state", BasicVector(nq + nv))
-        self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(own))
-        ports = self._state_port, self._effort_port
-        known = {self.time_ticket(), *(port.ticket() for port in ports)}
-        self.DeclareVectorOutputPort("generalized_force", BasicVector(nv), self._calc_force, known)
+        state = self._state_port.Eval(context)
+        output.SetFromVector(np.concatenate(self._driving.model_state(state)))
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
         state, effort = self._state_port.Eval(context), self._effort_port.Eval(context)
         output.SetFromVector(self._driving.plant_force(state, effort, context.get_time()))
-
-
-def add_driven_robot(
-    builder: DiagramBuilder, robot: FittedRobot, options: DiagramOptions, driving: Driving
-) -> RobotInDiagram:
-    """Adds a model whose plant has other coordinates; see `RobotModel.add_to_builder`.
-
-    Args:
-        builder: The diagram's builder.
-        robot: The model.
-        options: How.
-        driving: How its plant moves.
-    """
-    name = options.name
-    plant, scene_graph, notes = add_plant(builder, robot, options)
-    driving = driving.in_plant(plant)
-    seen = builder.AddNamedSystem(f"{name}_state", ActuatorState(driving))
-    force = builder.AddNamedSystem(f"{name}_joint_effort", JointEffort(driving))
-    for system in (seen, force):
-        builder.Connect(plant.get_state_output_port(), system.GetInputPort("plant_state"))
-    effort = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(len(driving.names))))
-    delays = delays_of([fitted.effect for fitted in robot.effects], driving.names)
-    logged = late(builder, f"{name}_logged_effort", effort.get_output_port(), delays)
-    acting = late(builder, f"{name}_acting_effort", effort.get_output_port(), -delays)
-    builder.Connect(acting, force.GetInputPort("effort"))
-    builder.Connect(force.get_output_port(), plant.get_applied_generalized_force_input_port())
-    return RobotInDiagram(
-        RobotInstance(plant),
-        scene_graph,
-        None,
-        driving.names,
-        robot.total_phi,
-        effort.get_input_port(),
-        seen.get_output_port(),
-        logged,
-        notes,
-        driving,
-    )

@@ -19,7 +19,6 @@ from pydrake.systems.framework import (
     OutputPort,
     ValueProducer,
 )
-from pydrake.systems.primitives import MatrixGain
 
 from geodrake.boundary.arguments import instance, real_array
 from geodrake.effects import Effect
@@ -30,18 +29,13 @@ from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.bodies import check_context
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.formulas.evaluation import Scalars
-from geodrake.model.simulation.force_law import (
-    EffectWithValues,
-    ForceLaw,
-    PlantState,
-    Response,
-    admissible,
-)
+from geodrake.model.simulation.force_law import EffectWithValues, ForceLaw, Response, admissible
 from geodrake.model.simulation.plant_motion import PlantMotion
 from geodrake.model.simulation.scalar_system import ScalarSystem, add_scalar_types
 from geodrake.model.simulation.scalars import slopes_of, value_of
 from geodrake.model.simulation.soft_joints import Coupling
-from geodrake.robot.robot_instance import RobotInstance, add_generalized_force
+from geodrake.model.simulation.terms import PlantState
+from geodrake.robot.robot_instance import RobotInstance, add_generalized_force, selected
 
 _PARAMETERS, _PHI = 0, 1
 
@@ -60,7 +54,7 @@ class _EffectForce(ScalarSystem):
         self.DeclareNumericParameter(self._vector(law.mu))
         self.DeclareNumericParameter(self._vector(law.phi.ravel()))
         if self._of is Expression:
-            self._check_symbolic()
+            law.check_symbolic()
         states = law.state_count + 2 * len(law.soft)
         known = {self._state_port.ticket(), self.all_parameters_ticket()}
         if law.timed:
@@ -82,22 +76,6 @@ class _EffectForce(ScalarSystem):
                 "motor_state", self._vector(nq + nv), self._calc_motor_state, known
             )
 
-    def _check_symbolic(self) -> None:
-        """Refuses to become symbolic where that is no formula."""
-        law = self.law
-        if law.implicit:
-            raise ModelError(
-                "Effects that depend on accelerations or loads, and soft joints, have no formulas: "
-                "their accelerations solve equations.",
-                advice="Use ToAutoDiffXd, or leave them out.",
-            )
-        if any(terms.warmed for side in (law.motors, law.links) for terms in side.all):
-            raise ModelError(
-                "Temperatures have no formulas of the time.",
-                advice="Use ToAutoDiffXd, or leave the temperatures out.",
-            )
-        law.record()
-
     @property
     def implicit(self) -> bool:
         """Return whether some effects depend on the plant's acceleration, or its load."""
@@ -110,7 +88,7 @@ class _EffectForce(ScalarSystem):
 
     @property
     def soft_joints(self) -> tuple[str, ...]:
-        """Joints whose motors have a state of their own."""
+        """Return the joints whose motors have a state of their own."""
         return self.law.soft.names
 
     @property
@@ -119,23 +97,15 @@ class _EffectForce(ScalarSystem):
         return self.law.notes
 
     def effect_parameters(self, context: Context, effect: Effect) -> Scalars:
-        """Linear parameters (k,) of an effect in a Context.
-
-        Args:
-            context: The system's own Context.
-            effect: One of `effects`.
+        """Return linear parameters (k,) of an effect in a Context of the system.
 
         Raises:
-            ArgumentError: It is none of them.
+            ArgumentError: It is none of `effects`.
         """
         return self._parameters(context)[self._part(effect)]
 
     def set_effect_parameters(self, context: Context, values: Mapping[Effect, ArrayLike]) -> None:
-        """Changes linear parameters of effects in a Context.
-
-        Args:
-            context: The system's own Context.
-            values: Effect -> (k,) parameters μ, SI; effects that are left out keep theirs.
+        """Changes linear parameters μ (k,), SI, of effects in a Context; others keep theirs.
 
         Raises:
             ArgumentError: An effect is none of `effects`, or cannot have these parameters.
@@ -148,11 +118,9 @@ class _EffectForce(ScalarSystem):
         self._set(context.get_mutable_numeric_parameter(_PARAMETERS), mu)
 
     def set_inertial_parameters(self, context: Context, phi: ArrayLike) -> None:
-        """Changes what the inertial parameters of the plant are taken to be, in a Context.
+        """Changes what inertial parameters (nb, 10) the plant is taken to have, in a Context.
 
-        Args:
-            context: The system's own Context.
-            phi: (nb, 10) parameters, as `set_inertial_parameters` writes them into the plant's.
+        They are those that `set_inertial_parameters` writes into the plant's.
 
         Raises:
             ArgumentError: The shape does not fit.
@@ -162,11 +130,7 @@ class _EffectForce(ScalarSystem):
         self._set(context.get_mutable_numeric_parameter(_PHI), phi.ravel())
 
     def set_hidden_states(self, context: Context, states: Mapping[Effect, ArrayLike]) -> None:
-        """Sets hidden states, such as a motion leaves them by `Effect.states_along`.
-
-        Args:
-            context: The system's own Context.
-            states: Effect -> (s,) its state; effects that are left out keep theirs.
+        """Sets hidden states (s,), such as `Effect.states_along` leaves them; others keep theirs.
 
         Raises:
             ArgumentError: An effect has no hidden states here, or not as many.
@@ -184,12 +148,9 @@ class _EffectForce(ScalarSystem):
         context.SetContinuousState(whole)
 
     def set_motors(self, context: Context, lag: ArrayLike, speed: ArrayLike) -> None:
-        """Sets where the motors of soft joints are.
+        """Sets where the motors of `soft_joints` are, by lags and speeds (m,).
 
-        Args:
-            context: The system's own Context.
-            lag: (m,) their positions less those of their links, rad or m; see `soft_joints`.
-            speed: (m,) their velocities, rad/s or m/s.
+        A lag is the position of a motor less that of its link, rad or m.
 
         Raises:
             ArgumentError: They are not as many as the soft joints.
@@ -202,31 +163,23 @@ class _EffectForce(ScalarSystem):
         context.SetContinuousState(whole)
 
     def couplings(self, context: Context) -> list[Coupling]:
-        """What holds the motor and the link of each soft joint together, by a Context's parameters.
-
-        Args:
-            context: The system's own Context.
-        """
+        """Return spring and damper of each soft joint, by the parameters of a Context."""
         return self.law.soft.couplings(self._parameters(context))
 
     def lags(
         self, context: Context, q: ArrayLike, v: ArrayLike, vd: ArrayLike | None = None
     ) -> Array:
-        """Positions (m,) of the motors of soft joints less those of links that follow a motion.
+        """Return positions (m,) of the motors of soft joints less those of links that follow them.
 
-        Args:
-            context: The system's own Context, for its parameters.
-            q: (nq,) positions of the motors.
-            v: (nv,) their velocities.
-            vd: (nv,) their accelerations; none if None.
+        Positions (nq,), velocities (nv,) and accelerations are those of the motors; parameters
+        those of the Context.
 
         Raises:
             ArgumentError: The Context is another's, or they are not as many.
         """
         check_context(self, context)
-        plant = self.law.plant.plant
-        size = (plant.num_velocities(),)
-        q, v = real_array(q, "q", (plant.num_positions(),)), real_array(v, "v", size)
+        size = (self.law.plant.plant.num_velocities(),)
+        q, v = real_array(q, "q", (self._nq,)), real_array(v, "v", size)
         vd = np.zeros(size) if vd is None else real_array(vd, "vd", size)
         return self.law.lags(q, v, vd, self._values(context))
 
@@ -235,17 +188,11 @@ class _EffectForce(ScalarSystem):
 
         That is the load of a steady motion; their velocities are those of the motors. Without soft
         joints nothing changes.
-
-        Args:
-            root: Context of the whole diagram.
         """
         soft, plant = self.law.soft, self.law.plant.plant
         if not soft:
             return
-        own, context = (
-            self.GetMyMutableContextFromRoot(root),
-            plant.GetMyMutableContextFromRoot(root),
-        )
+        own, context = (s.GetMyMutableContextFromRoot(root) for s in (self, plant))
         q, v = plant.GetPositions(context), plant.GetVelocities(context)
         lag = self.lags(own, q, v)
         self.set_motors(own, lag, v[soft.velocities])
@@ -253,11 +200,7 @@ class _EffectForce(ScalarSystem):
         plant.SetPositions(context, q)
 
     def state_port(self, builder: DiagramBuilder, joints: Sequence[str]) -> OutputPort:
-        """Output (2 n): positions and then velocities that are measured of a robot.
-
-        Args:
-            builder: The builder that system and plant are in.
-            joints: Names of all the robot's joints, in the order of the output.
+        """Return an output (2 n) of measured positions and then velocities of all joints in order.
 
         Raises:
             ArgumentError: They are not the robot's joints, or one has several degrees of freedom.
@@ -265,23 +208,12 @@ class _EffectForce(ScalarSystem):
         robot = self.law.plant.robot
         if not self.law.soft:
             return robot.state_port(builder, joints)
-        places = np.concatenate(
-            [robot.positions(joints), self._nq + robot.velocities[robot.order(joints)]]
-        )
-        port = self.GetOutputPort("motor_state")
-        if np.array_equal(places, np.arange(port.size())):
-            return port
-        gain = builder.AddSystem(MatrixGain(np.eye(port.size())[places]))
-        builder.Connect(port, gain.get_input_port())
-        return gain.get_output_port()
+        at_v = self._nq + robot.velocities[robot.order(joints)]
+        places = np.concatenate([robot.positions(joints), at_v])
+        return selected(builder, self.GetOutputPort("motor_state"), places)
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        """Rates of hidden states, and of the motors of soft joints.
-
-        Args:
-            context: Context of this system.
-            derivatives: Receives the rates, per second.
-        """
+        """Rates of hidden states, and of the motors of soft joints, per second."""
         if not derivatives.size():
             return
         state, law = self._plant_state(context), self.law
@@ -305,7 +237,7 @@ class _EffectForce(ScalarSystem):
         return np.asarray(context.get_numeric_parameter(_PARAMETERS).CopyToVector())
 
     def _values(self, context: Context) -> tuple[Scalars, Array]:
-        """Parameters (k,) of all effects, and (nb, 10) of the bodies."""
+        """Return parameters (k,) of all effects, and (nb, 10) of the bodies."""
         phi = np.asarray(context.get_numeric_parameter(_PHI).CopyToVector())
         if self._of is Expression:
             phi = np.array([entry.Evaluate() for entry in phi])
@@ -319,28 +251,19 @@ class _EffectForce(ScalarSystem):
         return self._parameters(context), phi.reshape(-1, PARAMETERS_PER_BODY)
 
     def _plant_state(self, context: Context) -> PlantState:
-        both, law = self._state_port.Eval(context), self.law
+        both = self._state_port.Eval(context)
         own = np.asarray(context.get_continuous_state_vector().CopyToVector())
-        motors, m = law.state_count, len(law.soft)
-        return PlantState(
-            both[: self._nq],
-            both[self._nq :],
-            context.get_time(),
-            own[:motors],
-            own[motors : motors + m],
-            own[motors + m :],
-        )
-
-    def _applied(self, context: Context, mu: Scalars, count: int) -> tuple[Any, Any]:
-        """Efforts that were commanded (nv,), and those that act at the motors."""
-        u = np.zeros(count)
-        if self.law.coupled and self._effort_port.HasValue(context):
-            u = self._effort_port.Eval(context)
-        return u, self.law.applied(u, mu)
+        hidden, m = self.law.state_count, len(self.law.soft)
+        lag, speed = own[hidden : hidden + m], own[hidden + m :]
+        time = context.get_time()
+        return PlantState(both[: self._nq], both[self._nq :], time, own[:hidden], lag, speed)
 
     def _calc_response(self, context: Context, value: AbstractValue) -> None:
         state, parameters = self._plant_state(context), self._values(context)
-        u, acting = self._applied(context, parameters[0], len(state.v))
+        u = np.zeros(len(state.v))
+        if self.law.coupled and self._effort_port.HasValue(context):
+            u = self._effort_port.Eval(context)
+        acting = self.law.applied(u, parameters[0])
         # (Drake's symbols raise flags of floating point that say nothing.)
         with np.errstate(invalid="ignore") if self._of is Expression else nullcontext():
             response = self.law.response(state, acting, parameters)
@@ -351,8 +274,8 @@ class _EffectForce(ScalarSystem):
         self._set(output, self._response.Eval(context).effort)
 
     def _calc_motor_state(self, context: Context, output: Any) -> None:
-        q, v = self.law.motor_motion(self._plant_state(context))
-        self._set(output, np.concatenate([q, v]))
+        motor = self.law.at_motors(self._plant_state(context))
+        self._set(output, np.concatenate([motor.q, motor.v]))
 
 
 class EffectForce(_EffectForce, LeafSystem):
@@ -482,19 +405,8 @@ class EffectForce(_EffectForce, LeafSystem):
         `RobotModel.add_to_builder` does this with a plant that has the model's inertias.
 
         `applied_effort` is left to be connected. Generalized forces that act on the plant already
-        stay. Where joints are soft, what is measured is the port `motor_state`.
-
-        Args:
-            builder: The diagram's builder.
-            plant: A finalized plant that was added to it, or one robot in it.
-            effects: Effects with their parameters, as for the constructor.
-            sign_width: Speed below which dry friction fades, rad/s or m/s; one for all velocities
-                or (nv,).
-            phi: As for the constructor.
-            log: Name of the log that is simulated; None for none.
-
-        Returns:
-            The system.
+        stay. Where joints are soft, what is measured is the port `motor_state`. Arguments are those
+        of the constructor, with a plant that was added to the builder.
         """
         instance(builder, "builder", DiagramBuilder)
         system = builder.AddSystem(

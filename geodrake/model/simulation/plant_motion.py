@@ -1,16 +1,16 @@
-"""The motion of a plant as effects see it."""
+"""The motion of a plant as effects see it, and the dynamics of its bodies."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydrake.autodiffutils import AutoDiffXd
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import JointIndex
+from pydrake.multibody.tree import JointIndex, MultibodyForces_
 
 from geodrake.boundary.arguments import one_or_each
 from geodrake.effects import RobotMotion
@@ -23,6 +23,7 @@ from geodrake.logs.temperatures import Temperatures
 from geodrake.model.formulas.rigid_bodies import BodyFormulas, inverse_dynamics_formula
 from geodrake.model.formulas.symbols import Formulas, Symbols
 from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.plant import set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics_regressor
 from geodrake.robot.robot_instance import RobotInstance
 
@@ -31,8 +32,7 @@ class PlantMotion:
     """What is constant about a plant, for the motion that effects see.
 
     Attributes:
-        robot: The robot in the plant.
-        plant: The plant, finalized.
+        robot: The robot in the plant; effects act on nothing else.
         joints: Names of the nv velocities.
         positions: (nv,) where the position of each velocity is in q; −1 for joints of several
             degrees of freedom.
@@ -52,7 +52,7 @@ class PlantMotion:
         """Reads a plant.
 
         Args:
-            plant: A finalized plant, or one robot in it: then effects act on nothing else.
+            plant: A finalized plant, or one robot in it.
             sign_width: Speed below which dry friction fades, rad/s or m/s; one or (nv,), of a robot
                 in a plant (n,).
             log: Number of the log that is simulated, as in `RobotMotion`.
@@ -68,14 +68,13 @@ class PlantMotion:
         self._others = np.delete(np.arange(len(self.joints)), robot.velocities)
         self.direction = smoothed_sign(self._sign_width)
         self.positions = np.full(len(self.joints), -1)
-        sliding = set[int]()
+        self.inertia_units = ["kg·m²"] * len(self.joints)
         for index in plant.GetJointIndices():
             joint = plant.get_joint(JointIndex(index))
             if joint.num_velocities() == 1:
                 self.positions[joint.velocity_start()] = joint.position_start()
                 if joint.type_name() == "prismatic":
-                    sliding.add(joint.velocity_start())
-        self.inertia_units = ["kg" if k in sliding else "kg·m²" for k in range(len(self.joints))]
+                    self.inertia_units[joint.velocity_start()] = "kg"
         several = np.flatnonzero(self.positions < 0)
         self._several = several if len(several) else None
         self._bodies: dict[str, tuple[int, Member]] = {
@@ -86,23 +85,17 @@ class PlantMotion:
 
     @cached_property
     def tree(self) -> KinematicTree:
-        """The plant's kinematics."""
+        """Return the plant's kinematics."""
         tree = KinematicTree.from_plant(self.plant)
         return replace(tree, bodies=tuple(self.robot.body_names[name] for name in tree.bodies))
 
     def own(self, effort: Any) -> Any:
-        """Efforts (..., nv) without those that would act on other robots and on objects."""
+        """Return efforts (..., nv) without those that would act on other robots and on objects."""
         effort[..., self._others] = 0.0
         return effort
 
     def trial(self, v: Array, vd: Array, load: Array) -> RobotMotion:
-        """The plant in some configurations, for trials of users' effects.
-
-        Args:
-            v: (N, nv) velocities.
-            vd: (N, nv) accelerations.
-            load: (N, nv) loads.
-        """
+        """Return the plant in some configurations, of v, v̇ and loads (N, nv), to try effects."""
         q = np.tile(self.plant.GetPositions(self.plant.CreateDefaultContext()), (len(v), 1))
         single = self.positions[self.positions >= 0]
         q[:, single] = np.random.default_rng(0).normal(size=(len(v), len(single)))
@@ -111,7 +104,7 @@ class PlantMotion:
     def seen(
         self, q: Array, rates: tuple[Array, Array, Array], phi: Array, **known: Any
     ) -> RobotMotion:
-        """A motion as effects see it.
+        """Return a motion as effects see it.
 
         Args:
             q: (N, nq) positions.
@@ -119,26 +112,31 @@ class PlantMotion:
             phi: (nb, 10) inertial parameters of the bodies.
             known: What else `RobotMotion` is to know.
         """
-        v, vd, _ = rates
-        columns = _BodyColumns(self.tree, self._bodies, q, v, vd)
+        regressor = cache(lambda: inverse_dynamics_regressor(self.tree, q, *rates[:2]))
+
+        def columns(name: str) -> Array:
+            index, to_lump = self._in_lump(name)
+            start = PARAMETERS_PER_BODY * index
+            return regressor()[..., start : start + PARAMETERS_PER_BODY] @ to_lump
+
         bodies = RobotBodies(self.tree, q, phi)
         return self._motion(self.of_joints(q), rates, columns, bodies, **known)
 
     def formulas(
         self, q: Formulas, rates: tuple[Formulas, Formulas, Formulas], phi: Array, **known: Any
     ) -> RobotMotion:
-        """One sample in symbols as effects see it; see `seen`."""
+        """Return one sample in symbols as effects see it; see `seen`."""
         v, vd, _ = rates
         at_joints = Symbols.of(np.full((1, len(self.joints)), np.nan))
         single = self.positions >= 0
         at_joints[:, single] = q[:, self.positions[single]]
 
         def columns(name: str) -> Formulas:
-            index, member = self._member(name)
+            index, to_lump = self._in_lump(name)
             unit = np.zeros((PARAMETERS_PER_BODY, *phi.shape))
             unit[:, index] = np.eye(PARAMETERS_PER_BODY)
             efforts = [inverse_dynamics_formula(self.tree, q[0], v[0], vd[0], x) for x in unit]
-            return Symbols.of(np.stack(efforts, -1) @ _to_lump(member))[None]
+            return Symbols.of(np.stack(efforts, -1) @ to_lump)[None]
 
         return self._motion(at_joints, rates, columns, BodyFormulas(self.tree, q, phi), **known)
 
@@ -149,64 +147,59 @@ class PlantMotion:
         return RobotMotion(self.joints, q, *rates, width, columns, bodies, log=self._log, **known)
 
     def of_joints(self, q: Array) -> Array:
-        """Position belonging to each velocity, NaN for joints of several degrees."""
+        """Return the position belonging to each velocity, NaN for joints of several degrees."""
         found = q.take(self.positions, axis=-1)
         if self._several is not None:
             found[..., self._several] = np.nan
         return found
 
-    def _member(self, name: str) -> tuple[int, Member]:
-        return member_of(self._bodies, name)
+    def _in_lump(self, name: str) -> tuple[int, Array]:
+        """Return the lump of a body, and (10, 10) from the body's parameters to the lump's."""
+        if name not in self._bodies:
+            raise ArgumentError(
+                f"There is no moving body {name!r}.",
+                advice=f"Bodies are: {', '.join(self._bodies)}.",
+            )
+        index, member = self._bodies[name]
+        R_RB, p_RoBo_R = member.X_RB.rotation().matrix(), member.X_RB.translation()
+        return index, change_frame(np.eye(PARAMETERS_PER_BODY), R_RB, p_RoBo_R).T
 
 
-def member_of(bodies: Mapping[str, tuple[int, Member]], name: str) -> tuple[int, Member]:
-    """Index of the lump of a body, and its place in it.
+class PlantDynamics:
+    """Dynamics of a plant in Contexts of its own, overwritten by every evaluation."""
 
-    Args:
-        bodies: Name -> index and place of every moving body.
-        name: Name of the body.
+    def __init__(self, plant: MultibodyPlant) -> None:
+        """Makes the Context."""
+        self._plant, self._context = plant, plant.CreateDefaultContext()
+        self._phi = np.zeros(0)
+        self._autodiff: tuple[Any, Any] | None = None
 
-    Raises:
-        ArgumentError: There is no such body.
-    """
-    if name not in bodies:
-        raise ArgumentError(
-            f"There is no moving body {name!r}.", advice=f"Bodies are: {', '.join(bodies)}."
-        )
-    return bodies[name]
+    def context(self, phi: Array) -> Any:
+        """Return the Context of floats, with inertial parameters (nb, 10)."""
+        if not np.array_equal(self._phi, phi):
+            set_inertial_parameters(self._plant, self._context, phi)
+            self._phi, self._autodiff = phi.copy(), None
+        return self._context
 
+    def at(self, q: Any, v: Any, phi: Array) -> tuple[Any, Any, Any]:
+        """Return M, C v − τ of all force elements, and C v − τ_g alone, of the plant.
 
-def _to_lump(member: Member) -> Array:
-    """(10, 10) from parameters of a body to those of the lump that it belongs to."""
-    R_RB, p_RoBo_R = member.X_RB.rotation().matrix(), member.X_RB.translation()
-    return change_frame(np.eye(PARAMETERS_PER_BODY), R_RB, p_RoBo_R).T
-
-
-@dataclass(frozen=True, eq=False)
-class _BodyColumns:
-    """Inertial regressors (N, nv, 10) of bodies along a motion, computed once somebody asks.
-
-    Attributes:
-        tree: The plant's tree.
-        bodies: Name -> index and place of every moving body.
-        q: (N, nq) positions.
-        v: (N, nv) velocities.
-        vd: (N, nv) accelerations.
-    """
-
-    tree: KinematicTree
-    bodies: Mapping[str, tuple[int, Member]]
-    q: Array
-    v: Array
-    vd: Array
-
-    @cached_property
-    def _regressor(self) -> Array:
-        return inverse_dynamics_regressor(self.tree, self.q, self.v, self.vd)
-
-    def __call__(self, name: str) -> Array:
-        """The regressor of one body."""
-        i, member = member_of(self.bodies, name)
-        start = PARAMETERS_PER_BODY * i
-        columns = self._regressor[..., start : start + PARAMETERS_PER_BODY]
-        return columns @ _to_lump(member)
+        Args:
+            q: (nq,) positions, of floats or AutoDiffXd.
+            v: (nv,) velocities.
+            phi: (nb, 10) inertial parameters.
+        """
+        plant, context, scalar = self._plant, self.context(phi), float
+        if np.asarray(q).dtype == object:
+            if self._autodiff is None:
+                other = plant.ToAutoDiffXd()
+                self._autodiff = other, other.CreateDefaultContext()
+                self._autodiff[1].SetTimeStateAndParametersFrom(context)
+            (plant, context), scalar = self._autodiff, AutoDiffXd
+        plant.SetPositions(context, q)
+        plant.SetVelocities(context, v)
+        forces = MultibodyForces_[scalar](plant)
+        plant.CalcForceElementsContribution(context, forces)
+        drift = plant.CalcInverseDynamics(context, 0.0 * v, forces)
+        rigid_drift = plant.CalcBiasTerm(context) - plant.CalcGravityGeneralizedForces(context)
+        return plant.CalcMassMatrix(context), drift, rigid_drift

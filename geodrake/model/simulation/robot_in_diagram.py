@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import abc
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from geodrake.effects.delays import delays_of
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.simulation.delayed_effort import DelayedEffort
+from geodrake.model.simulation.driven_robot import DrivenPlant, Driving
 from geodrake.model.simulation.effect_force import EffectForce
 from geodrake.robot.files import Given
 from geodrake.robot.plant import load_plant
@@ -30,47 +30,6 @@ _PERIOD = 1e-3  # of sampling efforts that are delayed, s, where delays are no s
 
 FORCES = (Role.FORCE, Role.SCALE, Role.EPISODE, Role.DEFLECTION)
 """Effects that `EffectForce` carries; payloads are among the plant's inertias."""
-
-
-@dataclass(frozen=True, eq=False)
-class FittedRobot:
-    """What a diagram needs to know of a model to simulate it.
-
-    Attributes:
-        path: The model file.
-        floating: Whether free roots float instead of being welded to the world.
-        total_phi: (nb, 10) inertial parameters, payloads included.
-        effects: Effects with their parameters.
-        held: Joint that is held -> where, rad or m.
-        given: How the model file was read.
-        joints: Names of the velocities.
-    """
-
-    path: Path
-    floating: bool
-    total_phi: Array
-    effects: tuple[FittedEffect, ...]
-    held: Mapping[str, float]
-    given: Given
-    joints: tuple[str, ...]
-
-
-class Driven(abc.ABC):
-    """How a plant moves with a model whose coordinates are others."""
-
-    @property
-    @abc.abstractmethod
-    def sizes(self) -> tuple[int, int, int, int]:
-        """Nq and nv of the plant, then of the model."""
-
-    @abc.abstractmethod
-    def plant_state(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Positions and velocities of the plant, of those of the model.
-
-        Args:
-            q: (nq,) positions of the model.
-            v: (nv,) velocities of the model.
-        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +62,7 @@ class RobotInDiagram:
     state: OutputPort
     logged_effort: OutputPort
     notes: tuple[str, ...] = ()
-    driving: Driven | None = None
+    driving: Driving | None = None
 
     @property
     def plant(self) -> MultibodyPlant:
@@ -115,40 +74,34 @@ class RobotInDiagram:
         return RobotPorts(self.joints, self.state, None, self.effort)
 
     def set_inertias(self, root: Context) -> None:
-        """Gives the robot the model's inertial parameters, payloads included.
-
-        Args:
-            root: Context of the whole diagram.
-        """
+        """Gives the robot the model's inertial parameters, payloads included."""
         if self.driving is None:  # else the plant has them by default
             self.set_parameters(root, phi=self.total_phi)
 
     def set_state(self, root: Context, q: ArrayLike, v: ArrayLike | None = None) -> None:
-        """Sets where the robot starts, as it is measured.
+        """Sets where the robot starts, as it is measured, in the whole diagram's Context.
 
         Links of soft joints are where a steady load has them.
 
         Args:
-            root: Context of the whole diagram.
+            root: The Context.
             q: (nq,) positions in Drake's order, of the robot alone.
             v: (nv,) velocities; None for rest.
         """
-        plant = self.plant
-        context = plant.GetMyMutableContextFromRoot(root)
-        if self.driving is not None:
-            _, _, nq, nv = self.driving.sizes
-            q = real_array(q, "q", (nq,))
-            v = real_array(np.zeros(nv) if v is None else v, "v", (nv,))
-            state = self.driving.plant_state(q, v)
-            plant.SetPositionsAndVelocities(context, np.concatenate(state))
+        plant, driving = self.plant, self.driving
+        nq, nv = plant.num_positions(), plant.num_velocities()
+        if driving is not None:
+            nq, nv = driving.sizes[2:]
         elif self.robot.name is not None:
-            q = real_array(q, "q", (len(self.joints),))
-            v = np.zeros(len(q)) if v is None else real_array(v, "v", (len(q),))
+            nq = nv = len(self.joints)
+        q = real_array(q, "q", (nq,))
+        v = real_array(np.zeros(nv) if v is None else v, "v", (nv,))
+        context = plant.GetMyMutableContextFromRoot(root)
+        if self.robot.name is not None:
             self.robot.set_state(context, self.joints, np.concatenate([q, v]))
         else:
-            plant.SetPositions(context, real_array(q, "q", (plant.num_positions(),)))
-            v = np.zeros(plant.num_velocities()) if v is None else v
-            plant.SetVelocities(context, real_array(v, "v", (plant.num_velocities(),)))
+            state = (q, v) if driving is None else driving.plant_state(q, v)
+            plant.SetPositionsAndVelocities(context, np.concatenate(state))
         if self.effect_force is not None:
             self.effect_force.deflect(root)
 
@@ -190,137 +143,130 @@ class RobotInDiagram:
 
 
 @dataclass(frozen=True, eq=False)
-class DiagramOptions:
-    """How a model is put into a diagram; see `RobotModel.add_to_builder`."""
+class DiagramRobot:
+    """A model that a diagram is to simulate, as `RobotModel` gives it.
 
-    time_step: float
-    scene_graph: SceneGraph | bool | None
+    Attributes:
+        path: The model file.
+        floating: Whether free roots float instead of being welded to the world.
+        held: Joint that is held -> where, rad or m.
+        given: How the model file was read.
+        total_phi: (nb, 10) inertial parameters, payloads included.
+        effects: Effects with their parameters.
+        joints: Names of the velocities.
+        name: Name in the diagram.
+        sign_width: (nv,) speed below which dry friction fades, rad/s or m/s.
+        log: Name of the log that is simulated, if it is one.
+    """
+
+    path: Path
+    floating: bool
+    held: Mapping[str, float]
+    given: Given
+    total_phi: Array
+    effects: tuple[FittedEffect, ...]
+    joints: tuple[str, ...]
     name: str
     sign_width: Array
     log: str | None
 
-
-def add_robot(
-    builder: DiagramBuilder, robot: FittedRobot, options: DiagramOptions
-) -> RobotInDiagram:
-    """Adds a model to a builder; see `RobotModel.add_to_builder`.
-
-    Args:
-        builder: The diagram's builder.
-        robot: The model.
-        options: How.
-    """
-    plant, scene_graph, notes = add_plant(builder, robot, options)
-    added = _acting(builder, RobotInstance(plant), robot, options)
-    return replace(added, scene_graph=scene_graph, notes=(*notes, *added.notes))
-
-
-def add_plant(
-    builder: DiagramBuilder, robot: FittedRobot, options: DiagramOptions
-) -> tuple[MultibodyPlant, SceneGraph | None, tuple[str, ...]]:
-    """Adds the plant of a model alone, its SceneGraph if there is one, and what cannot be shown.
-
-    Args:
-        builder: The diagram's builder.
-        robot: The model.
-        options: How.
-    """
-    name = options.name
-    plant = MultibodyPlant(options.time_step)
-    plant.set_name(name)
-    scene_graph = _scene_graph(builder, options)
-    if scene_graph is not None:
-        plant.RegisterAsSourceForSceneGraph(scene_graph)
-    load_plant(
-        robot.path,
-        floating=robot.floating,
-        held=robot.held,
-        given=robot.given,
-        phi=robot.total_phi,
-        into=plant,
-    )
-    builder.AddSystem(plant)
-    notes: tuple[str, ...] = ()
-    if scene_graph is not None:
-        notes = add_visuals(plant, scene_graph, robot.path, robot.given)
-        _show(builder, plant, scene_graph)
-    return plant, scene_graph, notes
-
-
-def add_robot_to_scene(
-    builder: DiagramBuilder, robot: FittedRobot, place: RobotInstance, options: DiagramOptions
-) -> RobotInDiagram:
-    """Makes a robot in a larger plant move as a model; see `RobotModel.add_to_scene`.
-
-    Args:
-        builder: The diagram's builder, which has the plant.
-        robot: The model.
-        place: The robot in the plant.
-        options: How.
-    """
-    stated = place.stated_terms
-    if stated:
-        raise ArgumentError(
-            f"{', '.join(stated)} of {place.name!r} would count twice, in the plant and as effects "
-            "of the model.",
-            advice="Call geodrake.robot.take_out_stated(plant, name) before plant.Finalize().",
+    def add(
+        self,
+        builder: DiagramBuilder,
+        time_step: float,
+        scene_graph: SceneGraph | bool | None,
+        driving: Driving | None,
+    ) -> RobotInDiagram:
+        """Adds it to a builder; `driving` is how its plant moves, if with other coordinates."""
+        plant = MultibodyPlant(time_step)
+        plant.set_name(self.name)
+        scene = scene_graph or None
+        if scene is True:
+            scene = builder.AddNamedSystem(f"{self.name}_scene_graph", SceneGraph())
+        if scene is not None:
+            plant.RegisterAsSourceForSceneGraph(scene)
+        load_plant(
+            self.path,
+            floating=self.floating,
+            held=self.held,
+            given=self.given,
+            phi=self.total_phi,
+            into=plant,
         )
-    return _acting(builder, place, robot, options)
+        builder.AddSystem(plant)
+        notes: tuple[str, ...] = ()
+        if scene is not None:
+            notes = add_visuals(plant, scene, self.path, self.given)
+            source = scene.get_source_pose_port(plant.get_source_id())
+            builder.Connect(plant.get_geometry_pose_output_port(), source)
+            builder.Connect(scene.get_query_output_port(), plant.get_geometry_query_input_port())
+        place = RobotInstance(plant)
+        if driving is None:
+            added = self._acting(builder, place)
+        else:
+            added = self._driven(builder, place, driving.in_plant(plant))
+        return replace(added, scene_graph=scene, notes=(*notes, *added.notes))
 
+    def add_to_scene(self, builder: DiagramBuilder, place: RobotInstance) -> RobotInDiagram:
+        """Makes a robot in a larger plant move as the model."""
+        if stated := place.stated_terms:
+            raise ArgumentError(
+                f"{', '.join(stated)} of {place.name!r} would count twice, in the plant and as "
+                "effects of the model.",
+                advice="Call geodrake.robot.take_out_stated(plant, name) before plant.Finalize().",
+            )
+        return self._acting(builder, place)
 
-def _acting(
-    builder: DiagramBuilder,
-    place: RobotInstance,
-    robot: FittedRobot,
-    options: DiagramOptions,
-) -> RobotInDiagram:
-    """Connects effects and delays of a model with its plant."""
-    name, plant, joints = options.name, place.plant, robot.joints
-    effort = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(len(joints))))
-    delays = delays_of([fitted.effect for fitted in robot.effects], joints)
-    logged = late(builder, f"{name}_logged_effort", effort.get_output_port(), delays)
-    acting = late(builder, f"{name}_acting_effort", effort.get_output_port(), -delays)
-    state = plant.get_state_output_port()
-    if place.name is not None:
-        state = place.state_port(builder, joints)
-        gain = builder.AddNamedSystem(f"{name}_in_plant", MatrixGain(place.to_plant(joints)))
-        builder.Connect(acting, gain.get_input_port())
-        acting = gain.get_output_port()
-    add_generalized_force(builder, plant, acting)
-    forces = [fitted for fitted in robot.effects if fitted.effect.role in FORCES]
-    force, notes = None, tuple[str, ...]()
-    if forces:
-        phi = None if place.name is None else place.plant_parameters(robot.total_phi)
-        force = EffectForce(place, forces, sign_width=options.sign_width, phi=phi, log=options.log)
-        builder.AddNamedSystem(f"{name}_effects", force)
-        builder.Connect(plant.get_state_output_port(), force.GetInputPort("state"))
-        builder.Connect(acting, force.GetInputPort("applied_effort"))
-        add_generalized_force(builder, plant, force.GetOutputPort("generalized_force"))
-        notes = force.notes
-        if force.soft_joints:
-            state = force.state_port(builder, joints)
-    return RobotInDiagram(
-        place,
-        None,
-        force,
-        joints,
-        robot.total_phi,
-        effort.get_input_port(),
-        state,
-        logged,
-        notes,
-    )
+    def _acting(self, builder: DiagramBuilder, place: RobotInstance) -> RobotInDiagram:
+        """Connects effects and delays with the plant."""
+        name, plant, joints = self.name, place.plant, self.joints
+        effort, acting, logged = self._efforts(builder)
+        state = plant.get_state_output_port()
+        if place.name is not None:
+            state = place.state_port(builder, joints)
+            gain = builder.AddNamedSystem(f"{name}_in_plant", MatrixGain(place.to_plant(joints)))
+            builder.Connect(acting, gain.get_input_port())
+            acting = gain.get_output_port()
+        add_generalized_force(builder, plant, acting)
+        forces = [fitted for fitted in self.effects if fitted.effect.role in FORCES]
+        force, notes, phi = None, tuple[str, ...](), self.total_phi
+        if forces:
+            own = None if place.name is None else place.plant_parameters(phi)
+            force = EffectForce(place, forces, sign_width=self.sign_width, phi=own, log=self.log)
+            builder.AddNamedSystem(f"{name}_effects", force)
+            builder.Connect(plant.get_state_output_port(), force.GetInputPort("state"))
+            builder.Connect(acting, force.GetInputPort("applied_effort"))
+            add_generalized_force(builder, plant, force.GetOutputPort("generalized_force"))
+            notes = force.notes
+            if force.soft_joints:
+                state = force.state_port(builder, joints)
+        return RobotInDiagram(place, None, force, joints, phi, effort, state, logged, notes)
+
+    def _driven(
+        self, builder: DiagramBuilder, place: RobotInstance, driving: Driving
+    ) -> RobotInDiagram:
+        """Connects a plant of other coordinates."""
+        effort, acting, logged = self._efforts(builder)
+        system = builder.AddNamedSystem(f"{self.name}_driven", DrivenPlant(driving))
+        system.connect(builder)
+        builder.Connect(acting, system.GetInputPort("effort"))
+        ports = effort, system.GetOutputPort("state"), logged
+        return RobotInDiagram(
+            place, None, None, self.joints, self.total_phi, *ports, driving=driving
+        )
+
+    def _efforts(self, builder: DiagramBuilder) -> tuple[InputPort, OutputPort, OutputPort]:
+        """Return the input of efforts, and outputs of those that act and those that are logged."""
+        count, name = len(self.joints), self.name
+        effort = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(count)))
+        delays = delays_of([fitted.effect for fitted in self.effects], self.joints)
+        logged = late(builder, f"{name}_logged_effort", effort.get_output_port(), delays)
+        acting = late(builder, f"{name}_acting_effort", effort.get_output_port(), -delays)
+        return effort.get_input_port(), acting, logged
 
 
 def late(builder: DiagramBuilder, name: str, effort: OutputPort, delays: Array) -> OutputPort:
-    """An effort, late by those of some delays that are positive.
-
-    Args:
-        builder: The diagram's builder.
-        name: Name of what makes it late.
-        effort: Port of the effort (nv,).
-        delays: (nv,) delays, s.
-    """
+    """Return an effort (nv,), late by those of some delays (nv,), s, that are positive."""
     delays = np.maximum(delays, 0.0)
     if not delays.any():
         return effort
@@ -328,16 +274,3 @@ def late(builder: DiagramBuilder, name: str, effort: OutputPort, delays: Array) 
     late: System = builder.AddNamedSystem(name, DelayedEffort(delays, period=period))
     builder.Connect(effort, late.get_input_port())
     return late.get_output_port()
-
-
-def _scene_graph(builder: DiagramBuilder, options: DiagramOptions) -> SceneGraph | None:
-    if options.scene_graph is True:
-        return builder.AddNamedSystem(f"{options.name}_scene_graph", SceneGraph())
-    return options.scene_graph or None
-
-
-def _show(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
-    """Connects a plant with the SceneGraph that it is a source of."""
-    source = scene_graph.get_source_pose_port(plant.get_source_id())
-    builder.Connect(plant.get_geometry_pose_output_port(), source)
-    builder.Connect(scene_graph.get_query_output_port(), plant.get_geometry_query_input_port())

@@ -17,12 +17,7 @@ _STEP = 6e-6  # cube root of the rounding of floats
 
 
 def scalars(values: Any, scalar: type) -> Scalars:
-    """An array of a scalar type.
-
-    Args:
-        values: Its entries, of that type or floats.
-        scalar: The type.
-    """
+    """Return an array of a scalar type, of entries of that type or floats."""
     if scalar is float:
         return np.asarray(values, float)
     array = np.asarray(values, object)
@@ -33,7 +28,7 @@ def scalars(values: Any, scalar: type) -> Scalars:
 
 
 def value_of(x: Scalars) -> Array:
-    """The values (…) of an array of floats or of AutoDiffXd."""
+    """Return the values (…) of an array of floats or of AutoDiffXd."""
     if np.asarray(x).dtype != object:
         return np.asarray(x, float)
     flat = [entry.value() if isinstance(entry, AutoDiffXd) else entry for entry in np.ravel(x)]
@@ -41,7 +36,7 @@ def value_of(x: Scalars) -> Array:
 
 
 def slopes_of(x: Scalars) -> Array:
-    """Derivatives (n, d) of (n,) numbers; d = 0 where there are none."""
+    """Return derivatives (n, d) of (n,) numbers; d = 0 where there are none."""
     flat = scalars(x, AutoDiffXd)
     most = max((entry.derivatives().size for entry in flat), default=0)
     found = np.zeros((len(flat), most))
@@ -51,21 +46,14 @@ def slopes_of(x: Scalars) -> Array:
 
 
 def with_slopes(value: ArrayLike, slopes: ArrayLike) -> Scalars:
-    """Numbers of AutoDiffXd.
-
-    Args:
-        value: (n,) their values.
-        slopes: (n, d) their derivatives.
-    """
+    """Return numbers (n,) of AutoDiffXd with derivatives (n, d)."""
     return InitializeAutoDiff(np.asarray(value, float), np.asarray(slopes, float)).ravel()
 
 
 def solve(A: Scalars, b: Scalars) -> Scalars:
-    """The solution (n,) of A x = b, with its derivatives dx = A⁻¹ (db − dA x).
+    """Return the solution (n,) of A x = b, with its derivatives dx = A⁻¹ (db − dA x).
 
-    Args:
-        A: (n, n) matrix, of floats or AutoDiffXd.
-        b: (n,) right side.
+    A (n, n) and b (n,) are of floats or AutoDiffXd.
     """
     if np.asarray(A).dtype != object and np.asarray(b).dtype != object:
         return np.linalg.solve(A, b)
@@ -77,22 +65,13 @@ def solve(A: Scalars, b: Scalars) -> Scalars:
 
 
 def settled(before: Scalars, after: Scalars) -> bool:
-    """Whether numbers, and their derivatives if they have any, change no more.
-
-    Args:
-        before: (n,) numbers, of floats or AutoDiffXd.
-        after: (n,) numbers after a step.
-    """
+    """Return whether numbers (n,), and their derivatives if they have any, change no more."""
     parts = [(value_of(before), value_of(after))]
     if after.dtype == object:
-        old, new = slopes_of(before), slopes_of(after)
-        if old.shape != new.shape:
-            return False
-        parts.append((old, new))
+        parts.append((slopes_of(before), slopes_of(after)))
     return all(
-        bool(
-            np.abs(new - old).max(initial=0.0) <= _TOLERANCE * (1.0 + np.abs(new).max(initial=0.0))
-        )
+        old.shape == new.shape
+        and bool(np.abs(new - old).max(initial=0.0) <= _TOLERANCE * _size(new))
         for old, new in parts
     )
 
@@ -102,14 +81,9 @@ def _size(x: Array) -> float:
 
 
 def by_differences(function: Callable[[Array], Array], x: Scalars) -> Scalars:
-    """A function of floats at numbers of AutoDiffXd, its slopes by central differences.
+    """Return a function of floats, from (n,) to (m,), at AutoDiffXd, its slopes by differences.
 
-    Args:
-        function: From (n,) to (m,); compiled, say.
-        x: (n,) numbers.
-
-    Returns:
-        (m,) numbers, with derivatives exact to about 1e-9 of what they are differences of.
+    Derivatives are exact to about 1e-9 of what they are differences of.
     """
     value, slopes = value_of(x), slopes_of(x)
     found = np.asarray(function(value), float)
@@ -119,8 +93,10 @@ def by_differences(function: Callable[[Array], Array], x: Scalars) -> Scalars:
         moved = np.flatnonzero(direction)
         if len(moved):
             h = _STEP * _size(value[moved]) / np.abs(direction[moved]).max()
-            step = np.zeros_like(value)
-            step[moved] = h * direction[moved]
-            ends = [np.asarray(function(value + s * step), float)[known] for s in (1.0, -1.0)]
+            ends = []
+            for sign in (1.0, -1.0):
+                there = value.copy()
+                there[moved] += sign * h * direction[moved]
+                ends.append(np.asarray(function(there), float)[known])
             changes[known, k] = (ends[0] - ends[1]) / (2.0 * h)
     return with_slopes(found, changes)

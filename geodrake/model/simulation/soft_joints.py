@@ -52,7 +52,7 @@ class Coupling:
     ramp: Any
 
     def torque(self, lag: Any, rate: Any) -> Any:
-        """On the link, N·m or N.
+        """Return the torque on the link, N·m or N.
 
         Args:
             lag: Position of the motor less that of the link, rad or m.
@@ -69,7 +69,7 @@ class Coupling:
         return side * push if push > 0.0 else 0.0 * push
 
     def lag(self, torque: float) -> float:
-        """The lag (rad or m) under a steady torque (N·m or N)."""
+        """Return the lag (rad or m) under a steady torque (N·m or N)."""
         return float(torque / self.stiffness + self.play * np.sign(torque))
 
 
@@ -98,34 +98,21 @@ class SoftJoints:
     damping: float
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Return how many there are."""
         return len(self.names)
 
     def couplings(self, mu: Any) -> list[Coupling]:
-        """What holds motors and links together.
+        """Return what holds motors and links together, by the parameters (k,) of all effects.
 
         Springs have the damping 2 ζ √(k I), with I the inertia of motor and link against each
         other. Sides of a dead band without a spring yield by a tenth of half the band, and at least
         by 10 µrad (µm), to the usual load: the largest weight, and what moves the link at
         10 rad/s² (m/s²).
-
-        Args:
-            mu: (k,) linear parameters of all effects.
         """
-        gives = []
-        for effects in self.effects:
-            give = Give()
-            for effect, place in effects:
-                give = give + effect.give(mu[place])
-            gives.append(give)
-        return self.held_by(gives)
+        return self.held_by([_give_of((e, mu[at]) for e, at in each) for each in self.effects])
 
     def held_by(self, gives: Sequence[Give]) -> list[Coupling]:
-        """What holds motors and links together that give way in some manner.
-
-        Args:
-            gives: (m,) how.
-        """
+        """Return what holds motors and links together that give way (m,) in some manner."""
         against = 1.0 / (1.0 / self.link_inertia + 1.0 / self.motor_inertia)
         found = []
         for i, (give, inertia) in enumerate(zip(gives, against.tolist(), strict=True)):
@@ -146,7 +133,7 @@ class SoftJoints:
         return found
 
     def torques(self, mu: Any, lag: Any, rate: Any) -> Any:
-        """(m,) torques on the links, N·m or N.
+        """Return (m,) torques on the links, N·m or N.
 
         Args:
             mu: (k,) linear parameters of all effects.
@@ -157,45 +144,29 @@ class SoftJoints:
         return np.array([coupling.torque(s, ds) for coupling, s, ds in each])
 
 
-def giving(
-    pairs: Iterable[tuple[Effect, Array]],
-) -> dict[str, list[tuple[DeflectionEffect, slice]]]:
-    """Joint -> what gives way there, and where its parameters are; joints that do not are left out.
+def _give_of(effects: Iterable[tuple[DeflectionEffect, Any]]) -> Give:
+    return sum((effect.give(values) for effect, values in effects), start=Give())
 
-    Args:
-        pairs: All effects with their parameters.
-    """
+
+def giving(
+    effects: Sequence[Effect], mu: Array, parts: Sequence[slice]
+) -> dict[str, list[tuple[DeflectionEffect, slice]]]:
+    """Return joint -> what gives way there, and where its parameters are among all μ (k,)."""
     found: dict[str, list[tuple[DeflectionEffect, slice]]] = {}
-    gives: dict[str, Give] = {}
-    start = 0
-    for effect, values in pairs:
-        place = slice(start, start + len(values))
-        start = place.stop
+    for effect, place in zip(effects, parts, strict=True):
         if isinstance(effect, DeflectionEffect):
             found.setdefault(effect.joint, []).append((effect, place))
-            gives[effect.joint] = gives.get(effect.joint, Give()) + effect.give(values)
-    return {joint: each for joint, each in found.items() if gives[joint]}
+    return {j: each for j, each in found.items() if _give_of((e, mu[at]) for e, at in each)}
 
 
 def link_inertias(plant: MultibodyPlant, context: Context) -> Array:
-    """1 / (M⁻¹)_jj (nv,): what turns one joint alone feels of its link, kg·m² or kg.
-
-    Args:
-        plant: The plant.
-        context: Its Context.
-    """
+    """Return 1 / (M⁻¹)_jj (nv,): what turns one joint alone feels of its link, kg·m² or kg."""
     M = plant.CalcMassMatrix(context)
     return np.asarray(1.0 / np.diag(np.linalg.inv(M)))
 
 
 def usual_loads(plant: MultibodyPlant, context: Context, inertia: Array) -> Array:
-    """(nv,) the largest weights that are found, and what moves links at the usual acceleration.
-
-    Args:
-        plant: The plant.
-        context: Its Context; the positions are changed.
-        inertia: (nv,) `link_inertias`.
-    """
+    """Return (nv,) the largest weights that are found, and what moves links (nv,) as usual."""
     q, rng = plant.GetPositions(context), np.random.default_rng(0)
     lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
     bounded = np.isfinite(lower) & np.isfinite(upper)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,11 +10,11 @@ from numpy.typing import ArrayLike
 from geodrake.boundary.arguments import typed
 from geodrake.effects import Effect, FittedEffect, RobotMotion, Role
 from geodrake.effects.base import BEYOND_MOTION
-from geodrake.effects.column_checks import line_of
-from geodrake.errors import ArgumentError, ModelError
+from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
+from geodrake.model.formulas.recorded_rows import recorded_rows
 from geodrake.model.formulas.rigid_bodies import BodyFormulas, inverse_dynamics_formula
-from geodrake.model.formulas.symbols import Formulas, Operand, Symbols
+from geodrake.model.formulas.symbols import Operand, Symbols
 from geodrake.model.robot_model import RobotModel
 
 _NOT_INCLUDED = {
@@ -80,7 +79,9 @@ def effort_formula(model: RobotModel, sign_width: ArrayLike) -> EffortFormula:
         if effect.role is Role.SCALE:
             scales.append(fitted)
         elif effect.role is not Role.BODY:
-            _add(effort, fitted, seen)
+            for joint, columns in recorded_rows(effect, seen, with_past=False).items():
+                at = seen.index(joint)
+                effort[at] = effort[at] + columns @ fitted.parameters.astype(object)
         included.append(what)
         if not is_written(effect):
             warm = "temperature" in effect.depends_on
@@ -107,9 +108,8 @@ def _words(fitted: FittedEffect) -> str:
 def _by_joint(model: RobotModel, q: Symbols) -> Symbols:
     """(1, nv) position belonging to each velocity, NaN for joints of several degrees."""
     found = Symbols.of(np.full((1, len(model.joints)), np.nan))
-    places = model.position_places
-    for velocity, position in places.items():
-        found[0, velocity] = q[position]
+    at_velocity, at_position = model.single_places
+    found[0, at_velocity] = q[at_position]
     return found
 
 
@@ -118,21 +118,3 @@ def _no_columns(body: str) -> Array:
         f"The inertial columns of {body!r} are not known here.",
         advice="Use motion.body_motions, or a payload.",
     )
-
-
-def _add(effort: Formulas, fitted: FittedEffect, seen: RobotMotion) -> None:
-    """Adds what an effect needs to efforts (nv,)."""
-    effect = fitted.effect
-    try:
-        for joint, columns in effect.formula_rows(seen).items():
-            column: Any = np.asarray(columns, object).reshape(len(fitted.parameters))
-            at = seen.index(joint)
-            effort[at] = effort[at] + column @ fitted.parameters.astype(object)
-    except Exception as error:  # whatever NumPy says of symbols
-        line = line_of(type(effect), "columns", "rows", "formula_rows")
-        problem = error.problem if isinstance(error, ArgumentError) else str(error)
-        raise ModelError(
-            f"{effect.name} of {effect.place} cannot be written as source code{line}: {problem}",
-            advice=getattr(error, "advice", None)
-            or "Let it use functions of NumPy's on whole arrays.",
-        ) from error

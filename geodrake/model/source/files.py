@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
@@ -13,97 +12,11 @@ from geodrake.boundary.escaping import identifier, printable, quoted
 from geodrake.model.export import repair_comments
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.source.effort_formula import EffortFormula, effort_formula
-from geodrake.model.source.languages import CPP, PYTHON, Language
-from geodrake.model.source.straight_line import StraightLine, straight_line
+from geodrake.model.source.languages import CPP, PYTHON
+from geodrake.model.source.straight_line import straight_line
 
 _WIDTH = 96
-
-_PYTHON = '''{comment}
-
-import math
-
-JOINTS = (
-{joints}
-)
-
-
-def effort(q, v, vd):
-    """Effort that a motion needs at the joints, N·m or N, in the order of JOINTS.
-
-    q are {nq} positions, v and vd {nv} velocities and accelerations, in SI units.
-    """
-{statements}
-    return [
-{results}
-    ]
-
-
-def sign(x):
-    """-1, 0 or 1."""
-    return (x > 0.0) - (x < 0.0)
-'''
-
-_CPP = """{comment}
-
-#pragma once
-
-#include <array>
-#include <cmath>
-
-namespace {name} {{
-
-inline constexpr int kPositions = {nq};
-inline constexpr int kJoints = {nv};
-
-inline constexpr std::array<const char*, kJoints> kJointNames = {{
-{joints}
-}};
-
-inline double sign(double x) {{ return double(x > 0.0) - double(x < 0.0); }}
-
-inline double floored_remainder(double x, double y) {{ return x - y * std::floor(x / y); }}
-
-// Effort that a motion needs at the joints, N·m or N, in the order of kJointNames:
-// positions q, velocities v and accelerations vd in SI units.
-inline std::array<double, kJoints> effort(
-    [[maybe_unused]] const std::array<double, kPositions>& q,
-    [[maybe_unused]] const std::array<double, kJoints>& v,
-    [[maybe_unused]] const std::array<double, kJoints>& vd) {{
-{statements}
-  return {{
-{results}
-  }};
-}}
-
-}}  // namespace {name}
-"""
-
-
-@dataclass(frozen=True)
-class _Kind:
-    """What a file in a language is made of."""
-
-    language: Language
-    suffix: str
-    template: str
-    comment: str
-    statement: str
-    result: str
-    string: Callable[[str], str]
-
-
-_KINDS = {
-    "python": _Kind(PYTHON, ".py", _PYTHON, "# ", "    {} = {}", "        {},", quoted),
-    "cpp": _Kind(
-        CPP,
-        ".hpp",
-        _CPP,
-        "// ",
-        "  const double {} = {};",
-        "      {},",
-        lambda name: quoted(printable(name)),
-    ),
-}
+_LANGUAGES = {"python": PYTHON, "cpp": CPP}
 
 
 def python_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
@@ -124,11 +37,7 @@ def python_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
 
 
 def cpp_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
-    """A C++17 header with a function effort(q, v, vd); it includes the standard library alone.
-
-    Args:
-        model: The model.
-        sign_width: As for `python_source`.
+    """Return a C++17 header with a function effort(q, v, vd); it includes standard headers alone.
 
     Raises:
         ModelError: An effect cannot be written as source code.
@@ -152,34 +61,25 @@ class EffortSource:
 
 
 def effort_source(model: RobotModel, language: str, *, sign_width: ArrayLike = 0.0) -> EffortSource:
-    """Return a model's effort as a file in a language.
-
-    Args:
-        model: The model.
-        language: "python" or "cpp".
-        sign_width: As for `python_source`.
+    """Return a model's effort as a file in a language, "python" or "cpp"; see `python_source`.
 
     Raises:
         ArgumentError: It is another language.
         ModelError: An effect cannot be written as source code.
     """
-    kind = _KINDS[one_of(language, "language", _KINDS)]
+    kind = _LANGUAGES[one_of(language, "language", _LANGUAGES)]
     formula = effort_formula(instance(model, "model", RobotModel), sign_width)
-    line = straight_line(formula.efforts, kind.language.operation, kind.language.number)
+    lines, efforts = straight_line(formula.efforts, kind.operation, kind.number)
     text = kind.template.format(
         comment=_comment(model, formula, kind.comment),
         name=f"{_name(model)}_model",
         nq=model.tree.num_positions,
         nv=len(model.joints),
         joints="\n".join(f"    {kind.string(joint)}," for joint in model.joints),
-        statements=_statements(line, kind),
-        results="\n".join(kind.result.format(_bare(x)) for x in line.results),
+        statements="\n".join(kind.statement.format(name, _bare(x)) for name, x in lines),
+        results="\n".join(kind.result.format(_bare(x)) for x in efforts),
     )
     return EffortSource(f"{_name(model)}_effort{kind.suffix}", text, formula.left_out)
-
-
-def _statements(line: StraightLine, kind: _Kind) -> str:
-    return "\n".join(kind.statement.format(name, _bare(x)) for name, x in line.statements)
 
 
 def _bare(expression: str) -> str:

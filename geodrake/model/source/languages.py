@@ -1,12 +1,13 @@
-"""How operations are written in Python and in C++."""
+"""How operations and files are written in Python and in C++."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from geodrake.boundary.escaping import printable, quoted
 from geodrake.errors import ModelError
 
 _INFIX = {
@@ -33,24 +34,95 @@ _FUNCTIONS = {  # of C and of Python's math, where the name is not NumPy's
 }
 
 
+_PYTHON = '''{comment}
+
+import math
+
+JOINTS = (
+{joints}
+)
+
+
+def effort(q, v, vd):
+    """Effort that a motion needs at the joints, N·m or N, in the order of JOINTS.
+
+    q are {nq} positions, v and vd {nv} velocities and accelerations, in SI units.
+    """
+{statements}
+    return [
+{results}
+    ]
+
+
+def sign(x):
+    """-1, 0 or 1."""
+    return (x > 0.0) - (x < 0.0)
+'''
+
+_CPP = """{comment}
+
+#pragma once
+
+#include <array>
+#include <cmath>
+
+namespace {name} {{
+
+inline constexpr int kPositions = {nq};
+inline constexpr int kJoints = {nv};
+
+inline constexpr std::array<const char*, kJoints> kJointNames = {{
+{joints}
+}};
+
+inline double sign(double x) {{ return double(x > 0.0) - double(x < 0.0); }}
+
+inline double floored_remainder(double x, double y) {{ return x - y * std::floor(x / y); }}
+
+// Effort that a motion needs at the joints, N·m or N, in the order of kJointNames:
+// positions q, velocities v and accelerations vd in SI units.
+inline std::array<double, kJoints> effort(
+    [[maybe_unused]] const std::array<double, kPositions>& q,
+    [[maybe_unused]] const std::array<double, kJoints>& v,
+    [[maybe_unused]] const std::array<double, kJoints>& vd) {{
+{statements}
+  return {{
+{results}
+  }};
+}}
+
+}}  // namespace {name}
+"""
+
+
 @dataclass(frozen=True)
 class Language:
-    """A language that formulas are written in.
+    """A language that formulas are written in, and what a file in it is made of.
 
     Attributes:
+        suffix: Of its files.
+        template: A file.
+        comment: Mark of a line of a comment.
+        statement: A name and an expression.
+        result: An expression.
+        string: Writes a name.
         module: What stands before the names of mathematical functions.
         own: Operations that are written in a way of their own, as formats of their operands.
     """
 
+    suffix: str
+    template: str
+    comment: str
+    statement: str
+    result: str
+    string: Callable[[str], str]
     module: str
     own: Mapping[str, str]
 
     def operation(self, name: str, operands: tuple[str, ...]) -> str:
-        """An operation on operands that are written already.
+        """Return an operation, by NumPy's name, on operands that are written already.
 
-        Args:
-            name: NumPy's name of it.
-            operands: Its operands; of an input, its name and place.
+        Those of an input are its name and place.
         """
         if name in self.own:
             return self.own[name].format(*operands)
@@ -63,7 +135,7 @@ class Language:
         return f"{self.module}{_FUNCTIONS.get(name, name)}({', '.join(operands)})"
 
     def number(self, value: float) -> str:
-        """A number with all its digits.
+        """Return a number with all its digits.
 
         Raises:
             ModelError: It is not finite.
@@ -78,6 +150,12 @@ class Language:
 
 
 PYTHON = Language(
+    ".py",
+    _PYTHON,
+    "# ",
+    "    {} = {}",
+    "        {},",
+    quoted,
     "math.",
     {
         "absolute": "abs({0})",
@@ -93,6 +171,12 @@ PYTHON = Language(
 )
 
 CPP = Language(
+    ".hpp",
+    _CPP,
+    "// ",
+    "  const double {} = {};",
+    "      {},",
+    lambda name: quoted(printable(name)),
     "std::",
     {
         "absolute": "std::abs({0})",

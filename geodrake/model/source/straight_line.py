@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-from geodrake.model.formulas.symbols import Operand, Symbol
+from geodrake.model.formulas.symbols import Operand, Symbol, in_order
 
 _MOST_OPERATIONS = 12  # in a line
 _COMMUTING = ("add", "multiply", "maximum", "minimum", "equal", "not_equal")
@@ -19,23 +18,10 @@ Term = Callable[[str, tuple[str, ...]], str]
 """Writes an operation on operands that are written already."""
 
 
-@dataclass(frozen=True)
-class StraightLine:
-    """Statements in their order.
-
-    Attributes:
-        statements: Names of numbers, and expressions of inputs and earlier ones.
-        results: Expressions of the results.
-    """
-
-    statements: tuple[tuple[str, str], ...]
-    results: tuple[str, ...]
-
-
 def straight_line(
     results: Sequence[Operand], write: Term, number: Callable[[float], str]
-) -> StraightLine:
-    """Formulas as statements in some language.
+) -> tuple[list[tuple[str, str]], list[str]]:
+    """Return names and expressions of statements in their order, and expressions of the results.
 
     Args:
         results: The formulas.
@@ -63,41 +49,29 @@ def straight_line(
             statements.append((f"x{len(statements)}", expression))
             expression, size = statements[-1][0], 0
         written[key], sizes[key] = expression, size
-    return StraightLine(tuple(statements), tuple(text(key) for key in found))
+    return statements, [text(key) for key in found]
 
 
 def _operations(results: Sequence[Operand]) -> tuple[dict[Key, tuple[str, Key]], list[Key]]:
-    """All operations, each after its operands and once; and which of them are the results.
+    """Return all operations, each after its operands and once; and which of them are the results.
 
     An operation is known by its name and by its operands, of which numbers are known by
     themselves.
     """
     operations: dict[Key, tuple[str, Key]] = {}
     keys: dict[Symbol, Key] = {}
+    numbers: dict[Key, int] = {}
 
     def key_of(x: Operand) -> Key:
         return keys[x] if isinstance(x, Symbol) else (float(x),)
 
-    pending = [x for x in reversed(results) if isinstance(x, Symbol)]
-    numbers: dict[Key, int] = {}
-    while pending:
-        symbol = pending[-1]
-        if symbol in keys:
-            pending.pop()
-            continue
-        if symbol.operation == "input":
-            operands: Key = symbol.operands
-        else:
-            waiting = [x for x in symbol.operands if isinstance(x, Symbol) and x not in keys]
-            if waiting:
-                pending.extend(waiting)
-                continue
-            operands = tuple(map(key_of, symbol.operands))
+    for symbol in in_order(results):
+        operands: Key = symbol.operands
+        if symbol.operation != "input":
+            operands = tuple(map(key_of, operands))
             if symbol.operation in _COMMUTING:
                 operands = tuple(sorted(operands, key=str))
         identity = (symbol.operation, operands)
-        key = ("operation", numbers.setdefault(identity, len(numbers)))
-        keys[symbol] = key
-        operations.setdefault(key, (symbol.operation, operands))
-        pending.pop()
+        key = keys[symbol] = ("operation", numbers.setdefault(identity, len(numbers)))
+        operations.setdefault(key, identity)
     return operations, [key_of(x) for x in results]

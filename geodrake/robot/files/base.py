@@ -9,8 +9,11 @@ from typing import ClassVar
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from pydrake.math import RigidTransform
 
+from geodrake.errors import ModelError
 from geodrake.inertia import Array, is_physical
+from geodrake.robot.closure import Closure
 from geodrake.robot.files.checks import (
     Numeric,
     check_inertia,
@@ -20,12 +23,13 @@ from geodrake.robot.files.checks import (
 )
 from geodrake.robot.files.inertia_text import put_inertia
 from geodrake.robot.files.values import drop, numbers
-from geodrake.robot.files.xml_text import numbered_text
+from geodrake.robot.files.xml_text import numbered_text, place_of
 from geodrake.robot.followers import Follower
 from geodrake.robot.stated import BoxInMedium, Spring, StatedStrut, Tendon
 from geodrake.robot.transmission.statements import Followers, Statement
 
-_LOOPS = ("ball_constraint", "linear_bushing_rpy", "distance_constraint", "weld_constraint")
+_BALL = "drake:ball_constraint"
+_LOOPS = ("linear_bushing_rpy", "distance_constraint", "weld_constraint")
 
 
 class ModelText(abc.ABC):
@@ -51,9 +55,12 @@ class ModelText(abc.ABC):
         carried: Scoped link names with which share of their weight something else carries.
         boxes: Links as what a medium acts on.
         struts: Springs and dampers between points of links.
+        start: Scoped joint names with where the file has them by default, rad or m; otherwise at 0.
+        fixed: Scoped joint names with where a constraint holds them, rad or m.
         effort: Scoped joint names with their largest effort, N or N·m.
         followers: Joints that the file has follow others; whether they can is seen in the plant.
         bent: Joints that the file has follow others by a ratio that changes.
+        closures: What closes loops of the robot, the bodies by their scoped names.
         between: Scoped names of bodies between several joints of one, which weigh nothing.
         packages: Names of packages whose files are left for Drake to include.
         folders: Package -> folder, which come before those that are found.
@@ -80,11 +87,14 @@ class ModelText(abc.ABC):
         self.carried: dict[str, float] = {}
         self.boxes: list[BoxInMedium] = []
         self.struts: list[StatedStrut] = []
+        self.start: dict[str, float] = {}
+        self.fixed: dict[str, float] = {}
         self.effort: dict[str, float] = {}
         self.between: set[str] = set()
         self.packages: set[str] = set()
         self.followers: list[Follower] = []
         self.bent: list[Followers] = []
+        self.closures: list[Closure] = []
         self._links: dict[str, Element] = {}
         self._read()
         check_numbers(self.root, self.numeric, path)
@@ -110,6 +120,11 @@ class ModelText(abc.ABC):
             return self.set_aside.get(link)
         return self._inertia(self._links[link])
 
+    @property
+    def driven_joints(self) -> frozenset[str]:
+        """Names of joints that the file says are driven; see `MjcfText`."""
+        return frozenset()
+
     def motors(self) -> tuple[Statement, ...]:
         """Return what the file states of motors behind transmissions; see `files.motors`."""
         return ()
@@ -133,6 +148,32 @@ class ModelText(abc.ABC):
     def text(self) -> tuple[str, list[str]]:
         """The simplified description, and for each of its lines where that is in the file."""
         return numbered_text(self.root)
+
+    def _take_balls(self, scope: str, model: Element) -> None:
+        """Take Drake's constraints of points that are one, which close loops, out of a model.
+
+        Raises:
+            ModelError: One does not name its bodies.
+        """
+        for ball in model.findall(_BALL):
+            model.remove(ball)
+
+            def stated(key: str, ball: Element = ball) -> str:
+                found = ball.find(f"{_BALL}_{key}")
+                words = "" if found is None else found.get("name") or found.get("value")
+                return (words or (found.text if found is not None else "") or "").strip()
+
+            first, second = stated("body_A"), stated("body_B")
+            bodies = f"{scope}::{first}", f"{scope}::{second}"
+            if not first or not second:
+                raise ModelError(
+                    f"{place_of(ball) or self.path}: <{_BALL}> does not name its two bodies.",
+                    advice="Correct the file there.",
+                    path=self.path,
+                )
+            points = [RigidTransform(numbers(stated(key), 3)) for key in ("p_AP", "p_BQ")]
+            name = f"<{_BALL}> of {first} and {second}"
+            self.closures.append(Closure(name, bodies, (points[0], points[1]), False))
 
     def _drop_loops(self) -> None:
         tags = {f"{prefix}{tag}" for tag in _LOOPS for prefix in ("drake:", "")}

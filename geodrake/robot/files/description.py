@@ -27,6 +27,7 @@ from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.yaml_text import yaml_text
 from geodrake.errors import GeodrakeError, ModelError
 from geodrake.inertia import Array
+from geodrake.robot.closure import Closure
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
@@ -35,6 +36,7 @@ from geodrake.robot.files.reading import read_model_text
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded
 from geodrake.robot.files.xml_text import LARGEST_FILE, SUPPORTED_FORMATS
 from geodrake.robot.followers import Follower
+from geodrake.robot.stated import Spring
 from geodrake.robot.transmission.statements import Followers, Statement
 
 _MOST_LINKS = 2000  # as the time grows with their square, to 3 s
@@ -97,9 +99,24 @@ class ModelDescription:
         """Joints that the texts have follow others by a ratio that changes."""
         return tuple(part for text in self.texts for part in text.bent)
 
+    @property
+    def closures(self) -> tuple[Closure, ...]:
+        """Return what closes loops of the robots."""
+        return tuple(closure for text in self.texts for closure in text.closures)
+
+    @property
+    def driven_joints(self) -> frozenset[str]:
+        """Names of joints that the texts say are driven."""
+        return frozenset(name for text in self.texts for name in text.driven_joints)
+
     def motors(self) -> tuple[Statement, ...]:
         """Return what the texts state of motors behind transmissions."""
         return tuple(part for text in self.texts for part in text.motors())
+
+    @property
+    def springs(self) -> Mapping[str, Spring]:
+        """Springs of joints by scoped joint name."""
+        return ChainMap(*(text.springs for text in self.texts))
 
     def joint_values(self, name: str) -> Mapping[str, float]:
         """`friction`, `armature` or another quantity of `ModelText`, by scoped joint name."""

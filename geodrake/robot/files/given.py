@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from geodrake.boundary.arguments import file_path, instance
+from geodrake.boundary.arguments import file_path, instance, instances
 from geodrake.errors import ArgumentError, ModelError
 
 _NAME = re.compile(r"[^\s/:=]+")
@@ -38,6 +38,7 @@ class Given:
         xacro: Argument of a xacro file -> its value.
         trust_xacro: Whether a xacro file may evaluate any expression and read files of any folder,
             as those may that the user or a friend has written.
+        leading: Names of joints that are free in closed loops, before those that motors drive.
         expansions: What xacro files were expanded to; see `read_expanded`.
 
     Raises:
@@ -49,6 +50,7 @@ class Given:
     packages: Mapping[str, Path] = field(default_factory=dict)
     xacro: Mapping[str, str] = field(default_factory=dict)
     trust_xacro: bool = False
+    leading: tuple[str, ...] = ()
     expansions: dict[Path, Expanded] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -70,6 +72,7 @@ class Given:
             instance(name, "the name of a xacro argument", str)
             instance(value, f"xacro[{name!r}]", str)
         instance(self.trust_xacro, "trust_xacro", bool)
+        object.__setattr__(self, "leading", instances(self.leading, "leading", str))
 
     @classmethod
     def of_words(

@@ -32,6 +32,16 @@ _MJCF_NAMES = {
     "rest": "springref",
 }
 
+_TENDONS = ("tendon", "fixed", "spatial")
+_MOTORS = ("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder")
+_PASSIVE: Mapping[str, tuple[str, ...]] = {
+    "option": ("density", "viscosity", "wind"),
+    "body": ("gravcomp",),
+    **dict.fromkeys(_TENDONS, ("stiffness", "damping", "armature", "frictionloss")),
+    **dict.fromkeys(_MOTORS, ("armature", "damping")),
+}
+"""Tag of an MJCF -> attributes of forces that are no joint's own."""
+
 
 def with_joint_numbers(data: bytes, path: Path, changes: Mapping[str, Change]) -> bytes:
     """Return a model file in which joints have other numbers.
@@ -62,6 +72,23 @@ def with_gravity(data: bytes, path: Path, gravity: np.ndarray) -> bytes:
     options = root.findall("option") or [child_of(root, "option")]
     stated = [option for option in options if "gravity" in option.attrib]
     (stated or options)[-1].set("gravity", words(gravity))
+    return edited(data, path, root)
+
+
+def without_passive_forces(data: bytes, path: Path) -> bytes:
+    """Return an MJCF without what tendons, motors, media and compensated gravity do; others as is.
+
+    Joints that state powers of springs keep none of them, and those of dampers the first.
+    """
+    root = parse_xml_bytes(data, path)
+    for element in root.iter() if root.tag == "mujoco" else ():
+        for key in _PASSIVE.get(element.tag, ()):
+            element.attrib.pop(key, None)
+        words = {key: element.get(key, "").split() for key in ("damping", "stiffness")}
+        if element.tag == "joint" and len(words["stiffness"]) > 1:
+            element.set("stiffness", "0")
+        if element.tag == "joint" and len(words["damping"]) > 1:
+            element.set("damping", words["damping"][0])
     return edited(data, path, root)
 
 

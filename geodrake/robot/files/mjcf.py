@@ -43,6 +43,7 @@ class MjcfText(ModelText):
         compiled: MuJoCo's model of all of the file; None without MuJoCo.
         reference: MuJoCo's model without what is left out, which robots are compared with; None
             without MuJoCo.
+        closing: Numbers of MuJoCo's constraints that close loops.
         degrees: Whether angles in the file are in degrees.
         timestep: Step of the simulation, s; MuJoCo's own where the file states none that can be.
         actuator_defaults: Whether actuators without a class have defaults other than MuJoCo's.
@@ -56,6 +57,7 @@ class MjcfText(ModelText):
     ) -> None:
         self.reference: Any = None
         self.compiled: Any = None
+        self.closing: tuple[int, ...] = ()
         super().__init__(root, path, scope, folders)
 
     def _read(self) -> None:
@@ -103,8 +105,13 @@ class MjcfText(ModelText):
         self.reference = None if source.lost else terms.reference
         self.compiled, self.gravity = source.model, terms.gravity
         self.followers, self.bent = terms.followers_in(scope), terms.bent_followers
-        self.left_out += terms.left_out
-        self.notes += [*terms.notes, *(f"MuJoCo: {' '.join(each.split())}" for each in source.said)]
+        self.closures, self.closing = terms.closures_in(scope), tuple(terms.closures)
+        self.left_out += (*source.about, *terms.left_out)
+        self.notes += [
+            *source.split,
+            *terms.notes,
+            *(f"MuJoCo: {' '.join(each.split())}" for each in source.said),
+        ]
         self.lost += source.lost
 
     def motors(self) -> tuple[Statement, ...]:

@@ -22,6 +22,7 @@ import numpy as np
 from geodrake.boundary.input_files import read_regular
 from geodrake.errors import ModelError
 from geodrake.robot.files.includes import Includes
+from geodrake.robot.files.mjcf_balls import split_balls
 from geodrake.robot.files.values import drop
 from geodrake.robot.files.xml_text import (
     LARGEST_FILE,
@@ -95,6 +96,8 @@ class CompiledMjcf:
         touching: Names of bodies of whose meshes that are not there some touch others.
         plugins: Places of plugins, which are left out.
         said: What MuJoCo warned of.
+        split: Sentences on ball joints of closed loops, which are three hinges.
+        about: Sentences on what of them is not quite the same.
     """
 
     model: Any
@@ -104,6 +107,8 @@ class CompiledMjcf:
     touching: tuple[str, ...] = ()
     plugins: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
+    split: tuple[str, ...] = ()
+    about: tuple[str, ...] = ()
 
 
 def compiled(root: Element, path: Path, mujoco: ModuleType, *, geoms: bool = False) -> CompiledMjcf:
@@ -173,6 +178,10 @@ class _Compiler:
             _name_joints(spec)
             absent = self._take_meshes(spec)
             model = spec.compile()
+            free = unused({joint.name for joint in spec.joints})
+            split, about = split_balls(spec, model, self.mujoco, free)
+            if split:
+                model = spec.compile()
         self._check_finite(model)
         return CompiledMjcf(
             model,
@@ -182,6 +191,8 @@ class _Compiler:
             tuple(absent.touching),
             tuple(self.plugins),
             tuple(said),
+            split,
+            about,
         )
 
     def _prepare(self, root: Element, path: Path, prefix: str, chain: tuple[Path, ...]) -> Sizes:
@@ -340,7 +351,9 @@ def _take_folders(root: Element) -> tuple[str, str]:
 
 
 def _drop_idle_geoms(root: Element) -> None:
-    """Drops geoms that have no part in inertias, whose meshes need not be there then."""
+    """Drop geoms that have no part in inertias or in a medium, whose meshes need not be there."""
+    if any(element.get("fluidshape") for element in root.iter()):
+        return
     settings = [each.get("inertiafromgeom") for each in root.findall("compiler")]
     always = next((each for each in reversed(settings) if each), "auto") == "true"
     wrapped = {e.get("geom") for group in root.findall("tendon") for e in group.iter("geom")}

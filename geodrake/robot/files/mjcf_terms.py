@@ -13,14 +13,16 @@ spring there. Contacts and limits of joints are no part of any model.
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
 from types import ModuleType
 from typing import Any
 
 import numpy as np
+from pydrake.math import RigidTransform
 
 from geodrake.inertia import Array
+from geodrake.robot.closure import WORLD, Closure
 from geodrake.robot.files.mjcf_source import CompiledMjcf
 from geodrake.robot.files.mjcf_tree import fixed_tendon, name_of, pose_of
 from geodrake.robot.followers import Follower, leads_back
@@ -47,6 +49,8 @@ class MjcfTerms:
         struts: Spatial tendons between two sites.
         followers: Joint -> leader, ratio and offset.
         bent: Leader -> joint -> coefficients of a polynomial.
+        closures: Number of a constraint of MuJoCo's -> how it closes a loop, bodies by their own
+            names.
         left_out: Sentences on what bears on efforts and no model takes.
         notes: Sentences on what was taken otherwise than it is stated.
     """
@@ -62,6 +66,7 @@ class MjcfTerms:
     struts: list[StatedStrut] = field(default_factory=list)
     followers: list[Follower] = field(default_factory=list)
     bent: dict[str, dict[str, list[float]]] = field(default_factory=dict)
+    closures: dict[int, Closure] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -72,13 +77,29 @@ class MjcfTerms:
             for f in self.followers
         ]
 
+    def closures_in(self, scope: str) -> list[Closure]:
+        """Return what closes loops, with names of bodies that have their model's.
+
+        Args:
+            scope: Name of the model.
+        """
+
+        def full(body: str) -> str:
+            return body if body == WORLD else f"{scope}::{body}"
+
+        return [
+            replace(each, bodies=(full(each.bodies[0]), full(each.bodies[1])))
+            for each in self.closures.values()
+        ]
+
     @property
     def bent_followers(self) -> list[Followers]:
         """Return the joints that follow others by a ratio that changes."""
         return [Followers(leader, own) for leader, own in self.bent.items()]
 
 
-QUANTITIES = ("friction", "armature", "damping", "damping_2", "damping_3", "effort")
+_OF_JOINTS = ("friction", "armature", "damping", "damping_2", "damping_3", "start", "fixed")
+QUANTITIES = (*_OF_JOINTS, "effort")
 
 
 def terms_of(source: CompiledMjcf, mujoco: ModuleType) -> MjcfTerms:
@@ -149,6 +170,8 @@ class _Terms:
             if springs and m.jnt_stiffness[joint] + np.abs(self._poly(joint)).sum():
                 self._take_spring(joint, name, count)
             self._take_limit(joint, count)
+            if count == 1:
+                self._add("start", joint, m.qpos0[m.jnt_qposadr[joint]])
 
     def _leave_of_free(self, dof: int, name: str) -> None:
         m = self.m
@@ -352,12 +375,12 @@ class _Terms:
             return
         own.density = own.viscosity = 0.0
         others = list[str]()
-        for body in range(m.nbody):
+        for body in np.flatnonzero(m.body_weldid).tolist():
             first, mass = int(m.body_geomadr[body]), float(m.body_mass[body])
             geoms = range(first, first + int(m.body_geomnum[body]))
             if any(m.geom_fluid[geom][0] > 0.0 for geom in geoms):
                 others.append(self._name("BODY", body))
-            elif m.body_weldid[body] and mass > 0.0:
+            elif mass > 0.0:
                 inertia = np.array(m.body_inertia[body])
                 edges = np.maximum(inertia.sum() - 2.0 * inertia, _LEAST_INERTIA)
                 self.found.boxes.append(
@@ -383,21 +406,65 @@ class _Terms:
             int(getattr(kinds, each)): each[5:].lower() for each in dir(kinds) if "EQ_" in each
         }
         for at in range(m.neq):
-            if not m.eq_active0[at]:
-                continue
             first, second = int(m.eq_obj1id[at]), int(m.eq_obj2id[at])
             kind = names[int(m.eq_type[at])]
-            if kind == "joint" and second >= 0:
+            sites = int(m.eq_objtype[at]) == int(self.mujoco.mjtObj.mjOBJ_SITE)
+            of = {"joint": "JOINT", "tendon": "TENDON", "flex": "FLEX"}.get(kind)
+            of = of or ("SITE" if sites else "BODY")
+            what = " and ".join(self._name(of, each) for each in (first, second) if each >= 0)
+            if not m.eq_active0[at]:
+                self.found.notes.append(
+                    f"<equality>: the constraint <{kind}> of {what} is not active, and not used."
+                )
+            elif kind == "joint" and second >= 0:
                 self._follow(first, second, np.array(m.eq_data[at][:5]))
+            elif kind == "joint":
+                place = float(m.qpos0[m.jnt_qposadr[first]] + m.eq_data[at][0])
+                self.found.of_joints["fixed"][self._name("JOINT", first)] = place
+            elif kind in ("connect", "weld") and self._close(at, f"<{kind}> of {what}"):
+                continue
             elif kind != "tendon" or not self._follow_tendon(first, second, m.eq_data[at][:5]):
-                sites = int(m.eq_objtype[at]) == int(self.mujoco.mjtObj.mjOBJ_SITE)
-                of = {"joint": "JOINT", "tendon": "TENDON", "flex": "FLEX"}.get(kind)
-                of = of or ("SITE" if sites else "BODY")
-                what = " and ".join(self._name(of, each) for each in (first, second) if each >= 0)
                 self._leave(
                     f"<equality>: the constraint <{kind}> of {what}, which makes a closed loop or "
                     "holds something (the robot is read as an open tree),"
                 )
+
+    def _close(self, at: int, name: str) -> bool:
+        """Return whether a constraint of points or frames closes a loop of the robot.
+
+        It does not where it holds what is free: a body on a table, say.
+        """
+        m = self.m
+        numbers = [int(m.eq_obj1id[at]), int(m.eq_obj2id[at])]
+        data, welds = (
+            np.array(m.eq_data[at]),
+            int(m.eq_type[at]) == int(self.mujoco.mjtEq.mjEQ_WELD),
+        )
+        turns = welds and float(data[10]) != 0.0  # the scale of the torque
+        if int(m.eq_objtype[at]) == int(self.mujoco.mjtObj.mjOBJ_SITE):
+            poses = [pose_of(m.site_pos[each], m.site_quat[each]) for each in numbers]
+            numbers = [int(m.site_bodyid[each]) for each in numbers]
+        elif welds:  # the second point stands first
+            poses = [pose_of(data[3:6], data[6:10]), RigidTransform(data[:3])]
+        else:
+            poses = [RigidTransform(data[:3]), RigidTransform(data[3:6])]
+        roots = [self._free_root(each) for each in numbers]
+        if roots[0] != roots[1]:
+            return False
+        first, second = (self._name("BODY", each) if each else WORLD for each in numbers)
+        closure = Closure(name, (first, second), (poses[0], poses[1]), turns)
+        self.found.closures[at] = closure
+        return True
+
+    def _free_root(self, body: int) -> int:
+        """Number of the free body that a body hangs from, or is; 0 for none."""
+        m, free = self.m, int(self.mujoco.mjtJoint.mjJNT_FREE)
+        while body:
+            joints = range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body])
+            if any(int(m.jnt_type[joint]) == free for joint in joints):
+                return body
+            body = int(m.body_parentid[body])
+        return 0
 
     def _follow_tendon(self, first: int, second: int, data: Array) -> bool:
         """Return whether L − L₀ = a₀ + a₁ (M − M₀) of fixed tendons has a joint follow another."""

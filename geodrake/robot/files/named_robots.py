@@ -51,7 +51,7 @@ def robot_file(path: Path, given: Given) -> RobotFile:
         robot: Any = importlib.import_module(f"robot_descriptions.{module}")
     except Exception as error:  # of git, of the network, of the disk
         words = " ".join(str(getattr(error, "stderr", "") or error).split())
-        reason = printable(words.removeprefix("stderr: "))[:300]
+        reason = printable(words.removeprefix("stderr: ").strip("'"))[:300].rstrip(".")
         raise ModelError(
             f"The robot {path} cannot be downloaded ({_repository(module).url}): {reason}.",
             advice="Check the network; it is needed once, as the files are kept in "

@@ -46,6 +46,8 @@ class SdfText(ModelText):
             if inertial is None or inertial.get("auto") != "true":
                 drop(link, "collision")
         drop(self.root, "visual", "sensor", "plugin", "drake:collision_filter_group")
+        for name, model in sdf_models(self.root, first=self.scope or ""):
+            self._take_balls(name, model)
         self._drop_loops()
         for name, model in sdf_models(self.root, first=self.scope or ""):
             self._links |= {f"{name}::{e.get('name')}": e for e in model.findall("link")}

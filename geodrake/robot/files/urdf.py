@@ -45,8 +45,9 @@ class UrdfText(ModelText):
             for kind in transmission.findall("type"):
                 if not (kind.text or "").strip():  # which would end Drake, and the process with it
                     transmission.remove(kind)
-        self._drop_loops()
         scope = self.scope or self.root.get("name") or self.path.stem
+        self._take_balls(scope, self.root)
+        self._drop_loops()
         self.root.set("name", self.root.get("name") or scope)
         self._links = {f"{scope}::{e.get('name')}": e for e in self.root.findall("link")}
         self._take_gazebo(scope, gazebo)

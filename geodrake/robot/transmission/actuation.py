@@ -1,7 +1,8 @@
 """How all positions and velocities of a tree follow from those of a robot with drives.
 
-Joints that a drive moves give their places to its actuators, the i-th joint to the i-th actuator;
-other joints are their own actuators, a floating base among them.
+Joints that a drive moves give their places to its actuators, the i-th joint to the i-th actuator,
+or a joint to the actuator of its name where all have such; other joints are their own actuators, a
+floating base among them.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.transmission.base import times
 from geodrake.robot.transmission.drive import Drive
+from geodrake.robot.transmission.loop import LoopTransmission
 
 Indices = NDArray[np.intp]
 
@@ -81,9 +83,9 @@ class Actuation:
         _check(drives, by_name)
         seats: dict[int, _Seat | None] = dict.fromkeys(range(len(joints)), _KEPT)
         for number, drive in enumerate(drives):
-            own = sorted(by_name[joint] for joint in drive.joints)
+            own = [by_name[joint] for joint in drive.joints]
             seats |= dict.fromkeys(own, None)  # of joints that have no actuator of their own
-            seats |= {at: (number, i) for i, at in enumerate(own[: len(drive.actuators)])}
+            seats |= {at: (number, i) for i, at in enumerate(seated_at(drive, own))}
         names = [
             joints[at] if seat is _KEPT else drives[seat[0]].actuators[seat[1]]
             for at, seat in seats.items()
@@ -133,9 +135,7 @@ class Actuation:
 
     def tree_positions(self, q: Array) -> Array:
         """(N, nq of the tree) positions, of those of the robot (N, nq)."""
-        whole = np.zeros((len(q), self.sizes[0]))
-        own, tree = self.kept_q
-        whole[:, tree] = q[:, own]
+        whole, _ = self._kept(q)
         for place in self.places:
             whole[:, place.joint_q] = place.drive.map.joint_positions(q[:, place.actuator_q])
         return whole
@@ -207,13 +207,46 @@ class Actuation:
             v: (N, nv) velocities.
             vd: (N, nv) accelerations.
         """
-        J = self.jacobian(q)
-        accelerations = times(J, vd)
-        if self.constant is None:
-            accelerations += times(self.jacobian_rate(q, v), v)
-        samples = self.tree_positions(q), times(J, v), accelerations
+        if self.constant is not None:
+            J = self.jacobian(q)
+            samples = self.tree_positions(q), times(J, v), times(J, vd)
+        else:
+            positions, J = self._kept(q)
+            bias = np.zeros((len(q), self.sizes[1]))
+            for place in self.places:
+                rates = v[:, place.actuator_v]
+                theta, own, rate = place.drive.map.along(q[:, place.actuator_q], rates)
+                positions[:, place.joint_q], bias[:, place.joint_v] = theta, times(rate, rates)
+                J[np.ix_(np.arange(len(q)), place.joint_v, place.actuator_v)] = own
+            samples = positions, times(J, v), times(J, vd) + bias
         theta, rates, accelerations = (contiguous(x) for x in samples)
         return theta, rates, accelerations, J
+
+    def all_samples(self, q: Array, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
+        """`tree_samples` with joints beyond the tree, which close loops; see `behind`.
+
+        Args:
+            q: (N, nq) positions.
+            v: (N, nv) velocities.
+            vd: (N, nv) accelerations.
+        """
+        theta, rates, accelerations, J = self.tree_samples(q, v, vd)
+        for place, loop in self._loops:
+            at, own = list(loop.cut), place.actuator_v
+            places, G, rate = loop.of_all(q[:, place.actuator_q], v[:, own])
+            more = np.zeros((len(q), len(at), self.num_velocities))
+            more[:, :, own] = G[:, at]
+            bias = times(rate[:, at], v[:, own])
+            theta, J = np.hstack([theta, places[:, at]]), np.concatenate([J, more], axis=1)
+            rates = np.hstack([rates, times(more, v)])
+            accelerations = np.hstack([accelerations, times(more, vd) + bias])
+        return theta, rates, accelerations, J
+
+    @cached_property
+    def _loops(self) -> list[tuple[Places, LoopTransmission]]:
+        """The loops that joints beyond the tree close."""
+        maps = ((place, place.drive.map) for place in self.places)
+        return [(p, m) for p, m in maps if isinstance(m, LoopTransmission) and m.cut]
 
     def inside(self, q: Array) -> Array:
         """Positions (N, nq) of the robot with its actuators where their maps are known."""
@@ -306,10 +339,28 @@ class Actuation:
         return self._standing.get(velocity)
 
     @cached_property
+    def behind(self) -> dict[str, tuple[int, int]]:
+        """Joint of a drive that is no actuator -> its position and velocity in the tree's.
+
+        Those of joints that close loops come after them, as `all_samples` has them.
+        """
+        beyond = (loop.joints[k] for _, loop in self._loops for k in loop.cut)
+        tree = {
+            joint: (int(at_q), int(at_v))
+            for place in self.places
+            for joint, at_q, at_v in zip(
+                place.drive.joints, place.joint_q, place.joint_v, strict=True
+            )
+            if joint not in self.names
+        }
+        first, second = self.sizes
+        return tree | {name: (first + k, second + k) for k, name in enumerate(beyond)}
+
+    @cached_property
     def _standing(self) -> dict[int, int]:
         found = dict(zip(self.kept_v[1].tolist(), self.kept_v[0].tolist(), strict=True))
         for place in self.places:
-            own = sorted(place.joint_v.tolist())[: len(place.actuator_v)]
+            own = seated_at(place.drive, place.joint_v.tolist())
             found |= dict(zip(own, place.actuator_v.tolist(), strict=True))
         return found
 
@@ -325,14 +376,36 @@ class Actuation:
             moves[block] = True if J is None else J != 0.0
         return moves
 
+    def _kept(self, q: Array) -> tuple[Array, Array]:
+        """Positions (N, nq of the tree) and J with those of joints without a drive alone."""
+        whole, J = (
+            np.zeros((len(q), *shape))
+            for shape in (self.sizes[:1], (self.sizes[1], self.num_velocities))
+        )
+        (own, tree), (own_v, tree_v) = self.kept_q, self.kept_v
+        whole[:, tree] = q[:, own]
+        J[:, tree_v, own_v] = 1.0
+        return whole, J
+
     def _jacobian(self, q: Array) -> Array:
-        J = np.zeros((len(q), self.sizes[1], self.num_velocities))
-        own, tree = self.kept_v
-        J[:, tree, own] = 1.0
+        _, J = self._kept(q)
         for place in self.places:
             block = np.ix_(np.arange(len(q)), place.joint_v, place.actuator_v)
             J[block] = place.drive.map.jacobian(q[:, place.actuator_q])
         return J
+
+
+def seated_at(drive: Drive, joints: Sequence[int]) -> list[int]:
+    """Velocities of the tree, among those of a drive's joints, in whose place its actuators are.
+
+    Args:
+        drive: The drive.
+        joints: Velocities of its joints in the tree.
+    """
+    at = dict(zip(drive.joints, joints, strict=True))
+    if set(drive.actuators) <= set(drive.joints):
+        return [at[name] for name in drive.actuators]
+    return sorted(joints)[: len(drive.actuators)]
 
 
 def _seated(seats: Mapping[int, _Seat | None]) -> tuple[Indices, dict[_Seat, int]]:

@@ -43,17 +43,21 @@ class Transmission(abc.ABC):
         return q
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
-        """J̇ (N, k, n) at q (N, n) and q̇ = v (N, n); fourth order differences unless overridden.
-
-        Args:
-            q: (N, n) actuator coordinates.
-            v: (N, n) their velocities.
-        """
+        """J̇ (N, k, n) at q (N, n) and q̇ = v (N, n); fourth order differences unless overridden."""
         speed = np.abs(v).max(axis=1, initial=0.0)[:, None]
         step = _STEP * v / np.where(speed > 0, speed, 1.0)
         near = self.jacobian(q + step) - self.jacobian(q - step)
         far = self.jacobian(q + 2 * step) - self.jacobian(q - 2 * step)
         return (8 * near - far) / (12 * _STEP) * speed[:, :, None]
+
+    def along(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
+        """θ (N, k), J and J̇ (N, k, n) along a motion of the actuators.
+
+        Args:
+            q: (N, n) actuator coordinates.
+            v: (N, n) their velocities.
+        """
+        return self.joint_positions(q), self.jacobian(q), self.jacobian_rate(q, v)
 
     @property
     def constant_jacobian(self) -> Array | None:
@@ -88,11 +92,7 @@ class Transmission(abc.ABC):
         return Motion(q, v, vd, motion.time)
 
     def actuator_efforts(self, q: ArrayLike, efforts: ArrayLike) -> Array:
-        """τ_q = Jᵀ τ_θ (N, n), of the joints' efforts (N, k) at q (N, n).
-
-        Args:
-            q: (N, n) actuator coordinates.
-            efforts: (N, k) efforts of the joints, N·m or N.
+        """τ_q = Jᵀ τ_θ (N, n), of the joints' efforts (N, k), N·m or N, at q (N, n).
 
         Raises:
             ArgumentError: The shapes do not fit.
@@ -103,11 +103,7 @@ class Transmission(abc.ABC):
         return times(np.swapaxes(self.jacobian(q), 1, 2), efforts)
 
     def joint_efforts(self, q: ArrayLike, efforts: ArrayLike) -> Array:
-        """τ_θ = J⁻ᵀ τ_q (N, k), of the actuators' efforts (N, n) at q (N, n).
-
-        Args:
-            q: (N, n) actuator coordinates.
-            efforts: (N, n) efforts of the actuators, N·m or N.
+        """τ_θ = J⁻ᵀ τ_q (N, k), of the actuators' efforts (N, n), N·m or N, at q (N, n).
 
         Raises:
             ArgumentError: There are more joints than actuators, so that their efforts are not
@@ -129,10 +125,6 @@ class Transmission(abc.ABC):
 
     def regressor(self, q: ArrayLike, regressor: ArrayLike) -> Array:
         """Y_q = Jᵀ Y_θ (N, n, p), of the tree's regressor (N, k, p) at `joint_motion`'s samples.
-
-        Args:
-            q: (N, n) actuator coordinates.
-            regressor: (N, k, p) regressor of the joints' efforts at the same samples.
 
         Raises:
             ArgumentError: The shapes do not fit.
@@ -168,11 +160,9 @@ class Transmission(abc.ABC):
         return J
 
     def actuator_positions(self, theta: Array, *, start: ArrayLike = 0.0) -> Array:
-        """Q (N, n) with T(q) = θ (N, k), by Gauss-Newton on all samples together.
+        """Return q (N, n) with T(q) = θ (N, k), by Gauss-Newton on all samples together.
 
-        Args:
-            theta: (N, k) joint positions.
-            start: (n,) or (N, n) actuator positions near the solution, for maps with several.
+        A start (n,) or (N, n) near the solution chooses one of several.
 
         Raises:
             ArgumentError: No actuator position reaches the joints' positions.
@@ -199,10 +189,5 @@ class Transmission(abc.ABC):
 
 
 def times(matrices: Array, vectors: Array) -> Array:
-    """Products (N, m) of matrices and vectors.
-
-    Args:
-        matrices: (N, m, n) matrices.
-        vectors: (N, n) vectors.
-    """
+    """Products (N, m) of matrices (N, m, n) and vectors (N, n)."""
     return np.einsum("nij,nj->ni", matrices, vectors)

@@ -11,6 +11,7 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.robot.transmission.base import Transmission
+from geodrake.robot.transmission.loop import LoopTransmission
 from geodrake.robot.transmission.statements import Statement
 
 
@@ -51,6 +52,11 @@ class Drive(Short):
                     f"A drive of {self.map.num_actuators} actuators and {self.map.num_joints} "
                     f"joints needs as many different {what}; it has {', '.join(names)}."
                 )
+
+    @property
+    def is_loop(self) -> bool:
+        """Whether it is a closed loop of the model file, and nothing that a user states."""
+        return isinstance(self.map, LoopTransmission)
 
     @property
     def limits(self) -> tuple[Array, Array]:

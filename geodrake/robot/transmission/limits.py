@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from geodrake.inertia import Array
-from geodrake.robot.transmission.actuation import Actuation, Places, middle
+from geodrake.robot.transmission.actuation import Actuation, Places, middle, seated_at
 from geodrake.robot.transmission.drive import Drive
 
 _FAR = 10.0  # rad or m, up to where limits are looked for where the map has none
@@ -22,13 +22,7 @@ _POINTS = 4001
 def actuator_positions_between(
     actuation: Actuation, lower: Array, upper: Array
 ) -> tuple[Array, Array]:
-    """Least and greatest positions (nq,) of a robot, of those (nq of the tree,) of its joints.
-
-    Args:
-        actuation: How its joints follow from its actuators.
-        lower: (nq of the tree,) least positions of the joints.
-        upper: (nq of the tree,) greatest ones.
-    """
+    """Least and greatest positions (nq,) of a robot, of those (nq of the tree,) of its joints."""
     low, high = np.full((2, actuation.num_positions), np.nan)
     own, tree = actuation.kept_q
     low[own], high[own] = lower[tree], upper[tree]
@@ -39,12 +33,9 @@ def actuator_positions_between(
 
 
 def actuator_rates(actuation: Actuation, limits: Array, within: tuple[Array, Array]) -> Array:
-    """Largest speeds or accelerations (nv,) of a robot, of those of its joints.
+    """Largest speeds or accelerations (nv,) of a robot, of those (nv of the tree,) of its joints.
 
-    Args:
-        actuation: How its joints follow from its actuators.
-        limits: (nv of the tree,) those of the joints.
-        within: Least and greatest positions (nq,) of the robot.
+    `within` are its least and greatest positions (nq,).
     """
     return _each(actuation, limits, within, lambda J, most: _box(np.abs(J).max(axis=0), most))
 
@@ -54,12 +45,18 @@ def actuator_effort_limits(
 ) -> Array:
     """Largest efforts (nv,) of a robot's actuators, of those of its joints; see `actuator_rates`.
 
+    Free joints of a closed loop have their own: a motor at another joint adds to what is possible.
+
     Args:
         actuation: How its joints follow from its actuators.
         limits: (nv of the tree,) those of the joints.
         within: Least and greatest positions (nq,) of the robot.
     """
-    return _each(actuation, limits, within, _efforts)
+    found = _each(actuation, limits, within, _efforts)
+    for place in actuation.places:
+        if place.drive.is_loop:
+            found[place.actuator_v] = limits[seated_at(place.drive, place.joint_v.tolist())]
+    return found
 
 
 def _each(
@@ -70,12 +67,8 @@ def _each(
 ) -> Array:
     """Limits (nv,) of a robot, of those (nv of the tree,) of its joints.
 
-    Args:
-        actuation: How its joints follow from its actuators.
-        limits: (nv of the tree,) those of the joints.
-        within: Least and greatest positions (nq,) of the robot.
-        of: What a drive's J (N, k, n) where its actuators may be, and the limits (k,) of its
-            joints, make of those (n,) of its actuators.
+    `of` makes those (n,) of a drive's actuators of its J (N, k, n) where they may be, and of the
+    limits (k,) of its joints.
     """
     found = np.full(actuation.num_velocities, np.inf)
     own, tree = actuation.kept_v
@@ -118,9 +111,7 @@ def _positions(drive: Drive, lower: Array, upper: Array) -> tuple[Array, Array]:
                 low[i], high[i] = max(low[i], first), min(high[i], last)
         return low, high
     finite = np.isfinite(lower) & np.isfinite(upper)
-    center_of = np.where(
-        finite, 0.5 * (np.where(finite, lower, 0.0) + np.where(finite, upper, 0)), 0
-    )
+    center_of = middle(np.where(finite, lower, np.nan), np.where(finite, upper, np.nan))
     center = np.linalg.pinv(J) @ center_of
     off = np.abs(J @ center - center_of)
     room = np.where(finite, np.maximum(0.5 * (upper - lower) - off, 0.0), np.inf)

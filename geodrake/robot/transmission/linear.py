@@ -44,12 +44,7 @@ class LinearTransmission(Transmission, Short):
 
     @classmethod
     def of(cls, matrix: ArrayLike, offset: ArrayLike = 0.0) -> LinearTransmission:
-        """From J (k, n) and θ₀ (k,) or one number.
-
-        Args:
-            matrix: (k, n) J: how far each joint moves when each actuator moves by one.
-            offset: (k,) joint positions θ₀ where all actuators are at zero, rad or m; one number
-                for all.
+        """Make it of J (k, n) and θ₀ (k,) or one number for all, rad or m.
 
         Raises:
             ArgumentError: As of the class.

@@ -39,16 +39,8 @@ class ScalarTransmission(Transmission):
         return 1
 
     @abc.abstractmethod
-    def value(self, q: Array) -> Array:
-        """f(q), (N,) of (N,)."""
-
-    @abc.abstractmethod
-    def slope(self, q: Array) -> Array:
-        """f′(q), (N,) of (N,)."""
-
-    @abc.abstractmethod
-    def curvature(self, q: Array) -> Array:
-        """f″(q), (N,) of (N,)."""
+    def derivative(self, q: Array, order: int) -> Array:
+        """Return f, f′ or f″ (N,) at q (N,), by the order 0, 1 or 2."""
 
     @property
     def range(self) -> tuple[float, float]:
@@ -57,11 +49,11 @@ class ScalarTransmission(Transmission):
 
     def joint_positions(self, q: Array) -> Array:
         """θ = f(q)."""
-        return self.value(self._checked(q, "q", 1)[:, 0])[:, None]
+        return self.derivative(self._checked(q, "q", 1)[:, 0], 0)[:, None]
 
     def jacobian(self, q: Array) -> Array:
         """J = f′(q)."""
-        return self.slope(self._checked(q, "q", 1)[:, 0])[:, None, None]
+        return self.derivative(self._checked(q, "q", 1)[:, 0], 1)[:, None, None]
 
     def inside(self, q: Array) -> Array:
         """Positions moved to where f is known, a little off its ends."""
@@ -72,13 +64,9 @@ class ScalarTransmission(Transmission):
         return np.clip(q, low + off, high - off)
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
-        """J̇ = f″(q) q̇.
-
-        Args:
-            q: (N, 1) actuator coordinates.
-            v: (N, 1) their velocities.
-        """
-        rate = self.curvature(self._checked(q, "q", 1)[:, 0]) * self._checked(v, "v", 1)[:, 0]
+        """J̇ = f″(q) q̇, of q and q̇ (N, 1)."""
+        q, v = self._checked(q, "q", 1)[:, 0], self._checked(v, "v", 1)[:, 0]
+        rate = self.derivative(q, 2) * v
         return rate[:, None, None]
 
 
@@ -101,17 +89,9 @@ class PolynomialTransmission(ScalarTransmission, Short):
             raise ArgumentError(f"coefficients must have one beyond c₀ that is not 0; got {c}.")
         object.__setattr__(self, "coefficients", c)
 
-    def value(self, q: Array) -> Array:
-        """The polynomial."""
-        return np.asarray(polyval(q, self.coefficients))
-
-    def slope(self, q: Array) -> Array:
-        """Its derivative."""
-        return np.asarray(polyval(q, polyder(self.coefficients)))
-
-    def curvature(self, q: Array) -> Array:
-        """Its second derivative."""
-        return np.asarray(polyval(q, polyder(self.coefficients, 2)))
+    def derivative(self, q: Array, order: int) -> Array:
+        """Return the polynomial, or its derivative."""
+        return np.asarray(polyval(q, polyder(self.coefficients, order)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,21 +125,11 @@ class TableTransmission(ScalarTransmission, Short):
         # Natural ends: no curvature there, so that it goes straight on without a step in f″.
         return CubicSpline(self.actuator_points, self.joint_points, bc_type="natural")
 
-    def value(self, q: Array) -> Array:
-        """The spline."""
-        inside = self._inside(q)
-        return np.asarray(self._spline(inside) + self._spline(inside, 1) * (q - inside))
-
-    def slope(self, q: Array) -> Array:
-        """Its derivative."""
-        return np.asarray(self._spline(self._inside(q), 1))
-
-    def curvature(self, q: Array) -> Array:
-        """Its second derivative."""
-        return np.asarray(self._spline(self._inside(q), 2))
-
-    def _inside(self, q: Array) -> Array:
-        return np.clip(q, self.actuator_points[0], self.actuator_points[-1])
+    def derivative(self, q: Array, order: int) -> Array:
+        """Return the spline, or its derivative."""
+        inside = np.clip(q, self.actuator_points[0], self.actuator_points[-1])
+        found = self._spline(inside, order)
+        return np.asarray(found if order else found + self._spline(inside, 1) * (q - inside))
 
 
 @dataclass(frozen=True)
@@ -228,22 +198,19 @@ class FourBar(ScalarTransmission):
         ends = sorted((side * inner - crank, side * outer - crank))
         return float(ends[0]), float(ends[1])
 
-    def value(self, q: Array) -> Array:
-        """Angle of the rocker, from where θ = 0, within half a turn of it."""
-        _, rocker, _ = self._angles(q)
-        return np.asarray(np.mod(rocker - self.rocker_angle + np.pi, 2.0 * np.pi) - np.pi)
+    def derivative(self, q: Array, order: int) -> Array:
+        """Return the rocker's angle from where θ = 0, within half a turn of it, or its derivative.
 
-    def slope(self, q: Array) -> Array:
-        """r_crank sin(φ − κ) / (r_rocker sin(ψ − κ)), with κ the angle of the coupler."""
+        The slope is r_crank sin(φ − κ) / (r_rocker sin(ψ − κ)), with κ the angle of the coupler,
+        whose own slope follows from the loop.
+        """
         crank, rocker, coupler = self._angles(q)
-        lever = self.rocker * np.sin(rocker - coupler)
-        return np.asarray(self.crank * np.sin(crank - coupler) / lever)
-
-    def curvature(self, q: Array) -> Array:
-        """The slope's derivative, with that of κ from the loop."""
-        crank, rocker, coupler = self._angles(q)
+        if order == 0:
+            return np.asarray(np.mod(rocker - self.rocker_angle + np.pi, 2.0 * np.pi) - np.pi)
         lever = self.rocker * np.sin(rocker - coupler)
         slope = self.crank * np.sin(crank - coupler) / lever
+        if order == 1:
+            return np.asarray(slope)
         turn = self.crank * np.sin(crank - rocker) / (self.coupler * np.sin(rocker - coupler))
         driven = self.crank * np.cos(crank - coupler) * (1.0 - turn)
         driving = slope * self.rocker * np.cos(rocker - coupler) * (slope - turn)
@@ -303,25 +270,19 @@ class Cylinder(ScalarTransmission):
         ends = abs(self.base - self.lever), self.base + self.lever
         return ends[0] - self.length, ends[1] - self.length
 
-    def value(self, q: Array) -> Array:
-        """γ less that at θ = 0, with its sign."""
-        return np.asarray(self._sign * (np.arccos(self._cosine(q)) - self.angle))
+    def derivative(self, q: Array, order: int) -> Array:
+        """Return γ less that at θ = 0, with its sign, or its derivative.
 
-    def slope(self, q: Array) -> Array:
-        """L / (a b sin γ), with the sign of θ."""
-        sine = np.sqrt(1.0 - self._cosine(q) ** 2)
-        return np.asarray(self._sign * (q + self.length) / (self.base * self.lever * sine))
-
-    def curvature(self, q: Array) -> Array:
-        """The slope's derivative."""
-        cosine, area = self._cosine(q), self.base * self.lever
-        sine = np.sqrt(1.0 - cosine**2)
+        The slope is L / (a b sin γ).
+        """
+        sign, cosine = -1.0 if self.reversed else 1.0, self._cosine(q)
+        if order == 0:
+            return np.asarray(sign * (np.arccos(cosine) - self.angle))
+        area, sine = self.base * self.lever, np.sqrt(1.0 - cosine**2)
+        if order == 1:
+            return np.asarray(sign * (q + self.length) / (area * sine))
         bend = cosine * ((q + self.length) / (area * sine)) ** 2
-        return np.asarray(self._sign * (1.0 / area - bend) / sine)
-
-    @property
-    def _sign(self) -> float:
-        return -1.0 if self.reversed else 1.0
+        return np.asarray(sign * (1.0 / area - bend) / sine)
 
     def _cosine(self, q: Array) -> Array:
         squares = self.base**2 + self.lever**2 - (q + self.length) ** 2

@@ -12,7 +12,7 @@ import numpy as np
 from geodrake.control.export_proof.drives import Drives
 from geodrake.control.export_proof.engines.base import Array, Engine, Mask, order_of
 from geodrake.errors import ModelError
-from geodrake.model.exporting.actuators import Actuator, actuators_of
+from geodrake.model.exporting.joints import ExportedJoint, exported_joints
 from geodrake.model.robot_model import RobotModel
 
 _FULL = 1.0 - 1e-9  # share of dry friction from which on it counts as being there in full
@@ -130,7 +130,7 @@ class MujocoEngine(Engine):
         for actuator in range(own.nu):
             if own.actuator_trntype[actuator] in kinds:
                 by_joint.setdefault(int(own.actuator_trnid[actuator][0]), []).append(actuator)
-        wanted = {each.joint: each for each in actuators_of(model)}
+        wanted = exported_joints(model)
         for joint, at in zip(model.joints, self._at, strict=True):
             actuators = by_joint.get(joint_of[at], [])
             if len(actuators) == 1 and self._is_like(actuators[0], wanted[joint]):
@@ -141,7 +141,7 @@ class MujocoEngine(Engine):
         own.jnt_actfrclimited[:] = False
         return found
 
-    def _is_like(self, actuator: int, wanted: Actuator) -> bool:
+    def _is_like(self, actuator: int, wanted: ExportedJoint) -> bool:
         """Whether an actuator is told what that of the model is told: an effort, or a position."""
         own = self._model
         plain = (

@@ -1,28 +1,118 @@
-"""A robot written anew, in another format than that of its own file: bodies and joints alone."""
+"""A robot in another format than that of its own file: bodies and joints of its plant alone."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.tree import Joint
 
 from geodrake.errors import ModelError
-from geodrake.inertia import Array, to_mass_com_inertia
+from geodrake.inertia import Array, change_frame, to_mass_com_inertia
+from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.export import repair_comments
-from geodrake.model.exporting.links import Link, links_of
+from geodrake.model.exporting.joints import ExportedJoint, exported_joints
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.source_text import comment_words
 from geodrake.robot.files.values import UPPER, tensor_words, words
+from geodrake.robot.holding import moving_joints
 
 _DRAKE = "http://drake.mit.edu"
 _UNLIMITED = 1e9  # effort and speed, where a URDF must state some
 SUFFIXES = {"urdf": ".urdf", "sdf": ".sdf", "xml": ".xml"}
 
 
-def written_anew(model: RobotModel, kind: str, gravity: Array) -> bytes:
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A body that a joint moves; its frame L is that of the joint, on the side of the body.
+
+    Attributes:
+        name: Name of the body.
+        parent: Name of the body that carries it; None for the world.
+        joint: What the file says of the joint.
+        X_PL: Pose of the link in the frame of the parent, with the joint at zero.
+        axis: (3,) unit axis of the joint, in L.
+        limits: Lowest and highest position, rad or m; infinite where there is none.
+        phi: (10,) inertial parameters about Lo, expressed in L.
+    """
+
+    name: str
+    parent: str | None
+    joint: ExportedJoint
+    X_PL: RigidTransform
+    axis: Array
+    limits: tuple[float, float]
+    phi: Array
+
+
+def _links_of(model: RobotModel) -> tuple[Link, ...]:
+    """Return the links of a model from the base on, each after its parent, payloads included.
+
+    Raises:
+        ModelError: It has joints that turn about or slide along more than one axis, or backwards.
+    """
+    plant, joints = model.plant, exported_joints(model)
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, np.zeros(plant.num_positions()))
+    lumps, moving = lumped_bodies(plant), _moving_joints(model)
+    names = [body.name.replace("::", "_") for body in lumps]
+    owner = {int(m.index): k for k, body in enumerate(lumps) for m in body.members}
+    inboard = {owner[int(joint.child_body().index())]: joint for joint in moving}
+    X_WL = {k: joint.frame_on_child().CalcPoseInWorld(context) for k, joint in inboard.items()}
+    found: dict[int, Link] = {}
+    while len(found) < len(lumps):
+        ready = {
+            k: joint
+            for k, joint in inboard.items()
+            if k not in found
+            and ((above := owner.get(int(joint.parent_body().index()))) is None or above in found)
+        }
+        if not ready:
+            raise _refusal(moving[0], "points from a body to what carries it")
+        for k, joint in ready.items():
+            above = owner.get(int(joint.parent_body().index()))
+            X_WP = RigidTransform() if above is None else X_WL[above]
+            X_WR = plant.get_body(lumps[k].body_index).body_frame().CalcPoseInWorld(context)
+            X_LR = X_WL[k].inverse() @ X_WR
+            found[k] = Link(
+                names[k],
+                None if above is None else names[above],
+                joints[model.joints[model.coordinates.velocity_of(joint)]],
+                X_WP.inverse() @ X_WL[k],
+                _axis(joint),
+                (float(joint.position_lower_limits()[0]), float(joint.position_upper_limits()[0])),
+                change_frame(model.total_phi[k], X_LR.rotation().matrix(), X_LR.translation()),
+            )
+    return tuple(found.values())
+
+
+def _axis(joint: Joint) -> Array:
+    turns = joint.type_name() == "revolute"
+    return np.array(joint.revolute_axis() if turns else joint.translation_axis())
+
+
+def _moving_joints(model: RobotModel) -> list[Joint]:
+    moving = moving_joints(model.plant)
+    for joint in moving:
+        if joint.type_name() not in ("revolute", "prismatic"):
+            raise _refusal(joint, f"is of the type {joint.type_name()}")
+    return sorted(moving, key=lambda joint: joint.velocity_start())
+
+
+def _refusal(joint: Joint, problem: str) -> ModelError:
+    return ModelError(
+        f"The robot cannot be written in another format than its own: joint {joint.name()} "
+        f"{problem}.",
+        advice="Export it in the format of its own file.",
+        joint=joint.name(),
+    )
+
+
+def from_plant(model: RobotModel, kind: str, gravity: Array) -> bytes:
     """Return a robot's bodies and joints, without geometry.
 
     Args:
@@ -39,7 +129,7 @@ def written_anew(model: RobotModel, kind: str, gravity: Array) -> bytes:
             advice="Choose that one.",
         )
     name = model.path.name.partition(".")[0]
-    root = _WRITERS[kind](links_of(model), name, gravity)
+    root = _WRITERS[kind](_links_of(model), name, gravity)
     for at, each in enumerate(repair_comments(model)):
         root.insert(at, Comment(comment_words(each)))
     indent(root)
@@ -71,17 +161,17 @@ def _urdf(links: Sequence[Link], name: str, gravity: Array) -> Element:
 
 
 def _urdf_joint(root: Element, link: Link) -> None:
-    numbers, limited = link.numbers, bool(np.isfinite(link.limits).all())
+    numbers, limited = link.joint, bool(np.isfinite(link.limits).all())
     kind = "prismatic" if not numbers.turns else "revolute" if limited else "continuous"
-    joint = SubElement(root, "joint", name=link.joint, type=kind)
+    joint = SubElement(root, "joint", name=link.joint.name, type=kind)
     xyz, rpy = _pose(link.X_PL)
     SubElement(joint, "origin", xyz=xyz, rpy=rpy)
     SubElement(joint, "parent", link=link.parent or "world")
     SubElement(joint, "child", link=link.name)
     SubElement(joint, "axis", xyz=words(link.axis))
     limit = {
-        "effort": words(min(link.effort, _UNLIMITED)),
-        "velocity": words(min(link.velocity, _UNLIMITED)),
+        "effort": words(min(link.joint.effort, _UNLIMITED)),
+        "velocity": words(min(link.joint.velocity, _UNLIMITED)),
     }
     if kind != "continuous":
         low, high = np.clip(link.limits, -_UNLIMITED, _UNLIMITED)
@@ -89,10 +179,10 @@ def _urdf_joint(root: Element, link: Link) -> None:
     SubElement(joint, "limit", limit)
     SubElement(joint, "dynamics", damping=words(numbers.damping), friction=words(numbers.friction))
     if numbers.armature:
-        transmission = SubElement(root, "transmission", name=f"{link.joint}_rotor")
+        transmission = SubElement(root, "transmission", name=f"{link.joint.name}_rotor")
         SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
-        SubElement(transmission, "joint", name=link.joint)
-        actuator = SubElement(transmission, "actuator", name=f"{link.joint}_motor")
+        SubElement(transmission, "joint", name=link.joint.name)
+        actuator = SubElement(transmission, "actuator", name=f"{link.joint.name}_motor")
         SubElement(actuator, "drake:rotor_inertia", value=words(numbers.armature))
         SubElement(actuator, "drake:gear_ratio", value="1.0")
 
@@ -103,7 +193,7 @@ def _sdf(links: Sequence[Link], name: str, gravity: Array) -> Element:
     model = SubElement(root, "model", name=name)
     for link in links:
         element = SubElement(model, "link", name=link.name)
-        SubElement(element, "pose", relative_to=link.joint).text = "0 0 0 0 0 0"
+        SubElement(element, "pose", relative_to=link.joint.name).text = "0 0 0 0 0 0"
         mass, com, tensor, _ = _inertial(link.phi)
         inertial = SubElement(element, "inertial")
         SubElement(inertial, "pose").text = f"{com} 0 0 0"
@@ -116,9 +206,9 @@ def _sdf(links: Sequence[Link], name: str, gravity: Array) -> Element:
 
 
 def _sdf_joint(model: Element, link: Link) -> None:
-    numbers = link.numbers
+    numbers = link.joint
     kind = "revolute" if numbers.turns else "prismatic"
-    joint = SubElement(model, "joint", name=link.joint, type=kind)
+    joint = SubElement(model, "joint", name=link.joint.name, type=kind)
     pose = SubElement(joint, "pose", relative_to=link.parent or "__model__")
     pose.text = " ".join(_pose(link.X_PL))
     SubElement(joint, "parent").text = link.parent or "world"
@@ -129,7 +219,7 @@ def _sdf_joint(model: Element, link: Link) -> None:
     axis = SubElement(joint, "axis")
     SubElement(axis, "xyz").text = words(link.axis)
     bounds = dict(zip(("lower", "upper"), link.limits, strict=True))
-    limits = bounds | {"effort": link.effort, "velocity": link.velocity}
+    limits = bounds | {"effort": link.joint.effort, "velocity": link.joint.velocity}
     limit = SubElement(axis, "limit")
     for key, value in limits.items():
         if np.isfinite(value):
@@ -161,16 +251,16 @@ def _mjcf(links: Sequence[Link], name: str, gravity: Array) -> Element:
 
 
 def _mjcf_joint(link: Link) -> dict[str, str]:
-    numbers = link.numbers
+    numbers = link.joint
     attributes = {
-        "name": link.joint,
+        "name": link.joint.name,
         "type": "hinge" if numbers.turns else "slide",
         "axis": words(link.axis),
     }
     if np.isfinite(link.limits).all():
         attributes |= {"range": words(np.array(link.limits)), "limited": "true"}
-    if np.isfinite(link.effort):
-        attributes["actuatorfrcrange"] = words(np.array([-link.effort, link.effort]))
+    if np.isfinite(link.joint.effort):
+        attributes["actuatorfrcrange"] = words(np.array([-link.joint.effort, link.joint.effort]))
         attributes["actuatorfrclimited"] = "true"
     values = {
         "damping": numbers.damping,

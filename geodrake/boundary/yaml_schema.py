@@ -1,0 +1,98 @@
+"""What YAML files hold, as schemas have it: errors name the place and the value."""
+
+from __future__ import annotations
+
+import difflib
+import types
+from collections.abc import Iterable
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from geodrake.errors import ArgumentError
+
+T = TypeVar("T")
+
+_WORDS = {
+    "float": "a number",
+    "int": "a whole number",
+    "str": "text",
+    "bool": "true or false",
+    "object": "a table of fields",
+    "array": "a list",
+    "null": "nothing",
+}
+
+
+class Schema(msgspec.Struct, forbid_unknown_fields=True):
+    """A table of a file: its fields, their types and defaults."""
+
+
+def as_schema(content: object, schema: type[T]) -> T:
+    """Return what is there as a schema has it; text of a number counts as the number.
+
+    Raises:
+        ArgumentError: Some field is none of the schema's, is not there, or is of another type.
+    """
+    try:
+        return msgspec.convert(content, schema, strict=False)
+    except (msgspec.MsgspecError, RecursionError, OverflowError) as error:
+        place, value, kind = _fault(content, schema, "")
+        raise _refusal(place, value, kind) from error
+
+
+def _fault(content: object, schema: Any, place: str) -> tuple[str, object, Any]:
+    """Return the place, value and schema of the innermost that does not fit."""
+    for key, value, kind in _children(content, schema):
+        if _misfit(value, kind):
+            inner = f"{place}[{key}]" if isinstance(key, int) else f"{place}.{key}".lstrip(".")
+            return _fault(value, kind, inner)
+    return place, content, schema
+
+
+def _misfit(content: object, schema: Any) -> str:
+    """Return what is wrong with a value alone, as msgspec says it; nothing if it fits."""
+    try:
+        msgspec.convert(content, schema, strict=False)
+    except (msgspec.MsgspecError, RecursionError, OverflowError) as error:
+        return str(error).partition(" - at `")[0].replace("`", "")
+    return ""
+
+
+def _children(content: object, schema: Any) -> Iterable[tuple[Any, object, Any]]:
+    """Return key, value and schema of what is in a list or table."""
+    if get_origin(schema) in (Union, types.UnionType):
+        schema = next(x for x in get_args(schema) if x is not type(None))
+    inside = get_args(schema)[-1:]
+    if isinstance(content, list) and get_origin(schema) is list:
+        return [(at, value, inside[0]) for at, value in enumerate(content)]
+    if not isinstance(content, dict):
+        return []
+    if get_origin(schema) is dict:
+        return [(str(key), value, inside[0]) for key, value in content.items()]
+    kinds = get_type_hints(schema) if _fields(schema) else {}
+    return [(key, x, kinds[key]) for key, x in content.items() if key in _fields(schema)]
+
+
+def _fields(schema: Any) -> tuple[str, ...]:
+    return getattr(schema, "__struct_fields__", ())
+
+
+def _refusal(place: str, value: object, schema: Any) -> ArgumentError:
+    what, fields, reason = place or "it", _fields(schema), _misfit(value, schema)
+    advice = f"Its fields are: {', '.join(fields)}." if fields else ""
+    odd = [key for key in value if key not in fields] if isinstance(value, dict) else []
+    if fields and odd:
+        near = difflib.get_close_matches(str(odd[0]), fields, 1)
+        meant = f" (was {near[0]} meant?)" if near else ""
+        return ArgumentError(f"{what} has {odd[0]!r:.60}, which is none{meant}.", advice=advice)
+    if any(not isinstance(key, str) for key in odd):
+        name = next(key for key in odd if not isinstance(key, str))
+        return ArgumentError(f"{what} has {name!r:.60} for a name.", advice="Put it in quotes.")
+    if reason.startswith("Object missing"):
+        return ArgumentError(f"{what} lacks its {reason.rpartition(' ')[2]}.", advice=advice)
+    words = " ".join(_WORDS.get(word, word) for word in reason.lower().replace(",", " but").split())
+    if get_origin(schema) is Literal:
+        words = f"expected one of {', '.join(repr(choice) for choice in get_args(schema))}"
+    shown = f" = {value!s:.80}" if place else ""
+    return ArgumentError(f"{what}{shown}: {words}.", advice=advice)

@@ -1,0 +1,548 @@
+"""Closed loops: joints that follow others as links which meet again have them.
+
+A robot with closed loops is a tree of joints θ, and closures c(θ) = 0: points or frames of two of
+its bodies that are one. With J = ∂c/∂θ, some of the joints, q, are free, and the others follow,
+
+    θ̇ = G q̇,   J G = 0,   θ̈ = G q̈ + Ġ q̇,   J Ġ = −J̇ G,   τ_q = Gᵀ τ_θ        [Lee2019] Eq. (3.6.57)
+
+where rows of G of the free joints are those of the identity. Forces in closures do no work, so that
+none of them is in Gᵀ τ_θ. Thus a loop is a transmission from the free joints to all of its joints.
+
+The others' positions are found by Newton's method on the way from the posture of the file, or from
+the sample before, so that the loop stays put together as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+
+from geodrake.compiling import contiguous
+from geodrake.errors import ModelError
+from geodrake.inertia import Array
+from geodrake.inertia.bodies import lumped_bodies
+from geodrake.robot.closure import WORLD, Closure
+from geodrake.robot.followers import Follower, OwnCoordinates
+from geodrake.robot.holding import moving_joints
+from geodrake.robot.joints import Features, axis_motion, slide_motion
+from geodrake.robot.kinematics import KinematicTree, Mobilizer
+from geodrake.robot.loop_recursion import CLOSURE, Indices, LoopRecords, calc_misses
+from geodrake.robot.recursion import TreeRecords
+from geodrake.robot.transmission.base import times
+from geodrake.robot.transmission.drive import Drive
+from geodrake.robot.transmission.loop import LoopTransmission
+from geodrake.robot.transmission.statements import Followers
+
+_FREE = 1e-5  # share of the largest column, at which one counts as no combination of others
+_WELL = 0.1, 0.01, 0.0  # shares of itself that others leave of a column, in the order of trials
+_IDLE = 1e-9  # share of the largest column, of a joint that a loop does not see
+_CLOSED, _NEARLY = 1e-9, 1e-3  # shares of the size by which a loop misses, the latter by rounding
+_STILL = 1e-14  # rad or shares, by which the last iteration moves
+_MOST_ITERATIONS, _LONGEST = 100, 0.3  # on the way to the posture of the file; rad or shares
+_NEAR = 0.2  # rad or shares, up to where loops are tried
+_NUDGE = 0.02  # rad or shares of the size, by which a posture is left to see whether it is singular
+_COEFFICIENTS = 5  # of polynomials by which joints follow others
+_FARTHEST = 1e6  # m, of a closure from its body
+_SAME = 1e-3  # rad or shares, by which a joint may be held beside where the loop has it
+
+
+@dataclass(frozen=True)
+class LoopJoints:
+    """What is known of joints beside what closes loops.
+
+    Attributes:
+        followers: Joints of the plant that follow others.
+        bent: Joints that follow others by a ratio that changes.
+        driven: Names of joints that motors drive.
+        sprung: Names of joints with springs, the stiffest first: where motors do not determine how
+            a loop moves, these are free beside them, as they hardly move.
+        first: Names of joints that are to be free before all others.
+        start: Joint -> where it is on the way to the loops' posture, rad or m; otherwise as the
+            plant has it.
+    """
+
+    followers: tuple[Follower, ...] = ()
+    bent: tuple[Followers, ...] = ()
+    driven: Collection[str] = ()
+    sprung: Sequence[str] = ()
+    first: Collection[str] = ()
+    start: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Loops:
+    """The closed loops of a robot.
+
+    Attributes:
+        loops: They.
+        left_out: Sentences on closures that cannot be used.
+        taken: Joints that follow others by a ratio that changes within them.
+        held: Joint -> where it is held as loops and other constraints let it not move, rad or m.
+    """
+
+    loops: tuple[ClosedLoop, ...] = ()
+    left_out: tuple[str, ...] = ()
+    taken: tuple[Followers, ...] = ()
+    held: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Return what is worth knowing of them, in words."""
+        held = ", ".join(f"{joint} at {place:.4g}" for joint, place in self.held.items())
+        still = (f"Held, as constraints of the file let them not move: {held}.",) if held else ()
+        return (*(note for loop in self.loops for note in loop.notes), *still)
+
+    def places(
+        self, held: Mapping[str, float], path: object
+    ) -> tuple[dict[str, float], dict[str, float]]:
+        """Joint -> where it is if some are held, of joints in loops, and of those that stand still.
+
+        Args:
+            held: Joint -> where it is held, rad or m.
+            path: The model file, for messages.
+
+        Raises:
+            ModelError: A loop does not close there.
+        """
+        every, still = dict[str, float](), dict[str, float]()
+        for loop in self.loops:
+            posture = loop.posture(held, path)
+            every |= posture
+            if held.keys() >= set(loop.map.actuators):
+                still |= {joint: at for joint, at in posture.items() if joint not in held}
+        return every, still
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """A closed loop, or several that share joints.
+
+    Attributes:
+        map: How its joints follow.
+        limits: Least and greatest positions of all its joints by their own limits, (2, k).
+        driven: Names of its joints that motors drive, as far as the file tells.
+        miss: By how much it misses at the posture of the file, m or rad.
+    """
+
+    map: LoopTransmission
+    limits: Array
+    driven: tuple[str, ...]
+    miss: float
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Return how its joints move, in words."""
+        free = self.map.actuators
+        shown = [*self.map.shown, *self.map.cut]
+        others = [self.map.joints[k] for k in shown if self.map.joints[k] not in free]
+        told = [f"In the closed loop of {self.map.name}, {_listed(others, free)}."]
+        if passive := [name for name in free if self.driven and name not in self.driven]:
+            where = f"{passive[0]} of that loop is: it counts as a joint of its own."
+            if passive[1:]:
+                where = f"{', '.join(passive)} of that loop are: they count as joints of their own."
+            told.append(f"No motor of the file determines where {where}")
+        if further := self.map.driven:
+            told.append(
+                f"The loop has more motors than it moves freely: efforts of {', '.join(further)} "
+                f"count at {', '.join(free)}, so logs need them, too."
+            )
+        if self.miss:
+            told.append(f"That loop closes up to {self.miss:.2g} m in the posture of the file.")
+        return tuple(told)
+
+    @property
+    def drive(self) -> Drive:
+        """Return the loop as a drive; there is none where nothing moves."""
+        free = self.map.free
+        names = tuple(self.map.joints[at] for at in self.map.shown)
+        within = self.map.range_within(*self.limits[:, free])
+        return Drive(self.map.actuators, names, self.map, range=within)
+
+    def some(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+        """Positions and velocities (N, k) of all joints at random near the posture of the file.
+
+        Args:
+            rng: Random numbers.
+            count: N.
+        """
+        free, units = self.map.free, self.map.records[7][self.map.free]
+        q = self.map.reference[free] + _NEAR * units * rng.uniform(-1.0, 1.0, (count, len(free)))
+        theta, G, _ = self.map.solved(self.map.inside(q))
+        return theta, times(G, units * rng.uniform(-1.0, 1.0, q.shape))
+
+    def posture(self, held: Mapping[str, float], path: object) -> dict[str, float]:
+        """Joint -> where it is if some joints are held.
+
+        Args:
+            held: Joint of the tree -> where it is held, rad or m.
+            path: The model file, for messages.
+
+        Raises:
+            ModelError: The loop does not close there.
+        """
+        free, names = self.map.free, self.map.joints
+        q = np.array([held.get(names[at], self.map.reference[at]) for at in free])
+        theta, _, reached = self.map.solved(q[None])
+        places = dict(zip(names, theta[0].tolist(), strict=True))
+        far = {n: x for n, x in held.items() if n in names and abs(places[n] - x) > _SAME}
+        if reached[0] < 1.0 or far:
+            where = ", ".join(f"{name} at {held[name]:g}" for name in names if name in held)
+            closes = {name: f"{places[name]:.6g}" for name in far}
+            raise ModelError(
+                f"{path}: the closed loop of {self.map.name} does not close with {where}.",
+                advice=f"Hold {', '.join(f'{n} at {x}' for n, x in closes.items())}."
+                if reached[0] == 1.0
+                else "Hold its joints elsewhere.",
+                joint=next(iter(far), ""),
+            )
+        return {names[at]: places[names[at]] for at in self.map.shown}
+
+
+def closed_loops(
+    plant: MultibodyPlant,
+    names: Sequence[str],
+    closures: Sequence[Closure],
+    *,
+    path: object,
+    how: LoopJoints,
+) -> Loops:
+    """Return the closed loops of a plant.
+
+    Of the joints of a loop those are free that are driven, and then those nearest to the base.
+
+    Args:
+        plant: The finalized plant of the tree.
+        names: Names of the tree's velocities.
+        closures: What closes loops.
+        path: The model file, for messages.
+        how: What else is known of the joints.
+
+    Raises:
+        ModelError: A loop does not close at the posture of the file, or is singular there.
+    """
+    return _LoopFinder(plant, tuple(names), path, how).loops(closures) if closures else Loops()
+
+
+@dataclass(frozen=True)
+class _Link:
+    """A closure whose bodies are found: its frames, and the mobilizers on either side alone."""
+
+    closure: Closure
+    ends: tuple[tuple[int, RigidTransform], tuple[int, RigidTransform]]
+    sides: Mapping[int, int]
+
+
+class _LoopFinder:
+    def __init__(
+        self,
+        plant: MultibodyPlant,
+        names: tuple[str, ...],
+        path: object,
+        how: LoopJoints,
+    ) -> None:
+        self.plant, self.names, self.path, self.how = plant, names, path, how
+        self.tree = KinematicTree.from_plant(plant, how.followers)
+        coordinates = OwnCoordinates(plant, how.followers)
+        q = plant.GetPositions(plant.CreateDefaultContext())[coordinates.own_positions]
+        lower, upper = coordinates.position_limits()
+        self.place, self.limits = dict[int, float](), dict[int, tuple[float, float]]()
+        for joint in moving_joints(plant):
+            if joint.num_velocities() == joint.num_positions() == 1:
+                v, at = coordinates.velocity_of(joint), coordinates.position_of(joint)
+                self.place[v] = how.start.get(names[v], float(q[at]))
+                self.limits[v] = float(lower[at]), float(upper[at])
+        self.bodies = self._bodies()
+
+    def _bodies(self) -> dict[str, tuple[int, RigidTransform]]:
+        """Scoped name of a body -> its mobilizer, -1 for what stands still, and its pose there."""
+        plant, context = self.plant, self.plant.CreateDefaultContext()
+        moving = {m.body: at for at, m in enumerate(self.tree.mobilizers) if m.body >= 0}
+        found = {
+            body.scoped_name().get_full(): (-1, plant.EvalBodyPoseInWorld(context, body))
+            for body in plant.GetBodiesWeldedTo(plant.world_body())
+        }
+        for number, lump in enumerate(lumped_bodies(plant)):
+            for member in lump.members:
+                name = plant.get_body(member.index).scoped_name().get_full()
+                found[name] = moving[number], member.X_RB
+        return {**found, WORLD: (-1, RigidTransform())}
+
+    def loops(self, closures: Sequence[Closure]) -> Loops:
+        links, left_out = list[_Link](), list[str]()
+        for closure in closures:
+            link = self._link(closure)
+            several = [i for i in link.sides if self._velocity(i) not in self.place]
+            if several:
+                moved = (self.tree.mobilizers[i].body for i in several)
+                bodies = dict.fromkeys(self.tree.bodies[body] for body in moved if body >= 0)
+                left_out.append(
+                    f"The closed loop of {closure.name} is left out, and the robot read as an open "
+                    f"tree: {', '.join(bodies)} moves there by a joint of several degrees."
+                )
+            elif link.sides:
+                links.append(link)
+        groups = list[tuple[set[int], _Members]]()
+        groups += (({self._velocity(i) for i in link.sides}, [link]) for link in links)
+        for part in self.how.bent:
+            if set(part.joint_names()) <= set(self.names):
+                groups.append((set(map(self.names.index, part.joint_names())), [part]))
+        found, taken = list[ClosedLoop](), list[Followers]()
+        for velocities, members in _merged(groups):
+            own = [each for each in members if isinstance(each, _Link)]
+            ties = [each for each in members if isinstance(each, Followers)]
+            if own:
+                taken += ties
+                loop = self._loop(sorted(velocities), own, ties)
+                found += [loop] if len(loop.map.shown) else []
+        return Loops(tuple(found), tuple(left_out), tuple(taken))
+
+    def _velocity(self, mobilizer: int) -> int:
+        return int(self.tree.mobilizers[mobilizer].velocities.start)
+
+    def _link(self, closure: Closure) -> _Link:
+        ends, chains = list[tuple[int, RigidTransform]](), list[list[int]]()
+        for body, X_BP in zip(closure.bodies, closure.poses, strict=True):
+            if body not in self.bodies:
+                raise ModelError(
+                    f"{self.path}: {closure.name} has a body {body.rpartition('::')[2]!r}, which "
+                    "there is not.",
+                    advice="Correct the file there.",
+                )
+            place = X_BP.translation()
+            if not (np.abs(place) <= _FARTHEST).all():
+                raise ModelError(
+                    f"{self.path}: {closure.name} is at {' '.join(f'{x:g}' for x in place)} of "
+                    f"{body.rpartition('::')[2]}, where no loop closes.",
+                    advice="Correct the file there.",
+                )
+            at, X_RB = self.bodies[body]
+            ends.append((at, X_RB @ X_BP))
+            chain = []
+            while at >= 0:
+                chain.append(at)
+                at = self.tree.mobilizers[at].parent
+            chains.append(chain)
+        apart = set(chains[0]) ^ set(chains[1])
+        sides = {i: 1 if i in chains[1] else -1 for i in sorted(apart)}
+        return _Link(closure, (ends[0], ends[1]), sides)
+
+    def _loop(
+        self, velocities: list[int], links: Sequence[_Link], ties: Sequence[Followers]
+    ) -> ClosedLoop:
+        name = " and ".join(dict.fromkeys(link.closure.name for link in links))
+        cuts = [link.closure.cut for link in links if link.closure.cut is not None]
+        joints = (*(self.names[v] for v in velocities), *(cut.name for cut in cuts))
+        shape = self._shape(velocities, links, ties)
+        driven = tuple(n for n in joints if n in self.how.driven)
+        first = [n for n in joints if n in self.how.first]
+        sprung = [n for n in self.how.sprung if driven and n in joints]
+        ranks = [first, list(driven), sprung, list(joints)]
+        order = [[joints.index(n) for n in names] for names in ranks]
+        x = np.array([*(self.place[v] for v in velocities), *(0.0 for _ in cuts)])
+        own = f"{self.path}: the closed loop of {name}"
+        x, miss = shape.closed(x, _following(shape.misses(x)[1], order))
+        if not miss <= _NEARLY:
+            where = ", ".join(f"{n} = {at:.4g}" for n, at in zip(joints, x, strict=True))
+            turns = any(link.closure.turns for link in links)
+            or_turned = f" or {miss:.3g} rad" if turns else ""
+            raise ModelError(
+                f"{own} cannot close at the posture of the file: it misses by "
+                f"{miss * shape.size:.3g} m{or_turned}, and comes no nearer than {where}.",
+                advice="Correct where its bodies are joined, or the positions of joints there.",
+            )
+        free, following = _free_and_following(shape, x, order)
+        if free is None:
+            raise ModelError(
+                f"{own} is singular where {', '.join(joints)} are in the file: it is not told how "
+                "it moves from there.",
+                advice="Let the file have it in another posture.",
+            )
+        shown = [k for k in range(len(velocities)) if k in free or k in following]
+        limits = [self.limits[v] for v in velocities] + [(-np.inf, np.inf)] * len(cuts)
+        found = LoopTransmission(
+            name,
+            joints,
+            shape.records(free, following, x),
+            shown=np.array(shown, np.int64),
+            driven=tuple(joints[k] for k in following if joints[k] in driven),
+            cut=tuple(range(len(velocities), len(joints))),
+            slides=shape.slides,
+        )
+        return ClosedLoop(found, np.array(limits).T, driven, miss * shape.size * (miss > _CLOSED))
+
+    def _shape(
+        self, velocities: list[int], links: Sequence[_Link], ties: Sequence[Followers]
+    ) -> _Shape:
+        own = sorted({i for link in links for i in link.sides})
+        local = {-1: -1, **{i: at for at, i in enumerate(own)}}
+        mobilizers = [
+            _alone(self.tree.mobilizers[i], local, velocities.index(self._velocity(i))) for i in own
+        ]
+        slides = {m.velocities.start for m in mobilizers if m.motion.features is Features.CONSTANT}
+        count = len(velocities)
+        closures, sides = np.zeros(len(links), CLOSURE), list[dict[int, int]]()
+        for closure, link in zip(closures, links, strict=True):
+            ends = [(local.get(at, -1), X) for at, X in link.ends]
+            sides.append({local[i]: side for i, side in link.sides.items()})
+            if (cut := link.closure.cut) is not None:
+                at, X = ends[0]
+                motion = slide_motion(cut.axis) if cut.slides else axis_motion(cut.axis)
+                slides |= {count} if cut.slides else set()
+                motion = motion.between(X, np.eye(3))
+                place = slice(count, count + 1)
+                mobilizers.append(Mobilizer(at, -1, place, place, (), motion, np.zeros(3), False))
+                ends[0] = len(mobilizers) - 1, RigidTransform()
+                sides[-1][len(mobilizers) - 1] = -1
+                count += 1
+            for k, (at, X) in enumerate(ends):
+                closure["mobilizers"][k], closure["positions"][k] = at, X.translation()
+                closure["rotations"][k] = X.rotation().matrix()
+            closure["turns"] = link.closure.turns
+        size = _size(mobilizers, closures)
+        tree = replace(self.tree, mobilizers=tuple(mobilizers)).records
+        table = np.array([[each.get(i, 0) for i in range(len(mobilizers))] for each in sides])
+        units = np.array([*(size if k in slides else 1.0 for k in range(count)), size])
+        tied = [(part, joint) for part in ties for joint in part.joints]
+        couplings = np.zeros((len(tied), count, _COEFFICIENTS))
+        for row, (part, joint) in zip(couplings, tied, strict=True):  # p(x) − y
+            polynomial = part.joints[joint]
+            row[velocities.index(self.names.index(part.leader)), : len(polynomial)] = polynomial
+            row[velocities.index(self.names.index(joint)), 1] -= 1.0
+        rows = sum(6 if link.closure.turns else 3 for link in links) + len(couplings)
+        slide = tuple(k in slides for k in range(count))
+        return _Shape((tree, closures, table, couplings), units, rows, slide)
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """A loop of k joints, without a choice of those that are free.
+
+    Attributes:
+        parts: Its mobilizers, closures, sides and couplings for compiled code.
+        units: (k + 1,) how far joints go that move as far as a radian, m or rad, and the size.
+        rows: How many equations it has.
+        slides: (k) whether each joint slides.
+    """
+
+    parts: tuple[TreeRecords, NDArray[np.void], Indices, Array]
+    units: Array
+    rows: int
+    slides: tuple[bool, ...]
+
+    @property
+    def size(self) -> float:
+        """Length of its longest part, m."""
+        return float(self.units[-1])
+
+    def records(self, free: Collection[int], following: Collection[int], x: Array) -> LoopRecords:
+        """The loop with a choice of free joints, at a posture (k,)."""
+        indices = (np.array(sorted(each), np.int64) for each in (free, following))
+        return (*self.parts, *indices, x, self.units)  # type: ignore[return-value]
+
+    def misses(self, x: Array) -> tuple[Array, Array]:
+        """What closures miss by (m,) and its slopes (m, k) with the joints, in their units."""
+        out = np.zeros((self.rows, 1 + len(x)))
+        calc_misses(self.records((), (), x), contiguous(x[None]), out)
+        return out[:, 0], out[:, 1:] * self.units[:-1]
+
+    def closed(self, x: Array, following: Sequence[int]) -> tuple[Array, float]:
+        """The posture (k,) near another one in which the loop closes, and by how much it misses."""
+        x = x.copy()
+        for _ in range(_MOST_ITERATIONS):
+            c, J = self.misses(x)
+            step = -np.linalg.lstsq(J[:, following], c)[0]
+            largest = float(np.abs(step).max(initial=0.0))
+            x[following] += self.units[following] * step * min(1.0, _LONGEST / max(largest, 1e-300))
+            if largest < _STILL:
+                break
+        return x, float(np.abs(self.misses(x)[0]).max(initial=0.0))
+
+
+def _free_and_following(
+    shape: _Shape, x: Array, order: Sequence[Sequence[int]]
+) -> tuple[list[int] | None, list[int]]:
+    """Joints that are free at a posture (k,), and those that follow; None where it is singular.
+
+    Joints that the loop does not see, as a rod that turns about itself, are neither.
+    """
+    following = _following(shape.misses(x)[1], order)
+    others = [k for k in range(len(x)) if k not in following]
+    free, records = set[int](), shape.records(others, following, x)
+    nearby = LoopTransmission("", (), records, np.zeros(0, np.int64))
+    units = shape.units[others]
+    moved = np.abs(nearby.solved(x[others][None])[1][0] @ units / shape.units[:-1])
+    for sign in (0.0, 1.0, -1.0):  # whether it is the same there
+        q = x[others] + sign * _NUDGE * units / max(1.0, moved.max(initial=0.0))
+        theta, _, (reached,) = nearby.solved(q[None])
+        J = shape.misses(theta[0])[1]
+        free |= {k for k in others if np.abs(J[:, k]).max() > _IDLE * np.abs(J).max()}
+        if reached < 1.0 or len(_following(J, order)) != len(following):
+            return None, following
+    return sorted(free), following
+
+
+def _listed(others: Sequence[str], free: Sequence[str]) -> str:
+    """Return that joints follow others, in words."""
+    follow = "follows" if len(others) == 1 else "follow"
+    return f"{', '.join(others)} {follow} {', '.join(free)}" if free else "nothing moves"
+
+
+def _following(J: Array, order: Sequence[Sequence[int]]) -> list[int]:
+    """Joints whose columns of J (m, k) are a basis of them all.
+
+    Those of the last ranks follow if they can, in a rank the last ones that others leave most of.
+    """
+    sizes, found, basis = np.linalg.norm(J, axis=0), list[int](), np.zeros((len(J), 0))
+    least, before = _FREE * float(sizes.max(initial=0.0)), set[int]()
+    ranks = list[list[int]]()
+    for rank in order:
+        ranks.insert(0, [at for at in rank if at not in before])
+        before |= set(rank)
+    for rank, well in product(ranks, _WELL):
+        for at in reversed(rank):
+            rest = J[:, at]
+            for _ in range(2):
+                rest = rest - basis @ (basis.T @ rest)
+            left = float(np.linalg.norm(rest))
+            if at not in found and left > max(least, well * sizes[at]):
+                found.append(at)
+                basis = np.column_stack([basis, rest / left])
+    return sorted(found)
+
+
+def _size(mobilizers: Sequence[Mobilizer], closures: NDArray[np.void]) -> float:
+    """Length of the longest part of a loop, m; 1 where all of it is at one point."""
+    at_base = [m.motion.offset for m in mobilizers if m.parent < 0]
+    arms = [m.p_MoBo_B for m in mobilizers]
+    arms += [m.motion.offset - (at_base[0] if m.parent < 0 else 0.0) for m in mobilizers]
+    for closure in closures:
+        for at, place in zip(closure["mobilizers"], closure["positions"], strict=True):
+            arms.append(place - (at_base[0] if at < 0 else 0.0))
+    return float(np.linalg.norm(arms, axis=1).max(initial=0.0)) or 1.0
+
+
+def _alone(mobilizer: Mobilizer, local: Mapping[int, int], at: int) -> Mobilizer:
+    """The mobilizer in the loop: its parent's number there, and that of its joint."""
+    parent, place = local.get(mobilizer.parent, -1), slice(at, at + 1)
+    return replace(mobilizer, parent=parent, body=-1, positions=place, velocities=place, dofs=())
+
+
+_Members = list[_Link | Followers]
+
+
+def _merged(groups: Sequence[tuple[set[int], _Members]]) -> list[tuple[set[int], _Members]]:
+    """Groups of what has velocities in common."""
+    found = list[tuple[set[int], _Members]]()
+    for group in groups:
+        together = [other for other in found if not group[0].isdisjoint(other[0])]
+        apart = [other for other in found if group[0].isdisjoint(other[0])]
+        every = [*together, group]
+        velocities = set().union(*(own for own, _ in every))
+        found = [*apart, (velocities, [each for _, members in every for each in members])]
+    return found

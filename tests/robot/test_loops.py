@@ -1,0 +1,712 @@
+"""Closed loops against MuJoCo's constrained dynamics, and against differences of positions."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from closed_loops import (
+    BARS,
+    CONNECT,
+    Constrained,
+    dynamics,
+    four_bar,
+    four_bar_sdf,
+    gripper,
+    leg,
+    sdf,
+    underactuated,
+)
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from geodrake import load_model, save_model
+from geodrake.control.regressor import ControlModel
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.excitation.regressor_gradient import inverse_dynamics_regressor_gradient
+from geodrake.logs import Motion
+from geodrake.model import holding
+from geodrake.model.dynamics_check import check_dynamics
+from geodrake.robot import inverse_dynamics_regressor
+from geodrake.robot.effort_slopes import effort_slopes
+from geodrake.robot.regressor import inverse_dynamics
+
+mujoco = pytest.importorskip("mujoco")
+
+COUPLER, ROCKER = 'diaginertia=".003 .004 .0025"/>', 'diaginertia=".005 .004 .0035"/>'
+
+
+def welded():
+    """The same four-bar, closed by a further link that is welded to the rocker."""
+    text = four_bar('<weld body1="link" body2="rocker"/>')
+    link = '<body name="link" pos=".25 0 .1"><joint name="end" axis="0 1 0"/>'
+    inertial = '<inertial mass=".2" pos=".01 0 0" diaginertia="1e-4 1e-4 1e-4"/></body>'
+    return text.replace(
+        'diaginertia=".003 .004 .0025"/>', f'diaginertia=".003 .004 .0025"/>{link}{inertial}'
+    )
+
+
+def by_sites():
+    site = '<site name="{}" pos="{}" euler="1 2 3"/>'
+    text = four_bar('<connect site1="p" site2="q"/>')
+    text = text.replace(COUPLER, COUPLER + site.format("p", ".25 0 .1"))
+    return text.replace(ROCKER, ROCKER + site.format("q", ".05 0 .2"))
+
+
+ROBOTS = {
+    "a four-bar": (four_bar(), "crank"),
+    "closed by a weld": (welded(), "crank"),
+    "closed at sites": (by_sites(), "crank"),
+    "driven at the rocker": (four_bar(motors="rocker"), "rocker"),
+    "a parallel gripper": (gripper(), "arm left"),
+    "fingers that follow by a polynomial": (gripper("0 -1 .3 .1 0"), "arm left"),
+    "an underactuated gripper": (underactuated(), "right_bar left left_bar"),
+}
+
+
+def load(folder, text, **options):
+    path = folder / "robot.xml"
+    path.write_text(text)
+    return load_model(path, **options)
+
+
+def states(model, count=6, seed=0, spread=0.6):
+    rng, nv = np.random.default_rng(seed), len(model.joints)
+    lower, upper = (np.clip(ends, -spread, spread) for ends in model.position_limits)
+    return rng.uniform(lower, upper, (count, nv)), *rng.uniform(-2, 2, (2, count, nv))
+
+
+def in_mujoco(model, constrained, q):
+    """Positions in MuJoCo's order of a posture (nq,) of the model, whose joints have its names."""
+    qpos, places = np.array(constrained.m.qpos0), model.plant_positions(q[None])[0]
+    for index in model.plant.GetJointIndices():
+        joint = model.plant.get_joint(index)
+        if joint.num_positions() == 1:
+            at = constrained.m.joint(joint.name()).qposadr[0]
+            qpos[at] = places[joint.position_start()]
+    return qpos
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_efforts_are_those_of_mujoco_through_its_own_constraints(tmp_path, name):
+    text, free = ROBOTS[name]
+    model, constrained = load(tmp_path, text), Constrained.of(mujoco, text, free.split())
+    assert model.joints == tuple(free.split()) and not model.left_out
+    for q, v, vd in zip(*states(model), strict=True):
+        ours = in_mujoco(model, constrained, q)
+        qpos, G = constrained.closed(ours)
+        assert np.abs(qpos - ours).max() < 1e-10
+        qacc = G @ vd + constrained.bias(qpos, G, v)
+        expected = G.T @ constrained.inverse(qpos, G @ v, qacc)
+        found = model.effort(Motion(q[None], v[None], vd[None]))[0]
+        assert np.abs(found - expected).max() <= 1e-6 * np.abs(expected).max()
+
+
+def rod_motion(angles, rates, accelerations, axes):
+    """Quaternion, ω and α of a body in itself, turned about three of its axes in turn."""
+    R, w, wd = np.eye(3), np.zeros(3), np.zeros(3)
+    for axis, angle, rate, acceleration in zip(axes, angles, rates, accelerations, strict=True):
+        K = np.cross(np.eye(3), axis)
+        turn = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+        R, w, wd = R @ turn, turn.T @ w, turn.T @ wd
+        wd, w = wd + acceleration * axis + np.cross(w, rate * axis), w + rate * axis
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, R.ravel())
+    return quaternion, w, wd
+
+
+def test_a_leg_with_a_rod_between_balls_is_mujocos(tmp_path):
+    model = load(tmp_path, leg())
+    constrained = Constrained.of(mujoco, leg(), ())
+    m = constrained.m
+    free = ("hip", "knee", "shin", "heel", "crank", "rod_spin")
+    assert set(model.joints) == set(free)
+    assert any("rod_1, rod_2, rod_spin" in note for note in model.notes)
+    axis = np.array([0.31, -0.02, -0.41]) / np.linalg.norm([0.31, -0.02, -0.41])
+    names = [j.name() for j in (model.plant.get_joint(i) for i in model.plant.GetJointIndices())]
+    axes = [
+        model.plant.GetJointByName(name).revolute_axis() for name in ("rod_1", "rod_2", "rod_spin")
+    ]
+    assert np.allclose(axes[2], axis) and len(names) == len(set(names))
+    ball, dof = m.joint("rod").qposadr[0], m.joint("rod").dofadr[0]
+    for q, v, vd in zip(*states(model, spread=0.15), strict=True):
+        theta, rates, acc, J = model.actuation.tree_samples(q[None], v[None], vd[None])
+        at = {name: k for k, name in enumerate(model.tree_joints)}
+        qpos, qvel, qacc = np.array(m.qpos0), np.zeros(m.nv), np.zeros(m.nv)
+        for name, k in at.items():
+            if not name.startswith("rod"):
+                own = m.joint(name)
+                qpos[own.qposadr[0]] = theta[0, k]
+                qvel[own.dofadr[0]], qacc[own.dofadr[0]] = rates[0, k], acc[0, k]
+        three = [at[name] for name in ("rod_1", "rod_2", "rod_spin")]
+        turned = [x[0, three] for x in (theta, rates, acc)]
+        qpos[ball : ball + 4], qvel[dof : dof + 3], qacc[dof : dof + 3] = rod_motion(*turned, axes)
+        data = mujoco.MjData(m)
+        data.qpos[:] = qpos
+        rows, misses = constrained.equations(data)
+        assert np.abs(misses).max() < 1e-12
+        assert np.abs(rows @ qvel).max() < 1e-11
+        near = []
+        for sign in (1.0, -1.0):
+            data.qpos[:] = qpos
+            mujoco.mj_integratePos(m, data.qpos, qvel, sign * 1e-5)
+            near.append(constrained.equations(data)[0] @ qvel)
+        assert np.abs(rows @ qacc + (near[0] - near[1]) / 2e-5).max() < 1e-7
+        effort = constrained.inverse(qpos, qvel, qacc)
+        # Along a motion that the constraints allow, the efforts do the same work.
+        expected = []
+        for k in range(len(model.joints)):
+            own = np.zeros(m.nv)
+            for name, row in at.items():
+                if not name.startswith("rod"):
+                    own[m.joint(name).dofadr[0]] = J[0, row, k]
+            own[dof : dof + 3] = rod_motion(turned[0], J[0, three, k], np.zeros(3), axes)[1]
+            assert np.abs(rows @ own).max() < 1e-11
+            expected.append(effort @ own)
+        found = model.effort(Motion(q[None], v[None], vd[None]))[0]
+        assert np.abs(found - expected).max() <= 1e-9 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("name", ["a four-bar", "fingers that follow by a polynomial"])
+def test_g_and_its_rate_are_derivatives_of_the_positions(tmp_path, name):
+    model = load(tmp_path, ROBOTS[name][0])
+    (drive,) = model.transmission
+    n, h = drive.map.num_actuators, 1e-5
+    q = np.random.default_rng(0).uniform(-0.5, 0.5, (5, n))
+    v = np.random.default_rng(1).uniform(-1, 1, (5, n))
+    theta, J, rate = drive.map.along(q, v)
+    np.testing.assert_array_equal(theta, drive.map.joint_positions(q))
+    for k in range(n):
+        step = h * np.eye(n)[k]
+        slopes = drive.map.joint_positions(q + step) - drive.map.joint_positions(q - step)
+        np.testing.assert_allclose(J[:, :, k], slopes / (2 * h), atol=1e-9)
+    near = drive.map.jacobian(q + h * v) - drive.map.jacobian(q - h * v)
+    np.testing.assert_allclose(rate, near / (2 * h), atol=1e-8)
+
+
+def test_ten_thousand_samples_take_a_moment(tmp_path):
+    model = load(tmp_path, four_bar())
+    q = np.sin(np.linspace(0, 40, 10_000))[:, None]
+    motion = Motion(q, np.cos(q), np.zeros_like(q))
+    model.effort(motion)
+    began = time.perf_counter()
+    model.effort(motion)
+    assert time.perf_counter() - began < 0.5  # 0.03 s here
+
+
+def test_a_loop_keeps_its_branch_whatever_the_order_of_samples(tmp_path):
+    model = load(tmp_path, four_bar())
+    (drive,) = model.transmission
+    q = np.linspace(-6.0, 6.0, 301)[:, None]  # the crank goes around
+    theta = drive.map.joint_positions(q)
+    assert np.abs(np.diff(theta, axis=0)).max() < 0.2
+    order = np.random.default_rng(0).permutation(len(q))
+    np.testing.assert_allclose(drive.map.joint_positions(q[order]), theta[order], atol=1e-12)
+    again = drive.map.joint_positions(q + 2.0 * np.pi)
+    turns = (again - drive.map.joint_positions(q)) / (2.0 * np.pi)
+    np.testing.assert_allclose(turns, np.broadcast_to(np.round(turns[0]), turns.shape), atol=1e-9)
+
+
+def test_a_loop_that_reaches_its_end_says_where(tmp_path):
+    model = load(tmp_path, four_bar().replace('pos="0.3 0 -0.1"', 'pos="0.42 0 0"'))
+    (drive,) = model.transmission
+    (low,), (high,) = drive.limits
+    assert np.isfinite([low, high]).all() and low < 0.0 < high
+    at_end = drive.map.jacobian(np.array([[low], [high]]))
+    assert np.abs(at_end).max() > 3.0  # near a dead point
+    with pytest.raises(ArgumentError, match=r"does not close at crank = .*it ends at crank ="):
+        drive.map.joint_positions(np.array([[high + 0.1]]))
+    assert (drive.map.inside(np.array([[9.0]])) <= high + 1e-6).all()
+    assert model.position_limits[1][0] == pytest.approx(high, abs=1e-2)
+    assert check_dynamics(model).holds
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_forward_dynamics_are_those_with_mujocos_constraint_forces(tmp_path, name):
+    text, free = ROBOTS[name]
+    model, constrained = load(tmp_path, text), Constrained.of(mujoco, text, free.split())
+    driving = model.driving(np.full(len(model.joints), 1e-9))
+    for q, v, effort in zip(*states(model, 3), strict=True):
+        qpos, G = constrained.closed(in_mujoco(model, constrained, q))
+        applied = np.zeros(constrained.m.nv)
+        applied[constrained.free] = effort
+        expected = constrained.acceleration(qpos, G @ v, applied)[constrained.free]
+        found = driving.acceleration(q, v, effort, 0.0)
+        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+def test_a_simulation_goes_with_mujocos(tmp_path):
+    model = load(tmp_path, four_bar())
+    builder = DiagramBuilder()
+    robot = model.add_to_builder(builder)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    context = simulator.get_mutable_context()
+    robot.effort.FixValue(robot.effort.get_system().GetMyContextFromRoot(context), [0.2])
+    simulator.AdvanceTo(0.5)
+    m = mujoco.MjModel.from_xml_string(four_bar())
+    m.opt.timestep, m.opt.integrator = 1e-5, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    m.eq_solref[:], m.eq_solimp[:] = [1e-4, 1], [0.9999, 0.9999, 0.001, 0.5, 2]
+    data = mujoco.MjData(m)
+    data.ctrl[0] = 0.2
+    for _ in range(50_000):
+        mujoco.mj_step(m, data)
+    state = robot.state.Eval(robot.state.get_system().GetMyContextFromRoot(context))
+    crank = data.joint("crank")
+    assert abs(crank.qpos[0]) > 0.1
+    np.testing.assert_allclose(state, [crank.qpos[0], crank.qvel[0]], rtol=1e-3, atol=1e-4)
+
+
+def test_check_holds_and_sees_a_loop_that_is_not_mujocos(tmp_path, monkeypatch):
+    found = check_dynamics(load(tmp_path, gripper()))
+    assert found.holds and found.second is not None and found.second.relative < 1e-10
+    monkeypatch.setattr("geodrake.robot.files.mjcf_terms.pose_of", wrong_pose)
+    with pytest.raises(ModelError, match="does not close its loops as MuJoCo does"):
+        load(tmp_path, by_sites())
+
+
+def wrong_pose(position, quaternion):
+    from geodrake.robot.files.mjcf_tree import pose_of
+
+    return pose_of(np.array(position) + 0.01, quaternion)
+
+
+def test_a_saved_model_has_its_loop_and_terms_again(tmp_path):
+    model = load(tmp_path, gripper())
+    save_model(model, tmp_path / "saved.yaml")
+    again = load_model(tmp_path / "saved.yaml")
+    motion = Motion(*states(model))
+    np.testing.assert_array_equal(again.effort(motion), model.effort(motion))
+    assert {f.effect.place for f in again.effects} == {"left", "left_bar", "right_bar"}
+
+
+def test_a_held_joint_holds_all_of_its_loop(tmp_path):
+    model, constrained = load(tmp_path, gripper()), Constrained.of(mujoco, gripper(), ["left"])
+    q, v, vd = states(model, 3)
+    for held in (holding(model, {"left": 0.3}), load(tmp_path, gripper(), lock={"left": 0.3})):
+        assert held.joints == ("arm",)
+        at = [np.column_stack([x[:, :1], np.full(3, y)]) for x, y in ((q, 0.3), (v, 0), (vd, 0))]
+        expected = model.effort(Motion(*at))[:, :1]
+        found = held.effort(Motion(q[:, :1], v[:, :1], vd[:, :1]))
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+        save_model(held, tmp_path / "held.yaml")
+        again = load_model(tmp_path / "held.yaml").effort(Motion(q[:, :1], v[:, :1], vd[:, :1]))
+        np.testing.assert_array_equal(again, found)
+    assert constrained.m.neq == 3
+    with pytest.raises(ModelError, match=r"not close with left at 0\.3, left_bar at 0\.9"):
+        load(tmp_path, gripper(), lock={"left": 0.3, "left_bar": 0.9})
+
+
+def test_what_a_ball_of_a_loop_has_is_told(tmp_path):
+    ball = '<joint name="rod" type="ball"'
+    model = load(tmp_path, leg().replace(ball, f'{ball} damping=".1" stiffness="2"'))
+    assert "The stiffness of the ball joint rod of a closed loop is left out." in model.left_out
+    assert any("damping of the ball joint rod" in words for words in model.left_out)
+    assert not check_dynamics(model, samples=2).holds
+    assert not load(tmp_path, leg()).left_out
+
+
+def test_springs_hold_what_motors_do_not_determine(tmp_path):
+    model = load(tmp_path, leg())
+    assert any("tarsus, rod_1, rod_2 follow knee, shin, heel" in note for note in model.notes)
+    assert any("determines where shin, heel of that loop are" in note for note in model.notes)
+    rigid = load(tmp_path, leg(), lock={"shin": 0.0, "heel": 0.0, "rod_spin": 0.0})
+    assert rigid.joints == ("hip", "knee", "crank")
+    q, v, vd = states(rigid, 3, spread=0.3)
+    held = holding(model, {"shin": 0.0, "heel": 0.0, "rod_spin": 0.0})
+    np.testing.assert_allclose(
+        held.effort(Motion(q, v, vd)), rigid.effort(Motion(q, v, vd)), rtol=1e-10
+    )
+
+
+def test_what_does_not_move_is_held_and_said(tmp_path):
+    other = '<body name="x"><joint name="x"/><geom size=".1"/></body></worldbody>'
+    text = four_bar(CONNECT + '<weld body1="crank"/>', motors="")
+    model = load(tmp_path, text.replace("</worldbody>", other))
+    assert model.joints == ("x",) and set(model.held) == {"crank", "coupler", "rocker"}
+    assert any(
+        "Held, as constraints of the file let them not move: crank at 0" in n for n in model.notes
+    )
+
+
+def test_an_equality_that_is_not_active_is_not_used(tmp_path):
+    off = CONNECT.replace("/>", ' active="false"/>')
+    model = load(tmp_path, four_bar(off))
+    assert set(model.joints) == {"crank", "coupler", "rocker"} and not model.left_out
+    assert any("<connect> of coupler and rocker is not active" in note for note in model.notes)
+    off = '<option><flag equality="disable"/></option>'
+    model = load(tmp_path, four_bar().replace("<worldbody>", f"{off}<worldbody>"))
+    assert set(model.joints) == {"crank", "coupler", "rocker"}
+
+
+HELD = four_bar(CONNECT + '<weld body1="coupler" body2="rocker"/>')
+FAR = by_sites().replace('pos=".25 0 .1"', 'pos=".9 0 .1"')
+FLAT = four_bar().replace('pos="0.3 0 -0.1"', 'pos="0.45 0 0"').replace(".25 0 0.1", ".25 0 0")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            FAR,
+            "<connect> of p and q cannot close at the posture of the file: it misses by 0.498 m",
+        ),
+        (
+            four_bar(CONNECT.replace("0.25", "nan")),
+            "is at nan 0 0.1 of coupler, where no",
+        ),
+        (four_bar(CONNECT.replace("0.25", "1e300")), r"is at 1e\+300 0 0.1 of coupler, where"),
+        (HELD, "No joint moves in .*: constraints hold crank, coupler, rocker"),
+        (FLAT, "is singular where crank, coupler, rocker are in the file"),
+    ],
+)
+def test_loops_that_cannot_be_are_refused_with_names_and_values(tmp_path, text, words):
+    with pytest.raises(ModelError, match=words):
+        load(tmp_path, text)
+
+
+def test_an_equality_of_one_joint_holds_it(tmp_path):
+    fixed = '<joint joint1="arm" polycoef="0.3 0 0 0 0"/>'
+    text = gripper().replace("</equality>", f"{fixed}</equality>")
+    text = text.replace('<joint name="arm"', '<joint name="arm" ref="0.2"')
+    model = load(tmp_path, text)
+    assert model.joints == ("left",) and model.held == {"arm": 0.5} and not model.left_out
+    assert any("let them not move: arm at 0.5" in note for note in model.notes)
+    plain = load(tmp_path, gripper().replace('<joint name="arm"', '<joint name="arm" ref="0.2"'))
+    q, v, vd = (x[:, 1:] for x in states(plain))
+    at = [np.column_stack([np.full(len(q), y), x]) for x, y in ((q, 0.5), (v, 0.0), (vd, 0.0))]
+    expected = plain.effort(Motion(*at))[:, 1:]
+    np.testing.assert_allclose(model.effort(Motion(q, v, vd)), expected, rtol=1e-9)
+    save_model(model, tmp_path / "saved.yaml")
+    assert load_model(tmp_path / "saved.yaml").held == {"arm": 0.5}
+    assert load(tmp_path, text, lock={"arm": 0.1}).held == {"arm": 0.1}
+
+
+def test_a_constraint_that_holds_nothing_is_none(tmp_path):
+    model = load(tmp_path, four_bar('<connect body1="rocker" anchor="0 0 0"/>'))
+    assert set(model.joints) == {"crank", "coupler", "rocker"} and not model.transmission
+    assert not any("loop" in note for note in model.notes)
+
+
+def test_what_holds_a_free_body_is_left_out(tmp_path):
+    free = '<body name="cup" pos="0 0 2"><freejoint/><geom size=".1"/></body></worldbody>'
+    text = four_bar(CONNECT + '<weld body1="cup" body2="coupler"/>')
+    model = load(tmp_path, text.replace("</worldbody>", free))
+    assert model.joints == ("crank",)
+    assert any("<weld> of cup and coupler" in words for words in model.left_out)
+
+
+def twins(folder, text, tail="", **options):
+    """A model of an SDF, and the one of the four-bar of its names in MJCF."""
+    (folder / "robot.sdf").write_text(text)
+    other = four_bar(rocker='damping=".1"').replace("</mujoco>", f"{tail}</mujoco>")
+    return load_model(folder / "robot.sdf", **options), Constrained.of(mujoco, other, ["crank"])
+
+
+def assert_twins(model, constrained, count=5):
+    assert model.joints == ("crank",) and not model.left_out
+    for q, v, vd in zip(*states(model, count), strict=True):
+        ours = in_mujoco(model, constrained, q)
+        qpos, G = constrained.closed(ours)
+        assert np.abs(qpos - ours).max() < 1e-10
+        qacc = G @ vd + constrained.bias(qpos, G, v)
+        expected = G.T @ constrained.inverse(qpos, G @ v, qacc)
+        found = model.effort(Motion(q[None], v[None], vd[None]))[0]
+        assert np.abs(found - expected).max() <= 1e-6 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("pin", ["revolute", "ball"])
+def test_a_loop_of_an_sdf_is_that_of_its_twin(tmp_path, pin):
+    model, constrained = twins(tmp_path, four_bar_sdf((pin, "")))
+    assert_twins(model, constrained)
+    assert any("the joint pin" in note for note in model.notes)
+    assert check_dynamics(model).holds
+    save_model(model, tmp_path / "saved.yaml")
+    again, motion = load_model(tmp_path / "saved.yaml"), Motion(*states(model))
+    np.testing.assert_array_equal(again.effort(motion), model.effort(motion))
+
+
+def test_what_the_file_states_of_the_joint_that_closes_a_loop_counts(tmp_path):
+    terms = dynamics(damping=0.3, spring_stiffness=1.5, spring_reference=0.1)
+    turns = (("rocker", 1), ("crank", -1), ("coupler", -1))  # how far the pin does
+    joints = "".join(f'<joint joint="{name}" coef="{share}"/>' for name, share in turns)
+    tendon = f'<fixed name="pin" damping=".3" stiffness="1.5" springlength=".1">{joints}</fixed>'
+    model, constrained = twins(
+        tmp_path, four_bar_sdf(("revolute", terms)), f"<tendon>{tendon}</tendon>"
+    )
+    assert {f.effect.place for f in model.effects} == {"coupler", "rocker", "pin"}
+    assert_twins(model, constrained)
+
+
+def test_a_prismatic_joint_may_close_a_loop(tmp_path):
+    bars = (*BARS[:2], ("slider_link", "0.35 0 0.1", (0.4, "0 0 0", "1e-4 1e-4 1e-4")))
+    limit = "<limit><effort>9</effort></limit>"
+    joints = [
+        ("crank", "revolute", ("base", "crank_link"), "0 0 0", "0 1 0", limit),
+        ("coupler", "revolute", ("crank_link", "coupler_link"), "0.1 0 0", "0 1 0", limit),
+        ("pin", "revolute", ("coupler_link", "slider_link"), "0.25 0 0.1", "0 1 0", limit),
+        ("slide", "prismatic", ("base", "slider_link"), "0.35 0 0.1", "1 0 0", dynamics(damping=2)),
+    ]
+    (tmp_path / "robot.sdf").write_text(sdf(bars, joints))
+    model = load_model(tmp_path / "robot.sdf")
+    text = four_bar()
+    at = text.index('<body name="rocker"')
+    slider = (
+        '<body name="rocker" pos="0.35 0 0.1"><joint name="slide" type="slide" axis="1 0 0" '
+        'damping="2"/><inertial mass=".4" pos="0 0 0" diaginertia="1e-4 1e-4 1e-4"/></body>'
+    )
+    plain = text[:at] + slider + text[text.index("</worldbody>") :]
+    plain = plain.replace('damping=".02"', "")
+    (tmp_path / "robot.xml").write_text(plain)
+    other = load_model(tmp_path / "robot.xml")
+    assert model.joints == other.joints == ("crank",) and "slide" in model.sliding_joints
+    motion = Motion(*states(model))
+    np.testing.assert_allclose(model.effort(motion), other.effort(motion), rtol=1e-9)
+    constrained = Constrained.of(mujoco, plain, ["crank"])
+    for q, v, vd in zip(motion.q, motion.v, motion.vd, strict=True):
+        qpos, G = constrained.closed(in_mujoco(other, constrained, q))
+        expected = G.T @ constrained.inverse(qpos, G @ v, G @ vd + constrained.bias(qpos, G, v))
+        found = model.effort(Motion(q[None], v[None], vd[None]))[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+BALL = (
+    '<drake:ball_constraint><drake:ball_constraint_body_A name="coupler_link"/>'
+    '<drake:ball_constraint_body_B name="rocker_link"/>'
+    '<drake:ball_constraint_p_AP value="0.25 0 0.1"/>'
+    '<drake:ball_constraint_p_BQ value="0.05 0 0.2"/></drake:ball_constraint>'
+)
+
+
+def four_bar_urdf(ball=BALL):
+    links = "".join(
+        f'<link name="{name}"><inertial><origin xyz="{com}"/><mass value="{mass}"/><inertia '
+        'ixx="{}" iyy="{}" izz="{}" ixy="0" ixz="0" iyz="0"/></inertial></link>'.format(
+            *moments.split()
+        )
+        for name, _, (mass, com, moments) in BARS
+    )
+    parents = {"crank": "base", "coupler": "crank_link", "rocker": "base"}
+    places = {"crank": "0 0 0", "coupler": "0.1 0 0", "rocker": "0.3 0 -0.1"}
+    joints = "".join(
+        f'<joint name="{name}" type="continuous"><parent link="{parents[name]}"/><child '
+        f'link="{name}_link"/><origin xyz="{place}"/><axis xyz="0 1 0"/></joint>'
+        for name, place in places.items()
+    )
+    return (
+        '<robot name="r" xmlns:drake="http://drake.mit.edu"><link name="base"/>'
+        f"{links}{joints}{ball}</robot>"
+    )
+
+
+def test_drakes_ball_constraint_closes_a_loop_of_a_urdf(tmp_path):
+    (tmp_path / "robot.urdf").write_text(four_bar_urdf())
+    model = load_model(tmp_path / "robot.urdf")
+    bare = [(name, "revolute", ends, at, "0 1 0", "") for name, ends, at in (
+        ("crank", ("base", "crank_link"), "0 0 0"),
+        ("coupler", ("crank_link", "coupler_link"), "0.1 0 0"),
+        ("rocker", ("base", "rocker_link"), "0.3 0 -0.1"),
+        ("pin", ("coupler_link", "rocker_link"), "0.25 0 0.1"),
+    )]  # fmt: skip
+    (tmp_path / "robot.sdf").write_text(sdf(BARS, bare))
+    other = load_model(tmp_path / "robot.sdf")
+    assert model.joints == other.joints == ("crank",) and not model.left_out
+    motion = Motion(*states(model))
+    np.testing.assert_allclose(model.effort(motion), other.effort(motion), rtol=1e-9)
+    (tmp_path / "robot.urdf").write_text(four_bar_urdf(BALL.replace("rocker_link", "nobody")))
+    with pytest.raises(ModelError, match="has a body 'nobody', which there is not"):
+        load_model(tmp_path / "robot.urdf")
+    (tmp_path / "robot.urdf").write_text(four_bar_urdf(BALL.replace('name="rocker_link"', "")))
+    with pytest.raises(ModelError, match="does not name its two bodies"):
+        load_model(tmp_path / "robot.urdf")
+
+
+def test_the_joint_with_a_motor_leads(tmp_path):
+    (tmp_path / "robot.sdf").write_text(four_bar_sdf(limits={"pin": 5.0}))
+    model = load_model(tmp_path / "robot.sdf")
+    assert model.joints == ("pin",)
+    (tmp_path / "robot.sdf").write_text(four_bar_sdf(limits={"rocker": 5.0}))
+    assert load_model(tmp_path / "robot.sdf").joints == ("rocker",)
+
+
+def test_two_robots_in_directives_have_their_own_loops(tmp_path):
+    damped = four_bar_sdf(("revolute", dynamics(damping=0.2)))
+    (tmp_path / "robot.sdf").write_text(damped)
+    (tmp_path / "robot.xml").write_text(four_bar())
+    models = "".join(
+        f"- add_model: {{name: {name}, file: file://{tmp_path / file}}}\n"
+        for name, file in (("a", "robot.sdf"), ("b", "robot.sdf"), ("c", "robot.xml"))
+    )
+    (tmp_path / "all.dmd.yaml").write_text(f"directives:\n{models}")
+    model = load_model(tmp_path / "all.dmd.yaml")
+    assert set(model.joints) == {"a_crank", "b_crank", "c_crank"}
+    assert {"a_pin", "b_pin"} <= {f.effect.place for f in model.effects}
+    motion = Motion(*states(model))
+    found = model.effort(motion)
+    for name, file in (("a", "robot.sdf"), ("b", "robot.sdf"), ("c", "robot.xml")):
+        at = [model.joints.index(f"{name}_crank")]
+        own = load_model(tmp_path / file).effort(Motion(*(x[:, at] for x in states(model))))
+        np.testing.assert_allclose(found[:, at], own, rtol=1e-9)
+
+
+def test_a_loop_of_an_sdf_that_cannot_be_used_is_refused(tmp_path):
+    text = four_bar_sdf(("ball", "")).replace(
+        '<joint name="coupler" type="revolute">', '<joint name="coupler" type="ball">'
+    )
+    (tmp_path / "robot.sdf").write_text(text)
+    with pytest.raises(ModelError, match="coupler_link moves there by a joint of several degrees"):
+        load_model(tmp_path / "robot.sdf")
+    axes = "<xyz>0 1 0</xyz></axis>", "<xyz>0 1 0</xyz></axis><axis2><xyz>1 0 0</xyz></axis2>"
+    text = four_bar_sdf(("universal", "")).replace(*axes)
+    (tmp_path / "robot.sdf").write_text(text)
+    with pytest.raises(ModelError, match="joint 'pin' of type universal closes a loop"):
+        load_model(tmp_path / "robot.sdf")
+
+
+def slopes_of(function, x, step=1e-5):
+    """∂function/∂x of functions of N samples (N, ·), sample by sample."""
+    columns = [
+        (function(x + step * unit) - function(x - step * unit)) / (2 * step)
+        for unit in np.eye(x.shape[1])
+    ]
+    return np.stack(columns, axis=-1)
+
+
+def test_slopes_and_gradients_through_a_loop_are_differences(tmp_path):
+    model = load(tmp_path, gripper())
+    q, v, vd = states(model)
+    tree, phi = model.tree, model.total_phi
+    slopes = effort_slopes(tree, q, v, vd, phi)
+    for found, function, x in (
+        (slopes.position, lambda x: inverse_dynamics(tree, x, v, vd, phi), q),
+        (slopes.velocity, lambda x: inverse_dynamics(tree, q, x, vd, phi), v),
+        (slopes.acceleration, lambda x: inverse_dynamics(tree, q, v, x, phi), vd),
+    ):
+        np.testing.assert_allclose(found, slopes_of(function, x), rtol=1e-5, atol=1e-5)
+    place = lambda x: model.motion(Motion(x, v, vd)).bodies.motion("left_tip").position  # noqa: E731
+    tip = model.motion(Motion(q, v, vd)).bodies.motion("left_tip")
+    np.testing.assert_allclose(tip.linear, slopes_of(place, q), atol=1e-8)
+    W = np.random.default_rng(1).normal(size=(len(q), 2, phi.size))
+    found = inverse_dynamics_regressor_gradient(tree, q, v, vd, W)
+    at = {"q": q, "v": v, "vd": vd}
+    for key, x in at.items():
+        value = lambda x, key=key: np.einsum(  # noqa: E731
+            "nij,nij->n", W, inverse_dynamics_regressor(tree, *(at | {key: x}).values())
+        )
+        np.testing.assert_allclose(getattr(found, key), slopes_of(value, x), rtol=1e-5, atol=1e-5)
+
+
+def test_controllers_have_what_acts_in_a_loop(tmp_path):
+    model = load(tmp_path, gripper())
+    control, h = ControlModel.of(model), 1e-5
+    q, v, a = (x[0] for x in states(model))
+    p, zero = control.prior, np.zeros(2)
+    expected = model.effort(Motion(q[None], v[None], a[None]))[0]
+    np.testing.assert_allclose(control.at(q, v, v, a).effort(p), expected, rtol=1e-10)
+    bodies = ControlModel.of(replace(model, effects=()))
+    p = bodies.prior
+    M = lambda t: bodies.at(q + t * v, v, v, zero).mass_matrix(p)  # noqa: E731
+    gravity = bodies.at(q, zero, zero, zero).effort(p)
+    C = np.array([bodies.at(q, v, u, zero).effort(p) - gravity for u in np.eye(2)]).T
+    rate = (M(h) - M(-h)) / (2 * h)
+    np.testing.assert_allclose(rate - 2 * C, -(rate - 2 * C).T, atol=1e-6)
+
+
+def test_limits_are_those_of_all_joints_and_motors_of_the_free_ones(tmp_path):
+    limits = {"crank": 5.0, "rocker": 3.0}
+    text = four_bar_sdf(limits=limits).replace(
+        "<effort>3.0</effort>", "<effort>3.0</effort><lower>-0.2</lower><velocity>2</velocity>"
+    )
+    (tmp_path / "robot.sdf").write_text(text)
+    model = load_model(tmp_path / "robot.sdf")
+    assert model.effort_limits.tolist() == [5.0]
+    low, high = model.position_limits
+    q = np.linspace(low[0], high[0], 50)[:, None]
+    rocker = model.transmission[0].joints.index("rocker")
+    theta = model.transmission[0].map.joint_positions(q)[:, rocker]
+    assert theta.min() == pytest.approx(-0.2, abs=0.01) and theta.min() >= -0.2 - 1e-9
+    lever = np.abs(model.transmission[0].map.jacobian(q)[:, rocker, 0]).max()
+    assert model.velocity_limits[0] == pytest.approx(2.0 / lever, rel=0.01)
+
+
+def test_a_leg_may_float(tmp_path):
+    pelvis = (
+        '<body name="pelvis" pos="0 0 1.2"><freejoint/><inertial mass="10" pos="0 0 0" '
+        'diaginertia=".1 .1 .1"/><body name="thigh" pos="0 0 -.2">'
+    )
+    text = leg().replace('<body name="thigh" pos="0 0 1">', pelvis)
+    model = load(tmp_path, text.replace("</worldbody>", "</body></worldbody>"), floating=True)
+    assert len(model.joints) == 12 and not model.left_out
+    assert check_dynamics(model, samples=10).holds
+
+
+TERMS = 'damping=".2"', 'armature=".03"', 'stiffness="3" springref=".1"', ""
+
+
+def random_robot(seed):
+    """Two chains of joints about and along any axes, their ends joined, on a joint of its own."""
+    rng = np.random.default_rng(seed)
+    words = lambda x: " ".join(f"{value:.12g}" for value in x)  # noqa: E731
+
+    def chain(name, count, inner=""):
+        text = inner
+        for k in reversed(range(count)):
+            kind = "slide" if rng.random() < 0.25 else "hinge"
+            place, turn = words(rng.uniform(-0.3, 0.3, 3)), words(rng.uniform(-1, 1, 3))
+            axis, com = words(rng.normal(size=3)), words(rng.uniform(-0.1, 0.1, 3))
+            joint = f'<joint name="{name}{k}" type="{kind}" axis="{axis}" {rng.choice(TERMS)}/>'
+            inertial = f'<inertial mass="1.5" pos="{com}" diaginertia=".02 .03 .025"/>'
+            where = f'<body name="{name}{k}" pos="{place}" euler="{turn}">'
+            text = f"{where}{joint}{inertial}{text}</body>"
+        return text
+
+    welds = rng.random() < 0.5
+    count = 4 if welds else 3
+    base = chain("base", 1, chain("a", count) + chain("b", count))
+    anchor = "" if welds else f'anchor="{words(rng.uniform(-0.2, 0.2, 3))}"'
+    ends = f'body1="a{count - 1}" body2="b{count - 1}" {anchor}'
+    return (
+        f'<mujoco model="r"><compiler angle="radian"/><worldbody>{base}</worldbody>'
+        f"<equality><{'weld' if welds else 'connect'} {ends}/></equality></mujoco>"
+    )
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_random_loops_in_space_are_mujocos(tmp_path, seed):
+    text = random_robot(seed)
+    model = load(tmp_path, text)
+    constrained = Constrained.of(mujoco, text, model.joints)
+    assert len(model.joints) == 1 + (2 if "<weld" in text else 3) and not model.left_out
+    (drive,) = model.transmission
+    q, v, vd = states(model, 4, seed, spread=0.2)
+    own = [model.joints.index(name) for name in drive.actuators]
+    q[:, own] = drive.map.inside(q[:, own])
+    for state in zip(q, v, vd, strict=True):
+        ours = in_mujoco(model, constrained, state[0])
+        qpos, G = constrained.closed(ours)
+        assert np.abs(qpos - ours).max() < 1e-9
+        qacc = G @ state[2] + constrained.bias(qpos, G, state[1])
+        expected = G.T @ constrained.inverse(qpos, G @ state[1], qacc)
+        found = model.effort(Motion(*(x[None] for x in state)))[0]
+        assert np.abs(found - expected).max() <= 1e-5 * np.abs(expected).max()
+
+
+def test_a_loop_begins_where_the_file_draws_it(tmp_path):
+    text = four_bar()
+    for joint, ref in (("crank", 0.7), ("coupler", -0.4), ("rocker", 1.1)):
+        text = text.replace(f'<joint name="{joint}"', f'<joint name="{joint}" ref="{ref}"')
+    model, constrained = load(tmp_path, text), Constrained.of(mujoco, text, ["crank"])
+    plain = load(tmp_path, four_bar())
+    assert model.default_position("crank") == pytest.approx(0.7)
+    there = model.plant_positions(np.array([[0.7]]))[0]
+    np.testing.assert_allclose(there, [0.7, -0.4, 1.1], atol=1e-12)
+    for q, v, vd in zip(*states(model, 3), strict=True):
+        qpos, G = constrained.closed(in_mujoco(model, constrained, q))
+        qacc = G @ vd + constrained.bias(qpos, G, v)
+        expected = G.T @ constrained.inverse(qpos, G @ v, qacc)
+        found = model.effort(Motion(q[None], v[None], vd[None]))[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+    motion = Motion(*states(plain, 3))
+    bare = [replace(m, effects=()) for m in (model, plain)]
+    moved = Motion(motion.q + 0.7, motion.v, motion.vd)
+    np.testing.assert_allclose(bare[0].effort(moved), bare[1].effort(motion), rtol=1e-9)
