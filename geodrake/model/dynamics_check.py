@@ -42,7 +42,6 @@ class Agreement(Short):
     """How far two computations of a quantity differ.
 
     Attributes:
-        quantity: One of `QUANTITIES`.
         difference: The largest difference: N·m or N, or for the mass matrix kg·m² or kg.
         size: The largest effort of the inverse dynamics, or largest value of the mass matrix.
         where: Joint of the largest difference; of the mass matrix, row and column.
@@ -71,9 +70,6 @@ class DynamicsCheck(Short):
     Attributes:
         agreements: One for every quantity.
         joints: Names of the velocities that were compared.
-        bodies: Number of bodies.
-        samples: Number of random states.
-        seed: Of the random numbers.
         repairs: What of the model's file is not used as it stands.
         left_out: What of that is no part of the model, other than inertias.
         second: Of the efforts by another program, which reads the file itself; None for none.

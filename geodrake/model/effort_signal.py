@@ -78,7 +78,6 @@ class EffortSignal:
     friction, what the model needs.
 
     Attributes:
-        joint: The joint.
         kind: "effort", "current", "voltage", "pwm" or "command".
         gain: N·m (N) per A, V or 1, 1 for efforts; for commands the stiffness, N·m/rad (N/m).
         deviation: Standard deviation of the gain, in its unit; 0 if it is known exactly.

@@ -45,7 +45,6 @@ class Export:
     """A model file with identified inertias.
 
     Attributes:
-        content: Its bytes.
         links: Names of the links whose numbers changed.
         notes: What it cannot carry, and how welded links share an inertia.
     """
@@ -170,7 +169,6 @@ def distributed(body: LumpedBody, stated: Array, phi: Array) -> tuple[Array, str
     """Share an identified body among the k links that make it up.
 
     Args:
-        body: The links.
         stated: (k, 10) what the file states for each, in its own frame.
         phi: (10,) identified parameters in the frame of the representative.
 

@@ -140,7 +140,6 @@ def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
 
     Args:
         log: A log of the model's joints, and perhaps of those that it holds and that follow.
-        model: The model.
 
     Raises:
         LogError: Log or model has a joint that the other lacks.

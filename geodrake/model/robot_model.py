@@ -361,7 +361,6 @@ class RobotModel(Short):
 
         Args:
             motion: (N, ·) positions, velocities and accelerations in Drake's order.
-            sign_width: As in `sign_widths`.
             load: (N, nv) effort of the rigid bodies, if it is known already.
         """
         samples = instance(motion, "motion", Motion).q, motion.v, motion.vd
@@ -557,7 +556,6 @@ class RobotModel(Short):
         are those that the model has, and effects with hidden states and soft joints are refused.
 
         Args:
-            builder: The diagram's builder.
             time_step: That of the plant, s; 0 for a continuous one.
             scene_graph: A SceneGraph of the builder that is to know the robot's visual geometry,
                 or True for a new one; a MeshcatVisualizer may be added to it.
@@ -598,10 +596,7 @@ class RobotModel(Short):
         before a simulation. Efforts are generalized forces: actuators of the robot stay free.
 
         Args:
-            builder: The diagram's builder, which has the plant.
             robot: The robot in the plant, its joints and bodies named as in the model's file.
-            sign_width: As for `add_to_builder`.
-            log: As for `add_to_builder`.
 
         Raises:
             ArgumentError: The robot is another one, its base leans otherwise than the model's, or
@@ -660,7 +655,6 @@ def from_loaded_plant(
     Args:
         loaded: The plant of a model file, and what the file says of friction, damping and rotors.
         floating: Whether free roots float instead of being welded to the world.
-        transmission: What moves its joints in their place.
 
     Raises:
         ModelError: The transmission does not fit.

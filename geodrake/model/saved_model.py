@@ -66,7 +66,6 @@ class SavedEffect(Schema):
 
     Attributes:
         file: Path of the Python file that defines it, relative to this one; empty for geodrake's.
-        class_name: Its class there.
     """
 
     name: str = ""

@@ -54,7 +54,6 @@ class OtherProgram:
     """Another program with the model that it read of a file.
 
     Attributes:
-        by: The program.
         rest: Its positions, velocities and accelerations, held joints in their places.
         places: Of each joint, where it is in its positions and velocities.
         free: Makes of R and p of a free body, and of its velocities ω and v in the world, the
@@ -73,8 +72,6 @@ class OtherProgram:
 
         Args:
             q: (1,), (3,) or (7,) positions of the joint.
-            v: Its velocities.
-            size: Number of its positions in the program.
         """
         if len(q) == 7:
             R = RotationMatrix(Quaternion(q[:4] / np.linalg.norm(q[:4])))
@@ -92,7 +89,6 @@ class SecondOpinion:
     """What another program makes of a model's file.
 
     Attributes:
-        by: The program.
         efforts: (N, nv) by it.
         ours: (N, nv) by geodrake, of what that program takes: all of the file for MuJoCo, but dry
             friction; the bodies alone for Pinocchio.
@@ -112,9 +108,7 @@ def second_opinion(
     """Return what MuJoCo or Pinocchio makes of the file of a model; otherwise why there is none.
 
     Args:
-        model: The model.
         states: (N, nq), (N, nv), (N, nv) positions, velocities and accelerations of the model.
-        plant_states: The same of its plant.
         jacobians: (N, nv of the plant, nv) rates of the plant's positions by the model's.
     """
     if model.given.robot is not None:

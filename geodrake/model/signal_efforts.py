@@ -33,7 +33,6 @@ def in_efforts(
 
     Args:
         log: What was measured; joints without one stay as they are.
-        signals: What makes efforts of it.
         needed: (N, n) efforts that a model needs, N·m or N, by whose mean integrals of servos
             begin; at 0 if None.
     """
@@ -167,7 +166,6 @@ def limited_integral(time: Array, error: Array, effort: Array, gain: float, limi
         time: Instants, s.
         error: Commanded less measured position.
         effort: Effort without what the integral adds from the first row on.
-        gain: The integral gain.
         limit: Largest effort, N·m or N.
     """
     known = np.isfinite(error) & np.isfinite(time) & np.isfinite(effort)

@@ -49,7 +49,6 @@ class StatedEffects:
     """Effects that a file states.
 
     Attributes:
-        effects: With their values.
         notes: Sentences on what they are of.
         left_out: Sentences on what no effect is.
     """
@@ -62,7 +61,6 @@ class StatedEffects:
         """Add effects with values, and a note on them.
 
         Args:
-            what: What they are in the file.
             found: Place, effect and values of each.
         """
         for _, effect, values in found:
@@ -84,7 +82,6 @@ def stated_effects(
     Args:
         loaded: The plant of a model file, and what the file says beside it.
         joints: Names of the velocities of its tree, without followers.
-        names: Names of the model's velocities.
         actuation: How the former follow from the latter; None if they are the same.
     """
     found = StatedEffects()
@@ -223,11 +220,9 @@ def _across(
     """Add what tendons are at each joint to values and springs; return what they are between them.
 
     Args:
-        tendons: By joints or actuators.
         values: What in the file -> joint or actuator -> value; changed.
         springs: Joint or actuator -> spring; changed.
         inertias: What tendons are in the mass matrix between two joints.
-        names: Names of the velocities.
     """
     couplings = defaultdict[tuple[str, str], Array](lambda: np.zeros(2))
     rubs = defaultdict[tuple[str, str, int], float](float)

@@ -168,9 +168,7 @@ def structural_base_parameters(
     """Base parameters that efforts identify with the best of motions, from random ones.
 
     Args:
-        plant: A finalized plant, or its tree.
         seed: Of the random motions; another one finds the same combinations.
-        tolerance: As in `base_parameters`.
 
     Raises:
         ArgumentError: A value is something else, or out of its range.

@@ -17,7 +17,6 @@ class CutJoint:
     """A joint that closes a loop, and is none of the tree.
 
     Attributes:
-        name: Its name.
         axis: (3,) its axis in the first frame of its closure.
         slides: Whether it is prismatic.
     """

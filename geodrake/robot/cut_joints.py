@@ -32,7 +32,6 @@ class OpenedLoop:
     """A joint that was taken out of a plant.
 
     Attributes:
-        scoped_name: Its name, as `robot::joint`.
         closure: How it closes a loop.
         damping: N·m·s/rad or N·s/m.
         rotor_inertia: kg·m² or kg.
@@ -101,7 +100,6 @@ def remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
 
     Args:
         plant: The plant; changed.
-        joint: The joint.
     """
     for actuator in _actuators(plant).get(int(joint.index()), []):
         plant.RemoveJointActuator(actuator)

@@ -28,7 +28,6 @@ class DrivenTree(Short):
 
     Attributes:
         joint_tree: The tree of the joints.
-        actuation: How they follow.
     """
 
     joint_tree: KinematicTree
@@ -69,7 +68,6 @@ def joint_samples(
     """The tree of the joints, their motion, and J if there is one; values are not checked.
 
     Args:
-        tree: The tree.
         q: (N, nq) positions.
         v: (N, nv) velocities.
         vd: (N, nv) accelerations.
@@ -99,7 +97,6 @@ def with_gravity(tree: RobotTree, gravity: Array) -> RobotTree:
     """A tree under another gravity.
 
     Args:
-        tree: The tree.
         gravity: (3,) gravity in the world frame, m/s².
     """
     own = replace(joint_tree(tree), gravity=gravity)
@@ -112,12 +109,7 @@ def joint_tree(tree: RobotTree) -> KinematicTree:
 
 
 def moving_velocities(tree: RobotTree, velocities: tuple[int, ...]) -> tuple[int, ...]:
-    """The robot's velocities that move some of the joints' velocities.
-
-    Args:
-        tree: The tree.
-        velocities: Velocities of its joints.
-    """
+    """The robot's velocities that move some of the joints' velocities."""
     if isinstance(tree, DrivenTree):
         return tree.actuation.moved_by(velocities)
     return tuple(dict.fromkeys(velocities))  # a leader moves a body and its follower
@@ -127,7 +119,6 @@ def joint_positions(tree: RobotTree, q: Array) -> Array:
     """(N, ·) positions of the tree's joints, of positions (N, nq).
 
     Args:
-        tree: The tree.
         q: (N, nq) positions.
     """
     return tree.actuation.tree_positions(q) if isinstance(tree, DrivenTree) else q
@@ -137,7 +128,6 @@ def inside(tree: RobotTree, q: Array) -> Array:
     """Positions (N, nq), those of actuators moved to where their maps are known.
 
     Args:
-        tree: The tree.
         q: (N, nq) positions.
     """
     return tree.actuation.inside(q) if isinstance(tree, DrivenTree) else q
@@ -149,7 +139,6 @@ def plant_jacobians(
     """J and J̇ (N, nv of the plant, nv), with the plant's velocities J v.
 
     Args:
-        tree: The tree.
         coordinates: Which velocities of the plant are those of its joints.
         q: (N, nq) positions.
         v: (N, nv) velocities.
@@ -165,7 +154,6 @@ def through(tree: RobotTree, q: Array, jacobian: Array) -> Array:
     """Jacobians (N, m, nv) of what has the Jacobians (N, m, ·) with the joints' velocities.
 
     Args:
-        tree: The tree.
         q: (N, nq) positions.
         jacobian: (N, m, nv of the tree) Jacobians.
     """

@@ -153,8 +153,6 @@ def calc_effort_slopes(tree: TreeRecords, samples: Samples, phi: Array, out: Arr
     """Adds the slopes with q, v and v̇ of all bodies' efforts to (3, N, nv, nv).
 
     Args:
-        tree: `KinematicTree.records`.
-        samples: Samples of a motion itself.
         phi: (nb, 10) inertial parameters.
         out: (3, N, nv, nv) zeros, then the slopes.
     """

@@ -75,7 +75,6 @@ def wrench_map(X_WP: RigidTransform | ArrayLike, count: int) -> Array:
 
     Args:
         X_WP: Pose of P, one or (count, 4, 4).
-        count: Number of samples.
 
     Raises:
         ArgumentError: X_WP is no pose.
@@ -132,7 +131,6 @@ def body_poses(plant: MultibodyPlant | RobotTree, q: ArrayLike) -> Array:
     """Poses X_WB of every lumped body.
 
     Args:
-        plant: A finalized plant, or its tree.
         q: (N, nq) positions in Drake's order.
 
     Returns:

@@ -46,7 +46,6 @@ def resolved(stated: Sequence[Follower], joints: Sequence[str]) -> tuple[Followe
     """Followers whose leaders follow none; those that cannot follow are left out.
 
     Args:
-        stated: What the model file states.
         joints: Scoped names of the joints that there are, of one degree of freedom.
     """
     known = {
@@ -73,8 +72,6 @@ def leads_back(joint: str, leader: str, leaders: Mapping[str, str]) -> bool:
     """Return whether a joint would follow itself by following another one.
 
     Args:
-        joint: Its name.
-        leader: Name of the other one.
         leaders: Joint -> the one that it follows, which lead nowhere back.
     """
     while leader != joint and leader in leaders:
@@ -87,7 +84,6 @@ class OwnCoordinates:
     """Which positions and velocities of a plant are a robot's own, and how the others follow.
 
     Attributes:
-        plant: The finalized plant.
         followers: The joints of it that follow others.
     """
 

@@ -58,9 +58,7 @@ def checked_held(
 
     Args:
         joints: Joints of one degree of freedom by their names, as users know them.
-        followers: Those that follow others.
         held: Such a name -> where it is held, rad or m.
-        path: The model file, for messages.
 
     Raises:
         ModelError: There is no such joint, it follows another one, or its limits do not let it
@@ -103,8 +101,6 @@ def poses_of(
     """Scoped joint name -> pose of the joint's frame M in its frame F.
 
     Args:
-        plant: The finalized plant in which the joints move.
-        joints: Their scoped names.
         places: Scoped names of joints of one degree of freedom -> their positions, rad or m; the
             others stand where they do by default.
     """
@@ -144,7 +140,6 @@ def welds_of(plant: MultibodyPlant, *, aside: bool = False) -> dict[str, RigidTr
     """Scoped names of the welded joints of a plant -> their poses X_FM; see `weld_joints`.
 
     Args:
-        plant: A plant.
         aside: Those of other robots than the one in question.
     """
     joints = [plant.get_joint(index) for index in plant.GetJointIndices()]

@@ -117,7 +117,6 @@ def joint_motions(joint: Joint, sign: float) -> list[FrameMotion]:
     them a swap is a change of the axis' sign.
 
     Args:
-        joint: A joint of any type that is supported.
         sign: 1, or −1 where frame M is on the inboard side.
     """
     match joint:

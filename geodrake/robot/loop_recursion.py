@@ -342,7 +342,6 @@ def calc_loop(loop: LoopRecords, wanted: Array, theta: Array, G: Array, reached:
     """Writes postures of a loop, and how its joints move there.
 
     Args:
-        loop: The loop.
         wanted: (N, n) positions of the free joints.
         theta: (N, k) room for the positions of all joints.
         G: (N, k, n) room for how far they move where the free ones do by one.
@@ -374,7 +373,6 @@ def calc_loop_rates(loop: LoopRecords, theta: Array, G: Array, v: Array, out: Ar
     """Writes Ġ (N, k, n) of a loop.
 
     Args:
-        loop: The loop.
         theta: (N, k) positions of its joints, at which it is closed.
         G: (N, k, n) G there.
         v: (N, n) velocities of the free joints.

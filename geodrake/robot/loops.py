@@ -80,7 +80,6 @@ class Loops:
     """The closed loops of a robot.
 
     Attributes:
-        loops: They.
         left_out: Sentences on closures that cannot be used.
         taken: Joints that follow others by a ratio that changes within them.
         held: Joint -> where it is held as loops and other constraints let it not move, rad or m.
@@ -105,7 +104,6 @@ class Loops:
 
         Args:
             held: Joint -> where it is held, rad or m.
-            path: The model file, for messages.
 
         Raises:
             ModelError: A loop does not close there.
@@ -124,7 +122,6 @@ class ClosedLoop:
     """A closed loop, or several that share joints.
 
     Attributes:
-        map: How its joints follow.
         limits: Least and greatest positions of all its joints by their own limits, (2, k).
         driven: Names of its joints that motors drive, as far as the file tells.
         miss: By how much it misses at the posture of the file, m or rad.
@@ -165,12 +162,7 @@ class ClosedLoop:
         return Drive(self.map.actuators, names, self.map, range=within)
 
     def some(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-        """Positions and velocities (N, k) of all joints at random near the posture of the file.
-
-        Args:
-            rng: Random numbers.
-            count: N.
-        """
+        """Positions and velocities (N, k) of all joints at random near the posture of the file."""
         free, units = self.map.free, self.map.records[7][self.map.free]
         q = self.map.reference[free] + _NEAR * units * rng.uniform(-1.0, 1.0, (count, len(free)))
         theta, G, _ = self.map.solved(self.map.inside(q))
@@ -181,7 +173,6 @@ class ClosedLoop:
 
         Args:
             held: Joint of the tree -> where it is held, rad or m.
-            path: The model file, for messages.
 
         Raises:
             ModelError: The loop does not close there.
@@ -215,13 +206,6 @@ def closed_loops(
     """Return the closed loops of a plant.
 
     Of the joints of a loop those are free that are driven, and then those nearest to the base.
-
-    Args:
-        plant: The finalized plant of the tree.
-        names: Names of the tree's velocities.
-        closures: What closes loops.
-        path: The model file, for messages.
-        how: What else is known of the joints.
 
     Raises:
         ModelError: A loop does not close at the posture of the file, or is singular there.

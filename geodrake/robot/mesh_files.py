@@ -39,7 +39,6 @@ def wavefront(path: Path, most: int = MOST_TRIANGLES) -> str:
     """Return a mesh file as Wavefront's text, with no more triangles than asked for.
 
     Args:
-        path: An STL or COLLADA file.
         most: Most triangles; a finer mesh is drawn more coarsely.
 
     Raises:
@@ -57,7 +56,6 @@ def wavefront_text(surface: Surface, most: int = MOST_TRIANGLES) -> str:
     """Return a surface as Wavefront's text, with no more triangles than asked for.
 
     Args:
-        surface: Its vertices and triangles.
         most: Most triangles; a finer surface is drawn more coarsely.
     """
     vertices, faces = simplified(surface, most)
@@ -128,12 +126,7 @@ def _normals(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
 
 
 def simplified(surface: Surface, most: int) -> Surface:
-    """Return a surface of few triangles: vertices in one cell of a grid become one of them.
-
-    Args:
-        surface: Vertices and triangles.
-        most: Most triangles that should be left.
-    """
+    """Return a surface of few triangles: vertices in one cell of a grid become one of them."""
     vertices, faces = surface
     if not len(faces):
         raise ModelError("A mesh has no triangles.")

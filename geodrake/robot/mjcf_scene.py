@@ -27,9 +27,6 @@ def plain_mjcfs(
 
     Args:
         directives: Flattened directives; changed.
-        includes: What finds their files.
-        given: How files are read.
-        folder: Where the plain files are written.
 
     Raises:
         ModelError: MuJoCo refuses one.
@@ -52,9 +49,6 @@ def add_geoms(plant: MultibodyPlant, name: str, file: Path, given: Given) -> Non
 
     Args:
         plant: A plant that is not finalized and has a SceneGraph.
-        name: Name of the model.
-        file: The MJCF.
-        given: How it is read.
 
     Raises:
         ModelError: A mesh for collisions is not there.

@@ -55,7 +55,6 @@ class MjcfGeom:
         color: Its colour, that of its material included.
         shown: Whether MuJoCo shows its group unasked.
         collides: Whether it touches others.
-        friction: Coefficient of sliding friction.
     """
 
     name: str
@@ -82,8 +81,6 @@ def mjcf_geoms(
     Of other files, and without MuJoCo, that is None.
 
     Args:
-        path: The model file.
-        given: How it is read.
         hulls: For collisions and not for pictures: meshes are convex hulls of all of their points,
             and what the file puts into the world is there, planes included.
         scope: Name of the model; None for that in the file.

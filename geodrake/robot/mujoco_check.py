@@ -38,7 +38,6 @@ class JointTerms:
     """What a model file states of joints, beside a plant of rigid bodies.
 
     Attributes:
-        plant: The plant.
         damping: (nv,) c of c v, SI; nv of the plant.
         friction: (nv,) dry friction, N·m or N.
         rotor_inertia: (nv,) reflected inertia, kg·m² or kg.
@@ -63,7 +62,6 @@ def check_against_mujoco(description: ModelDescription, built: JointTerms) -> No
     """Compare a plant with what MuJoCo compiled, where its file is an MJCF that it did.
 
     Args:
-        description: The file.
         built: Its plant, all of whose joints move, before repairs of inertias.
 
     Raises:
@@ -102,7 +100,6 @@ def check_loops_against_mujoco(
     """Compare closed loops with MuJoCo's constraints, where their file is an MJCF.
 
     Args:
-        description: The file.
         plant: Its plant, all of whose joints move.
         states: Positions (N, nq) and velocities (N, nv) of the plant at which the loops are closed.
 

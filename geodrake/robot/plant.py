@@ -74,7 +74,6 @@ class LoadedPlant:
 
     Attributes:
         plant: Finalized, continuous in time, without damping, friction and rotor inertia.
-        path: The model file.
         repairs: Bodies whose inertia no body can have, with what they got instead.
         changes: Sentences on all inertias that are not those of the file, repairs first.
         notes: Sentences on what else of the file was read in a way worth knowing.
@@ -158,7 +157,6 @@ def load_plant(
             root is welded to the world where the file puts it.
         held: Joint of one degree of freedom -> where it is held, rad or m: it does not move, and
             the bodies on both sides of it are one.
-        given: How the file is to be read.
         phi: (nb, 10) inertial parameters in place of the file's; the representative of each lumped
             body has all of it.
         into: An empty plant to load the robot into, which is finalized; by default a new one,
@@ -550,7 +548,6 @@ def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:
 
     Args:
         plant: A plant that is not finalized, such as one with geometry; changed.
-        other: The finalized plant of a model.
     """
     open_loops(plant)
     weld_joints(plant, welds_of(other))
@@ -638,8 +635,6 @@ def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayL
     The representative of each lumped body gets all of it; the links welded to it become massless.
 
     Args:
-        plant: A finalized plant.
-        context: The plant's context, changed in place.
         phi: (nb, 10) parameters in the order and frames of `inertial_parameters`; they need not
             be physical.
 

@@ -254,8 +254,6 @@ def calc_regressor(tree: TreeRecords, samples: Samples, first: int, out: Array) 
     """Writes the regressor's rows from velocity `first` on into zeros (N, rows, 10 nb).
 
     Args:
-        tree: `KinematicTree.records`.
-        samples: Samples of a motion.
         first: The first velocity that has a row.
         out: (N, rows, 10 nb) zeros, then Y.
     """
@@ -279,9 +277,6 @@ def calc_body_regressor(tree: TreeRecords, samples: Samples, body: int, out: Arr
     """Writes the columns of one body into zeros (N, nv, 10), of a tree that may be its branch.
 
     Args:
-        tree: `KinematicTree.records`.
-        samples: Samples of a motion.
-        body: Index of the body.
         out: (N, nv, 10) zeros, then its columns.
     """
     mobilizers, dofs = tree
@@ -303,8 +298,6 @@ def calc_repeated_regressor(tree: TreeRecords, samples: Samples, only: int, out:
     """Adds the regressor of a tree in which a velocity moves a body by several joints.
 
     Args:
-        tree: `KinematicTree.records`.
-        samples: Samples of a motion.
         only: Index of the body that has columns; -1 for all.
         out: (N, nv, 10 nb), or (N, nv, 10) of one body, zeros, then Y.
     """
@@ -344,8 +337,6 @@ def calc_inverse_dynamics(tree: TreeRecords, samples: Samples, phi: Array, out: 
     """Adds the efforts that a motion needs, for parameters φ (nb, 10), to zeros (N, nv).
 
     Args:
-        tree: `KinematicTree.records`.
-        samples: Samples of a motion.
         phi: (nb, 10) inertial parameters.
         out: (N, nv) zeros, then the efforts, N·m or N.
     """
@@ -404,11 +395,9 @@ def calc_kinematics(
     The Jacobians (N, nb, 3, nv) of ω and of the velocity of Bo, in W; none if they have no samples.
 
     Args:
-        tree: `KinematicTree.records`.
         q: (N, nq) positions.
         poses: (N, nb, 4, 4) zeros, then X_WB.
         angular: (N, nb, 3, nv) zeros, then the Jacobians of ω in W; none if (0, …).
-        linear: The same of the velocities of Bo.
     """
     mobilizers, dofs = tree
     bodies = len(mobilizers)

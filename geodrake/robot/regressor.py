@@ -138,8 +138,6 @@ def put_regressor(tree: KinematicTree, samples: Samples, out: Array) -> None:
     """Writes the regressor into zeros.
 
     Args:
-        tree: The kinematic tree.
-        samples: Samples of a motion.
         out: (N, nv, 10 nb) zeros, then Y.
     """
     if tree.repeats:
@@ -154,7 +152,6 @@ def checked_samples(
     """What `joint_samples` gives, of arrays that fit the plant.
 
     Args:
-        plant: A finalized plant, or its tree.
         q: (N, nq) positions in Drake's order.
         v: (N, nv) velocities in Drake's order.
         vd: (N, nv) accelerations v̇ in Drake's order.

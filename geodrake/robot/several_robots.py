@@ -19,7 +19,6 @@ class OneRobot:
 
     Attributes:
         name: That of its model in the file, or of its first body where the model has several.
-        bodies: Indices of its bodies.
         joints: Scoped names of its joints that move.
     """
 
@@ -29,11 +28,7 @@ class OneRobot:
 
 
 def robots_of(plant: MultibodyPlant) -> tuple[OneRobot, ...]:
-    """The robots of a plant: what moves and is joined together, in order of their bodies.
-
-    Args:
-        plant: A plant, finalized or not.
-    """
+    """The robots of a plant: what moves and is joined together, in order of their bodies."""
     joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
     groups = sorted(_connected(plant, joints), key=min)
     moving = [
@@ -55,11 +50,6 @@ def robots_of(plant: MultibodyPlant) -> tuple[OneRobot, ...]:
 
 def chosen_robot(plant: MultibodyPlant, name: str, path: object) -> OneRobot:
     """The robot of a name.
-
-    Args:
-        plant: The plant of a model file.
-        name: Name of a robot.
-        path: The file, for messages.
 
     Raises:
         ModelError: There is none of that name.

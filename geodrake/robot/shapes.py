@@ -86,10 +86,6 @@ def robot_shapes(path: Path, given: Given) -> RobotShapes:
     """Return the visual shapes of a model's file; of links that have none, their collision shapes.
 
     STL and COLLADA meshes are read too. A file whose shapes nobody can read gives none, and a note.
-
-    Args:
-        path: The model file.
-        given: How it is read.
     """
     lost = _Lost()
     try:

@@ -25,7 +25,6 @@ class Spring:
     """A spring across a joint: effort = p + k₁ x + k₂ x² + k₃ x³, x = q − center.
 
     Attributes:
-        center: rad or m.
         coefficients: p, k₁, k₂, k₃, SI.
     """
 
@@ -81,10 +80,6 @@ class Tendon:
     Attributes:
         name: Its name in the file.
         shares: Joint, or velocity, -> cᵢ.
-        stiffness: k, SI.
-        length: L₀.
-        damping: d.
-        friction: F.
     """
 
     name: str
@@ -165,7 +160,6 @@ class StatedStrut:
     Attributes:
         bodies: Scoped names of two bodies; then those of what they are parts of, or "world".
         points: Positions (3,) in their frames, m.
-        stiffness: N/m.
         length: At rest, m.
         damping: N·s/m.
     """
@@ -198,7 +192,6 @@ def weights_of(plant: MultibodyPlant, shares: Mapping[str, float]) -> tuple[Weig
     """Return the weights that are carried of the bodies of a robot.
 
     Args:
-        plant: The robot.
         shares: Scoped name of a body -> which share of its weight something carries.
     """
     found = []

@@ -19,9 +19,6 @@ def add_visuals(
 
     Args:
         plant: A finalized plant that was read from the file, and is a source of the SceneGraph.
-        scene_graph: Where the geometry goes.
-        path: The model file.
-        given: How it was read.
 
     Returns:
         Notes on what cannot be shown.

@@ -39,7 +39,6 @@ class ExportFormat:
         name: What it is called, as in `--to`.
         holding: What tells, for a model, whether the files hold an effect as it is; inertias and
             payloads they always hold.
-        write: Makes the files.
         engines: Names of the simulators in which the files are tried.
         at_actuators: Whether the files have the efforts of actuators behind a transmission, too.
         servos: Whether the files have the gains of servos.

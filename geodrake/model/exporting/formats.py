@@ -52,7 +52,6 @@ def _holding(
 
     Args:
         kinds: Formats of the files, the usual one first.
-        beside: Further effects that they hold.
         able: Whether they can hold these of a model.
     """
 

@@ -31,7 +31,6 @@ class Link:
     """A body that a joint moves; its frame L is that of the joint, on the side of the body.
 
     Attributes:
-        name: Name of the body.
         parent: Name of the body that carries it; None for the world.
         joint: What the file says of the joint.
         X_PL: Pose of the link in the frame of the parent, with the joint at zero.
@@ -117,7 +116,6 @@ def from_plant(model: RobotModel, kind: str, gravity: Array) -> bytes:
 
     Args:
         model: The model, of effects that the format holds.
-        kind: The format: urdf, sdf, or xml for MJCF.
         gravity: (3,) acceleration of gravity in the frame of the base, for a format that has it.
 
     Raises:

@@ -29,7 +29,6 @@ class Lost:
     """An effect that a format cannot hold as it is.
 
     Attributes:
-        effect: Its name.
         where: The joints or bodies where the model has it.
         into: Names of the effects that stand in its place, fitted to it; none if it is left out.
     """
@@ -67,7 +66,6 @@ def held_by(
     rotors. All these stay positive. What a drive does is left out: nothing passive pushes.
 
     Args:
-        model: The model.
         holds: Whether the format holds an effect as it is.
         motions: Motion on which the approximation is to be good.
         keep: Which effects stay although the format does not hold them, to see what others cost.

@@ -27,8 +27,6 @@ class ExportedJoint:
     """A joint of one degree of freedom, and what drives it; N and m where it slides.
 
     Attributes:
-        name: Its name.
-        scoped: Its name as `robot::joint`.
         turns: Whether it is revolute.
         velocity: Largest speed, rad/s; infinite where there is none.
         effort: Largest effort, N·m; infinite where there is none.

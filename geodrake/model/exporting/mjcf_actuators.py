@@ -34,9 +34,6 @@ def with_actuators(
     of the user's own gets some only for servos and delays, which it does not hold otherwise.
 
     Args:
-        data: The file.
-        path: Where it is from, for messages.
-        model: The model.
         anew: Whether the file was written from the model alone.
     """
     text = model_text_of(data, path)

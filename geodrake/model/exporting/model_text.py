@@ -26,7 +26,6 @@ def written_kind(model: RobotModel, kinds: Sequence[str]) -> str:
     """Return the format that an export writes: that of the robot's own file if it may be.
 
     Args:
-        model: The model.
         kinds: The formats that it may be, the usual one first: urdf, sdf, xml for MJCF.
     """
     own = own_kind(model)
@@ -53,7 +52,6 @@ def model_file(
 
     Args:
         model: The model, of effects that the format holds.
-        kind: The format: urdf, sdf, or xml for MJCF.
         folder: Where the file will be: relative paths in it lead from there.
         stands: Whether the model has the effects of its own file.
 

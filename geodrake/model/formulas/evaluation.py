@@ -49,9 +49,7 @@ def evaluated(formulas: Formulas, inputs: Mapping[str, Scalars], scalar: type) -
     """Return the values of formulas in the same shape, all of a scalar type.
 
     Args:
-        formulas: Array of symbols and numbers.
         inputs: Name -> its values, for the inputs that the formulas are of; some may be floats.
-        scalar: AutoDiffXd or Expression.
     """
     apply = _AUTODIFF if scalar is AutoDiffXd else _SYMBOLIC
     flat, known = np.asarray(formulas, object).ravel(), dict[Symbol, Any]()

@@ -20,7 +20,6 @@ def recorded_rows(
     """Return columns (k,) of an effect in symbols, by joint.
 
     Args:
-        effect: The effect.
         motion: One sample of symbols; with time and hidden states where it has any.
         with_past: Whether the sample has these; without, the effect is as if it had settled.
 

@@ -38,7 +38,6 @@ class Driving:
     """How a plant moves with a model.
 
     Attributes:
-        tree: The model's tree.
         coordinates: Which positions and velocities of the plant are those of its joints.
         phi: (nb, 10) inertial parameters, payloads included.
         names: Names of the model's velocities.
@@ -84,7 +83,6 @@ class Driving:
         """Return generalized forces (nv of the plant,) of the actuators' efforts and all effects.
 
         Args:
-            state: Positions and velocities of the plant.
             effort: (nv,) efforts of the model, N·m or N.
             time: Time since the log began, s.
 

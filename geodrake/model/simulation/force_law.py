@@ -69,7 +69,6 @@ class ForceLaw:
     (`Effect.at_motor`) sees the motion of the motors, and what acts at bodies that of the links.
 
     Attributes:
-        plant: The plant's motion.
         effects: The effects, in the order of their parameters.
         mu: (k,) their parameters.
         phi: (nb, 10) inertial parameters of the plant.
@@ -83,7 +82,6 @@ class ForceLaw:
         of_links: (nv, nv + m) to those of all links.
         added_inertia: (m,) what motors of soft joints get to have the least inertia, kg·m² or kg.
         dynamics: Those of the plant's bodies.
-        notes: What was assumed.
     """
 
     def __init__(
@@ -239,9 +237,7 @@ class ForceLaw:
             Aᵀ (B A x + f_m − u) + Lᵀ (M L x + h + M_l L x + f_l) = (L − A)ᵀ τ.
 
         Args:
-            state: Of plant, motors and effects.
             u: (nv,) efforts that act on motors, N·m or N.
-            parameters: Of effects and bodies.
 
         Raises:
             ModelError: Friction in proportion to the load holds its own load.

@@ -52,7 +52,6 @@ class PlantMotion:
         """Reads a plant.
 
         Args:
-            plant: A finalized plant, or one robot in it.
             sign_width: Speed below which dry friction fades, rad/s or m/s; one or (nv,), of a robot
                 in a plant (n,).
             log: Number of the log that is simulated, as in `RobotMotion`.
@@ -110,7 +109,6 @@ class PlantMotion:
             q: (N, nq) positions.
             rates: (N, nv) velocities, accelerations and loads.
             phi: (nb, 10) inertial parameters of the bodies.
-            known: What else `RobotMotion` is to know.
         """
         regressor = cache(lambda: inverse_dynamics_regressor(self.tree, q, *rates[:2]))
 

@@ -84,7 +84,6 @@ class RobotInDiagram:
         Links of soft joints are where a steady load has them.
 
         Args:
-            root: The Context.
             q: (nq,) positions in Drake's order, of the robot alone.
             v: (nv,) velocities; None for rest.
         """
@@ -115,7 +114,6 @@ class RobotInDiagram:
         """Changes parameters in a Context, for plant and effects alike.
 
         Args:
-            root: Context of the whole diagram.
             phi: (nb, 10) inertial parameters, payloads included; None for those that it has.
             effects: Effect of `effect_force` -> (k,) its parameters, SI; others keep theirs.
 
@@ -147,14 +145,10 @@ class DiagramRobot:
     """A model that a diagram is to simulate, as `RobotModel` gives it.
 
     Attributes:
-        path: The model file.
         floating: Whether free roots float instead of being welded to the world.
         held: Joint that is held -> where, rad or m.
         given: How the model file was read.
         total_phi: (nb, 10) inertial parameters, payloads included.
-        effects: Effects with their parameters.
-        joints: Names of the velocities.
-        name: Name in the diagram.
         sign_width: (nv,) speed below which dry friction fades, rad/s or m/s.
         log: Name of the log that is simulated, if it is one.
     """

@@ -82,9 +82,7 @@ class _LazyTemplate(TemplateSystem):
 
         Args:
             made: The system of floats, with `_construct` and `_construct_copy` of its own.
-            other: Gives the system of another scalar type.
             types: The scalar types, float first.
-            constructor: What the constructor is documented as.
         """
         kind: Any = made
         super().__init__(f"{made.__name__}_", list(types), scope=sys.modules[made.__module__])
@@ -239,8 +237,6 @@ class _Differenced(ScalarSystem):
         """Return what a function (n,) of a Context of the source gives, with derivatives.
 
         Args:
-            context: Context of this system.
-            function: The function.
             inputs: Indices of the inputs that matter; all if None.
         """
         chosen = range(self.num_input_ports()) if inputs is None else inputs

@@ -56,7 +56,6 @@ class Coupling:
 
         Args:
             lag: Position of the motor less that of the link, rad or m.
-            rate: Its rate.
         """
         if self.play == 0.0:
             return self.stiffness * lag + self.damping * rate
@@ -78,7 +77,6 @@ class SoftJoints:
     """The m joints of a plant whose links are not where their motors are.
 
     Attributes:
-        names: Their names.
         velocities: (m,) their velocities.
         positions: (m,) their positions.
         effects: Of each, what gives way, and where its parameters are among those of all effects.

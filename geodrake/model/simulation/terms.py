@@ -50,7 +50,6 @@ class Terms:
 
     Attributes:
         plant: The motion of the plant.
-        effects: The effects.
         places: (k,) where their parameters are among those of all effects.
         hidden: Effect -> where its hidden states are among those of all effects.
     """

@@ -49,7 +49,6 @@ def effort_formula(model: RobotModel, sign_width: ArrayLike) -> EffortFormula:
     """Return the effort that a model needs for a motion.
 
     Args:
-        model: The model.
         sign_width: Speed below which dry friction fades, at least; see `RobotModel.sign_widths`.
 
     Raises:

@@ -51,7 +51,6 @@ class EffortSource:
 
     Attributes:
         file_name: Its name, such as `arm_effort.py`.
-        text: What it holds.
         left_out: The effects that it has not, or not as they are, with the reason.
     """
 

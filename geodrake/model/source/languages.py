@@ -100,12 +100,8 @@ class Language:
     """A language that formulas are written in, and what a file in it is made of.
 
     Attributes:
-        suffix: Of its files.
-        template: A file.
         comment: Mark of a line of a comment.
         statement: A name and an expression.
-        result: An expression.
-        string: Writes a name.
         module: What stands before the names of mathematical functions.
         own: Operations that are written in a way of their own, as formats of their operands.
     """

@@ -24,9 +24,7 @@ def straight_line(
     """Return names and expressions of statements in their order, and expressions of the results.
 
     Args:
-        results: The formulas.
         write: Writes an operation; of an input, its operands are its name and place.
-        number: Writes a number.
     """
     operations, found = _operations(results)
     uses = Counter(key for _, keys in operations.values() for key in keys if key in operations)

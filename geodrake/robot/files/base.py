@@ -133,7 +133,6 @@ class ModelText(abc.ABC):
         """Gives a link inertial parameters (10,), or none; False if the link is not in the text.
 
         Args:
-            link: Scoped name of the link.
             phi: (10,) inertial parameters about Bo, expressed in B; None takes the inertia away.
         """
         if link not in self._links:

@@ -48,7 +48,6 @@ class ModelDescription:
     """A model file: one simplified text, or directives that put several together.
 
     Attributes:
-        path: The file.
         texts: The simplified texts; one for each `add_model` of the directives, in their order.
         directives: The flattened directives, or None for a URDF, SDF or MJCF file.
         given: How it was to be read.
@@ -262,10 +261,8 @@ def drake_errors(
     Drake ends a program that breaks its preconditions, which is SystemExit in Python.
 
     Args:
-        path: The file.
         places: For each text that Drake reads in its place, where each line of the text is from.
         how: How Drake should read it, to be read after its name.
-        advice: What to do about it.
     """
     try:
         yield

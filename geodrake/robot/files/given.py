@@ -86,10 +86,8 @@ class Given:
         """From `NAME=FOLDER` and `NAME:=VALUE`, as people write them.
 
         Args:
-            robot: Name of the robot, if there are several.
             packages: `NAME=FOLDER` of each package.
             xacro: `NAME:=VALUE` of each argument of a xacro file.
-            trust_xacro: As `Given.trust_xacro`.
 
         Raises:
             ArgumentError: One cannot be read, or is there twice.

@@ -26,7 +26,6 @@ class Includes:
     """Follows what a model file includes.
 
     Args:
-        path: The model file.
         folders: Package -> folder, which come before those that are found.
 
     Attributes:
@@ -46,7 +45,6 @@ class Includes:
 
         Args:
             url: A `package://`, `model://` or `file://` URL, or a path.
-            folder: What a relative path starts from.
 
         Raises:
             ModelError: It names an unknown package or scheme.
@@ -78,7 +76,6 @@ class Includes:
 
         Args:
             chain: The files that led there, all resolved, the model file first.
-            file: The file that is included.
 
         Raises:
             ModelError: It cannot be read, or there is no end to what is included.

@@ -32,7 +32,6 @@ def with_inertias(data: bytes, path: Path, inertias: Mapping[str, Array]) -> byt
     inertial frames stay, but in MJCF, where a full inertia has none.
 
     Args:
-        data: The bytes of the file.
         path: The file, for messages and for the name of a model that has none.
         inertias: Scoped link name -> (10,) inertial parameters of mass above zero.
 
@@ -78,7 +77,6 @@ def sdf_models(parent: Element, scope: str = "", first: str = "") -> Iterator[tu
     """Yield models within models and worlds, with their scoped names.
 
     Args:
-        parent: What holds them.
         scope: Its scoped name; nothing for a file.
         first: Name of the models of a file; nothing for their own.
     """

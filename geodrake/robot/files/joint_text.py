@@ -47,7 +47,6 @@ def with_joint_numbers(data: bytes, path: Path, changes: Mapping[str, Change]) -
     """Return a model file in which joints have other numbers.
 
     Args:
-        data: Bytes of the file.
         path: Where they are from, for messages and for the name of a model that has none.
         changes: Scoped name of the joint -> what changes.
 

@@ -29,9 +29,6 @@ def split_balls(
 
     Args:
         spec: MuJoCo's editable model; changed where there are such joints.
-        m: What it compiles to.
-        mujoco: The package.
-        unused: Makes names that no joint has.
     """
     balls, said, lost = _balls(m, mujoco), list[str](), list[str]()
     for joint, axis in balls.items():

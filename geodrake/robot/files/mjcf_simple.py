@@ -63,7 +63,6 @@ def read_simple(text: ModelText, scope: str, *, degrees: bool) -> None:
 
     Args:
         text: The file, its includes in their places; changed.
-        scope: Name of its model.
         degrees: Whether angles in it are in degrees.
 
     Raises:

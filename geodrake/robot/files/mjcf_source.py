@@ -89,13 +89,11 @@ class CompiledMjcf:
     """What MuJoCo makes of a file.
 
     Attributes:
-        model: MuJoCo's `MjModel`.
         elements: Names of bodies -> their elements in the file; without those made by MuJoCo.
         unknown: Names of bodies whose inertia follows from meshes that are not there alone.
         lost: Sentences on meshes that are not there.
         touching: Names of bodies of whose meshes that are not there some touch others.
         plugins: Places of plugins, which are left out.
-        said: What MuJoCo warned of.
         split: Sentences on ball joints of closed loops, which are three hinges.
         about: Sentences on what of them is not quite the same.
     """
@@ -115,9 +113,6 @@ def compiled(root: Element, path: Path, mujoco: ModuleType, *, geoms: bool = Fal
     """Return what MuJoCo makes of a file whose includes are in their places.
 
     Args:
-        root: Its root element, which is changed.
-        path: The file.
-        mujoco: The package.
         geoms: Keep geoms that have no part in inertias, for pictures and collisions.
 
     Raises:

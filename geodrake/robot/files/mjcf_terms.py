@@ -78,11 +78,7 @@ class MjcfTerms:
         ]
 
     def closures_in(self, scope: str) -> list[Closure]:
-        """Return what closes loops, with names of bodies that have their model's.
-
-        Args:
-            scope: Name of the model.
-        """
+        """Return what closes loops, with names of bodies that have their model's."""
 
         def full(body: str) -> str:
             return body if body == WORLD else f"{scope}::{body}"

@@ -25,10 +25,7 @@ def plain_tree(
     pose of its body turned back by that.
 
     Args:
-        source: The compiled file.
-        name: Name of the model.
         damping: Joint -> its damping, N·m·s/rad or N·s/m.
-        mujoco: The package.
     """
     root = Element("mujoco", model=name)
     SubElement(root, "compiler", angle="radian")

@@ -61,7 +61,6 @@ class NamesWithin:
 
     Args:
         inner: The names that come first; `KeyError` is raised for others.
-        outer: Those that come then.
     """
 
     def __init__(self, inner: Names, outer: Names) -> None:
@@ -103,9 +102,7 @@ class Expressions:
     """Evaluates expressions.
 
     Args:
-        names: Those that expressions may use.
         functions: What may be called, and be handed to what is called.
-        namespace: xacro's type of mappings whose values are attributes.
         dotted: Its type of mappings of YAML, whose values are attributes too.
     """
 

@@ -59,7 +59,6 @@ def read_expanded(path: Path, given: Given) -> bytes:
     is expanded, is the same.
 
     Args:
-        path: The file.
         given: Arguments of xacro, folders of packages, and whether any expression is evaluated.
 
     Raises:
@@ -78,12 +77,7 @@ def read_expanded(path: Path, given: Given) -> bytes:
 
 
 class _Expansion:
-    """Expands a file, by answers to what a process asks (`xacro_process`).
-
-    Args:
-        path: The file.
-        given: How it is to be read.
-    """
+    """Expands a file, by answers to what a process asks (`xacro_process`)."""
 
     def __init__(self, path: Path, given: Given) -> None:
         self._path, self._given, self._count = path, given, 0

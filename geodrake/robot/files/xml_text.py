@@ -22,7 +22,6 @@ class LocatedElement(Element):
     """An element that knows where it was read.
 
     Attributes:
-        path: The file.
         line: The line of the file, from one.
         start: Where its start tag begins, in bytes from the start of the file.
         end: Where its end tag begins.

@@ -70,10 +70,7 @@ class Actuation:
         """Finds the places.
 
         Args:
-            joints: Names of the tree's velocities.
             positions: Velocity of a joint of one degree of freedom -> where its position is.
-            num_positions: Number of the tree's positions.
-            drives: The drives.
 
         Raises:
             ModelError: A drive names a joint that is none of one degree of freedom, two of them
@@ -396,12 +393,7 @@ class Actuation:
 
 
 def seated_at(drive: Drive, joints: Sequence[int]) -> list[int]:
-    """Velocities of the tree, among those of a drive's joints, in whose place its actuators are.
-
-    Args:
-        drive: The drive.
-        joints: Velocities of its joints in the tree.
-    """
+    """Velocities of the tree, among those of a drive's joints, in whose place its actuators are."""
     at = dict(zip(drive.joints, joints, strict=True))
     if set(drive.actuators) <= set(drive.joints):
         return [at[name] for name in drive.actuators]

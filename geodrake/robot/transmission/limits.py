@@ -48,7 +48,6 @@ def actuator_effort_limits(
     Free joints of a closed loop have their own: a motor at another joint adds to what is possible.
 
     Args:
-        actuation: How its joints follow from its actuators.
         limits: (nv of the tree,) those of the joints.
         within: Least and greatest positions (nq,) of the robot.
     """

@@ -63,7 +63,6 @@ class LinearTransmission(Transmission, Short):
 
         Args:
             joints: Names of the tree's k velocities, such as `geodrake.robot.joint_names(plant)`.
-            actuators: Names of the n actuator coordinates.
             ratios: Joint -> actuator -> how far the joint turns when the actuator turns by one.
                 Joints that are not named do not move.
 

@@ -50,11 +50,7 @@ def rolling_joint(share: float = 0.5) -> LinearTransmission:
 
 @dataclass(frozen=True)
 class SideBySide(Transmission):
-    """Several transmissions that do not share actuators or joints, in their order.
-
-    Attributes:
-        parts: The transmissions.
-    """
+    """Several transmissions that do not share actuators or joints, in their order."""
 
     parts: tuple[Transmission, ...]
 

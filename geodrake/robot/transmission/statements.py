@@ -60,11 +60,7 @@ class Statement(Schema):
 
 
 class OneActuator(Statement):
-    """A part of one actuator.
-
-    Attributes:
-        actuator: Column of the log.
-    """
+    """A part of one actuator."""
 
     actuator: str
 
@@ -84,7 +80,6 @@ class Gear(OneActuator):
         rotor: Joint of the model file that the rotor turns on, which turns as the motor does.
         side: `motor` where the log has the motor's position and effort, `joint` where it has the
             joint's, and the ratio says only how the rotor turns.
-        kind: How the actuator moves.
     """
 
     joint: str
@@ -276,7 +271,6 @@ class Stated(Schema):
     """A transmission file: lists of parts by their kinds.
 
     Attributes:
-        gears: Gears, belts and screws.
         coupled: Groups of joints that several actuators move together.
         rolling_joints: Pairs of joints of bodies that roll on each other.
         followers: Joints that follow a leader by polynomials.
