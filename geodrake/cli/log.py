@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -93,12 +94,10 @@ def _run(options: LogCommandOptions) -> None:
         words = {"convert": "log", "figure": "preview", "write-mapping": "mapping"}
         show_saved(console, written, words)
         if options.write_mapping and options.model:
-            logs = " ".join(map(str, options.logs))
-            console.print(
-                f"\ngeodrake explain {options.model} {logs} --mapping {options.write_mapping}",
-                soft_wrap=True,
-                highlight=False,
-            )
+            explain = ["geodrake", "explain", options.model, *options.logs]
+            command = shlex.join(map(str, [*explain, "--mapping", options.write_mapping]))
+            console.print()
+            console.print(command, soft_wrap=True, highlight=False, markup=False)
 
 
 def _columns(model: RobotModel, logs: Sequence[JointLog]) -> tuple[ColumnFinding, ...]:

@@ -326,9 +326,13 @@ class AddOptions(_Steps, _Addition):
         """Name of the effect, and where it is to be; None if nobody said.
 
         Raises:
-            ArgumentError: The place is said twice.
+            ArgumentError: The place is said twice, or empty.
         """
-        name, _, place = self.effect.partition("@")
+        name, at, place = self.effect.partition("@")
+        if at and not all(place.split("+")):
+            raise ArgumentError(
+                f"{self.effect!r} names no place.", advice=f"Write {name}@JOINT, or {name} alone."
+            )
         if place and self.where:
             raise ArgumentError(
                 f"{self.effect} names a place, and --where {' '.join(self.where)} another one.",

@@ -155,6 +155,12 @@ class ReadingOptions:
         named = _pairs("--kind", [part for part in parts if "=" in part], "elbow_joint=current")
         passive = [part.strip() for part in ",".join(self.passive or ()).split(",")]
         without = [(joint, "passive") for joint in passive if joint]
+        if twice := sorted(dict(named).keys() & dict(without).keys()):
+            raise ArgumentError(
+                f"--passive says that {twice[0]!r} has no motor, and --kind that it is "
+                f"{dict(named)[twice[0]]}.",
+                advice="Leave one of both out.",
+            )
         return dict([*(("", kind) for kind in of_all), *named, *without])
 
 

@@ -98,8 +98,8 @@ class Effect(CheckedFields, abc.ABC):
         damps: Whether its one column is the velocity of its joint, as that of a servo's damping is.
         beside_gains: Whether unknown gains of efforts are found beside it, as any joint may have
             it.
-        of_motor: Whether it is of a motor, its gear or its sensor of efforts, which passive joints
-            have none of.
+        of_motor: Whether it is of a motor, its gear or its sensor of efforts, or goes with the
+            effort of one: passive joints have none.
         taken_out_as: What drives that take it out of the efforts that they report call it.
         by_drive: Whether it is the drive that does it, so that nothing in a robot's file can.
     """

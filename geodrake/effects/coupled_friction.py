@@ -28,6 +28,7 @@ class CoupledFriction(SharedActuatorEffect):
     sign: int = 1
 
     name = "coupled_friction"
+    of_motor = True
     taken_out_as = "friction"
     law = (
         "friction of an actuator that turns with v_i ± v_j; of joints that do not follow each "

@@ -22,6 +22,7 @@ class LoadDependentFriction(JointEffect):
     """
 
     name = "load_dependent_friction"
+    of_motor = True
     taken_out_as = "friction"
     label = "load-dependent friction"
     law = "k |τ_model| sgn v"

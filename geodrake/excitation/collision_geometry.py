@@ -15,7 +15,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
-from geodrake.boundary.arguments import instance
+from geodrake.boundary.arguments import instance, typed
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collision_meshes import in_memory, replace_stl
 from geodrake.model.robot_model import RobotModel
@@ -55,6 +55,7 @@ FLOOR = "floor"
 _HALF = 10.0, 0.5  # m, of the sides and the depth of a floor
 
 
+@typed
 def floor_of(model: RobotModel) -> Solid:
     """Return a floor at the height of the origin of the robot's base, level in the world."""
     plant = model.plant

@@ -26,7 +26,7 @@ def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
             nothing.
     """
     limits = np.broadcast_to(np.asarray(effort_limits, float), (len(log.joints),))
-    known = np.isfinite(limits) & (limits > _LEAST_LIMIT)
+    known = np.isfinite(limits) & (limits > _LEAST_LIMIT) & ~np.isin(log.joints, log.passive)
     if not known.any():
         return None
     peaks = np.minimum(_peaks(log.effort), _LARGEST)

@@ -15,7 +15,7 @@ from geodrake.logs.motion import JointLog, match_joints
 from geodrake.logs.resting import LARGEST, logged_ranges, readings, resting, travels
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel, is_of_file, read_again
-from geodrake.robot.plant import motor_joints
+from geodrake.robot.plant import joint_names, motor_joints, scoped_joint_names
 from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
 
@@ -32,7 +32,9 @@ def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
     Those are the joints without an actuator or a transmission in the model file, where others
     have one; they are passive in logs without an effort of them.
     """
-    driven = {name.rpartition("::")[2] for name in motor_joints(model.plant)}
+    motors = motor_joints(model.plant)
+    names = zip(joint_names(model.plant), scoped_joint_names(model.plant), strict=True)
+    driven = {name for name, scoped in names if scoped in motors}
     followers = {joint for pair in model.led.items() for joint in (pair[0], pair[1][0])}
     none = set(model.single_joints).difference(driven, followers) if driven else set()
     return replace(reading or Reading(), motorless=frozenset(none))

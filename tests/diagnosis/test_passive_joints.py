@@ -144,6 +144,17 @@ def test_what_has_a_motor_by_the_model_is_asked_for(files, tmp_path):
     assert "--passive shoulder" in caught.value.advice
 
 
+def test_motors_that_logs_do_not_agree_on(files):
+    model, paths = files()
+    first, second = (read_log(path, reading=reading_for(model)) for path in paths)
+    driven = replace(second, effort_kinds={}, effort=np.sin(second.position))
+    none = [replace(log, effort_kinds=dict.fromkeys(log.joints, "passive")) for log in (first,)]
+    with pytest.raises(LogError, match="not in both"):
+        compare(model, [first, driven])
+    with pytest.raises(LogError, match="No joint of log .* has a motor"):
+        compare(model, none)
+
+
 def test_identify_says_that_it_fits_measured_efforts_alone(files):
     model, logs = files()
     with pytest.raises(LogError, match="shoulder has no motor"):

@@ -205,6 +205,14 @@ def test_names_in_a_comment_and_decimal_commas(tmp_path):
     assert np.allclose(log.effort[:, 0], tau[:, 0], atol=1e-8)
 
 
+def test_commas_within_lists_are_no_decimal_commas(tmp_path):
+    rows = [f"{k / 100};[{k}.5, 2.25];[0.1, {k}]" for k in range(40)]
+    (tmp_path / "log.csv").write_text("time;position;effort\n" + "\n".join(rows))
+    log = read_log(tmp_path / "log.csv", joints=["a", "b"])
+    np.testing.assert_array_equal(log.position[:, 0], np.arange(40) + 0.5)
+    np.testing.assert_array_equal(log.effort[:, 1], np.arange(40))
+
+
 def test_no_header_and_no_time(tmp_path):
     _, q, _, tau = motion(("a",))
     path = tmp_path / "log.csv"

@@ -47,7 +47,7 @@ class DrivenSimulation:
         places = model.positions(np.arange(len(model.joints), dtype=float)[None])[0]
         self._order = np.argsort(places)  # where the position of each velocity stands
         system = builder.AddSystem(DrivenPlant(self._driving))
-        system.connect(builder)
+        system.close_loop(builder)
         own = np.concatenate([self._order, len(places) + np.arange(len(places))])
         state = picked(builder, system.GetOutputPort("state"), own)
         builder.Connect(acting.add(builder, state), system.GetInputPort("effort"))

@@ -383,8 +383,31 @@ def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
     )
 
 
+def _check_passive(logs: Sequence[JointLog]) -> None:
+    """Check that some joint has a motor, and that logs agree on which have.
+
+    Raises:
+        LogError: They do not.
+    """
+    for log in logs:
+        if len(log.passive) == len(log.joints):
+            raise LogError(
+                f"No joint of log {log.name!r} has a motor: nothing was measured that says how "
+                "heavy the robot is.",
+                advice="Leave --passive out for joints whose efforts were measured.",
+            )
+        if differing := sorted(set(log.passive) ^ set(logs[0].passive)):
+            raise LogError(
+                f"{differing[0]} has no motor in {log.name!r} or in {logs[0].name!r}, but not in "
+                "both.",
+                advice=f"Say --passive {differing[0]}, or measure its effort in each log.",
+                joints=differing,
+            )
+
+
 def _check_efforts(logs: Sequence[JointLog]) -> None:
     check_repeated(logs)  # also those whose efforts were not there
+    _check_passive(logs)
     for log in logs:
         known = np.isfinite(log.effort)
         highest = log.effort.max(axis=0, initial=-np.inf, where=known)

@@ -71,7 +71,7 @@ def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) ->
     lowest frequency on, as where efforts are in other units.
     """
     frequency, ratio = effort_ratio(model, trajectories)
-    inside = frequency <= trajectories[0].filter.bandwidth
+    inside = frequency <= min(trajectory.filter.bandwidth for trajectory in trajectories)
     frequency, ratio = frequency[inside], ratio[inside]
     worst = int(np.argmax(ratio))
     if ratio[worst] <= _EXCESS:

@@ -109,6 +109,7 @@ class CrossValidation:
         self.delay = dataset.delay_of_each(delay)
         if held_out is None:
             (gram, rhs), (own_gram, own_rhs) = self._whole, self._own
+            own_rhs = own_rhs + dataset.fold_shares[:, None] * unknowns.pull
             x = self._solved(gram - own_gram, rhs - own_rhs, unknowns.mean, physical=physical)
             held_out = hold_out(dataset, unknowns.columns, x, delay=self.delay)
         self.held_out = held_out

@@ -180,6 +180,12 @@ class Dataset(Short):
         return np.asarray((power / self.inertias(columns, x)) @ self.passive_shares(columns))
 
     @cached_property
+    def fold_shares(self) -> Array:
+        """(F,) share of all samples that each fold has."""
+        counts = self.samples.sum(axis=1)
+        return np.asarray(counts / counts.sum())
+
+    @cached_property
     def starts(self) -> Mapping[Effect, int]:
         """First column of every effect."""
         return column_starts(self.effects, self.bodies)

@@ -77,7 +77,7 @@ def fit_problem(
     return FitProblem(
         factor=triangle,
         inertia_blocks=unknowns.inertia_blocks,
-        prior_mean=unknowns.pulled_mean,
+        prior_mean=unknowns.pulled_mean(float(dataset.fold_shares[kept].sum())),
         prior_information=unknowns.information,
         lower=lower,
         upper=upper,

@@ -31,12 +31,11 @@ class Unknowns:
     starts: tuple[int, ...] = ()  # first unknown of every effect
     pull: Array | float = 0.0  # (p,) added to the right side, as in `Dataset.passive_pull`
 
-    @property
-    def pulled_mean(self) -> Array:
-        """Return (p,) the mean of a prior that has the pull in it."""
+    def pulled_mean(self, share: float) -> Array:
+        """Return (p,) the mean of a prior that has a share of the pull in it."""
         if not np.any(self.pull):
             return self.mean
-        return self.mean + np.linalg.solve(self.information, self.pull)
+        return self.mean + share * np.linalg.solve(self.information, self.pull)
 
     @property
     def is_inertial(self) -> NDArray[np.bool_]:

@@ -24,6 +24,7 @@ from geodrake.logs.files.units import UNITS, unit_of
 from geodrake.logs.motion import EFFORT_KINDS, PASSIVE
 
 MOST_COLUMNS = 500  # of a file for which a mapping is proposed
+_KEYS = tuple(quantity for quantity in OF_JOINTS if quantity != PASSIVE)  # of a joint
 _ASKED = ("position", "velocity", "effort")
 _FORM = (
     "Write `time: COLUMN` or `rate: HZ`, and `joints:`, each with `position:` and `effort:` (or "
@@ -52,7 +53,7 @@ def _mapping(path: Path, content: object) -> ColumnMapping:
     joints = {
         str(joint): {
             quantity: _column(column, quantity, f"{joint}.{quantity}")
-            for quantity, column in _table(columns, OF_JOINTS, f"joint {joint!r}").items()
+            for quantity, column in _table(columns, _KEYS, f"joint {joint!r}").items()
             if column is not None
         }
         for joint, columns in _table(content.get("joints"), None, "`joints`").items()

@@ -97,7 +97,8 @@ class Recording:
             time = np.where(again, np.nan, time)
             more += (f"{again.sum()} rows with the time of the row before left out",)
         kept, torn = self.torn.settle(time)
-        kept = ~again if kept is None and again.any() else kept
+        if again.any():
+            kept = ~again if kept is None else kept & ~again
         values = {quantity: numbers[:rows] for quantity, numbers in self.values.items()}
         alone = {joint: numbers[:rows] for joint, numbers in self._standing.items()}
         kinds, more_notes = self._without_motors(values["effort"])
@@ -125,9 +126,19 @@ class Recording:
 
     def _without_motors(self, effort: Array) -> tuple[dict[str, str], list[str]]:
         """Return the kinds of efforts, with zeros (N, n) at joints without a motor, and notes."""
-        kinds, notes = self.columns.kinds, []
+        kinds, notes, command = self.columns.kinds, [], self.values.get("command")
         for at, joint in enumerate(self.columns.joints):
-            if joint in self.columns.reading.motorless and not np.nan_to_num(effort[:, at]).any():
+            largest = float(np.abs(np.nan_to_num(effort[:, at])).max(initial=0.0))
+            told = command is not None and np.isfinite(command[:, at]).any()
+            if kinds.get(joint) == PASSIVE and largest > 0.0:
+                raise LogError(
+                    f"Joint {joint!r} is said to have no motor, and log {self.columns.path.name!r} "
+                    f"has efforts of it, of up to {largest:.4g}.",
+                    advice="Leave --passive out; or write `effort: passive` in a mapping, which "
+                    "leaves that column out.",
+                    joint=joint,
+                )
+            if joint in self.columns.reading.motorless and not (largest or told):
                 kinds[joint] = PASSIVE
                 notes.append(f"{joint} has no motor by the model, and no effort here: passive")
             if kinds.get(joint) == PASSIVE:

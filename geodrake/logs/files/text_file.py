@@ -247,8 +247,9 @@ def _cells(
 def _list(cell: str, path: Path, row: int, layout: TextLayout, place: int) -> list[float]:
     """Return the numbers of a list in a cell; NaN where the cell is empty."""
     column = layout.names[place]
-    count, found = layout.lists[column], list_of(cell) if cell.strip() else None
-    if found is None and not cell.strip():
+    is_empty = cell.strip() in ("", "[]", "()")
+    count, found = layout.lists[column], None if is_empty else list_of(cell)
+    if is_empty:
         return [np.nan] * count
     if found is None or len(found) != count:
         raise LogError(

@@ -19,7 +19,7 @@ from geodrake.logs.files.units import UNITS, find_unit
 
 COMMENTS = ("#", "%", "//")
 _HEADER_LINES = 1000  # of a header whose names have line ends
-_LINES_AHEAD = 20  # in which dates are looked for
+_LINES_AHEAD = 1000  # in which dates, lists and words are looked for
 _WHITESPACE = None
 _LIST = re.compile(r"[\[(]([^\[\]()]*)[\])]")
 _BETWEEN = re.compile(r"\s*[,;]\s*|\s+")
@@ -86,7 +86,7 @@ class TextLayout:
                 continue
             trailing = len(cells) == len(self.names) + 1 and not cells[-1].strip()
             kept = cells[:-1] if trailing else cells  # a separator behind the last cell
-            yield line, [c.replace(",", ".") for c in kept] if self.decimal == "," else kept
+            yield line, [_pointed(c) for c in kept] if self.decimal == "," else kept
 
 
 def text_layout(
@@ -124,10 +124,10 @@ def text_layout(
         units = _units(header, following, separator)
         if units:
             following, used = next(rest, ""), used + 1
-        decimal = "," if separator == ";" and "," in following else "."
+        decimal = _decimal(separator, following)
         layout = TextLayout(tuple(header), separator, decimal, count + used, units)
         return _with_contents(layout, chain([following], rest))
-    decimal = "," if separator == ";" and "," in first else "."
+    decimal = _decimal(separator, first)
     names = _renamed(path, reading, cells) if reading.columns else None
     names = names or _names_in_comment(cells, comment)
     if names is None and not (numbered or reading.mapping):
@@ -135,6 +135,16 @@ def text_layout(
         raise with_proposal(_no_header(path, cells), path, proposal)
     names = names or [str(k) for k in range(1, len(cells) + 1)]
     return _with_contents(TextLayout(tuple(names), separator, decimal, count), chain([first], rest))
+
+
+def _decimal(separator: str | None, line: str) -> str:
+    """Return the decimal mark of a line: commas within lists are none."""
+    return "," if separator == ";" and "," in _LIST.sub("", line) else "."
+
+
+def _pointed(cell: str) -> str:
+    """Return a cell with a point for a decimal comma; lists as they are."""
+    return cell if cell.lstrip().startswith(("[", "(")) else cell.replace(",", ".")
 
 
 def list_of(cell: str) -> list[float] | None:
@@ -153,7 +163,7 @@ def _with_contents(layout: TextLayout, lines: Iterator[str]) -> tuple[TextLayout
     with suppress(csv.Error):  # said when the rows are read
         for _, cells in layout.cells(ahead):
             for name, cell in zip(layout.names, cells, strict=False):
-                if cell.strip():
+                if cell.strip() not in ("", "[]", "()"):
                     first.setdefault(name, cell)
     dates = {name: date_of(cell) for name, cell in first.items()}
     origins = {name: date for name, date in dates.items() if date is not None}

@@ -266,10 +266,7 @@ class _Understood:
             quantity if quantity == "time" else f"{joint}.{quantity}": self._scaled(joint, quantity)
             for joint, quantity in self.places
             if quantity == "time"
-            or (
-                (joint in joints and quantity in quantities)
-                and not (joint in passive and quantity == "effort")
-            )
+            or (joint in joints and quantity in quantities)
             or (joint in standing and quantity == "position")
         }
         beside = [j for j in self._having("position") if j not in (*joints, *standing)]
@@ -328,8 +325,10 @@ class _Understood:
             LogError: There is one.
         """
         heard, told = self._having("effort"), self._having("command")
-        _check_joints_of("gain", self.reading.gains, joints)
-        _check_joints_of("kind", [joint for joint in self.reading.kinds if joint], joints)
+        _check_joints_of("There is a gain of", self.reading.gains, joints)
+        for joint, said in self.reading.kinds.items():
+            what = "--passive names" if said == PASSIVE else "There is a kind of"
+            _check_joints_of(what, [joint] if joint else [], joints)
         for joint in self.reading.gains:
             if joint not in heard:
                 raise LogError(
@@ -418,6 +417,6 @@ def _check_joints_of(what: str, named: Iterable[str], joints: Sequence[str]) -> 
     for joint in named:
         if joint not in joints:
             raise LogError(
-                f"There is a {what} of {joint!r}, which is no joint of the log.",
+                f"{what} {joint!r}, which is no joint of the log.",
                 advice=f"Its joints are: {listed(joints)}.",
             )

@@ -174,7 +174,7 @@ class DrivenPlant(LeafSystem):
         known = {*known, self._effort_port.ticket(), self.time_ticket()}
         self.DeclareVectorOutputPort("generalized_force", BasicVector(nv), self._calc_force, known)
 
-    def connect(self, builder: DiagramBuilder) -> None:
+    def close_loop(self, builder: DiagramBuilder) -> None:
         """Connects it with its plant; both are in the builder."""
         plant = self._driving.coordinates.plant
         builder.Connect(plant.get_state_output_port(), self._state_port)

@@ -242,7 +242,7 @@ class DiagramRobot:
         """Connects a plant of other coordinates."""
         effort, acting, logged = self._efforts(builder)
         system = builder.AddNamedSystem(f"{self.name}_driven", DrivenPlant(driving))
-        system.connect(builder)
+        system.close_loop(builder)
         builder.Connect(acting, system.GetInputPort("effort"))
         ports = effort, system.GetOutputPort("state"), logged
         return RobotInDiagram(
