@@ -151,7 +151,7 @@ def test_motors_that_logs_do_not_agree_on(files):
     none = [replace(log, effort_kinds=dict.fromkeys(log.joints, "passive")) for log in (first,)]
     with pytest.raises(LogError, match="not in both"):
         compare(model, [first, driven])
-    with pytest.raises(LogError, match="No joint of log .* has a motor"):
+    with pytest.raises(LogError, match=r"No joint of log .* has a motor"):
         compare(model, none)
 
 

@@ -9,7 +9,7 @@ import pandas
 import pytest
 
 from geodrake.errors import LogError
-from geodrake.logs.files import read_log, read_table, text_file
+from geodrake.logs.files import Reading, read_log, read_table, text_file
 from geodrake.logs.motion import JointLog
 
 JOINTS = ("base", "elbow")
@@ -100,7 +100,63 @@ def _hdf5(folder):
     return path
 
 
-SHAPES = [_lists, _named_cells, _swapping_cells, _long, _long_parquet, _records, _object, _hdf5]
+def _names_in_lists(folder):
+    rows = [
+        [TIME[k], list(JOINTS[::-1]), POSITION[k, ::-1].tolist(), EFFORT[k, ::-1].tolist()]
+        for k in range(ROWS)
+    ]
+    return _write(folder / "names.csv", ["time", "name", "position", "effort"], rows)
+
+
+def _reversed():
+    return {"time": TIME, "q": POSITION[:, ::-1], "tau": EFFORT[:, ::-1]}
+
+
+def _names_once_in_json(folder):
+    path, content = folder / "names.json", {"joint_names": JOINTS[::-1]}
+    content |= {name: values.tolist() for name, values in _reversed().items()}
+    path.write_text(json.dumps(content))
+    return path
+
+
+def _names_once_in_npz(folder):
+    np.savez(folder / "names.npz", joint_names=JOINTS[::-1], **_reversed())
+    return folder / "names.npz"
+
+
+def _names_once_in_hdf5(folder):
+    with h5py.File(folder / "names.h5", "w") as file:
+        file["joint_names"] = list(JOINTS[::-1])
+        for name, values in _reversed().items():
+            file[name] = values
+    return folder / "names.h5"
+
+
+def _names_in_parquet(folder):
+    lists = {name: list(values) for name, values in _reversed().items()}
+    frame = pandas.DataFrame({**lists, "time": TIME, "name": [list(JOINTS[::-1])] * ROWS})
+    frame.to_parquet(folder / "names.parquet")
+    return folder / "names.parquet"
+
+
+NAMED = [
+    _names_in_lists,
+    _names_once_in_json,
+    _names_once_in_npz,
+    _names_once_in_hdf5,
+    _names_in_parquet,
+]
+SHAPES = [
+    *NAMED,
+    _lists,
+    _named_cells,
+    _swapping_cells,
+    _long,
+    _long_parquet,
+    _records,
+    _object,
+    _hdf5,
+]
 
 
 @pytest.mark.parametrize("write", SHAPES)
@@ -115,6 +171,45 @@ def test_a_table_of_any_shape_is_the_same_log(tmp_path, write):
 def test_a_log_without_a_model_has_the_joints_that_its_cells_name(tmp_path):
     for write in (_named_cells, _long, _records):
         assert set(read_log(write(tmp_path)).joints) == set(JOINTS)
+
+
+def test_a_row_a_joint_with_what_was_commanded_and_other_units(tmp_path):
+    header = ["time", "joint", "position_commanded", "position_deg", "effort_Nmm"]
+    rows = [
+        [1e3 * TIME[k], joint, 7.0, np.degrees(POSITION[k, j]), 1e3 * EFFORT[k, j]]
+        for k in range(ROWS)
+        for j, joint in enumerate(JOINTS)
+    ]
+    path = _write(tmp_path / "long.csv", header, rows)
+    log = read_log(path, joints=JOINTS, reading=Reading(units={"time": "ms"}))
+    np.testing.assert_allclose(log.time - log.time[0], TIME, atol=1e-9)
+    np.testing.assert_allclose(log.position, POSITION, atol=1e-9)
+    np.testing.assert_allclose(log.effort, EFFORT, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["json", "parquet"])
+def test_lists_that_are_missing_in_some_rows(tmp_path, kind):
+    content = {"time": TIME.tolist(), "q": POSITION.tolist(), "tau": EFFORT.tolist()}
+    content["tau"][5], content["limits"], content["gains"] = None, [1, 2], [3, 4]
+    content["q"][7][1] = None
+    path = tmp_path / f"log.{kind}"
+    if kind == "json":
+        path.write_text(json.dumps(content))
+    else:
+        pandas.DataFrame({n: content[n] for n in ("time", "q", "tau")}).to_parquet(path)
+    log = read_log(path)
+    assert np.isnan(log.effort[5]).all()
+    assert np.isnan(log.position[7, 1])
+    np.testing.assert_array_equal(np.delete(log.effort, 5, 0), np.delete(EFFORT, 5, 0))
+
+
+def test_lists_of_several_lengths_in_json(tmp_path):
+    content = {"time": TIME.tolist(), "q": POSITION.tolist(), "tau": EFFORT.tolist()}
+    content["tau"][5] = [1.0]
+    (tmp_path / "log.json").write_text(json.dumps(content))
+    with pytest.raises(LogError, match=r"lists of 2 numbers, and one of 1 in row 6") as caught:
+        read_log(tmp_path / "log.json")
+    assert "'tau'" in str(caught.value)
 
 
 def test_a_list_of_another_length_is_a_bad_row(tmp_path):

@@ -19,9 +19,10 @@ from geodrake.errors import LogError
 from geodrake.logs.files.column_names import Columns, is_used, listed
 from geodrake.logs.files.formats import check_log, read_table, table_of
 from geodrake.logs.files.joined_files import joined_table, parts_of
+from geodrake.logs.files.joined_tables import meanings_of
 from geodrake.logs.files.mapping_file import read_mapping
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.recognition import is_time
+from geodrake.logs.files.recognition import is_time, meaning_of
 from geodrake.logs.files.recording import Recording
 from geodrake.logs.files.shapes import reshaped
 from geodrake.logs.files.signal_columns import without_use
@@ -116,12 +117,7 @@ def _read(
 ) -> tuple[JointLog, Columns]:
     """Return the log in a file, or in several, and what its columns were taken for."""
     try:
-        if len(parts) > 1:
-            table = joined_table(parts, reading)  # whose time is in s
-            units = {name: unit for name, unit in reading.units.items() if name != "time"}
-            reading = replace(reading, units=units)
-        else:
-            table = table_of(path, reading, joints)
+        table = joined_table(parts, reading) if len(parts) > 1 else table_of(path, reading, joints)
         return _understood(table, joints, reading, partial=partial)
     except UnicodeDecodeError as error:
         raise LogError(
@@ -165,6 +161,9 @@ def _understood(
     table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool
 ) -> tuple[JointLog, Columns]:
     table = reshaped(table, reading)
+    if table.in_seconds:
+        units = {name: unit for name, unit in reading.units.items() if name != "time"}
+        reading = replace(reading, units=units)
     _check_silent(table, reading)
     columns = columns_of(
         table.path,
@@ -190,6 +189,12 @@ def _check_silent(table: LogTable, reading: Reading) -> None:
         needed = {name for name in table.silent if is_used(name) and name != "time"}
         if reading.rate is None and not any(map(is_time, table.names)):
             needed |= {name for name in table.silent if is_time(name)}
+        heard = {
+            meaning.log_quantity.replace("command", "effort") for meaning in meanings_of(table)
+        }
+        told = {name: meaning_of(name) for name in table.silent}
+        missing = {"position", "effort"}.difference(heard)
+        needed |= {name for name, m in told.items() if m and m.log_quantity in missing}
     for name, words in table.silent.items():
         if name in needed:
             raise LogError(

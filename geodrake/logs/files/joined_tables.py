@@ -64,7 +64,8 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
                 columns[column] = _at(known[base], time, values, holds=holds)
     rate = 1.0 / periods[base]
     note = f"joined by time, at the {rate:.4g} rows a second of {tables[base].path}"
-    return LogTable(log, columns, units, (note, *unit_notes, *noted), origins)
+    notes = (note, *unit_notes, *noted)
+    return LogTable(log, columns, units, notes, origins, in_seconds=True)
 
 
 def meanings_of(table: LogTable) -> list[Meaning]:
@@ -78,7 +79,7 @@ def _time(table: LogTable, reading: Reading) -> tuple[Array | None, str]:
     if not times:
         return None, ""
     best = min(times, key=lambda meaning: meaning.role)
-    if best.column in table.origins:
+    if best.column in table.origins or table.in_seconds:
         return table.columns[best.column], ""
     unit = unit_of(reading.units["time"], "time") if "time" in reading.units else best.unit
     time = table.columns[best.column]

@@ -12,7 +12,7 @@ import numpy as np
 from geodrake.boundary.input_files import open_text
 from geodrake.errors import LogError
 from geodrake.logs.files.damage import readable
-from geodrake.logs.files.numeric_columns import numeric_table
+from geodrake.logs.files.numeric_columns import numeric_table, rows_of
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.room import check_room
 from geodrake.logs.files.table import LogTable
@@ -30,9 +30,7 @@ def read_json(path: Path, reading: Reading) -> LogTable:
             content = json.load(file)
     if isinstance(content, Mapping):
         found = {name: values for name, values in _arrays(content) if len(values) > 1}
-        lengths = [len(values) for values in found.values()]
-        rows = max(set(lengths), key=lengths.count, default=0)
-        return numeric_table(path, found, rows)
+        return numeric_table(path, found, rows_of(found))
     if not isinstance(content, list) or not all(isinstance(row, Mapping) for row in content):
         raise LogError(f"Log {str(path)!r} is neither an object nor records.", advice=_ADVICE)
     columns = dict[str, list[Any]]()

@@ -13,7 +13,7 @@ from geodrake.boundary.input_files import open_regular
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.damage import readable
-from geodrake.logs.files.numeric_columns import numeric_table
+from geodrake.logs.files.numeric_columns import numeric_table, rows_of
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.room import check_room
 from geodrake.logs.files.table import LogTable
@@ -46,8 +46,7 @@ def read_hdf5(path: Path, reading: Reading) -> LogTable:
     """Return the arrays of an HDF5 file by their paths; images and the like are left out."""
     with readable(path, "HDF5 file"):
         arrays = dict(_flattened(_of_hdf5(path, matlab=False)))
-    lengths = [len(array) for array in arrays.values()]
-    return numeric_table(path, arrays, max(set(lengths), key=lengths.count, default=0))
+    return numeric_table(path, arrays, rows_of(arrays))
 
 
 def _is_hdf5(path: Path) -> bool:

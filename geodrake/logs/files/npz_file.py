@@ -19,7 +19,7 @@ from geodrake.errors import GeodrakeError, LogError
 from geodrake.logs.files.column_names import is_used
 from geodrake.logs.files.dates import dates
 from geodrake.logs.files.numeric_columns import numeric_table
-from geodrake.logs.files.recognition import is_time, meaning_of
+from geodrake.logs.files.recognition import is_time, meaning_of, names_joints
 from geodrake.logs.files.table import Groups, LogTable, Part
 from geodrake.logs.files.torn_rows import TornRows
 
@@ -34,7 +34,9 @@ def read_npz(path: Path) -> LogTable:
     """Return the columns of an NPZ file, of which nothing is unpacked before it is asked for."""
     with _archive(path) as archive:
         places = [place for entry in archive.infolist() for place in _places(archive, entry)]
-        return ArchiveTable(path, places, _origins(archive, places))
+        table = ArchiveTable(path, places, _origins(archive, places))
+    lists = (name for name in table.names if names_joints(name) and meaning_of(name) is None)
+    return table.loaded() if any(lists) else table
 
 
 class ArchiveTable(LogTable):

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.logs.files.dates import NO_DATE, date_of, dates, since_first
+from geodrake.logs.files.recognition import is_time, names_joints
 from geodrake.logs.files.table import LogTable
 
 Array = NDArray[np.float64]
@@ -33,13 +34,13 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
         The table, with a note of what was left out.
     """
     columns: dict[str, Array] = {}
-    origins, silent, words = {}, {}, {}
-    for name, values in arrays.items():
+    origins, silent, words = {}, {}, dict[str, NDArray[np.object_]]()
+    for name, given in arrays.items():
+        values = _array(given) if isinstance(given, list) else given
         found, origin = numbers(values)
         if found is None or found.ndim not in (1, 2) or len(found) != rows:
             silent[name] = _what_else(values, rows)
-            if rows and np.shape(values) == (rows,) and isinstance(values[0], str):
-                words[name] = np.array([str(value) for value in values], object)
+            words |= _texts(name, values, rows)
             continue
         columns.update(spread(name, found))
         if origin is not None:
@@ -50,6 +51,40 @@ def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
     return LogTable(path, columns, notes=notes, origins=origins, silent=silent, words=words)
 
 
+def _texts(name: str, values: Any, rows: int) -> dict[str, NDArray[np.object_]]:
+    """Return the texts of an array, as (N,) for each column `name`, or `name[k]` of lists.
+
+    A list of names of joints alone is that of each row.
+    """
+    cells = [] if np.ndim(values) == 0 else [_text(value) for value in values]
+    is_flat = all(isinstance(cell, str) for cell in cells)
+    if is_flat and len(cells) == rows:
+        return {name: np.array(cells, object)} if rows else {}
+    if is_flat and names_joints(name) and rows:
+        return {f"{name}[{k}]": np.full(rows, cell, object) for k, cell in enumerate(cells)}
+    if len(cells) != rows or is_flat or len({cell and len(cell) for cell in cells}) > 1:
+        return {}
+    lists = zip(*(cell or () for cell in cells), strict=True)
+    return {f"{name}[{k}]": np.array(each, object) for k, each in enumerate(lists)}
+
+
+def _text(value: Any) -> str | list[str] | None:
+    """Return a text, or the texts of a list; None of others."""
+    if isinstance(value, bytes | str):
+        return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
+    if not isinstance(value, Sized):
+        return None
+    items = [_text(each) for each in value]  # type: ignore[attr-defined]
+    return items if all(isinstance(item, str) for item in items) else None  # type: ignore[return-value]
+
+
+def rows_of(arrays: Mapping[str, Any]) -> int:
+    """Return how many rows a log of some arrays has: those of its time, or of most arrays."""
+    times = [len(values) for name, values in arrays.items() if is_time(name)]
+    lengths = times or [len(values) for values in arrays.values()]
+    return max(set(lengths), key=lambda length: (lengths.count(length), length), default=0)
+
+
 def _what_else(values: Any, rows: int) -> str:
     """Return what is in an array that has no numbers, in words."""
     if np.ndim(values) == 0:
@@ -57,6 +92,15 @@ def _what_else(values: Any, rows: int) -> str:
     if len(values) != rows:
         return f"has {len(values)} rows, and others have {rows}"
     bad = next((value for value in values if isinstance(value, str) and not _is_number(value)), "")
+    lists = {
+        k: len(value)
+        for k, value in enumerate(values, 1)
+        if isinstance(value, Sized) and not isinstance(value, str) and len(value)
+    }
+    first = next(iter(lists.values()), 0)
+    row = next((k for k, length in lists.items() if length != first), None)
+    if row is not None:
+        return f"has lists of {first} numbers, and one of {lists[row]} in row {row}"
     if bad:
         return f"holds {bad[:_LONGEST_TEXT]!r}, which is neither a number nor a date"
     return "holds no numbers"
@@ -85,7 +129,7 @@ def numbers(values: Any) -> tuple[Array | None, int | None]:
         missing, values = np.ma.getmaskarray(values), np.array(values.data, object)
         values[missing] = None
     try:
-        array = np.asarray(values)
+        array = _array(values)
         if array.dtype.kind == "M":
             return dates(array)
         if array.dtype.kind == "m":
@@ -97,13 +141,25 @@ def numbers(values: Any) -> tuple[Array | None, int | None]:
     return (np.asarray(array, float) if array.dtype.kind in "fiub" else None), None
 
 
+def _array(values: Any) -> NDArray[Any]:
+    """Return an array; of lists of several lengths, or of lists and nothing, one of objects."""
+    try:
+        return np.asarray(values)
+    except ValueError:
+        array = np.empty(len(values), object)
+        array[:] = values
+        return array
+
+
 def _of_objects(array: NDArray[Any]) -> tuple[Array | None, int | None]:
     """Numbers of lists, or of objects that are numbers, dates or nothing."""
     first = next((value for value in array.flat if not _is_nothing(value)), None)
     if not array.size:
         return None, None
     if isinstance(first, Sized) and not isinstance(first, str):
-        return np.stack([np.asarray(row, float) for row in array]), None
+        empty = np.full(len(first), np.nan)
+        rows = [empty if _is_nothing(row) or not len(row) else row for row in array]
+        return np.stack([np.asarray(row, float) for row in rows]), None
     if array.ndim == 1 and _date(first) is not None:
         stamps = [NO_DATE if _is_nothing(value) else _date(value) for value in array]
         return (None, None) if None in stamps else since_first(np.array(stamps, np.int64))

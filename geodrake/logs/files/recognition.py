@@ -82,6 +82,7 @@ _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
 _SECOND = re.compile(r"(?<![A-Za-z])(q2d|qd2|d2q)(?![a-z])")  # second derivatives
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
+_NAMING = frozenset(["name", "names", "joint", "joints", "motor", "motors", "axis", "actuator"])
 _LONGEST_NAME = 200  # letters of a name of words
 _SAMPLES = ("actual", "measured", "feedback", "state", "desired", "target", "command", "reference")
 
@@ -139,6 +140,12 @@ def is_time(name: str) -> bool:
 def quantity_of(text: str) -> str | None:
     """The quantity that a text names, such as the name of a file."""
     return _quantity(_split(text))
+
+
+def names_joints(column: str) -> bool:
+    """Return whether a column of words, by its name, has names of joints."""
+    words = plain_words(column)
+    return bool(_NAMING.intersection(words)) and "frame" not in words
 
 
 def plain_words(text: str) -> frozenset[str]:

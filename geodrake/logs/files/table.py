@@ -33,6 +33,7 @@ class LogTable:
             zero, ns since 1970.
         silent: Columns that were left out -> why, in words.
         words: (N,) texts of columns without numbers.
+        in_seconds: Whether the column `time` is in seconds, whatever the user says of the file's.
     """
 
     path: Path
@@ -42,6 +43,7 @@ class LogTable:
     origins: Mapping[str, int] = field(default_factory=dict)
     silent: Mapping[str, str] = field(default_factory=dict)
     words: Mapping[str, NDArray[np.object_]] = field(default_factory=dict)
+    in_seconds: bool = False
 
     def __len__(self) -> int:
         """Number of rows."""

@@ -18,8 +18,7 @@ from geodrake.errors import LogError
 from geodrake.logs.files.column_names import HEADER_ADVICE
 from geodrake.logs.files.dates import date_of
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.recognition import is_time
-from geodrake.logs.files.shapes import names_joints
+from geodrake.logs.files.recognition import is_time, names_joints
 from geodrake.logs.files.table import Groups, LogTable, Part
 from geodrake.logs.files.text_layout import TextLayout, list_of, text_layout
 from geodrake.logs.files.torn_rows import TornRows
