@@ -79,16 +79,20 @@ def _run(options: LogCommandOptions) -> None:
             inspect_log(log, joints=joints, partial=True, reading=reading) for log in options.logs
         ]
         numbers: dict[str, Any] = {"logs": [inspection_dict(each) for each in found]}
-        columns = () if model is None else _columns(model, [each.log for each in found])
+        columns, unchecked = _columns(model, [each.log for each in found]) if model else ((), "")
         if model is not None:
-            numbers |= {"columns": columns_list(columns), "notes": list(model.repairs)}
+            notes = [*model.repairs, *filter(None, [unchecked])]
+            numbers |= {"columns": columns_list(columns), "notes": notes}
         text = to_json({"version": version(), "command": "log", **numbers})
-        written = _written(targets, found[0], columns, text)
+        written = _written(targets, options, found[0], columns, text)
     with printing():
         if options.json == STDOUT:
             print_whole(text)
         console = make_console(stderr=options.json == STDOUT)
         show_list(console, "Columns are not what they seem", [str(each) for each in columns])
+        show_list(
+            console, "Columns were not compared with the model", [unchecked] if unchecked else []
+        )
         for path, each in zip(options.logs, found, strict=True):
             _show(console, path.name, each)
         words = {"convert": "log", "figure": "preview", "write-mapping": "mapping"}
@@ -100,16 +104,20 @@ def _run(options: LogCommandOptions) -> None:
             console.print(command, soft_wrap=True, highlight=False, markup=False)
 
 
-def _columns(model: RobotModel, logs: Sequence[JointLog]) -> tuple[ColumnFinding, ...]:
-    """Mistakes in columns; none of logs that say nothing of the model."""
+def _columns(model: RobotModel, logs: Sequence[JointLog]) -> tuple[tuple[ColumnFinding, ...], str]:
+    """Mistakes in columns; of logs that say nothing of the model none, and why."""
     try:
-        return found_columns(model_of_logs(model, logs), logs, {})
-    except GeodrakeError:
-        return ()
+        return found_columns(model_of_logs(model, logs), logs, {}), ""
+    except GeodrakeError as error:
+        return (), error.problem
 
 
 def _written(
-    targets: Targets, found: LogInspection, columns: Sequence[ColumnFinding], text: str
+    targets: Targets,
+    options: LogCommandOptions,
+    found: LogInspection,
+    columns: Sequence[ColumnFinding],
+    text: str,
 ) -> dict[str, Path]:
     """Option -> file, of what was asked for."""
     made: dict[Path, Content] = {}
@@ -117,7 +125,10 @@ def _written(
         if name == "convert":
             made[path] = log_content(found.log, path)
         elif name == "write-mapping":
-            made[path] = mapping_text(found, corrected_columns(found.columns, columns))
+            corrected = corrected_columns(found.columns, columns)
+            made[path] = mapping_text(
+                options.logs[0], found, corrected, options.reading.gain_deviations
+            )
         else:
             made[path] = text if name == "json" else png(preview_figure(found))
     write_together(made)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -11,9 +11,10 @@ import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from geodrake.errors import LogError
-from geodrake.logs.files import Reading, understand
+from geodrake.errors import GeodrakeError, LogError
+from geodrake.logs.files import Reading, read_log, understand
 from geodrake.logs.files.column_names import Columns, Source
+from geodrake.logs.files.mapping_file import mapping_of
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.sensor_faults import without_faults
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 _GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer step is a gap, as for UniformLog
 _WINDOW, _STILL = 0.25, 2e-3  # s, and rad or m by which a joint at rest may move in them
 _SHORTEST_REST = 0.5  # s
+_LEAST_STEP = 1e-7  # s, to which stamps since 1970 are exact
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ def inspect_log(
     steps = np.diff(_known(log.time))
     period = float(np.median(steps))
     gap = steps > max(_GAP_STEPS * period, _GAP_SECONDS)
-    missing = [joint for joint in joints or () if joint not in log.joints]
+    missing = [joint for joint in joints or () if joint not in (*log.joints, *log.standing)]
     notes += [f"nothing is measured of the model's {', '.join(missing)}"] if missing else []
     converted = any(s.unit for n, s in columns.sources.items() if n.endswith(".position"))
     hints = [row_order_hint(log), None if converted else position_unit_hint(log)]
@@ -131,23 +133,62 @@ def inspect_log(
     )
 
 
-def mapping_text(found: LogInspection, columns: Sequence[UnderstoodColumn]) -> str:
-    """Return the text of a mapping that reads a log as it was understood, or as columns say."""
+def mapping_text(
+    path: Path,
+    found: LogInspection,
+    columns: Sequence[UnderstoodColumn],
+    gain_deviations: Mapping[str, float] | None = None,
+) -> str:
+    """Return the text of a mapping that reads a log as it was understood, or as columns say.
+
+    Args:
+        path: The log.
+        gain_deviations: Joint -> standard deviation of the gain that the user gave.
+
+    Raises:
+        LogError: A mapping cannot say how this log was read.
+    """
     time: dict[str, object] = {"rate": round(1.0 / found.period, 6)}
     if found.time_column:
         said = {"unit": found.time_unit} if found.time_unit else {}
         time = {"time": {"column": found.time_column, **said}}
-    joints: dict[str, dict[str, object]] = {joint: {} for joint in found.log.joints}
+    known, deviations = (*found.log.joints, *found.log.standing), gain_deviations or {}
+    joints: dict[str, dict[str, object]] = {joint: {} for joint in known}
     for each in columns:
         unit = unit_of(each.unit, each.quantity) if each.unit else None
-        gain = each.factor / (unit.factor if unit else 1.0)
+        gain: float | str = each.factor / (unit.factor if unit else 1.0)
+        if each.quantity == "effort" and each.joint in deviations:
+            gain = f"{gain}±{deviations[each.joint]}"
         entry: dict[str, object] = {"column": each.column}
         entry |= {"unit": each.unit} if each.unit else {}
         entry |= {"gain": gain} if gain != 1.0 else {}
         joints[each.joint][each.quantity] = entry if len(entry) > 1 else each.column
     for joint in found.log.passive:
         joints[joint]["effort"] = PASSIVE
-    return str(yaml.safe_dump({**time, "joints": joints}, sort_keys=False, allow_unicode=True))
+    content = {**time, "joints": joints}
+    _check_said(path, found, content)
+    return str(yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+
+
+def _check_said(path: Path, found: LogInspection, content: object) -> None:
+    """Read a log by a mapping: tables with names in their cells and the like have no such columns.
+
+    Raises:
+        LogError: It is another log then.
+    """
+    try:
+        again = read_log(path, reading=Reading(mapping=mapping_of(path, content)), partial=True)
+        problem = "the times of its rows would be others."
+        is_same = len(again) == len(found.log) and np.allclose(
+            np.diff(again.time), np.diff(found.log.time), atol=_LEAST_STEP
+        )
+    except GeodrakeError as error:
+        problem, is_same = error.problem, False
+    if not is_same:
+        raise LogError(
+            f"A mapping cannot say how log {path.name!r} was read: {problem}",
+            advice="Write it anew as CSV by --convert, and map that.",
+        )
 
 
 def _known(values: Array) -> Array:
@@ -172,6 +213,11 @@ def _columns(raw: JointLog, log: JointLog, columns: Columns) -> Iterator[Underst
                 *ends,
                 len(cells) - len(_known(cells)),
             )
+    for joint, where in log.standing.items():
+        source = columns.sources[f"{joint}.position"]
+        unit = source.unit.name if source.unit else ""
+        found = (joint, "position", source.column, unit, source.factor)
+        yield UnderstoodColumn(*found, where, where, 0)
 
 
 def _rests(log: JointLog, period: float) -> Iterator[tuple[float, float]]:

@@ -301,6 +301,33 @@ def test_a_mapping_is_written_that_corrects_the_columns(tmp_path):
     )
 
 
+def test_no_mapping_is_written_of_what_a_mapping_cannot_say(tmp_path):
+    rows = [f"{k / 100},{j},{np.sin(k / 9)},{k}" for k in range(60) for j in ("shoulder", "elbow")]
+    log = tmp_path / "long.csv"
+    log.write_text("time,joint,position,effort\n" + "\n".join(rows))
+    target = tmp_path / "m.yaml"
+    assert "A mapping cannot say how log 'long.csv' was read" in refused(
+        "log", log, "--write-mapping", target
+    )
+    assert not target.exists()
+
+
+def test_a_written_mapping_keeps_the_deviation_of_a_gain_and_standing_joints(tmp_path):
+    numbers = table()
+    log = write(
+        tmp_path / "log.csv",
+        "time,shoulder.position,elbow.position,elbow.current",
+        numbers[:, [0, 1, 2, 4]],
+    )
+    mapping = tmp_path / "m.yaml"
+    said = run("log", log, "--gain", "elbow=2±0.5", "--write-mapping", mapping)
+    assert said.exit_code == 0, said.output
+    read = read_log(log, reading=Reading(mapping=read_mapping(mapping)), partial=True)
+    np.testing.assert_allclose(read.effort[:, 0], 2.0 * numbers[:, 4])
+    assert 0.0 < read.gain_deviations[0] < np.inf
+    assert list(read.standing) == ["shoulder"]
+
+
 def test_logs_that_cannot_be_used_are_left_out_and_named(tmp_path):
     good = write(tmp_path / "good.csv", OWN, table())
     scrap = table()[300:340]

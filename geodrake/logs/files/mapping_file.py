@@ -43,12 +43,17 @@ def read_mapping(path: Path) -> ColumnMapping:
     """
     content = yaml_content(path, "mapping", LogError, advice=_FORM)
     try:
-        return _mapping(path, content)
+        return mapping_of(path, content)
     except ArgumentError as error:
         raise LogError(f"Mapping {path}: {error.problem}", advice=error.advice) from error
 
 
-def _mapping(path: Path, content: object) -> ColumnMapping:
+def mapping_of(path: Path, content: object) -> ColumnMapping:
+    """Return what the content of a mapping file says; see `read_mapping`.
+
+    Raises:
+        ArgumentError: It has other keys or kinds of values.
+    """
     content = _table(content, ("time", "rate", "joints"), "it")
     joints = {
         str(joint): {
