@@ -33,7 +33,7 @@ from geodrake.diagnosis.unknown_efforts import UnresolvedReversal
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import LEAST_NOISE, NOISE_MARGIN, SPREAD
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut, hold_out
-from geodrake.identification.logs.dataset import Dataset, is_payload
+from geodrake.identification.logs.dataset import LEAST_INERTIA, Dataset, is_payload
 from geodrake.identification.logs.hypothesis import Hypothesis, effective_of_rows
 from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns
@@ -45,7 +45,6 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Delay = tuple[int, ...]
 
-_LEAST_INERTIA = 1e-3  # of the model's, that a joint without a motor feels
 _LEAST_SHARE = 1e-4
 _RIDGE = 1e-11
 _ALIKE = 0.02  # noise is settled if no logarithm of a variance changes by more
@@ -306,7 +305,7 @@ class LogModel:
             factor, scale = scaled_cholesky(hessian, _RIDGE)
             own_pull = pull + (shares * rows / inertia)[passive] @ inertias[passive]
             x = scale * solved(factor, scale * (own_pull + weights @ moments))
-            inertia[passive] = np.maximum(inertias[passive] @ x, _LEAST_INERTIA)
+            inertia[passive] = np.maximum(inertias[passive] @ x, LEAST_INERTIA)
             left = powers - 2.0 * moments @ x + (grams @ x) @ x
             before, variance = variance, np.maximum(left / rows, self.floor)
             if np.all(np.abs(np.log(variance / before)) < _ALIKE):
@@ -502,8 +501,7 @@ class LogModel:
         for term, span in self.spans(fit.terms).items():
             if term.is_whole and term.effect is not None:
                 x[unknowns.span(term.effect)] = fit.x[span]
-        pull = self.dataset.passive_pull(unknowns.columns, x, effective)
-        unknowns = replace(unknowns, pull=pull)
+        unknowns = unknowns.pulled(self.dataset, x, effective)
         cv = CrossValidation(
             self.dataset, unknowns, fit.weights, delay=choice.delay, held_out=held_out
         )

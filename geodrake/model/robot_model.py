@@ -44,6 +44,7 @@ from geodrake.robot.holding import moving_joints
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import (
     LoadedPlant,
+    cannot_follow,
     effort_limits,
     joint_names,
     load_plant,
@@ -719,10 +720,7 @@ def _bent_drives(
         if set(names) <= set(moving) and following.isdisjoint(names):
             drives.append(Drive.of(part))
         else:
-            notes.append(
-                f"<equality> is ignored, as there is no joint to follow: {', '.join(part.joints)} "
-                "count as joints of their own."
-            )
+            notes.append(cannot_follow("<equality>", part.joints))
     return tuple(drives), notes
 
 

@@ -7,7 +7,7 @@ are effects of their own in geodrake; inertias that no body can have are repaire
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -90,7 +90,7 @@ class LoadedPlant:
         file_struts: Springs and dampers between points of bodies.
         left_out: Sentences on what of the file bears on efforts, and is in none of these.
         loops: Closed loops, whose joints are among the plant's own.
-        closing: Joint that closes a loop, and is none of the plant -> what the file states of it,
+        closing: Joint that closes a loop and is not in the plant -> what the file states of it,
             by its name in `stated`, and `spring` and `rest`, SI.
         held: Joint that does not move, though it does in the file -> where it is held, rad or m.
         given: How the file was to be read.
@@ -414,10 +414,15 @@ def _ignored(description: ModelDescription, arrangement: Arrangement) -> list[st
     if not apart:
         return []
     what = "<equality>" if description.texts[0].kind == "xml" else "<mimic>"
-    return [
-        f"{what} is ignored, as there is no joint to follow: {', '.join(apart)} count as "
-        "joints of their own."
-    ]
+    return [cannot_follow(what, apart)]
+
+
+def cannot_follow(what: str, joints: Iterable[str]) -> str:
+    """Return a sentence on joints of a statement of the file whose leaders are not there."""
+    names = ", ".join(joints)
+    return (
+        f"{what} is ignored, as there is no joint to follow: {names} count as joints of their own."
+    )
 
 
 def _last(name: str) -> str:

@@ -25,7 +25,7 @@ Delay = int | Sequence[int]
 """Index of a dataset's delay: that of all joints, or one for each."""
 
 
-_LEAST_INERTIA = 1e-3  # of the model's, that a joint without a motor feels
+LEAST_INERTIA = 1e-3  # of the model's, that a joint without a motor feels
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +157,7 @@ class Dataset(Short):
         They are those of parameters (…, p) of global columns (p,).
         """
         shares = self.passive_shares(columns)
-        inertias = np.maximum(shares @ np.asarray(x).T, _LEAST_INERTIA)
+        inertias = np.maximum(shares @ np.asarray(x).T, LEAST_INERTIA)
         inertias[~shares.any(axis=1)] = 1.0
         return inertias
 

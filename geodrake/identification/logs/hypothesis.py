@@ -121,8 +121,7 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
     for _ in range(iterations):
         for _ in range(_MOST_REFITS):
             power = weights * samples * mse * dataset.inertias(unknowns.columns, x) ** 2
-            pull = dataset.passive_pull(unknowns.columns, x, power)
-            unknowns = replace(unknowns, pull=pull)
+            unknowns = unknowns.pulled(dataset, x, power)
             cv = CrossValidation(dataset, unknowns, weights, delay=delay, physical=False)
             x, mse = cv.held_out.x.mean(0), cv.held_out.mse
             before, weights = weights, deserved(cv)
@@ -150,8 +149,7 @@ def most_likely(settled: Hypothesis) -> tuple[Unknowns, Array]:
         samples, x = held_out.samples.sum(0), held_out.x.mean(0)
         weights = settled.effective / samples / held_out.mse
         power = settled.effective * dataset.inertias(unknowns.columns, x) ** 2
-        pull = dataset.passive_pull(unknowns.columns, x, power)
-        unknowns = replace(unknowns, pull=pull)
+        unknowns = unknowns.pulled(dataset, x, power)
         cv = CrossValidation(dataset, unknowns, weights, delay=settled.delay, physical=False)
         before, held_out = held_out, cv.held_out
         if _alike(held_out.mse, before.mse):

@@ -31,6 +31,10 @@ class Unknowns:
     starts: tuple[int, ...] = ()  # first unknown of every effect
     pull: Array | float = 0.0  # (p,) added to the right side, as in `Dataset.passive_pull`
 
+    def pulled(self, dataset: Dataset, x: Array, power: Array) -> Unknowns:
+        """Return these unknowns with the pull at parameters (p,); see `Dataset.passive_pull`."""
+        return replace(self, pull=dataset.passive_pull(self.columns, x, power))
+
     def pulled_mean(self, share: float) -> Array:
         """Return (p,) the mean of a prior that has a share of the pull in it."""
         if not np.any(self.pull):

@@ -66,12 +66,4 @@ def _table(path: Path, reading: Reading) -> LogTable:
     columns = {named(name): values for name, values in table.columns.items()}
     units = {named(name): unit for name, unit in table.units.items()}
     origins = {named(name): zero for name, zero in table.origins.items()}
-    return LogTable(
-        path,
-        columns,
-        units,
-        table.notes,
-        origins,
-        table.silent,
-        in_seconds=table.in_seconds,
-    )
+    return replace(table, columns=columns, units=units, origins=origins)
