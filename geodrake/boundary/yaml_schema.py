@@ -32,7 +32,7 @@ def as_schema(content: object, schema: type[T]) -> T:
     """Return what is there as a schema has it; text of a number counts as the number.
 
     Raises:
-        ArgumentError: Some field is none of the schema's, is not there, or is of another type.
+        ArgumentError: A field is unknown, missing, or of another type.
     """
     try:
         return msgspec.convert(content, schema, strict=False)
@@ -85,7 +85,7 @@ def _refusal(place: str, value: object, schema: Any) -> ArgumentError:
     if fields and odd:
         near = difflib.get_close_matches(str(odd[0]), fields, 1)
         meant = f" (was {near[0]} meant?)" if near else ""
-        return ArgumentError(f"{what} has {odd[0]!r:.60}, which is none{meant}.", advice=advice)
+        return ArgumentError(f"{what} has the unknown field {odd[0]!r:.60}{meant}.", advice=advice)
     if any(not isinstance(key, str) for key in odd):
         name = next(key for key in odd if not isinstance(key, str))
         return ArgumentError(f"{what} has {name!r:.60} for a name.", advice="Put it in quotes.")

@@ -118,7 +118,7 @@ class RobotMotion(Short):
         return found
 
     def _behind(self, name: str) -> tuple[tuple[Array, Array, Array, Array], int, int] | None:
-        """Motion of the tree, and where in it a joint is that is none of these; None for others."""
+        """Return the motion of the tree and the place of a joint behind a transmission, or None."""
         if name in self.joints or self.bodies is None:
             return None
         places = self.bodies.joints_behind

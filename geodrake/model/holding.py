@@ -91,7 +91,7 @@ def held_notes(held: Mapping[str, float], why: str = "so that they do not move")
 
 
 def why_no_place(model: RobotModel, name: str) -> str:
-    """Return why a joint or link of the file is none of the model's; nothing if there is none."""
+    """Return why the model lacks a joint or link of the file, or an empty text."""
     if name in model.held:
         return f"{name} is held, by --lock or as it hardly moves (--no-auto-lock keeps it). "
     for body in lumped_bodies(model.plant):

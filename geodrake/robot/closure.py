@@ -14,7 +14,7 @@ WORLD = "world"
 
 @dataclass(frozen=True)
 class CutJoint:
-    """A joint that closes a loop, and is none of the tree.
+    """A joint that closes a loop and is not in the tree.
 
     Attributes:
         axis: (3,) its axis in the first frame of its closure.

@@ -58,8 +58,8 @@ def test_none_and_another_file_instead(files, tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "problem"),
     [
-        ("gear: []", "it has 'gear', which is none (was gears meant?)"),
-        ("gears: [{actuator: m, joint: shoulder, ratoi: 3}]", "gears[0] has 'ratoi'"),
+        ("gear: []", "it has the unknown field 'gear' (was gears meant?)"),
+        ("gears: [{actuator: m, joint: shoulder, ratoi: 3}]", "the unknown field 'ratoi'"),
         ("gears: [{actuator: m, joint: shoulder, ratio: x}]", "ratio = x"),
         ("gears: [{actuator: m, joint: knee}]", "the joint 'knee', which the robot does not"),
         ("gears: [{joint: shoulder}]", "gears[0] lacks its actuator"),
@@ -67,7 +67,7 @@ def test_none_and_another_file_instead(files, tmp_path):
         ("coupled: [{joints: {roll: {a: [1]}}}]", "coupled[0].joints.roll.a = [1]"),
         ("coupled: [{joints: {roll: {5: 1}}}]", "coupled[0].joints.roll has 5 for a name"),
         ("gears: {actuator: m, joint: roll}", "expected a list but got a table of fields"),
-        ("polynomials: [{actuator: m, joint: roll, map_of: 1}]", "polynomials[0] has 'map_of'"),
+        ("polynomials: [{actuator: m, joint: roll, map_of: 1}]", "the unknown field 'map_of'"),
         (
             "gears: [{actuator: m, joint: roll}, {actuator: n, joint: roll}]",
             "the joint 'roll' in two of its parts",

@@ -187,7 +187,7 @@ def test_base_of_another_robot_is_refused(fitted, saved):
     [
         ("floating: false", "floating: [", "is no geodrake model"),
         ("floating: false", "floating: maybe", "is no geodrake model: floating = maybe: expected"),
-        ("floating: false", "colour: red", "has 'colour', which is none"),
+        ("floating: false", "colour: red", "has the unknown field 'colour'"),
         ("name: viscous_friction", "name: viscous_fiction", "viscous_friction"),
         ("sign: -1", "sign: -2", "sign 1 or −1"),
         ("exponent: 2.5", "exponent: heavy", r"effects\[4\]\.shape\.exponent = heavy: expected"),
@@ -196,7 +196,7 @@ def test_base_of_another_robot_is_refused(fitted, saved):
             "parameters: [x, ",
             r"effects\[0\]\.parameters\[0\] = x: expected a number",
         ),
-        ("parameters: [", "parmeters: [", r"'parmeters', which is none \(was parameters meant\?\)"),
+        ("parameters: [", "parmeters: [", r"field 'parmeters' \(was parameters meant\?\)"),
     ],
 )
 def test_corrupted_file_is_refused(saved, old, new, words):

@@ -111,7 +111,7 @@ class Mistakes:
         self._suspects = tuple(np.sort(np.argsort(-errors)[:_MOST_SUSPECTS]).tolist())
 
     def priced(self, *, others: bool = False) -> dict[Mistake, float]:
-        """Return all of them, or those that are none of columns, with −2 log prior odds.
+        """Return all of them, or those of no column, with −2 log prior odds.
 
         All kinds are equally likely, and so are the places of each. A payload or a slope is as
         likely as not; unknown efforts have odds of their own.

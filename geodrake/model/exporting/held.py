@@ -89,7 +89,7 @@ def held_by(
 
 
 def reasons(effects: Sequence[FittedEffect]) -> list[str]:
-    """Return why no model file can hold some effects, of those that are none of the robot's."""
+    """Return why no model file can hold effects of a drive, or of a part of a log."""
     pushing, passing = dict[str, list[str]](), list[str]()
     for effect in (fitted.effect for fitted in effects):
         if effect.by_drive:

@@ -100,7 +100,7 @@ class _EffectForce(ScalarSystem):
         """Return linear parameters (k,) of an effect in a Context of the system.
 
         Raises:
-            ArgumentError: It is none of `effects`.
+            ArgumentError: `effects` does not have it.
         """
         return self._parameters(context)[self._part(effect)]
 

@@ -32,7 +32,7 @@ class LoopTransmission(Transmission, Short):
         records: The loop for compiled code.
         shown: Numbers of the joints that it moves in the tree.
         driven: Names of joints that follow, though motors drive them, too.
-        cut: Numbers of the joints that close the loop, and are none of the tree.
+        cut: Numbers of the joints that close the loop and are not in the tree.
         slides: (k) whether each joint slides.
     """
 
