@@ -80,6 +80,7 @@ def holding(
         effort_noise=None if noise is None else noise[order],
         fading_speed=None if fading is None else fading[order],
         effort_signals=tuple(s for s in model.effort_signals if s.joint in after.joints),
+        motorless=tuple(joint for joint in model.motorless if joint in after.joints),
         notes=(*model.notes, *held_notes(held, why), *_lost_notes(lost)),
     )
 

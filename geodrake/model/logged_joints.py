@@ -30,14 +30,15 @@ def reading_for(model: RobotModel, reading: Reading | None = None) -> Reading:
     """Return how logs of a model are read, which knows of joints without a motor.
 
     Those are the joints without an actuator or a transmission in the model file, where others
-    have one; they are passive in logs without an effort of them.
+    have one, and those that had none in other logs; they are passive in logs without an effort of
+    them.
     """
     motors = motor_joints(model.plant)
     names = zip(joint_names(model.plant), scoped_joint_names(model.plant), strict=True)
     driven = {name for name, scoped in names if scoped in motors}
     followers = {joint for pair in model.led.items() for joint in (pair[0], pair[1][0])}
     none = set(model.single_joints).difference(driven, followers) if driven else set()
-    return replace(reading or Reading(), motorless=frozenset(none))
+    return replace(reading or Reading(), motorless=frozenset({*none, *model.motorless}))
 
 
 def model_of_logs(

@@ -102,6 +102,7 @@ class RobotModel(Short):
             efforts, or efforts that motors are asked for, what makes efforts of them.
         known_joints: Names of the joints that logs may have: the model's, those that are held, and
             those that follow others.
+        motorless: Joints that have no motor, as logs said that the model was opened with.
         repairs: Sentences on what of the file is not used as it stands: inertias that no body can
             have, and what is left out.
         left_out: Sentences on what of the file bears on efforts, and is no part of the model.
@@ -124,6 +125,7 @@ class RobotModel(Short):
     known_joints: tuple[str, ...] = ()
     transmission: tuple[Drive, ...] = ()
     effort_signals: tuple[EffortSignal, ...] = ()
+    motorless: tuple[str, ...] = ()
     repairs: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
 

@@ -110,6 +110,7 @@ class SavedModel(Schema):
         transmission: What moves joints in their place, if anything does.
         inertial_parameters: Body -> [m, hx, hy, hz, Ixx, Iyy, Izz, Ixy, Iyz, Izx].
         effort_signals: What stands for efforts in logs, where these are not measured.
+        motorless: Joints that have no motor, as logs said.
         effort_noise: Joint -> held-out RMS that the fit left, N·m or N.
         fading_speed: Joint -> speed below which dry friction fades, rad/s or m/s.
         fitted_to: Fingerprints of the logs that the model was fitted to.
@@ -131,6 +132,7 @@ class SavedModel(Schema):
     inertial_parameters: dict[str, list[float]] = {}
     effects: list[SavedEffect] = []
     effort_signals: list[SavedEffortSignal] = []
+    motorless: list[str] = []
     effort_noise: dict[str, float] = {}
     fading_speed: dict[str, float] = {}
     fitted_to: list[str] = []
@@ -265,6 +267,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
         },
         effects=[_saved_effect(fitted, folder) for fitted in model.effects],
         effort_signals=[SavedEffortSignal(**dataclasses.asdict(s)) for s in model.effort_signals],
+        motorless=list(model.motorless),
         effort_noise=_by_joint(model, model.effort_noise),
         fading_speed=_by_joint(model, model.fading_speed),
         fitted_to=list(model.fitted_to),
@@ -405,6 +408,9 @@ def _with_parameters(
     rows = [_numbers("rows of its information matrix", row, p) for row in saved.information]
     if rows and len(rows) != p:
         raise ModelError(f"its information matrix has {len(rows)} rows, and {p} are fitted.")
+    for joint in saved.motorless:
+        if joint not in model.joints:
+            raise _foreign(f"it says that {joint!r} has no motor", model.joints)
     changed = f"{base.name} has changed since the model was saved."
     bandwidths = {log: _numbers("bandwidths", x, 2) for log, x in saved.bandwidths.items()}
     return replace(
@@ -413,6 +419,7 @@ def _with_parameters(
         effects=effects,
         information=np.array(rows) if rows else None,
         effort_signals=_effort_signals(model, saved.effort_signals),
+        motorless=tuple(saved.motorless),
         effort_noise=_of_joints(model, "effort_noise", saved.effort_noise),
         fading_speed=_of_joints(model, "fading_speed", saved.fading_speed),
         fitted_to=tuple(saved.fitted_to),

@@ -73,6 +73,7 @@ def test_friction_and_mass_of_both_links_are_found_without_the_effort_of_one(fil
     assert phi[0, 0] == pytest.approx(1.2, rel=0.1)
     assert not {"backlash", "effort_offset", "rotor_inertia", "torque_ripple"} & steps.keys()
     assert any("shoulder has no motor by the model" in note for note in found.notes)
+    assert found.model.motorless == ("shoulder",)
 
 
 def test_an_exact_model_misses_nothing(files):

@@ -17,11 +17,13 @@ from geodrake.control.export_proof.proof import prove
 from geodrake.control.export_proof.samples import compared, random_motion, random_starts
 from geodrake.effects import EffortDelay, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.errors import ModelError
-from geodrake.model import EffortSignal
+from geodrake.model import EffortSignal, holding, save_model
 from geodrake.model.exporting.formats import export_format
 from geodrake.model.exporting.held import held_by
 from geodrake.model.exporting.mjcf_actuators import samples_of
+from geodrake.model.logged_joints import reading_for
 from geodrake.model.saved_model import load_model
+from geodrake.robot.plant import load_plant
 
 INERTIAL = """<inertial><origin xyz="0 0 0.2"/><mass value="1"/>
   <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>"""
@@ -306,6 +308,30 @@ def test_isaac_has_gains_and_delays_of_servos(tmp_path):
     keys = ("stiffness", "damping", "delay", "effort_delay", "effort_limit")
     assert [joints["a"][key] for key in keys] == [0.0, 0.0, 0.0, 0.012, 10.0]
     assert [joints["b"][key] for key in keys] == [30.0, 2.0, DELAY, 0.0, 20.0]
+
+
+def test_a_joint_that_had_no_motor_in_logs_gets_none(tmp_path):
+    """The saved model says so, next logs are read so, and no file gives the joint a motor."""
+    model = replace(loaded(tmp_path, text=URDF), motorless=("a",), effects=(delayed(-0.02),))
+    save_model(model, tmp_path / "model.yaml")
+    model = load_model(tmp_path / "model.yaml")
+    assert model.motorless == ("a",) == tuple(reading_for(model).motorless)
+    assert holding(model, {"a": 0.1}).motorless == ()
+    compiled = mujoco.MjModel.from_xml_path(str(exported(model, tmp_path / "mjcf")[0]))
+    assert names(compiled) == ["b"] and compiled.jnt_actfrclimited.tolist() == [0, 1]
+    plant = load_plant(exported(model, tmp_path / "sdf", "sdf")[0]).plant
+    actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
+    assert [each.joint().name() for each in actuators] == ["b"]
+    exported(model, tmp_path / "isaac", "isaac")
+    joints = json.loads((tmp_path / "isaac" / "arm.actuators.json").read_text())["joints"]
+    assert [(joints[j]["effort_limit"], joints[j]["delay"]) for j in "ab"] == [(0, 0), (50, 0.02)]
+    assert "a had no motor in logs" in exported(model, tmp_path / "urdf", "urdf")[1]
+    proven = export_to("mjcf", replace(model, effects=()), tmp_path / "proven")
+    assert all(each.is_rounding for each in proven.proof.differences)
+    text = (tmp_path / "model.yaml").read_text().replace("motorless: [a]", "motorless: [c]")
+    (tmp_path / "model.yaml").write_text(text)
+    with pytest.raises(ModelError, match="says that 'c' has no motor, which the robot does not"):
+        load_model(tmp_path / "model.yaml")
 
 
 def test_formats_without_servos_say_so(tmp_path):

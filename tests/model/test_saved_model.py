@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from servo_logs import PENDULUM, servo_log
 from typer.testing import CliRunner
 
 from geodrake import load_model
 from geodrake.boundary.whole_files import write_whole
 from geodrake.cli.app import app
+from geodrake.diagnosis import compare, explain
 from geodrake.effects import (
     AsymmetricFriction,
     CoulombFriction,
@@ -257,6 +259,19 @@ def test_own_effect_is_given_as_extra(tmp_path):
     np.testing.assert_array_equal(again.effort(motion), model.effort(motion))
     with pytest.raises(ModelError, match="hose"):
         load_model(path)
+
+
+def test_a_log_of_a_servo_is_known_again(tmp_path):
+    """Its efforts are other ones by the fitted model: what was measured is what the model knows."""
+    path = tmp_path / "pendulum.urdf"
+    path.write_text(PENDULUM)
+    log = servo_log(integral=90.0)
+    found = explain(load_model(path), [log])
+    save_model(found.model, tmp_path / "model.yaml")
+    again = load_model(tmp_path / "model.yaml")
+    assert again.fitted_to == (log.fingerprint,)
+    notes = " ".join(compare(again, [log]).notes)
+    assert "as the model was fitted at" in notes and "was fitted to servo before" in notes
 
 
 def test_only_saved_models_count_as_such(saved, tmp_path):

@@ -139,13 +139,21 @@ def open_case(
     matched = _matched(model, asked)
     if hold_resting and (held := holding_resting(model, matched)) is not model:
         model, matched = held, [log_of_model(log, held) for log in matched]
+    # Of what was measured: what a servo gives depends on the model, which a fit changes.
+    measured = {log.name: log.fingerprint for log in matched}
     model, matched, gain_notes = with_efforts(model, matched)
     _check_efforts(matched)
+    idle = tuple(j for j in matched[0].passive if j not in model.motorless) if matched else ()
+    model = replace(model, motorless=(*model.motorless, *idle)) if idle else model
+
+    def known_as(log: JointLog) -> tuple[str, str]:
+        return measured[log.name], log.fingerprint  # the latter by models saved before
 
     def prepare(logs: Sequence[JointLog]) -> tuple[tuple[Trajectory, ...], list[str]]:
         uniform = [make_uniform(log) for log in logs]
         hints = [hint for each in uniform for hint in _hints(each.log, model.effort_limits)]
-        known = {model.bandwidths.get(log.fingerprint) for log in logs}
+        seen = ([x for key in known_as(log) if (x := model.bandwidths.get(key))] for log in logs)
+        known = {own[0] if own else None for own in seen}
         with _naming_units(hints):
             if bandwidth is None and len(known) == 1 and (both := known.pop()) is not None:
                 fit = {"bandwidth": both[0], "motion_bandwidth": both[1]}
@@ -158,7 +166,8 @@ def open_case(
 
     (trajectories, hints), matched, left_out = _with_usable(matched, prepare)
     hints += payload_notes(model, matched)
-    fitted = all(log.fingerprint in model.fitted_to for log in matched)
+    trained = [log for log in matched if not set(model.fitted_to).isdisjoint(known_as(log))]
+    fitted = len(trained) == len(matched)
     with _naming_units(hints):
         folds = validation_blocks(trajectories, blocks=blocks)
     effects = effects_of(model)
@@ -184,8 +193,12 @@ def open_case(
     notes = [*left_out, *model.notes, *gain_notes, *filter(None, hints)]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
     notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
-    notes += _trained_on(model, matched)
-    fingerprints, said = tuple(log.fingerprint for log in matched), tuple(dict.fromkeys(notes))
+    notes += [
+        f"the model was fitted to {log.name} before: all errors on it are those of training data, "
+        "and a fit counts it twice"
+        for log in trained
+    ]
+    fingerprints, said = tuple(measured[log.name] for log in matched), tuple(dict.fromkeys(notes))
     opened = Asked(tuple(matched), tuple(extra), bandwidth, blocks)
     return Case(model, trajectories, folds, dataset, fingerprints, said, opened, shared=shared)
 
@@ -359,15 +372,6 @@ def _still_notes(dataset: Dataset) -> list[str]:
         "left out of fit and errors: samples at which a joint stands still, where dry friction "
         f"may be anything ({100 * dataset.still[most]:.0f} % of {dataset.joints[most]}'s, the most "
         "of all joints)"
-    ]
-
-
-def _trained_on(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
-    return [
-        f"the model was fitted to {log.name} before: all errors on it are those of training data, "
-        "and a fit counts it twice"
-        for log in logs
-        if log.fingerprint in model.fitted_to
     ]
 
 

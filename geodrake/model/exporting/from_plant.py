@@ -257,7 +257,7 @@ def _mjcf_joint(link: Link) -> dict[str, str]:
     }
     if np.isfinite(link.limits).all():
         attributes |= {"range": words(np.array(link.limits)), "limited": "true"}
-    if np.isfinite(link.joint.effort):
+    if numbers.driven and np.isfinite(numbers.effort):
         attributes["actuatorfrcrange"] = words(np.array([-link.joint.effort, link.joint.effort]))
         attributes["actuatorfrclimited"] = "true"
     values = {

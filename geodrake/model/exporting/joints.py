@@ -29,7 +29,8 @@ class ExportedJoint:
     Attributes:
         turns: Whether it is revolute.
         velocity: Largest speed, rad/s; infinite where there is none.
-        effort: Largest effort, N·m; infinite where there is none.
+        driven: Whether it has a motor.
+        effort: Largest effort, N·m; infinite where there is no limit, 0 without a motor.
         kp: Gain of a servo that is told positions, N·m/rad; 0 for a motor that is told efforts.
         kd: Damping of a servo, on its velocity, N·m·s/rad.
         delay: By how much what it is told acts late, s.
@@ -44,6 +45,7 @@ class ExportedJoint:
     name: str
     scoped: str
     turns: bool
+    driven: bool
     velocity: float
     effort: float
     kp: float
@@ -86,16 +88,18 @@ def exported_joints(model: RobotModel) -> dict[str, ExportedJoint]:
         model.joints, names, *limits, *drives, strict=True
     ):
         if joint in values:
+            driven = joint not in model.motorless
             found[joint] = ExportedJoint(
                 joint,
                 name,
                 turns=joint not in model.sliding_joints,
+                driven=driven,
                 velocity=velocity,
-                effort=effort,
+                effort=effort if driven else 0.0,
                 kp=servo.gain if servo else 0.0,
                 kd=servo.damping if servo else 0.0,
-                delay=max(-delay, 0.0) + (servo.delay if servo else 0.0),
-                measured_late=max(delay, 0.0),
+                delay=max(-delay, 0.0) * driven + (servo.delay if servo else 0.0),
+                measured_late=max(delay, 0.0) * driven,
                 **values[joint],
             )
     return found

@@ -40,7 +40,7 @@ def with_actuators(
     if not isinstance(text, MjcfText) or model.transmission:
         return data, ()
     joints, driven = list(exported_joints(model).values()), text.driven_joints
-    free = [each for each in joints if each.name not in driven]
+    free = [each for each in joints if each.driven and each.name not in driven]
     wanted = [each for each in joints if each.is_servo or each.delay]
     kept = [each for each in wanted if each.name in driven]
     notes = [_kept_note(kept, path)] if kept else []

@@ -104,7 +104,7 @@ def _edited(model: RobotModel, folder: Path, stands: bool) -> tuple[bytes, tuple
 
 
 def _notes_on_limits(model: RobotModel) -> tuple[str, ...]:
-    """Return a note on limits of effort that logs told, and that the user's file does not have."""
+    """Return notes on limits of effort and motors that logs contradict, and a file keeps."""
     known = model.known_effort_limits
     less = [
         f"{joint} {limit:.3g} {'N' if joint in model.sliding_joints else 'N·m'}"
@@ -112,7 +112,9 @@ def _notes_on_limits(model: RobotModel) -> tuple[str, ...]:
         if limit != of_file
     ]
     stay = f"limits of effort in {model.path.name} stay as they are; the model knows of less: "
-    return (f"{stay}{', '.join(less)}",) if less else ()
+    idle = ", ".join(model.motorless)
+    none = f"{idle} had no motor in logs; {model.path.name} stays as it is there"
+    return (*([f"{stay}{', '.join(less)}"] if less else []), *([none] if idle else []))
 
 
 def _tilted_gravity(model: RobotModel) -> Array:
