@@ -239,7 +239,7 @@ def main() -> None:
         print_peak(case, what)
         return
     if not has_cvxpy():
-        print("CVXPY is not installed (pip install geodrake[bench]): no comparison with it.")
+        print("CVXPY is not installed (pip install geodrake[dev]): no comparison with it.")
     arguments = ["--seed", str(options.seed), "--shared", str(options.shared)]
     arguments += ["--quick"] if options.quick else []
     table: dict[str, Any] = {"cvxpy": has_cvxpy()}

@@ -96,7 +96,8 @@ EXAMPLES = {
     ),
     "play": (
         "robot.yaml log.csv --out play.html",
-        "robot.urdf log.csv --live 7000",
+        "robot.yaml log.csv --video play.mp4",
+        "robot.yaml log.csv --to rerun play.rrd",
     ),
     "identify": (
         "robot.urdf log.csv --effects coulomb_friction,viscous_friction",

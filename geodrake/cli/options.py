@@ -277,7 +277,22 @@ class PlayOptions(LogOptions):
     ] = None
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.html", help="Where the page goes; play.html if absent."),
+        typer.Option(
+            metavar="FILE.html",
+            help="Where the page goes; play.html if nothing else is asked for.",
+        ),
+    ] = None
+    video: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.mp4|.gif", help="Write a video of the robot and its errors."),
+    ] = None
+    to: Annotated[
+        tuple[str, Path] | None,
+        typer.Option(
+            metavar="VIEWER FILE",
+            help="Write a recording for another viewer: rerun FILE.rrd, or mcap FILE.mcap, which "
+            "Foxglove and PlotJuggler open.",
+        ),
     ] = None
     live: Annotated[
         int | None,

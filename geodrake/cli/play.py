@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +17,13 @@ from geodrake.cli.tables import head, say, show_list
 from geodrake.model.robot_model import RobotModel, read_again
 from geodrake.model.saved_model import is_saved_model
 from geodrake.report.numbers import Units, number, percent
+from geodrake.report.recordings import check_viewer, recording
+from geodrake.report.video import check_video, video
 
 if TYPE_CHECKING:
+    from geodrake.cli.session import Maker
     from geodrake.report.playback import Moment, Playback
+    from geodrake.robot.shapes import RobotShapes
 
 DEFAULT_OUT = Path("play.html")
 
@@ -31,12 +36,20 @@ def run_play(options: PlayOptions) -> None:
     """
     positive(options.speed, "--speed")
     positive(options.seconds, "--seconds")
-    out = DEFAULT_OUT if options.out is None and options.live is None else options.out
+    if options.video is not None:
+        check_video(options.video)
+    to, recorded = options.to or (None, None)
+    if to is not None and recorded is not None:
+        check_viewer(to, recorded)
+    asked = (options.out, options.live, options.video, recorded)
+    out = DEFAULT_OUT if asked == (None,) * 4 else options.out
     server = None if options.live is None else page_server(options.live)
     found: list[Playback] = []
+    looks: list[RobotShapes] = []
 
     def played(given: Input) -> Playback:
         from geodrake.report.playback import play_back
+        from geodrake.report.posed_links import drawn_shapes
 
         found.append(
             play_back(
@@ -48,6 +61,7 @@ def run_play(options: PlayOptions) -> None:
                 **given.settings,
             )
         )
+        looks.append(drawn_shapes(found[0].models[-1].model))
         return found[0]
 
     def page(playback: Playback) -> str:
@@ -59,7 +73,22 @@ def run_play(options: PlayOptions) -> None:
             log_names=[log.name for log in options.logs],
             units=Units.of(playback.models[-1].model),
             speed=options.speed,
+            shapes=looks[0],
         )
+
+    def makers(playback: Playback) -> dict[str, Maker]:
+        title, units = f"{options.model.name}: play", Units.of(playback.models[-1].model)
+        made: dict[str, Maker] = {"out": lambda: page(playback)}
+        if (file := options.video) is not None:
+            made["video"] = lambda: video(
+                playback, looks[0], file.suffix.lower(), units=units, speed=options.speed
+            )
+        if to is not None:
+            made["to"] = lambda: recording(to, playback, looks[0], title=title, units=units)
+        return made
+
+    def show(console: Console, playback: Playback, units: Units) -> None:
+        _show(console, playback, looks[0].notes, units)
 
     try:
         run(
@@ -69,11 +98,11 @@ def run_play(options: PlayOptions) -> None:
                 played,
                 playback_dict,
                 "render_comparison",
-                _show,
+                show,
                 paged=lambda playback: playback.models[-1].comparison,
-                more={"out": out},
-                makers=lambda playback: {"out": lambda: page(playback)},
-                saved={"out": "page that plays the logs"},
+                more={"out": out, "video": options.video, "to": recorded},
+                makers=makers,
+                saved={"out": "page that plays the logs", "video": "video", "to": "recording"},
             ),
             options,
         )
@@ -128,7 +157,7 @@ def _moment_dict(moment: Moment, playback: Playback) -> dict[str, Any]:
     }
 
 
-def _show(console: Console, playback: Playback, units: Units) -> None:
+def _show(console: Console, playback: Playback, looks: Sequence[str], units: Units) -> None:
     head(console, "Worst moments")
     for k, played in enumerate(playback.models):
         lines = [_moment_words(m, playback, units) for m in playback.moments if m.played == k]
@@ -137,7 +166,7 @@ def _show(console: Console, playback: Playback, units: Units) -> None:
         show_list(console, f"{played.title}, nrms {nrms} on {data}", lines)
     if playback.seconds_left_out > 0.5:
         say(console, "Left out", f"{playback.seconds_left_out:.0f} s of the logs; see --seconds.")
-    show_list(console, "Notes", playback.models[-1].comparison.notes)
+    show_list(console, "Notes", [*looks, *playback.models[-1].comparison.notes])
 
 
 def _moment_words(moment: Moment, playback: Playback, units: Units) -> str:

@@ -24,6 +24,8 @@ _SUFFIXES = {
     "ellipsoids": (".png", ".pdf", ".svg"),
     "meshcat": (".html", ".htm"),
     "out": (".html", ".htm"),
+    "video": (".mp4", ".gif"),
+    "to": (".rrd", ".mcap"),
     "draft-effect": (".py",),
     "series": (".csv", ".parquet"),
 }

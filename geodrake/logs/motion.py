@@ -178,7 +178,7 @@ class JointLog(Short):
         Raises:
             LogError: pandas is not installed.
         """
-        pandas = optional_package("pandas", "pandas", "data frames", LogError)
+        pandas = optional_package("pandas", "logs", "data frames", LogError)
         return pandas.DataFrame(self.columns())
 
     @property

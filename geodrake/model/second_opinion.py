@@ -229,7 +229,7 @@ def _by_pinocchio(
     pinocchio = pinocchio_or_none()
     kinds = {{"xml": "MJCF"}.get(text.kind, text.kind.upper()) for text in texts}
     if pinocchio is None:
-        return 'Pinocchio, which reads URDF, is not installed: pip install "geodrake[proof]"'
+        return 'Pinocchio, which reads URDF, is not installed: pip install "geodrake[export]"'
     if kinds == {"SDF"} and not pinocchio.WITH_SDFORMAT:
         return "no second program reads SDF here (Pinocchio does if built with SDFormat)"
     if kinds != {"URDF"} and len(texts) > 1:

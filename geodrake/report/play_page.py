@@ -17,6 +17,7 @@ from geodrake.report import style
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.page import templates
 from geodrake.report.playback import Moment, Playback, PlayedModel
+from geodrake.report.posed_links import drawn_shapes
 from geodrake.report.robot_scene import (
     FRAMES,
     RIGHT,
@@ -30,7 +31,7 @@ from geodrake.report.robot_scene import (
 )
 from geodrake.report.scene_marks import MEASURED, EffectMarks, EffortArrows, Mark
 from geodrake.robot.files.description import drake_messages
-from geodrake.robot.shapes import robot_shapes
+from geodrake.robot.shapes import RobotShapes
 
 COLORS = ("#d3d9e0", "#f2d27a", "#ee9d3d", "#d8492f", "#8f1239")
 """Colours of errors from none to the largest."""
@@ -60,6 +61,7 @@ def play_page(
     log_names: Sequence[str],
     units: Units,
     speed: float = 1.0,
+    shapes: RobotShapes | None = None,
 ) -> str:
     """One HTML page that loads nothing from elsewhere and plays logs over the robot.
 
@@ -68,7 +70,8 @@ def play_page(
     """
     with drake_messages():
         meshcat = calm_meshcat()
-        copies = _draw(meshcat, playback, units)
+        shapes = drawn_shapes(playback.models[-1].model) if shapes is None else shapes
+        copies = _draw(meshcat, playback, shapes, units)
         _record(meshcat, playback, copies)
         page = str(meshcat.StaticHtml())
     head, _, foot = page.rpartition("</body>")
@@ -77,10 +80,11 @@ def play_page(
     return f"{named}{panel}</body>{foot}"
 
 
-def _draw(meshcat: Meshcat, playback: Playback, units: Units) -> list[_RobotCopy]:
+def _draw(
+    meshcat: Meshcat, playback: Playback, shapes: RobotShapes, units: Units
+) -> list[_RobotCopy]:
     model = playback.models[-1].model
-    shapes = robot_shapes(model.path, model.given)
-    extent = Extent.of(model, model.positions(playback.q), shapes)
+    extent = Extent.of(model, model.positions(playback.q))
     copies = []
     for k, played in enumerate(playback.models):
         path = f"robot/{k} {path_part(played.title)}"

@@ -15,6 +15,7 @@ from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.report import style
 from geodrake.report.meshcat_ellipsoids import legend
+from geodrake.report.posed_links import drawn_shapes
 from geodrake.report.robot_scene import (
     FRAMES,
     Extent,
@@ -25,7 +26,6 @@ from geodrake.report.robot_scene import (
     place_camera,
 )
 from geodrake.robot.files.description import drake_messages
-from geodrake.robot.shapes import robot_shapes
 
 __all__ = ["FRAMES", "replay_page", "rollout_replay_page"]
 
@@ -38,8 +38,7 @@ _BEFORE, _AFTER = ("simulated before", style.BEFORE, 0.6), ("simulated", style.A
 def replay_page(model: RobotModel, times: Array, q: Array) -> str:
     """One HTML page that loads nothing from elsewhere and replays a motion.
 
-    The robot looks as its file says, meshes included; where that cannot be shown, bodies are
-    ellipsoids of their inertia.
+    The robot looks as its file says, meshes included; links that cannot be shown are sticks.
 
     Args:
         times: (N,) instants, s.
@@ -70,14 +69,14 @@ def _replayed(
 ) -> str:
     """Return a page with one robot for each motion, all at one place."""
     with drake_messages():
-        meshcat, shapes = calm_meshcat(), robot_shapes(model.path, model.given)
+        meshcat, shapes = calm_meshcat(), drawn_shapes(model)
         scenes = [
             RobotScene(meshcat, model, shapes=shapes, path=path_part(name), color=colors.get(name))
             for name in motions
         ]
         for k, scene in enumerate(scenes):  # so that surfaces at one place do not flicker
             meshcat.SetProperty(scene.path, "scale", [1.0 - _APART * k] * 3)
-        extent = Extent.of(model, np.concatenate(list(motions.values())), shapes)
+        extent = Extent.of(model, np.concatenate(list(motions.values())))
         draw_floor(meshcat, "ground", extent)
         place_camera(meshcat, extent)
         meshcat.StartRecording(frames_per_second=FRAMES, set_visualizations_while_recording=False)

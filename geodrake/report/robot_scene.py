@@ -12,14 +12,14 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex, Joint, JointIndex, RigidBody
 
 from geodrake.boundary.escaping import path_part
-from geodrake.identification.logs.unknowns import payload_reference
-from geodrake.inertia import Array, is_physical
-from geodrake.inertia.bodies import LumpedBody, lumped_bodies
+from geodrake.inertia import Array
+from geodrake.inertia.bodies import lumped_bodies
 from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.ellipsoids import LEAST_THICKNESS, placed
+from geodrake.report.ellipsoids import LEAST_THICKNESS
+from geodrake.report.posed_links import drawn_shapes, joint_axis
 from geodrake.robot.plant import joint_names
-from geodrake.robot.shapes import GRAY, LinkShape, RobotShapes, robot_shapes
+from geodrake.robot.shapes import LinkShape, RobotShapes
 
 FRAMES = 30.0
 """Frames a second of recordings."""
@@ -28,9 +28,10 @@ _AWAY = np.array([0.9, -0.65, 0.4]) / np.linalg.norm([0.9, -0.65, 0.4])
 RIGHT = np.array([0.65, 0.9, 0.0]) / np.linalg.norm([0.65, 0.9])
 """What is right to the camera, in the world."""
 
-_SEE_THROUGH = Rgba(GRAY.r(), GRAY.g(), GRAY.b(), 0.6)  # marks of the joints are inside
 _FLOOR_THICKNESS = 0.004  # m
-_VIEW = np.tan(np.radians(37.5))  # half of MeshCat's view, over the distance
+VIEW = np.radians(75.0)
+"""Angle of MeshCat's view from top to bottom."""
+
 _ASPECT = 1.4  # of the view, width over height, at which everything fits
 
 
@@ -59,7 +60,7 @@ class RobotScene:
     """A robot in a MeshCat.
 
     Links have the visual shapes of the model's file, or its collision shapes. Where the file has
-    none, or they cannot be read, bodies are ellipsoids of their inertia.
+    none, or they cannot be read, links are sticks between their joints.
 
     Args:
         shapes: Its shapes; those of its file if None.
@@ -80,7 +81,7 @@ class RobotScene:
         p_WR: Array | None = None,
         color: Rgba | None = None,
     ) -> None:
-        shapes = robot_shapes(model.path, model.given) if shapes is None else shapes
+        shapes = drawn_shapes(model) if shapes is None else shapes
         self._meshcat, self._model, self.path = meshcat, model, path
         self._context = model.plant.CreateDefaultContext()
         self._lumps = lumped_bodies(model.plant)
@@ -90,13 +91,8 @@ class RobotScene:
         self.notes = shapes.notes
         meshcat.SetTransform(path, RigidTransform([0.0, 0.0, 0.0] if p_WR is None else p_WR))
         by_name = {body.scoped_name().get_full(): body for body in bodies}
-        drawn = {n: links for n, links in shapes.links.items() if n in by_name}
-        for name, links in drawn.items():
+        for name, links in shapes.links.items():
             self._draw(by_name[name], links, color)
-        if not drawn or shapes.notes:
-            self._draw_ellipsoids({int(by_name[name].index()) for name in drawn}, color)
-        if not drawn:
-            self.notes += ("bodies are shown as the ellipsoids of their inertia",)
         for body in bodies:
             if int(body.index()) not in moving:
                 X_WB = model.plant.EvalBodyPoseInWorld(self._context, body)
@@ -157,7 +153,7 @@ class RobotScene:
         )
         links = [self._model.plant.get_body(m.index) for m in lump.members]
         X_BM = joint.frame_on_child().GetFixedPoseInBodyFrame()
-        axis = X_BM.rotation().matrix() @ _axis(joint)
+        axis = X_BM.rotation().matrix() @ joint_axis(joint)
         R_BJ = RotationMatrix.MakeFromOneVector(axis, 2)
         return JointPlace(
             name,
@@ -171,31 +167,6 @@ class RobotScene:
             place = f"{self.link_path(body)}/shapes/{k}"
             self._meshcat.SetObject(place, one.shape, color or one.color)
             self._meshcat.SetTransform(place, one.X_BG)
-
-    def _draw_ellipsoids(self, drawn: set[int], color: Rgba | None) -> None:
-        """Draws bodies none of whose links is drawn."""
-        for lump, own in zip(self._lumps, _shown_phi(self._model), strict=True):
-            if not _is_drawn(lump, drawn):
-                place = f"{self.link_path(self._model.plant.get_body(lump.body_index))}/shapes/0"
-                draw_ellipsoid(self._meshcat, place, own, color or _SEE_THROUGH)
-
-
-def _shown_phi(model: RobotModel) -> Array:
-    """(nb, 10) inertial parameters of the bodies; those that cannot be are some body's."""
-    phi = model.total_phi
-    return np.where(is_physical(phi)[:, None], phi, payload_reference(model.phi))
-
-
-def _is_drawn(lump: LumpedBody, drawn: set[int]) -> bool:
-    return any(int(member.index) in drawn for member in lump.members)
-
-
-def _axis(joint: Joint) -> Array:
-    """(3,) axis of a joint in its own frame."""
-    for name in ("revolute_axis", "translation_axis", "screw_axis"):
-        if hasattr(joint, name):
-            return np.asarray(getattr(joint, name)())
-    return np.array([0.0, 0.0, 1.0])
 
 
 def draw_ellipsoid(meshcat: Meshcat, path: str, phi: Array, color: Rgba) -> None:
@@ -241,20 +212,17 @@ class Extent:
     size: float
 
     @classmethod
-    def of(cls, model: RobotModel, q: Array, shapes: RobotShapes) -> Extent:
+    def of(cls, model: RobotModel, q: Array) -> Extent:
         """The extent of some postures.
 
         Args:
             q: (N, nq) positions of the model.
-            shapes: Its shapes; where there are none, that of its ellipsoids counts.
         """
         plant, context, points = model.plant, model.plant.CreateDefaultContext(), []
         bodies = [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
         for posture in model.plant_positions(q[:: max(1, len(q) // 60)]):
             plant.SetPositions(context, posture)
             origins = [plant.EvalBodyPoseInWorld(context, b).translation() for b in bodies]
-            if not shapes.links:
-                origins += [*placed(plant, context, _shown_phi(model)).points(6).reshape(-1, 3)]
             points.append([np.zeros(3), *origins])
         cloud = np.array(points)
         across = cloud @ RIGHT
@@ -281,6 +249,11 @@ def draw_floor(meshcat: Meshcat, path: str, extent: Extent) -> None:
 
 def place_camera(meshcat: Meshcat, extent: Extent, *, copies: int = 1) -> None:
     """Looks at where a robot goes."""
+    meshcat.SetCameraPose(*camera_place(extent, copies))
+
+
+def camera_place(extent: Extent, copies: int) -> tuple[Array, Array]:
+    """Return where a camera of MeshCat's view stands (3,), and what it looks at (3,), m."""
     margin = 0.12 * extent.size
     left, right = -extent.left, extent.right + (copies - 1) * extent.gap
     height = 0.5 * (extent.high - extent.low)[2] + margin
@@ -288,5 +261,5 @@ def place_camera(meshcat: Meshcat, extent: Extent, *, copies: int = 1) -> None:
     middle = 0.5 * (extent.low + extent.high)
     middle += (0.5 * (left + right) - middle @ RIGHT) * RIGHT
     depth = 0.5 * float(np.abs(_AWAY) @ (extent.high - extent.low))
-    far = max(height, width / _ASPECT) / _VIEW + 0.4 * depth
-    meshcat.SetCameraPose(middle + far * _AWAY, middle)
+    far = max(height, width / _ASPECT) / np.tan(0.5 * VIEW) + 0.4 * depth
+    return middle + far * _AWAY, middle

@@ -86,7 +86,7 @@ def series_content(columns: Columns, path: Path) -> Content:
         ArgumentError: Parquet is asked for, and pyarrow is not installed.
     """
     if path.suffix.lower() == ".parquet":
-        arrow, parquet = optional("pyarrow", "parquet"), optional("pyarrow.parquet", "parquet")
+        arrow, parquet = optional("pyarrow", "logs"), optional("pyarrow.parquet", "logs")
         return partial(parquet.write_table, arrow.table(dict(columns)))
     lines = io.StringIO()
     lines.write(",".join(map(_field, columns)) + "\n")
@@ -102,7 +102,7 @@ def check_series(path: Path) -> None:
         ArgumentError: As `series_content`.
     """
     if path.suffix.lower() == ".parquet":
-        optional("pyarrow", "parquet")
+        optional("pyarrow", "logs")
 
 
 def optional(module: str, extra: str) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -76,10 +77,9 @@ class _Lost:
         mesh, reason = next(iter(self.reasons.items()))
         more = len(self.reasons) - 1
         others = f" and {more} more" if more else ""
-        return (
-            f"meshes that are not shown: {mesh} ({reason}){others}; packages are looked for around "
-            "the model's file, on ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and by --package",
-        )
+        package = re.match(r"(?:package|model)://([^/]+)/", mesh)
+        named = f"; name its folder: --package {package[1]}=FOLDER" if package else ""
+        return (f"meshes that are not shown: {mesh} ({reason}){others}{named}",)
 
 
 def robot_shapes(path: Path, given: Given) -> RobotShapes:

@@ -208,7 +208,7 @@ def test_simulators_that_are_not_there_are_named(tmp_path, monkeypatch):
     monkeypatch.setattr(proof, "engine", lambda name: None)
     result = export(MODEL, "--to", "urdf", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    assert 'pip install "geodrake[proof]"' in result.stdout
+    assert 'pip install "geodrake[export]"' in result.stdout
     assert (tmp_path / "out" / MODEL.name).is_file()
 
 

@@ -159,7 +159,7 @@ class TestXacro:
         with pytest.raises(ModelError, match=r"side.*--xacro-arg side:=VALUE"):
             load_model(robot, given=given)
         monkeypatch.setitem(sys.modules, "xacro", None)
-        with pytest.raises(ModelError, match=r"pip install \"geodrake\[xacro\]\""):
+        with pytest.raises(ModelError, match=r"pip install \"geodrake\[robots\]\""):
             load_model(robot, given=given)
 
 

@@ -214,7 +214,7 @@ class TestSeriesFile:
     def test_without_pyarrow_nothing_is_begun(self, tmp_path, monkeypatch, file):
         monkeypatch.setitem(sys.modules, "pyarrow", None)
         done = self.run("compare", MODEL, file, "--series", tmp_path / "s.parquet")
-        assert done.exit_code == 2 and 'pip install "geodrake[parquet]"' in done.stderr
+        assert done.exit_code == 2 and 'pip install "geodrake[logs]"' in done.stderr
 
 
 def test_a_package_that_is_not_there_is_named_with_how_to_install_it(monkeypatch):

@@ -86,7 +86,7 @@ def prove(
         if make is None:
             notes.append(
                 f"{name} is not installed, so the export was not tried in it: "
-                'pip install "geodrake[proof]"'
+                'pip install "geodrake[export]"'
             )
             continue
         try:

@@ -36,7 +36,7 @@ def read_lcm(path: Path, reading: Reading) -> LogTable:
 
     Channels are known by the types of their messages, whatever their names.
     """
-    lcm = optional_package("lcm", "lcm", "LCM logs", LogError)
+    lcm = optional_package("lcm", "logs", "LCM logs", LogError)
     with open_regular(path, "log", LogError) as file:
         if file.read(len(MAGIC)) != MAGIC:
             raise LogError(

@@ -46,7 +46,7 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
 
     Without a chosen episode all are read, one after the other, with a gap between two.
     """
-    parquet = optional_package("pyarrow.parquet", "parquet", "LeRobot datasets", LogError)
+    parquet = optional_package("pyarrow.parquet", "logs", "LeRobot datasets", LogError)
     with readable(path, "LeRobot dataset"):
         told = read_regular(path / INFO, "description", LogError, largest=_LARGEST_INFO)
         features = json.loads(told)["features"]

@@ -61,7 +61,7 @@ def _is_hdf5(path: Path) -> bool:
 def _of_hdf5(path: Path, *, matlab: bool = True) -> dict[str, Any]:
     """Return the arrays of a file: every object once, whatever leads to it."""
     what = "MATLAB files of version 7.3 (or save them with -v7)" if matlab else "HDF5 files"
-    h5py = optional_package("h5py", "mat", what, LogError)
+    h5py = optional_package("h5py", "logs", what, LogError)
     names: list[str] = []
 
     def take(name: str) -> bool | None:

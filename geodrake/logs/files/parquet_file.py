@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 def read_parquet(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a Parquet file; see `read_bag` for arguments."""
-    parquet = optional_package("pyarrow.parquet", "parquet", "Parquet files", LogError)
+    parquet = optional_package("pyarrow.parquet", "logs", "Parquet files", LogError)
     with readable(path, "Parquet file"):
         file = parquet.ParquetFile(path)
         rows, width = file.metadata.num_rows, file.metadata.num_columns
@@ -32,7 +32,7 @@ def read_parquet(path: Path, reading: Reading) -> LogTable:
 
 def read_feather(path: Path, reading: Reading) -> LogTable:
     """Return the columns of a Feather or Arrow file; see `read_bag` for arguments."""
-    feather = optional_package("pyarrow.feather", "parquet", "Feather files", LogError)
+    feather = optional_package("pyarrow.feather", "logs", "Feather files", LogError)
     with readable(path, "Feather file"):
         return arrow_table(path, feather.read_table(path))
 

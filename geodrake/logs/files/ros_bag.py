@@ -72,7 +72,7 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
     is_first = path.suffix.lower() == ".bag"
     method = "deserialize_ros1" if is_first else "deserialize_cdr"
     module = f"rosbags.rosbag{1 if is_first else 2}"
-    package = optional_package(module, "ros", "ROS bags", LogError)
+    package = optional_package(module, "logs", "ROS bags", LogError)
     with readable(path, "ROS bag", _REPAIR), package.Reader(_storage(path)) as reader:
         spoken = sorted((c for c in reader.connections if c.msgcount), key=lambda c: c.topic)
         found = [

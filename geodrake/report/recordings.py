@@ -1,0 +1,281 @@
+"""A playback as a recording for other viewers: Rerun's, or MCAP for Foxglove and PlotJuggler."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform
+
+from geodrake.boundary.arguments import one_of
+from geodrake.boundary.escaping import printable
+from geodrake.boundary.optional_packages import optional_package
+from geodrake.errors import OutputError
+from geodrake.inertia import Array
+from geodrake.report.numbers import Units
+from geodrake.report.playback import Playback
+from geodrake.report.played_robots import (
+    GRAYS,
+    PlayedRobot,
+    frame_times,
+    joint_values,
+    moment_words,
+    played_robots,
+)
+from geodrake.report.triangles import link_triangles
+from geodrake.robot.shapes import RobotShapes
+
+_MARK = 0.05  # m, of the balls whose colour is a joint's error
+
+
+@dataclass(frozen=True, eq=False)
+class _Played:
+    """What is recorded."""
+
+    playback: Playback
+    robots: list[PlayedRobot]
+    title: str
+    units: Units
+
+
+def check_viewer(to: str, file: Path) -> None:
+    """Refuse a viewer that is unknown or not installed, and a file of another kind.
+
+    Raises:
+        ArgumentError: There is no such viewer.
+        OutputError: Its package is missing, or the file's name does not end as it must.
+    """
+    suffix, module, _ = _VIEWERS[one_of(to, "--to", _VIEWERS)]
+    if file.suffix.lower() != suffix:
+        raise OutputError(
+            f"Cannot write --to {to} {file}: it does not end in {suffix}.",
+            advice=f"Name it {file.stem or 'play'}{suffix}.",
+            path=file,
+        )
+    optional_package(module, "viewers", f"recordings for {to}", OutputError)
+
+
+def recording(
+    to: str, playback: Playback, shapes: RobotShapes, *, title: str, units: Units
+) -> bytes:
+    """Return a recording of the robots, their joints and efforts, and what was found.
+
+    Args:
+        to: "rerun" or "mcap".
+        shapes: Shapes of the links.
+    """
+    _, module, write = _VIEWERS[one_of(to, "to", _VIEWERS)]
+    package = optional_package(module, "viewers", f"recordings for {to}", OutputError)
+    played = _Played(playback, played_robots(playback, shapes, units), printable(title), units)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "recording"
+        write(package, path, played)
+        return path.read_bytes()
+
+
+def _poses(robot: PlayedRobot, poses: tuple[RigidTransform, ...]) -> tuple[Array, Array]:
+    """Return positions (F, 3), m, and quaternions (F, 4), x y z w, of poses in the world."""
+    wxyz = np.array([_wxyz(X_WB) for X_WB in poses])
+    return np.array([X.translation() for X in poses]) + robot.place, np.roll(wxyz, -1, axis=1)
+
+
+def _wxyz(X_WB: RigidTransform) -> Array:
+    turned: Quaternion = X_WB.rotation().ToQuaternion()
+    return np.asarray(turned.wxyz())
+
+
+def _write_rerun(rr: Any, path: Path, played: _Played) -> None:
+    playback, robots = played.playback, played.robots
+    record = rr.RecordingStream("geodrake", send_properties=False)
+    record.save(path)
+    record.send_recording_name(played.title)
+    times = rr.TimeColumn("time", duration=frame_times(playback))
+
+    def send(entity: str, columns: Any) -> None:
+        rr.send_columns(entity, indexes=[times], columns=columns, recording=record)
+
+    def path_of(*parts: str) -> str:
+        return str(rr.new_entity_path([printable(part) for part in parts]))
+
+    record.log("robots", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    for robot in robots:
+        for link in robot.links:
+            entity = path_of("robots", robot.name, link.name)
+            vertices, faces = link_triangles(link.shapes)
+            mesh = rr.Mesh3D(
+                vertex_positions=vertices, triangle_indices=faces, albedo_factor=GRAYS[0]
+            )
+            record.log(entity, mesh, static=True)
+            where, turned = _poses(robot, link.X_WB)
+            send(entity, rr.Transform3D.columns(translation=where, quaternion=turned))
+            if link.joint is not None:
+                send(entity, rr.Mesh3D.columns(albedo_factor=robot.colors[:, link.joint]))
+            said = [words for words, at in robot.findings if at == link.name]
+            if said:
+                label = rr.Points3D([[0.0, 0.0, 0.0]], labels=["; ".join(said)], radii=[0.01])
+                record.log(f"{entity}/findings", label, static=True)
+        for name, values in joint_values(playback, robot.played).items():
+            for joint, column in zip(playback.joints, values.T, strict=True):
+                entity = path_of("efforts", joint, name, robot.name)
+                send(entity, rr.Scalars.columns(scalars=column))
+        lines = [f"# {robot.played.title}", *(f"- {words}" for words, _ in robot.findings)]
+        text = rr.TextDocument("\n".join(lines), media_type="text/markdown")
+        record.log(path_of("findings", robot.name), text, static=True)
+    for joint, q in zip(playback.joints, playback.q.T, strict=True):
+        send(path_of("positions", joint), rr.Scalars.columns(scalars=q))
+    if moments := sorted(playback.moments, key=lambda moment: moment.frame):
+        at = frame_times(playback)[[moment.frame for moment in moments]]
+        rr.send_columns(
+            "worst_moments",
+            indexes=[rr.TimeColumn("time", duration=at)],
+            columns=rr.TextLog.columns(
+                text=[moment_words(moment, playback, played.units) for moment in moments],
+                level=["WARN"] * len(moments),
+            ),
+            recording=record,
+        )
+    record.flush()
+    record.disconnect()
+
+
+def _write_mcap(foxglove: Any, path: Path, played: _Played) -> None:
+    playback, robots = played.playback, played.robots
+    kinds, channels = foxglove.messages, foxglove.channels
+    context = foxglove.Context()
+    instants = np.rint(1e9 * (frame_times(playback) - frame_times(playback)[0])).astype(int)
+    with foxglove.open_mcap(str(path), context=context):
+        scene = channels.SceneUpdateChannel("/robot", context=context)
+        marks = channels.SceneUpdateChannel("/errors", context=context)
+        frames = channels.FrameTransformsChannel("/tf", context=context)
+        findings = channels.LogChannel("/findings", context=context)
+        plots = [
+            foxglove.Channel(
+                f"/joints/{robot.name}", schema=_joint_schema(playback.joints), context=context
+            )
+            for robot in robots
+        ]
+        entities = [e for robot in robots for e in _entities(kinds, robot)]
+        scene.log(kinds.SceneUpdate(entities=entities), log_time=0)
+        for robot in robots:
+            for words, _ in robot.findings:
+                message = f"{robot.played.title}: {words}"
+                level = kinds.LogLevel.Info
+                findings.log(kinds.Log(level=level, message=message, name=played.title), log_time=0)
+        moments = {moment.frame: moment for moment in playback.moments}
+        poses = [[_poses(r, link.X_WB) for link in r.links] for r in robots]
+        values = [joint_values(playback, robot.played) for robot in robots]
+        for frame, instant in enumerate(instants.tolist()):
+            stamp = kinds.Timestamp(sec=instant // 10**9, nsec=instant % 10**9)
+            transforms = [
+                kinds.FrameTransform(
+                    timestamp=stamp,
+                    parent_frame_id="world",
+                    child_frame_id=_frame_id(robot, link.name),
+                    translation=kinds.Vector3(**_xyz(where[frame])),
+                    rotation=kinds.Quaternion(**_xyz(turned[frame])),
+                )
+                for robot, own in zip(robots, poses, strict=True)
+                for link, (where, turned) in zip(robot.links, own, strict=True)
+            ]
+            frames.log(kinds.FrameTransforms(transforms=transforms), log_time=instant)
+            balls = [e for r in robots for e in _error_marks(kinds, r, frame, stamp)]
+            marks.log(kinds.SceneUpdate(entities=balls), log_time=instant)
+            for channel, own_values in zip(plots, values, strict=True):
+                row = _joint_row(playback, own_values, frame)
+                channel.log(row, log_time=instant)
+            if moment := moments.get(frame):
+                words = moment_words(moment, playback, played.units)
+                level = kinds.LogLevel.Warning
+                message = kinds.Log(timestamp=stamp, level=level, message=words, name=played.title)
+                findings.log(message, log_time=instant)
+
+
+def _frame_id(robot: PlayedRobot, link: str) -> str:
+    return f"{robot.name}/{printable(link)}"
+
+
+def _xyz(values: Array) -> dict[str, float]:
+    return dict(zip("xyzw", values.tolist(), strict=False))
+
+
+def _entities(kinds: Any, robot: PlayedRobot) -> list[Any]:
+    """Return the links of a robot as entities of a scene, and what was found at their places."""
+    found = []
+    for link in robot.links:
+        vertices, faces = link_triangles(link.shapes)
+        mesh = kinds.TriangleListPrimitive(
+            points=[kinds.Point3(**_xyz(vertex)) for vertex in vertices],
+            indices=faces.ravel().tolist(),
+            color=_color(kinds, GRAYS[0]),
+        )
+        said = "; ".join(words for words, at in robot.findings if at == link.name)
+        black = kinds.Color(r=0.1, g=0.1, b=0.1, a=1.0)
+        label = kinds.TextPrimitive(
+            text=said, billboard=True, font_size=14.0, scale_invariant=True, color=black
+        )
+        name = _frame_id(robot, link.name)
+        found.append(
+            kinds.SceneEntity(
+                frame_id=name,
+                id=name,
+                frame_locked=True,
+                triangles=[mesh],
+                texts=[label] if said else [],
+            )
+        )
+    return found
+
+
+def _error_marks(kinds: Any, robot: PlayedRobot, frame: int, stamp: Any) -> list[Any]:
+    """Return a ball at each link that a joint moves, of the colour of the joint's error."""
+    size = kinds.Vector3(x=_MARK, y=_MARK, z=_MARK)
+    return [
+        kinds.SceneEntity(
+            timestamp=stamp,
+            frame_id=_frame_id(robot, link.name),
+            id=f"error of {_frame_id(robot, link.name)}",
+            frame_locked=True,
+            spheres=[kinds.SpherePrimitive(size=size, color=_color(kinds, color))],
+        )
+        for link in robot.links
+        if link.joint is not None
+        for color in [robot.colors[frame, link.joint]]
+    ]
+
+
+def _color(kinds: Any, rgba: Any) -> Any:
+    return kinds.Color(**dict(zip("rgba", (np.asarray(rgba) / 255.0).tolist(), strict=True)))
+
+
+def _joint_row(playback: Playback, values: dict[str, Array], frame: int) -> dict[str, Any]:
+    """Return the numbers of a frame by joint, without those that are unknown."""
+    row: dict[str, Any] = {}
+    for j, joint in enumerate(playback.joints):
+        named = {name: float(column[frame, j]) for name, column in values.items()}
+        known = {name: value for name, value in named.items() if np.isfinite(value)}
+        row[printable(joint)] = {"position": float(playback.q[frame, j]), **known}
+    return row
+
+
+def _joint_schema(joints: tuple[str, ...]) -> dict[str, Any]:
+    names = ("position", "measured", "predicted", "residual")
+    numbers = {"type": "object", "properties": {name: {"type": "number"} for name in names}}
+    return {
+        "title": "geodrake.Joints",
+        "type": "object",
+        "properties": {printable(joint): numbers for joint in joints},
+    }
+
+
+_Writer = Callable[[Any, Path, _Played], None]
+
+_VIEWERS: dict[str, tuple[str, str, _Writer]] = {
+    "rerun": (".rrd", "rerun", _write_rerun),
+    "mcap": (".mcap", "foxglove", _write_mcap),
+}
+"""Viewer -> suffix of its files, its module, and what writes them."""

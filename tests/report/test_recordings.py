@@ -1,0 +1,266 @@
+"""Playbacks outside MeshCat: sticks, Rerun and MCAP read back by their libraries, videos."""
+
+import json
+import re
+from dataclasses import replace
+from importlib.resources import files
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Sphere
+from typer.testing import CliRunner
+
+from geodrake import load_model
+from geodrake.cli.app import app
+from geodrake.effects import CoulombFriction, FittedEffect, Payload
+from geodrake.errors import OutputError
+from geodrake.inertia import from_mass_com_inertia
+from geodrake.logs import read_log
+from geodrake.report import recordings, video
+from geodrake.report.numbers import Units
+from geodrake.report.playback import play_back
+from geodrake.report.played_robots import frame_times
+from geodrake.report.posed_links import drawn_shapes, posed_links
+from geodrake.report.triangles import triangles
+
+DEMO = files("geodrake") / "demo"
+URDF, LOG = Path(str(DEMO / "demo.urdf")), Path(str(DEMO / "demo.csv"))
+JOINT = "shoulder_pitch"
+PAYLOAD = from_mass_com_inertia(2.5, np.array([0.0, 0.0, 0.1]), 0.01 * np.eye(3))
+
+
+@pytest.fixture(scope="module")
+def playback():
+    before = load_model(URDF)
+    found = (
+        FittedEffect(Payload("flange"), PAYLOAD),
+        FittedEffect(CoulombFriction(JOINT), np.array([8.0])),
+    )
+    return play_back(replace(before, effects=found), [LOG], before=before, seconds=2.0)
+
+
+@pytest.fixture(scope="module")
+def shapes(playback):
+    return drawn_shapes(playback.models[0].model)
+
+
+def recorded(playback, shapes, to):
+    units = Units.of(playback.models[-1].model)
+    return recordings.recording(to, playback, shapes, title="demo", units=units)
+
+
+def flange_places(playback):
+    """(F, 3) where the flange is, by the plant."""
+    model = playback.models[0].model
+    plant, context = model.plant, model.plant.CreateDefaultContext()
+    body, places = plant.GetBodyByName("flange"), []
+    for q in model.plant_positions(model.positions(playback.q)):
+        plant.SetPositions(context, q)
+        places.append(plant.EvalBodyPoseInWorld(context, body).translation())
+    return np.array(places)
+
+
+class TestSticks:
+    """Links without shapes are sticks from joint to joint, and joints are marked."""
+
+    @pytest.fixture
+    def model(self, tmp_path):
+        bare = re.sub(r"<(visual|collision)>.*?</\1>", "", URDF.read_text(), flags=re.S)
+        (tmp_path / "bare.urdf").write_text(bare)
+        return load_model(tmp_path / "bare.urdf")
+
+    def test_they_join_the_joints_of_a_link(self, model):
+        shapes = drawn_shapes(model)
+        assert shapes.notes == ("the file has no shapes: links are drawn as sticks",)
+        plant = model.plant
+        joint = plant.GetJointByName("elbow_pitch")
+        end = joint.frame_on_parent().GetFixedPoseInBodyFrame().translation()
+        own = shapes.links[joint.parent_body().scoped_name().get_full()]
+        (stick,) = [s for s in own if isinstance(s.shape, Cylinder) and s.shape.radius() < 0.02]
+        np.testing.assert_allclose(stick.X_BG.translation(), end / 2, atol=1e-12)
+        assert stick.shape.length() == pytest.approx(np.linalg.norm(end))
+        axis = stick.X_BG.rotation().matrix()[:, 2]
+        np.testing.assert_allclose(np.cross(axis, end), 0.0, atol=1e-9)
+
+    def test_they_are_thin_beside_the_robot(self, model):
+        for shapes in drawn_shapes(model).links.values():
+            for one in shapes:
+                corners, _ = triangles(one.shape)
+                assert np.sort(np.ptp(corners, axis=0))[1] < 0.15  # m; the arm is 1.2 m long
+
+    def test_shapes_that_are_there_stay(self):
+        model = load_model(URDF)
+        (link,) = [
+            p
+            for p in posed_links(model, np.zeros((1, 6)), drawn_shapes(model))
+            if p.name.endswith("flange")
+        ]
+        assert link.joint == model.joints.index("wrist_spin")
+        assert not drawn_shapes(model).notes
+
+
+@pytest.mark.parametrize(
+    ("shape", "volume"),
+    [
+        (Box(0.1, 0.2, 0.3), 0.006),
+        (Sphere(0.1), 4 / 3 * np.pi * 1e-3),
+        (Ellipsoid(0.1, 0.2, 0.3), 4 / 3 * np.pi * 6e-3),
+        (Cylinder(0.1, 0.5), np.pi * 5e-3),
+        (Capsule(0.1, 0.5), np.pi * 5e-3 + 4 / 3 * np.pi * 1e-3),
+    ],
+)
+def test_triangles_enclose_the_volume_of_their_shape(shape, volume):
+    points, faces = triangles(shape)
+    a, b, c = np.moveaxis(points[faces], 1, 0)
+    enclosed = np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0  # positive where seen from outside
+    assert enclosed == pytest.approx(volume, rel=0.05)
+
+
+def test_rerun_reads_its_recording(playback, shapes, tmp_path):
+    chunk = pytest.importorskip("rerun.chunk")
+    path = tmp_path / "r.rrd"
+    path.write_bytes(recorded(playback, shapes, "rerun"))
+    rows = {}
+    for one in chunk.RrdReader(path).stream():
+        batch = one.to_record_batch()
+        for name in batch.schema.names:
+            rows.setdefault((one.entity_path, name), batch.column(name).to_pylist())
+    names = {entity for entity, _ in rows}
+    (flange,) = [n for n in names if n.startswith("/robots/after/") and n.endswith("flange")]
+    base = flange_places(playback)
+    other = np.array(rows[flange.replace("after", "before"), "Transform3D:translation"])[:, 0]
+    np.testing.assert_allclose(other, base, atol=1e-6)
+    colors = rows[flange, "Mesh3D:albedo_factor"]
+    assert len(colors) == len(playback.q)
+    residual = np.array(rows[f"/efforts/{JOINT}/residual/after", "Scalars:scalars"])[:, 0]
+    j, played = playback.joints.index(JOINT), playback.models[1]
+    np.testing.assert_allclose(residual, (played.measured - played.predicted)[:, j])
+    position = np.array(rows[f"/positions/{JOINT}", "Scalars:scalars"])[:, 0]
+    np.testing.assert_allclose(position, playback.q[:, j])
+    ((words,),) = rows["/findings/after", "TextDocument:text"]
+    assert "payload 2.50 kg (flange)" in words and "Coulomb friction 8.00 N·m" in words
+    assert len(rows["/worst_moments", "TextLog:text"]) == len(playback.moments)
+
+
+def test_mcap_is_read_by_its_libraries(playback, shapes):
+    reader, decoder = (
+        pytest.importorskip("mcap.reader"),
+        pytest.importorskip("mcap_protobuf.decoder"),
+    )
+    data = recorded(playback, shapes, "mcap")
+    read = reader.make_reader(BytesIO(data), decoder_factories=[decoder.DecoderFactory()])
+    found = {}
+    for schema, channel, message in read.iter_messages():
+        found.setdefault(channel.topic, []).append((schema, channel, message))
+    decoded = {
+        topic: [m.decoded_message for m in read.iter_decoded_messages(topics=[topic])]
+        for topic in ("/tf", "/robot", "/errors", "/findings")
+    }
+    names = {topic: messages[0][0].name for topic, messages in found.items()}
+    assert names["/tf"] == "foxglove.FrameTransforms" and names["/robot"] == "foxglove.SceneUpdate"
+    places = [
+        [t.translation.x, t.translation.y, t.translation.z]
+        for message in decoded["/tf"]
+        for t in message.transforms
+        if t.child_frame_id.startswith("before/") and t.child_frame_id.endswith("flange")
+    ]
+    np.testing.assert_allclose(places, flange_places(playback), atol=1e-9)
+    (scene,) = decoded["/robot"]
+    assert all(len(e.triangles[0].indices) % 3 == 0 for e in scene.entities)
+    assert any("payload" in text.text for e in scene.entities for text in e.texts)
+    assert len(decoded["/errors"]) == len(playback.q)
+    words = [message.message for message in decoded["/findings"]]
+    assert any(w.startswith("after: payload 2.50 kg") for w in words)
+    assert any("is " in w and " off at " in w for w in words)
+    schema, channel, message = found["/joints/after"][0]
+    assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+    row = json.loads(message.data)[JOINT]
+    played, j = playback.models[1], playback.joints.index(JOINT)
+    assert row["residual"] == pytest.approx((played.measured - played.predicted)[0, j])
+    stamps = [m.log_time for _, _, m in found["/joints/after"]]
+    times = frame_times(playback)
+    np.testing.assert_allclose(np.array(stamps) * 1e-9, times - times[0], atol=1e-8)
+
+
+@pytest.fixture
+def draws():
+    """Whether Drake's renderer draws here."""
+    try:
+        video._renderer()
+    except OutputError as error:
+        pytest.skip(str(error))
+
+
+def test_videos_show_the_robot_in_motion(playback, shapes, draws):
+    units = Units.of(playback.models[-1].model)
+    image = Image.open(BytesIO(video.video(playback, shapes, ".gif", units=units)))
+    assert image.n_frames == round(len(playback.q) / 3)
+    image.seek(0)
+    first = np.asarray(image.convert("RGB"), int)
+    image.seek(image.n_frames - 1)
+    last = np.asarray(image.convert("RGB"), int)
+    assert (np.abs(first - last).sum(-1) > 60)[:500].mean() > 0.005
+    encoder = pytest.importorskip("imageio_ffmpeg")
+    data = video.video(playback, shapes, ".mp4", units=units, speed=4.0)
+    assert data[4:8] == b"ftyp" and encoder.get_ffmpeg_exe()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--video", "p.avi"), "does not end in .mp4 or .gif"),
+        (("--to", "foxglove", "p.mcap"), "--to must be"),
+        (("--to", "rerun", "p.mcap"), "does not end in .rrd"),
+        (("--video", "no/p.gif"), "which is no folder"),
+    ],
+)
+def test_bad_targets_are_one_line_and_leave_nothing(tmp_path, monkeypatch, options, words):
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, ["play", str(URDF), str(LOG), *options])
+    assert result.exit_code == 2
+    assert words in result.stderr and result.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("module", "options"),
+    [
+        ("imageio_ffmpeg", ("--video", "p.mp4")),
+        ("rerun", ("--to", "rerun", "p.rrd")),
+        ("foxglove", ("--to", "mcap", "p.mcap")),
+    ],
+)
+def test_a_missing_package_is_named_before_the_work(tmp_path, monkeypatch, module, options):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(__import__("sys").modules, module, None)
+    result = CliRunner().invoke(app, ["play", str(URDF), str(LOG), *options])
+    assert result.exit_code == 2
+    assert 'pip install "geodrake[viewers]"' in result.stderr and result.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_ffmpeg_is_one_line(tmp_path, monkeypatch):
+    encoder = pytest.importorskip("imageio_ffmpeg")
+
+    def none():
+        raise RuntimeError("No ffmpeg exe could be found.")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(encoder, "get_ffmpeg_exe", none)
+    result = CliRunner().invoke(app, ["play", str(URDF), str(LOG), "--video", "p.mp4"])
+    assert result.exit_code == 2 and result.stderr.count("\n") == 1
+    assert "no ffmpeg" in result.stderr and "FILE.gif" in result.stderr
+
+
+def test_the_command_writes_what_is_asked_for_and_no_page(tmp_path, monkeypatch):
+    pytest.importorskip("foxglove")
+    monkeypatch.chdir(tmp_path)
+    words = ["play", str(URDF), str(LOG), "--seconds", "1", "--to", "mcap", "p.mcap"]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    assert "Saved the recording: p.mcap" in result.output
+    assert [path.name for path in tmp_path.iterdir()] == ["p.mcap"]
+    assert len(read_log(LOG).joints) == 6
