@@ -115,8 +115,8 @@ class _Expansion:
         if len(places) < len(_PACKAGES):
             raise ModelError(
                 f"{self._path} is a xacro file, and the package xacro is not installed.",
-                advice='Install it: pip install "geodrake[robots]"; or expand the file first: xacro '
-                "robot.urdf.xacro > robot.urdf.",
+                advice='Install it: pip install "geodrake[robots]"; or expand the file first: '
+                "xacro robot.urdf.xacro > robot.urdf.",
                 path=self._path,
             )
         return [place.parents[1] for place in places]
