@@ -28,7 +28,6 @@ from rich.progress import track
 
 from geodrake.identification import geodesic_least_squares, identify, solve_fit
 from geodrake.identification.newton import solve_newton
-from geodrake.identification.subprocess_solver import end_waiting
 from geodrake.inertia import pseudo_inertia
 from geodrake.inertia.positive_definite import distance
 
@@ -145,7 +144,6 @@ def cpu_time(work: Callable[[], object]) -> float:
 
 
 def _cpu_clock() -> float:
-    end_waiting()  # so that the time of its process counts
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(usage.ru_utime + usage.ru_stime for usage in used)
 
@@ -181,7 +179,6 @@ def print_peak(case: Case | None, what: str) -> None:
         peak = next(float(line.split()[1]) for line in lines if line.startswith("VmHWM"))
     else:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    end_waiting()
     solver = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss  # which is a copy of this one
     print(max(peak, solver) / 1024)
 

@@ -19,8 +19,7 @@ from geodrake.effects import Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table
 from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN
-from geodrake.identification.logs.cross_validation import HeldOut
-from geodrake.identification.logs.hypothesis import Hypothesis
+from geodrake.identification.logs.hypothesis import HeldOut, Hypothesis
 from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.inertia import pullback_metric
 

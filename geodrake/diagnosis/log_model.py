@@ -32,9 +32,14 @@ from geodrake.diagnosis.terms import (
 from geodrake.diagnosis.unknown_efforts import UnresolvedReversal
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import LEAST_NOISE, NOISE_MARGIN, SPREAD
-from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut, hold_out
 from geodrake.identification.logs.dataset import LEAST_INERTIA, Dataset, is_payload
-from geodrake.identification.logs.hypothesis import Hypothesis, effective_of_rows
+from geodrake.identification.logs.hypothesis import (
+    CrossValidation,
+    HeldOut,
+    Hypothesis,
+    effective_of_rows,
+    hold_out,
+)
 from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.identification.normal_equations import scaled_cholesky, solved

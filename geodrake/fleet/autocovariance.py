@@ -13,8 +13,8 @@ from geodrake.effects import Effect
 from geodrake.fleet.digest import Digest
 from geodrake.fleet.digest_dataset import digest_dataset, model_of_digests
 from geodrake.fleet.settings import DigestSettings
-from geodrake.identification.logs.cross_validation import CrossValidation
 from geodrake.identification.logs.dataset import Dataset, JointData
+from geodrake.identification.logs.hypothesis import CrossValidation
 from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.model.robot_model import RobotModel

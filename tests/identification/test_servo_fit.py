@@ -63,7 +63,7 @@ def test_simulation_is_that_of_the_equation():
 
     exact = solve_ivp(rates, (0.0, time[-1]), [0.0, 0.0], t_eval=time, rtol=1e-9, atol=1e-10)
     motions = JointMotions((rows,), (exact.y[0],), (period,))
-    residual = motions.residual(np.array([kp, kr, d, 0.0, armature, late]))
+    residual = motions.residual(motions.servo([kp, kr, d, 0.0, armature, late]))
     after = time > 2.0  # before the log there was no command
     assert np.abs(residual[after]).max() < 2e-3 * np.abs(exact.y[0]).max()
 
@@ -73,7 +73,7 @@ def test_a_joint_sticks_until_friction_is_overcome():
     rows[:, 1] = 1.0
     rows[:, 7] = 0.01 * np.arange(400) / 400
     motions = JointMotions((rows,), (np.zeros(400),), (0.005,))
-    x, _ = motions.simulated(np.array([100.0, 0.0, 20.0, 0.5, 0.0, 0.0]))
+    x = motions.simulated(motions.servo([100.0, 0.0, 20.0, 0.5]))
     assert not x[:199].any()
     assert x[-1] == pytest.approx(0.01 - 0.005, abs=2e-3)
 
@@ -84,17 +84,17 @@ def test_slopes_are_finite_differences(motions):
         tuple(q[:800] for q in motions.positions),
         motions.periods,
     )
-    at = np.array([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123])
-    _, slopes = few.simulated(at, slopes=True)
-    for k, step in enumerate(np.diag(1e-6 * at)):
-        both = few.simulated(at + step)[0] - few.simulated(at - step)[0]
+    at = few.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123])
+    slopes = few.slopes(at, np.ones(len(at)), np.arange(len(at)) < 6)
+    for k, step in enumerate(np.diag(1e-6 * at)[:6]):
+        both = few.simulated(at + step) - few.simulated(at - step)
         expected = both / (2.0 * step[k])
         np.testing.assert_allclose(slopes[:, k], expected, atol=1e-5 * np.abs(expected).max())
 
 
 def test_it_finds_what_mujoco_has(motions):
     fit = fit_servo(motions, EffortSignal("hinge", "command", 50.0))
-    kp, rate, damping, coulomb, armature, late = fit.parameters
+    kp, rate, damping, coulomb, armature, late, _ = fit.parameters
     assert kp == pytest.approx(TRUTH[0], rel=0.01)
     assert damping + rate == pytest.approx(TRUTH[2], rel=0.05)
     assert coulomb == pytest.approx(TRUTH[3], rel=0.05)
@@ -112,7 +112,7 @@ def test_it_is_never_worse_than_where_it_began(motions):
     parts = JointMotions(motions.rows, wild, motions.periods)
     fit = fit_servo(parts, EffortSignal("hinge", "command", 50.0))
     if fit is not None:
-        begun = np.sqrt(np.mean(parts.residual(fit.parameters) ** 2))
+        begun = parts.rms(parts.servo(fit.parameters))
         assert fit.error == pytest.approx(begun) and fit.error < fit.start
 
 
@@ -123,8 +123,9 @@ def test_a_joint_that_falls_over_is_far_off_and_no_servo():
     rows[:, 1], rows[:, 2], rows[:, 4] = 0.5, -800.0, np.sin(3.0 * period * np.arange(count))
     rows[:, 0], rows[:, 7] = 5.0 * rows[:, 4], rows[:, 4]
     motions = JointMotions((rows,), (rows[:, 4],), (period,))
-    at = np.array([5.0, 0.0, 0.1, 0.0, 0.0, 0.0])
-    found, slopes = motions.simulated(at, coarse=True, slopes=True)
+    at = motions.servo([5.0, 0.0, 0.1])
+    found = motions.simulated(at, coarse=True)
+    slopes = motions.slopes(at, np.ones(len(at)), np.arange(len(at)) < 6, coarse=True)
     assert np.isfinite(found @ found) and np.isfinite(slopes.T @ slopes).all()
     assert np.abs(found - rows[:, 4]).max() == pytest.approx(1e3)
     few = rows[:200] * np.where(np.arange(8) == 2, 125.0, 1.0)

@@ -1,7 +1,5 @@
 """Servos at their limit: simulated as saturated, found beside it, refused if they always are."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -56,26 +54,27 @@ def test_simulation_is_that_of_position_servo(ki):
     assert 0.1 < np.mean(np.abs(efforts) >= limit) < 0.6
     rows = np.zeros((count, 8))
     rows[:, :2], rows[:, 7] = (b, M), np.sin(3.0 * time)
-    motions = JointMotions((rows,), (exact.y[0],), (period,), limit)
-    parameters = np.array([kp, kr, d, 0.0, 0.0, 0.0, ki, 0.0])
+    motions = JointMotions((rows,), (exact.y[0],), (period,))
+    parameters = [kp, kr, d, 0.0, 0.0, 0.0, ki]
     size = np.abs(exact.y[0]).max()
-    assert np.abs(motions.residual(parameters)).max() < 5e-3 * size
-    free = replace(motions, limit=np.inf)
-    assert np.abs(free.residual(parameters)).max() > 0.05 * size
+    assert np.abs(motions.residual(motions.servo(parameters, limit=limit))).max() < 5e-3 * size
+    assert np.abs(motions.residual(motions.servo(parameters))).max() > 0.05 * size
 
 
 @pytest.mark.parametrize("own", [False, True])
 def test_slopes_are_finite_differences(own, tmp_path):
     log = servo_log(integral=60.0, limit=7.0, seconds=5.0)
-    motions = replace(alone(pendulum(tmp_path, 7.0), log), limit=7.0)
-    at = np.array([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 50.0, 1.5])
-    if own:
-        motions = replace(motions, own=True)
-    found, slopes = motions.simulated(at, slopes=True)
-    assert np.abs(found - replace(motions, limit=np.inf).simulated(at)[0]).max() > 0.01
-    for k, step in enumerate(np.diag(1e-7 * at)):
-        both = motions.simulated(at + step)[0] - motions.simulated(at - step)[0]
-        error = slopes[:, k] - both / (2.0 * step[k])
+    motions = alone(pendulum(tmp_path, 7.0), log)
+    at = motions.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 50.0], limit=7.0)
+    at[8:] = own, 1.5
+    free = np.array([0, 1, 2, 3, 4, 5, 6, 9])
+    slopes = motions.slopes(at, np.ones(len(at)), np.isin(np.arange(len(at)), free))
+    unlimited = np.where(np.arange(len(at)) == 7, np.inf, at)
+    assert np.abs(motions.simulated(at) - motions.simulated(unlimited)).max() > 0.01
+    for k, number in enumerate(free):
+        step = 1e-7 * at[number] * np.eye(len(at))[number]
+        both = motions.simulated(at + step) - motions.simulated(at - step)
+        error = slopes[:, k] - both / (2.0 * step[number])
         # Where the limit begins to act within a step, there is no slope: few rows.
         assert np.median(np.abs(error)) < 1e-3 * np.abs(slopes[:, k]).max()
         assert np.abs(error).max() < 0.05 * np.abs(slopes[:, k]).max()

@@ -3,18 +3,13 @@
 import os
 import signal
 import time
-from functools import partial
 
 import numpy as np
 import pytest
 
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.solvers import solved_apart
-from geodrake.identification.subprocess_solver import (
-    LostProcessError,
-    end_waiting,
-    in_subprocess,
-)
+from geodrake.identification.subprocess_solver import LostProcessError, in_subprocess
 
 
 @pytest.mark.parametrize(
@@ -33,36 +28,8 @@ from geodrake.identification.subprocess_solver import (
 def test_a_lost_process_is_told(work, words):
     with pytest.raises(LostProcessError, match=words):
         in_subprocess(work, seconds=0.2 if "no answer" in words else 20.0)
-    end_waiting()  # those of other tests
     with pytest.raises(ChildProcessError):  # none is left
         os.waitpid(-1, os.WNOHANG)
-
-
-def test_a_series_takes_one_process():
-    first = in_subprocess(os.getpid, seconds=20.0)
-    assert first != os.getpid()
-    assert in_subprocess(os.getpid, seconds=20.0) == first
-    os.kill(first, signal.SIGKILL)  # while it waits
-    other = in_subprocess(os.getpid, seconds=20.0)
-    assert other not in (first, os.getpid())
-    assert in_subprocess(partial(os.getenv, "none"), seconds=20.0) is None
-    with pytest.raises(LostProcessError, match="signal SIGABRT"):
-        in_subprocess(os.abort, seconds=20.0)
-    assert in_subprocess(os.getpid, seconds=20.0) not in (first, other, os.getpid())
-
-
-def test_work_that_cannot_be_pickled_leaves_no_process():
-    end_waiting()
-    for _ in range(3):
-        assert in_subprocess(lambda: 1, seconds=20.0) == 1
-    with pytest.raises(ChildProcessError):
-        os.waitpid(-1, os.WNOHANG)
-
-
-def test_a_process_without_work_ends_by_itself():
-    end_waiting()
-    child = in_subprocess(os.getpid, seconds=20.0)
-    assert os.waitpid(child, 0) == (child, 0)
 
 
 def test_answers_of_another_process_are_whole(capfd):

@@ -19,8 +19,8 @@ from geodrake.effects.robot_motion import RobotMotion
 from geodrake.errors import LogError
 from geodrake.identification.logs.candidate_effects import candidate_delays, candidate_effects
 from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
-from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.dataset import Dataset, Delay
+from geodrake.identification.logs.hypothesis import HeldOut
 from geodrake.identification.logs.model_errors import ErrorTable, JointError, Series
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.noise import filtered_below

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.identification.logs.case import Case, error_table, open_case, series
-from geodrake.identification.logs.cross_validation import HeldOut
+from geodrake.identification.logs.hypothesis import HeldOut
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing, Series
 from geodrake.identification.logs.model_fit import as_it_stands, model_unknowns
 from geodrake.identification.logs.unknowns import Unknowns

@@ -1,26 +1,189 @@
-"""A hypothesis: the model with certain effects, fitted and validated fold by fold."""
+"""A hypothesis: the model with certain effects, fitted and validated fold by fold.
+
+Every fold is predicted by a fit to the others. The normal matrices are assembled from the factors
+of each fold and joint of a `Dataset`, so that a fit costs one Cholesky factorization; where bodies
+come out that cannot exist, `fit_problem` keeps them physical.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
-from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut
+from geodrake.identification.conic_fit import solve_with_fallback
 from geodrake.identification.logs.dataset import Dataset, Delay
 from geodrake.identification.logs.evidence import effective_samples_of_each
-from geodrake.identification.logs.unknowns import Unknowns
-from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.identification.logs.unknowns import Unknowns, fit_problem
+from geodrake.identification.normal_equations import RIDGE, cholesky, solved
+from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+_ROUNDING = 1e-12  # by which a parameter may be beyond its bound
 _SETTLED = 0.3  # weights are settled if they change by less than this share
 _MOST_REFITS = 8
 _FIRST_SHARE = 0.05  # of the samples that count as effective ones in the first fit
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Held-out squared errors."""
+
+    # (F, nv) sums of squared held-out residuals, (N·m)² or N²; of joints without motors those of
+    # accelerations times the inertia that the model gave the joint before.
+    sse: Array
+    samples: NDArray[np.int_]  # (F, nv) rows behind them
+    x: Array  # (F, p) parameters fitted without each fold
+
+    @property
+    def mse(self) -> Array:
+        """(nv,) mean squared held-out error of each joint."""
+        return self.sse.sum(0) / self.samples.sum(0)
+
+    @property
+    def rms(self) -> Array:
+        """(nv,) RMS held-out error of each joint."""
+        return np.sqrt(self.mse)
+
+
+def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0) -> HeldOut:
+    """Return the errors of given parameters in every fold, through the triangular factors.
+
+    Args:
+        columns: (p,) columns in use.
+        x: (F, p) parameters for each fold.
+    """
+    sse = np.empty((len(dataset.folds), len(dataset.joints)))
+    for j, (data, late) in enumerate(zip(dataset.data, dataset.delay_of_each(delay), strict=True)):
+        n = len(data.columns)
+        predicted = (data.factors[:, :, :n] @ data.parameters(columns, x)[..., None])[..., 0]
+        sse[:, j] = np.square(data.factors[:, :, n + late] - predicted).sum(1)
+    return HeldOut(sse / dataset.inertias(columns, x).T ** 2, dataset.samples, x)
+
+
+def normal_matrices(
+    dataset: Dataset, weights: Array, columns: Indices, *, delay: Delay = 0
+) -> tuple[Array, Array]:
+    """Return the weighted AᵀA (F, p, p) and Aᵀb (F, p) of every fold.
+
+    Args:
+        weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)² or 1 / N².
+        columns: (p,) columns of A in the dataset.
+    """
+    p, folds = len(columns), len(dataset.folds)
+    gram, rhs = np.zeros((p, p, folds)), np.zeros((p, folds))
+    delays = dataset.delay_of_each(delay)
+    for data, weight, late in zip(dataset.data, weights, delays, strict=True):
+        local = data.local(columns)
+        seen = np.flatnonzero(local >= 0)
+        effort = np.array([len(data.columns) + late])
+        gram[seen[:, None], seen] += weight * data.products(local[seen], local[seen])
+        rhs[seen] += weight * data.products(effort, local[seen])[0]
+    return np.ascontiguousarray(np.moveaxis(gram, 2, 0)), np.ascontiguousarray(rhs.T)
+
+
+class CrossValidation:
+    """Fits of given unknowns to all folds but one.
+
+    Args:
+        weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)².
+        physical: Whether bodies are kept physical.
+    """
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        unknowns: Unknowns,
+        weights: Array,
+        *,
+        delay: Delay = 0,
+        held_out: HeldOut | None = None,
+        physical: bool = True,
+    ) -> None:
+        self.dataset, self.unknowns, self.weights = dataset, unknowns, weights
+        self.delay = dataset.delay_of_each(delay)
+        if held_out is None:
+            (gram, rhs), (own_gram, own_rhs) = self._whole, self._own
+            own_rhs = own_rhs + dataset.fold_shares[:, None] * unknowns.pull
+            folds = range(len(dataset.folds))
+            x = self._solved(gram - own_gram, rhs - own_rhs, folds, physical=physical)
+            held_out = hold_out(dataset, unknowns.columns, x, delay=self.delay)
+        self.held_out = held_out
+
+    @cached_property
+    def _own(self) -> tuple[Array, Array]:
+        """Normal matrix (F, p, p) and right side (F, p) of each fold."""
+        return normal_matrices(self.dataset, self.weights, self.unknowns.columns, delay=self.delay)
+
+    @cached_property
+    def _whole(self) -> tuple[Array, Array]:
+        """Normal matrix (p, p) and right side (p,) of all folds with the prior."""
+        (gram, rhs), prior = self._own, self.unknowns.information
+        return gram.sum(0) + prior, rhs.sum(0) + prior @ self.unknowns.mean + self.unknowns.pull
+
+    def _solved(
+        self, grams: Array, rhs: Array, without: Sequence[int | None], *, physical: bool
+    ) -> Array:
+        """Return fits (F, p) of matrices (F, p, p), by `without` which folds they are."""
+        scales = 1.0 / np.sqrt(np.diagonal(grams, axis1=1, axis2=2))
+        scaled, x = grams * scales[:, :, None] * scales[:, None, :], np.empty_like(rhs)
+        for f, factor in enumerate(cholesky(scaled)):
+            free = scales[f] * solved(factor, scales[f] * rhs[f])
+            x[f] = _within(free, rhs[f], (scaled[f], scales[f]), self.unknowns)
+            if physical and not self._are_physical(x[f]):
+                args = self.dataset, self.unknowns, self.weights
+                problem = fit_problem(*args, without=without[f], delay=self.delay)
+                x[f] = solve_with_fallback(problem).x
+        return x
+
+    def _are_physical(self, x: Array) -> bool:
+        """Return whether all bodies of parameters (…, p) can exist."""
+        places = np.array(self.unknowns.inertia_blocks, int)[:, None]
+        return bool(is_physical(x[..., places + np.arange(PARAMETERS_PER_BODY)]).all())
+
+    @property
+    def is_physical(self) -> bool:
+        """Whether the bodies of all fits can exist."""
+        return self._are_physical(self.held_out.x)
+
+    @cached_property
+    def fit_all(self) -> Array:
+        """(p,) parameters fitted to all folds."""
+        gram, rhs = self._whole
+        return self._solved(gram[None], rhs[None], [None], physical=True)[0]
+
+    @cached_property
+    def deviations(self) -> Array:
+        """Return (p,) standard deviations of `fit_all`, bounds left aside."""
+        gram, _ = self._whole
+        scale = 1.0 / np.sqrt(np.diag(gram))
+        matrix = gram * scale[:, None] * scale + RIDGE * np.eye(len(scale))
+        return scale * np.sqrt(np.diag(np.linalg.inv(matrix)))
+
+
+def _within(x: Array, rhs: Array, scaled: tuple[Array, Array], unknowns: Unknowns) -> Array:
+    """Return the minimizer (p,) within the bounds of unknowns, from that without them.
+
+    Args:
+        x: (p,) the minimizer without bounds.
+        rhs: (p,) right side of the normal equations.
+        scaled: Their matrix (p, p) of unit diagonal, and by what (p,) it was scaled.
+    """
+    free, (matrix, scale) = np.ones(len(x), bool), scaled
+    lower, upper = unknowns.lower - _ROUNDING, unknowns.upper + _ROUNDING
+    while np.any(outside := (x < lower) | (x > upper)):
+        free &= ~outside
+        x = np.clip(x, unknowns.lower, unknowns.upper)
+        held = (matrix[np.ix_(free, ~free)] @ (x[~free] / scale[~free])) / scale[free]
+        right = scale[free] * (rhs[free] - held)
+        x[free] = scale[free] * solved(cholesky(matrix[np.ix_(free, free)]), right)
+    return x
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,18 +13,17 @@ from geodrake.effects.base import Effect
 from geodrake.identification.conic_fit import certified, solve_with_fallback
 from geodrake.identification.fit import FitResult
 from geodrake.identification.logs.criteria import SPREAD, WORTH
-from geodrake.identification.logs.cross_validation import HeldOut, hold_out
-from geodrake.identification.logs.dataset import Dataset, Delay, is_body
+from geodrake.identification.logs.dataset import Dataset
+from geodrake.identification.logs.hypothesis import CrossValidation, HeldOut, hold_out
 from geodrake.identification.logs.unknowns import (
     Unknowns,
+    fit_problem,
     inertial_unknowns,
     pullback_information,
 )
 from geodrake.identification.normal_equations import scaled_cholesky, solved
-from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.reduction import triangular_factor
 
 
 def model_unknowns(dataset: Dataset, model: RobotModel, *, spread: float = SPREAD) -> Unknowns:
@@ -47,52 +46,6 @@ def model_unknowns(dataset: Dataset, model: RobotModel, *, spread: float = SPREA
             f.effect, dataset.effect_columns(f.effect), own, f.parameters
         )
     return replace(unknowns, information=information)
-
-
-def fit_problem(
-    dataset: Dataset,
-    unknowns: Unknowns,
-    weights: Array,
-    *,
-    without: int | None = None,
-    delay: Delay = 0,
-) -> FitProblem:
-    """Return the convex program of a fit of the unknowns to all folds, or to all but one.
-
-    The `weights` (nv,) are those of a squared residual of each joint, and `delay` is the index of
-    the effort column to fit.
-    """
-    p = len(unknowns.columns)
-    kept = [fold for fold in range(len(dataset.folds)) if fold != without]
-    triangle = np.zeros((1, p + 1))
-    delays = dataset.delay_of_each(delay)
-    for data, weight, late in zip(dataset.data, weights, delays, strict=True):
-        local = data.local(unknowns.columns)
-        stacked = np.concatenate(data.factors[kept])
-        rows = np.zeros((len(stacked), p + 1))
-        rows[:, :p][:, local >= 0] = stacked[:, local[local >= 0]]
-        rows[:, p] = stacked[:, len(data.columns) + late]
-        triangle = triangular_factor([triangle, np.sqrt(weight) * rows])
-    lower, upper = unknowns.scalar_bounds
-    return FitProblem(
-        factor=triangle,
-        inertia_blocks=unknowns.inertia_blocks,
-        prior_mean=unknowns.pulled_mean(float(dataset.fold_shares[kept].sum())),
-        prior_information=unknowns.information,
-        lower=lower,
-        upper=upper,
-        reference={unknowns.span(e).start: dataset.payload for e in unknowns.effects if is_body(e)},
-    )
-
-
-def held_out_physical(
-    dataset: Dataset, unknowns: Unknowns, weights: Array, *, delay: Delay = 0
-) -> HeldOut:
-    """Return held-out errors of physically consistent fits, one for every fold."""
-    folds = range(len(dataset.folds))
-    problems = (fit_problem(dataset, unknowns, weights, without=f, delay=delay) for f in folds)
-    x = np.array([solve_with_fallback(problem).x for problem in problems])
-    return hold_out(dataset, unknowns.columns, x, delay=delay)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +78,7 @@ def fit_model(
     """
     problem = fit_problem(dataset, unknowns, weights)
     result = certified(problem, solve_with_fallback(problem))
-    held_out = held_out_physical(dataset, unknowns, weights)
+    held_out = CrossValidation(dataset, unknowns, weights).held_out
     fitted = model_with(
         model, unknowns, result, result.standard_deviations(), noise=held_out.rms, delays=delays
     )

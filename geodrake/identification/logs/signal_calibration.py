@@ -203,18 +203,17 @@ def _by_motion(motions: JointMotions, signal: EffortSignal, limit: float) -> Eff
     fit = fit_servo(motions, signal, limit if limit > 0.0 else np.inf)
     if fit is None:
         return replace(signal, integral=0.0, integral_deviation=0.0)
-    share = np.hypot(signal.uncertainty, fit.deviations[0] / fit.parameters[0])
-    gain, rate, *_, delay = fit.parameters.tolist()
-    spread = fit.deviations[1] if rate else 0.0
+    gain, rate, *_, delay, integral = fit.parameters.tolist()
+    spread = fit.deviations
     return replace(
         signal,
         gain=gain,
-        deviation=float(share * gain),
+        deviation=float(np.hypot(signal.uncertainty * gain, spread[0])),
         damping=rate,
-        damping_deviation=float(spread),
+        damping_deviation=float(spread[1]) if rate else 0.0,
         delay=delay,
-        integral=fit.integral,
-        integral_deviation=fit.integral_deviation,
+        integral=integral,
+        integral_deviation=float(spread[-1]),
         # A servo that damps the motion within its limit is at it for another error than this.
         limit=np.inf if fit.own else fit.limit,
     )

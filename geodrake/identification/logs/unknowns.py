@@ -1,4 +1,7 @@
-"""What a fit may move: columns of a dataset with their prior, bounds and physical blocks."""
+"""What a fit may move: columns of a dataset with their prior, bounds and physical blocks.
+
+`fit_problem` is its convex program.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,10 @@ from scipy.linalg import block_diag
 
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import LARGEST
-from geodrake.identification.logs.dataset import Dataset, is_body
+from geodrake.identification.logs.dataset import Dataset, Delay, is_body
+from geodrake.identification.problem import FitProblem
 from geodrake.inertia import PARAMETERS_PER_BODY, from_mass_com_inertia, pullback_metric
+from geodrake.robot.reduction import triangular_factor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -146,3 +151,39 @@ def effect_prior(dataset: Dataset, effect: Effect) -> tuple[Array, Array]:
     peak = dataset.column_peak[dataset.effect_columns(effect)] / LARGEST
     spread = np.array([parameter.spread for parameter in effect.parameters])
     return np.zeros(k), np.diag(np.maximum(peak**2, np.maximum(spread**-2.0, 1e-300)))
+
+
+def fit_problem(
+    dataset: Dataset,
+    unknowns: Unknowns,
+    weights: Array,
+    *,
+    without: int | None = None,
+    delay: Delay = 0,
+) -> FitProblem:
+    """Return the convex program of a fit of the unknowns to all folds, or to all but one.
+
+    The `weights` (nv,) are those of a squared residual of each joint, and `delay` is the index of
+    the effort column to fit.
+    """
+    p = len(unknowns.columns)
+    kept = [fold for fold in range(len(dataset.folds)) if fold != without]
+    triangle = np.zeros((1, p + 1))
+    delays = dataset.delay_of_each(delay)
+    for data, weight, late in zip(dataset.data, weights, delays, strict=True):
+        local = data.local(unknowns.columns)
+        stacked = np.concatenate(data.factors[kept])
+        rows = np.zeros((len(stacked), p + 1))
+        rows[:, :p][:, local >= 0] = stacked[:, local[local >= 0]]
+        rows[:, p] = stacked[:, len(data.columns) + late]
+        triangle = triangular_factor([triangle, np.sqrt(weight) * rows])
+    lower, upper = unknowns.scalar_bounds
+    return FitProblem(
+        factor=triangle,
+        inertia_blocks=unknowns.inertia_blocks,
+        prior_mean=unknowns.pulled_mean(float(dataset.fold_shares[kept].sum())),
+        prior_information=unknowns.information,
+        lower=lower,
+        upper=upper,
+        reference={unknowns.span(e).start: dataset.payload for e in unknowns.effects if is_body(e)},
+    )
