@@ -17,10 +17,11 @@ from geodrake.identification.identify import (
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.dataset import Dataset, is_body, is_payload
 from geodrake.identification.logs.hypothesis import HeldOut, hold_out
-from geodrake.identification.logs.model_fit import effects_of, fit_problem
+from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.unknowns import (
     Unknowns,
     effect_prior,
+    fit_problem,
     inertial_unknowns,
     pullback_information,
 )

@@ -306,8 +306,8 @@ def fit_servo(
             signal.gain,
             signal.damping,
             0.05 * signal.gain,
-            0.1 * np.std(motions.needed),
-            0.2 * np.mean(inertia),
+            0.1 * float(np.std(motions.needed)),
+            0.2 * float(np.mean(inertia)),
             signal.delay,
         ]
     )
