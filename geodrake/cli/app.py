@@ -118,7 +118,7 @@ EXAMPLES = {
     ),
     "export": (
         "robot.yaml --to mjcf exported",
-        "robot.yaml log.csv --to urdf exported",
+        "robot.yaml --to ros2 src/robot_feedforward",
     ),
     "check": (
         "robot.urdf",

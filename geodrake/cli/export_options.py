@@ -34,7 +34,8 @@ class ExportOptions(ReadingOptions, ModelOptions):
         typer.Option(
             metavar="FORMAT",
             help="urdf, sdf, mjcf, drake (with model directives), isaac (a URDF, and values of "
-            "actuators), python, cpp (a function effort(q, v, vd)); an unknown name lists them.",
+            "actuators), python, cpp (a function effort(q, v, vd)), ros2 (a controller of "
+            "ros2_control); an unknown name lists them.",
         ),
     ]
     force: Annotated[

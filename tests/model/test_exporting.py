@@ -434,5 +434,5 @@ def test_joints_of_included_files_are_refused(tmp_path):
 
 
 def test_unknown_formats_are_listed():
-    with pytest.raises(ArgumentError, match="urdf, sdf, mjcf, drake, isaac, python, cpp"):
+    with pytest.raises(ArgumentError, match="urdf, sdf, mjcf, drake, isaac, python, cpp, ros2"):
         export_format("usd")

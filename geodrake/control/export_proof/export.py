@@ -105,7 +105,8 @@ def export_with_proof(
         with TemporaryDirectory() as scratch:
             again = form.write(model, held, Path(scratch))
             for name, content in again.files.items():
-                (Path(scratch) / name).write_bytes(content)
+                (path := Path(scratch) / name).parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(content)
             first = Path(scratch) / next(iter(again.files))
             proof = prove(held.model, first, form.engines, compared(motions), starts)
     costs = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from geodrake.boundary.arguments import file_path, instances, positive, typed
@@ -31,7 +32,7 @@ def export_to(
     """Write a model for a simulator, and prove it: loaded again, and compared with the model.
 
     Args:
-        to: Name of the format: urdf, sdf, mjcf, drake or isaac.
+        to: Name of the format: urdf, sdf, mjcf, drake, isaac, python, cpp or ros2.
         model: The model.
         folder: Where the files go; made if it is not there.
         logs: Logs, or their files, on whose motion what the format lacks is fitted, and the error
@@ -105,6 +106,8 @@ def write_files(
         OutputError: One cannot be written.
     """
     files: dict[Path, Content] = {folder / name: d for name, d in found.exported.files.items()}
-    with made_folder(folder):
+    with ExitStack() as stack:
+        for parent in sorted({folder, *(path.parent for path in files)}):
+            stack.enter_context(made_folder(parent))
         write_together({**files, **(beside or {})})
     return [*files]

@@ -25,6 +25,7 @@ from geodrake.model.exporting.model_text import (
     tilt_rotation,
     written_kind,
 )
+from geodrake.model.exporting.ros2 import ros2_files
 from geodrake.model.file_terms import (
     Damping,
     Delay,
@@ -178,6 +179,7 @@ FORMATS = {
         ExportFormat("isaac", _OF_ISAAC, isaac_files, _URDF_ENGINES, servos=True),
         ExportFormat("python", lambda _: is_written, _source("python"), ("python",), True),
         ExportFormat("cpp", lambda _: is_written, _source("cpp"), at_actuators=True),
+        ExportFormat("ros2", lambda _: is_written, ros2_files),
     )
 }
 """By name; a further format is one more entry."""
