@@ -34,7 +34,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from geodrake.control import DelayedEffort, EffectForce, add_tracking_drives
 from geodrake.effects import Effect, EffortDelay, make_effect
-from geodrake.effects.delays import delays_of
+from geodrake.effects.sensors import delays_of
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import from_mass_com_inertia, to_spatial_inertia
 from geodrake.logs import JointLog, write_log

@@ -27,7 +27,7 @@ from pydrake.trajectories import Trajectory
 
 from geodrake.boundary.arguments import instance, positive
 from geodrake.control.systems import AdaptiveController, EffectForce
-from geodrake.effects.robot_effect import RobotEffect
+from geodrake.effects.base import RobotEffect
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.simulation.force_law import EffectWithValues

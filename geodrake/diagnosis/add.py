@@ -14,7 +14,7 @@ from geodrake.diagnosis.findings import findings_of
 from geodrake.diagnosis.results import Explanation
 from geodrake.diagnosis.search import Search
 from geodrake.effects import Effect, Role, effect_class
-from geodrake.effects.user_code import candidates_of
+from geodrake.effects.user_effects import candidates_of
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import Case, open_case
 from geodrake.logs.motion import JointLog

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.residuals import JointResidual, Proposal, filtered_columns
-from geodrake.effects.shared_actuator import SharedActuatorEffect
+from geodrake.effects.friction import SharedActuatorEffect
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.evidence import chi2_tail
 from geodrake.logs.smoothing import Segment

@@ -130,7 +130,7 @@ def _beside(model: LogModel, fit: Fit) -> Fit:
     """Fit what any joint may have beside an explanation, bodies as free as they may be."""
     terms = fit.terms
     for term in model.terms:
-        likely = term.effect is not None and term.effect.beside_gains
+        likely = term.effect is not None and term.effect.complexity == 0
         if likely and model.are_compatible((*terms, term)):
             terms = (*terms, term)
     choice = model.choice(terms, model.widths[-1], fit.choice.delay)

@@ -10,9 +10,9 @@ from geodrake.diagnosis.findings import Finding
 from geodrake.diagnosis.results import Step
 from geodrake.diagnosis.search import Found
 from geodrake.effects import Role
+from geodrake.effects.declarations import when_sliding
 from geodrake.effects.episode import Episode
 from geodrake.effects.robot_motion import log_number
-from geodrake.effects.shape import when_sliding
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.model_fit import ModelFit
 from geodrake.identification.logs.unknowns import Unknowns

@@ -16,7 +16,7 @@ from geodrake.diagnosis.terms import Term
 from geodrake.effects import FittedEffect
 from geodrake.effects.base import Effect
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.delays import effort_delays
+from geodrake.effects.sensors import effort_delays
 from geodrake.identification.logs.case import Case, reduced
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.reduce import peak_speeds, sign_widths
@@ -138,7 +138,11 @@ def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]
 
 def expansions(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
     """Return the effects whose columns are slopes, moved to the fitted point, by effect."""
-    slopes = {t.effect: t for t in fit.terms if t.effect is not None and t.effect.expandable}
+    slopes = {
+        t.effect: t
+        for t in fit.terms
+        if t.effect is not None and type(t.effect).expanded_about is not Effect.expanded_about
+    }
     if not slopes:
         return {}
     tree = case.model.tree

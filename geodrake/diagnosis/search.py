@@ -28,8 +28,8 @@ from geodrake.diagnosis.search_progress import FoundStep, Progress, progress_of
 from geodrake.diagnosis.terms import Key, Term, Terms
 from geodrake.diagnosis.unknown_efforts import is_resolved, reversals, unknown_functions
 from geodrake.effects import Effect
+from geodrake.effects.declarations import Proposer, Role
 from geodrake.effects.robot_motion import log_number
-from geodrake.effects.role import Proposer, Role
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import Case, KeptMotion, reduced
 from geodrake.identification.logs.model_fit import effects_of

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.beliefs import Beliefs
 from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects.base import Effect, Proposer
+from geodrake.effects.declarations import Role
 from geodrake.effects.episode import Episode
 from geodrake.effects.lookup import effect_of
-from geodrake.effects.role import Role
 from geodrake.identification.logs.dataset import Dataset, is_body, is_payload
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.inertia import PARAMETERS_PER_BODY

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects.base import Effect, JointEffect, JointMotion, Parameter
-from geodrake.effects.shape import Shape
+from geodrake.effects.declarations import Shape
 from geodrake.identification.logs.reduce import peak_speeds, sign_widths
 from geodrake.logs.motion import Trajectory
 from geodrake.model.robot_model import RobotModel

@@ -1,4 +1,4 @@
-"""Physical effects: what a rigid-body model lacks, one effect a file.
+"""Physical effects: what a rigid-body model lacks, one class each, in files by family.
 
 The effort that a robot needs is that of its rigid bodies and a sum of effects (docs/design.md).
 `catalogue` lists the effects that come with geodrake. One of your own is a frozen dataclass with a
@@ -23,57 +23,96 @@ values of them to try (see `StribeckFriction`). What an effect needs to know of 
 joint it gets by overriding `rows` (see `CoupledFriction`); what acts on a body derives from
 `BodyEffect` (see `Payload`). Excitation needs derivatives of the columns; `slopes` gives them, and
 without it they are taken by differences. `Effect` lists all that an effect may declare. An effect
-of the catalogue declares more of it, and is one file of this package, which `catalogue` finds; what
-type checkers know of it, `__init__.pyi`, is written by `generated.stub`.
+of the catalogue is one class more in the file of its family, which `catalogue` finds.
 """
-
-from __future__ import annotations
 
 from geodrake.effects.base import (
     BodyEffect,
     Effect,
+    FittedEffect,
     JointEffect,
     JointMotion,
     JointPairEffect,
     Parameter,
     Proposer,
+    RobotEffect,
     RobotMotion,
     Role,
     Shape,
 )
-from geodrake.effects.fitted_effect import FittedEffect
+from geodrake.effects.bodies import Payload, TemporaryPayload, WrongInertia
+from geodrake.effects.environment import AerodynamicDrag, Contact, GravityTilt
+from geodrake.effects.friction import (
+    AsymmetricFriction,
+    CoulombFriction,
+    CoupledFriction,
+    FrictionDrift,
+    FrictionOvercompensation,
+    GearEfficiency,
+    Hysteresis,
+    LoadDependentFriction,
+    NonlinearViscousFriction,
+    StribeckFriction,
+    ThermalFriction,
+    ViscousFriction,
+)
 from geodrake.effects.lookup import catalogue, effect_class, make_effect
-from geodrake.effects.robot_effect import RobotEffect
-from geodrake.effects.user_code import load_effect_file
+from geodrake.effects.motor_and_transmission import (
+    Backlash,
+    CoupledRotorInertia,
+    GravityCompensator,
+    JointElasticity,
+    JointSpring,
+    RotorInertia,
+    TorqueRipple,
+)
+from geodrake.effects.sensors import EffortDelay, EffortOffset, EffortScale, ThermalOffset
+from geodrake.effects.user_effects import load_effect_file
 
 __all__ = [
+    "AerodynamicDrag",
+    "AsymmetricFriction",
+    "Backlash",
     "BodyEffect",
+    "Contact",
+    "CoulombFriction",
+    "CoupledFriction",
+    "CoupledRotorInertia",
     "Effect",
+    "EffortDelay",
+    "EffortOffset",
+    "EffortScale",
     "FittedEffect",
+    "FrictionDrift",
+    "FrictionOvercompensation",
+    "GearEfficiency",
+    "GravityCompensator",
+    "GravityTilt",
+    "Hysteresis",
     "JointEffect",
+    "JointElasticity",
     "JointMotion",
     "JointPairEffect",
+    "JointSpring",
+    "LoadDependentFriction",
+    "NonlinearViscousFriction",
     "Parameter",
+    "Payload",
     "Proposer",
     "RobotEffect",
     "RobotMotion",
     "Role",
+    "RotorInertia",
     "Shape",
+    "StribeckFriction",
+    "TemporaryPayload",
+    "ThermalFriction",
+    "ThermalOffset",
+    "TorqueRipple",
+    "ViscousFriction",
+    "WrongInertia",
     "catalogue",
     "effect_class",
     "load_effect_file",
     "make_effect",
 ]
-__all__ += [effect.__name__ for effect in catalogue()]
-
-
-def __getattr__(name: str) -> type[Effect]:
-    """The effects of the catalogue, by the names of their classes."""
-    for effect in catalogue():
-        if effect.__name__ == name:
-            return effect
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)

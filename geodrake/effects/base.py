@@ -20,13 +20,21 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.boundary.arguments import instance, real_array
+from geodrake.boundary.showing import Short
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.column_checks import rows_of, stacked
+from geodrake.effects.declarations import (
+    PLACES,
+    CheckedFields,
+    Parameter,
+    Proposer,
+    Role,
+    Shape,
+    require_positive,
+)
 from geodrake.effects.gradient import RobotGradient, joint_gradient
-from geodrake.effects.parameter import CheckedFields, Parameter, require_positive
 from geodrake.effects.robot_motion import JointMotion, RobotMotion
-from geodrake.effects.role import Proposer, Role
-from geodrake.effects.shape import Shape
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Interval, Manifold
 
@@ -34,11 +42,13 @@ __all__ = [
     "Array",
     "BodyEffect",
     "Effect",
+    "FittedEffect",
     "JointEffect",
     "JointMotion",
     "JointPairEffect",
     "Parameter",
     "Proposer",
+    "RobotEffect",
     "RobotMotion",
     "Role",
     "Shape",
@@ -47,6 +57,8 @@ __all__ = [
 
 Array = NDArray[np.float64]
 Values = dict[str, float]
+Rows = Mapping[str, Array]
+Slopes = Sequence[Mapping[str, ArrayLike]]
 
 SIGNALS = frozenset({"q", "v", "vd", "load", "time", "bodies", "history", "temperature"})
 """What columns may depend on; see `Effect`."""
@@ -66,7 +78,6 @@ class Effect(CheckedFields, abc.ABC):
         label: Name in sentences, where it is not the name with spaces, proper names in capitals.
         law: The needed effort in a line, for the table of effects.
         signature: What the effect looks like, in words.
-        list_position: Where it stands among the effects that are listed.
         role: What it does to the efforts.
         places: "joint", "joint_pair", "body", "body_pair", "bodies", "robot" or "log": what it is
             bound to.
@@ -79,65 +90,53 @@ class Effect(CheckedFields, abc.ABC):
             there. One that leaves it out is tried (see `dependencies`); a dependence on
             the history or the temperature must be declared.
         state_count: How many hidden states it has, decided by the motion so far.
-        stated_as: What a robot's file calls it, if files state it.
         summary: The reported value that stands for all of them in a line.
 
-    How a diagnosis looks for it:
-        complexity: Of effects that the data cannot tell apart, the least complex one is named.
+    How a diagnosis looks for it, and its relations to others:
+        complexity: Of effects that the data cannot tell apart, the least complex one is named. 0
+            for what any joint may have: unknown gains of efforts are found beside it.
         turning_only: Whether the effect makes sense at joints that turn only.
         needs_known_inertia: Whether only inertias or payloads known from elsewhere can tell it.
-        expandable: Whether the columns are slopes of something not linear in the parameters.
         proposer: What in a residual proposes it, instead of trying all `candidates`; effects of
             pairs of joints that follow each other are tried all the same.
-
-    Its relations to others:
         contains: Effects of the same place that it replaces.
         companion: The effect that is offered beside it as a pair, and fitted beside it at the end.
         jumps: Whether it jumps where a joint reverses, as dry friction does.
-        usual: Whether a real robot is hardly without it.
-        damps: Whether its one column is the velocity of its joint, as that of a servo's damping is.
-        beside_gains: Whether unknown gains of efforts are found beside it, as any joint may have
-            it.
         of_motor: Whether it is of a motor, its gear or its sensor of efforts, or goes with the
             effort of one: passive joints have none.
-        taken_out_as: What drives that take it out of the efforts that they report call it.
         by_drive: Whether it is the drive that does it, so that nothing in a robot's file can.
+        taken_out_as: What drives that take it out of the efforts that they report call it.
     """
 
     name: ClassVar[str]
     label: ClassVar[str] = ""
     law: ClassVar[str] = ""
     signature: ClassVar[str] = ""
-    list_position: ClassVar[float] = np.inf
     role: ClassVar[Role] = Role.FORCE
     places: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
     shapes: ClassVar[tuple[Shape, ...]] = ()
     depends_on: ClassVar[frozenset[str]] = frozenset({"q", "v", "vd", "load"})
     state_count: ClassVar[int] = 0
-    stated_as: ClassVar[str] = ""
     summary: ClassVar[str] = ""
 
     complexity: ClassVar[int] = 2
     turning_only: ClassVar[bool] = False
     needs_known_inertia: ClassVar[bool] = False
-    expandable: ClassVar[bool] = False
     proposer: ClassVar[Proposer | None] = None
-
     contains: ClassVar[tuple[type[Effect], ...]] = ()
     companion: ClassVar[type[Effect] | None] = None
     jumps: ClassVar[bool] = False
-    usual: ClassVar[bool] = False
-    damps: ClassVar[bool] = False
-    beside_gains: ClassVar[bool] = False
     of_motor: ClassVar[bool] = False
-    taken_out_as: ClassVar[str] = ""
     by_drive: ClassVar[bool] = False
+    taken_out_as: ClassVar[str] = ""
 
     @property
-    @abc.abstractmethod
     def where(self) -> tuple[str, ...]:
         """Names of the joints or bodies that the effect acts at."""
+        field = PLACES[self.places].field
+        named = getattr(self, field, None) if field else None
+        return () if named is None else (named,) if isinstance(named, str) else tuple(named)
 
     @property
     def place(self) -> str:
@@ -150,7 +149,7 @@ class Effect(CheckedFields, abc.ABC):
         return self.places in ("joint", "joint_pair")
 
     @abc.abstractmethod
-    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+    def rows(self, motion: RobotMotion) -> Rows:
         """Regressor columns, one entry per joint whose effort the effect changes.
 
         Returns:
@@ -158,7 +157,7 @@ class Effect(CheckedFields, abc.ABC):
             joint is columns @ parameters. Effects *add* to the effort needed.
         """
 
-    def formula_rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+    def formula_rows(self, motion: RobotMotion) -> Rows:
         """`rows` by functions of NumPy's alone, for what records them (`geodrake.model.source`).
 
         An effect whose `rows` run compiled code defines it, too. One that depends on the time or
@@ -174,18 +173,13 @@ class Effect(CheckedFields, abc.ABC):
         return dense
 
     def effort(self, motion: RobotMotion, mu: Array) -> Array:
-        """Effort needed because of the effect, (N, nv): the force law is its negative.
-
-        Args:
-            mu: (k,) linear parameters, SI.
-        """
+        """Effort (N, nv) needed because of the effect with linear parameters mu (k,), SI."""
         return self.regressor(motion) @ np.asarray(mu, float)
 
     def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient | None:
         """Gradient of Σ weights ∘ regressor with respect to the motion, for excitation.
 
         Args:
-            motion: The motion, of N samples.
             weights: (N, nv, k) weights of the regressor's entries.
 
         Returns:
@@ -195,11 +189,7 @@ class Effect(CheckedFields, abc.ABC):
         return None
 
     def state_rates(self, motion: RobotMotion, state: Array) -> Array:
-        """Rates (N, s) of the hidden states (N, s), for simulation.
-
-        Args:
-            state: (N, s) hidden states at them.
-        """
+        """Rates (N, s) of the hidden states (N, s), for simulation."""
         raise NotImplementedError
 
     def states_along(self, motion: RobotMotion) -> Array:
@@ -257,11 +247,10 @@ class Effect(CheckedFields, abc.ABC):
         return ()
 
     def expanded_about(self, parameters: Array, bodies: RobotBodies) -> Effect:
-        """Return the effect with columns exact near some values of its parameters, if `expandable`.
+        """Return the effect with columns exact near values (k,) of its parameters.
 
-        Args:
-            parameters: (k,) values.
-            bodies: The robot's bodies, in no configuration.
+        An effect defines it whose columns are slopes of something not linear in the parameters.
+        `bodies` are the robot's, in no configuration.
         """
         del parameters, bodies
         return self
@@ -269,11 +258,8 @@ class Effect(CheckedFields, abc.ABC):
     def gravity_of_bodies(self, gravity: Array) -> Array | None:
         """Gravity that columns of bodies are made with beside the effect; None for the model's.
 
-        An effect that changes gravity is a product of its parameters with those of bodies. About
-        that gravity it is linear in both.
-
-        Args:
-            gravity: (3,) the model's gravity, m/s².
+        An effect that changes gravity (3,), m/s², is a product of its parameters with those of
+        bodies. About that gravity it is linear in both.
         """
         del gravity
         return None
@@ -301,6 +287,7 @@ class Effect(CheckedFields, abc.ABC):
         """Instances at a place with every combination of the values on the grids of `shapes`.
 
         Args:
+            place: Where it acts; nothing for an effect of the whole robot.
             scales: Sizes that grids are shares of, such as `speed`, by the names of `Shape.scale`.
 
         Raises:
@@ -316,7 +303,8 @@ class Effect(CheckedFields, abc.ABC):
             )
         except TypeError as error:
             raise ArgumentError(
-                f"{cls.name} cannot be made of its place {place[0]!r} alone: {error}.",
+                f"{cls.name} cannot be made of its place {', '.join(map(repr, place))} alone: "
+                f"{error}.",
                 advice="Give its shape parameters defaults, or define candidates().",
             ) from error
 
@@ -324,12 +312,9 @@ class Effect(CheckedFields, abc.ABC):
     def candidates(cls, *args: Any, **kwargs: Any) -> Iterable[Effect]:
         """Instances a diagnosis should try at a place: one for every shape on the grids.
 
-        A diagnosis calls it with a joint and its largest speed, with a pair of joints, or with a
-        body, as `places` says.
-
         Args:
-            *args: The place: a joint and its largest speed (rad/s or m/s), a pair of joints, or a
-                body.
+            *args: The place, as `places` says: a joint and its largest speed (rad/s or m/s), a pair
+                of joints, a body, or nothing.
             **kwargs: Not used; a subclass may take arguments of its own by name.
         """
         del kwargs
@@ -344,16 +329,11 @@ class JointEffect(Effect):
     joint: str
     places: ClassVar[str] = "joint"
 
-    @property
-    def where(self) -> tuple[str, ...]:
-        """Return the joint."""
-        return (self.joint,)
-
     @abc.abstractmethod
     def columns(self, joint: JointMotion) -> Sequence[ArrayLike]:
         """One column per parameter, (N,) or a number, from the motion of the joint."""
 
-    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+    def rows(self, motion: RobotMotion) -> Rows:
         """Return the columns at the joint itself, or at the joints that move it.
 
         Raises:
@@ -363,7 +343,7 @@ class JointEffect(Effect):
         own = stacked(self, columns, self.joint, len(motion.v))
         return motion.efforts_at(self.joint, own)
 
-    def formula_rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+    def formula_rows(self, motion: RobotMotion) -> Rows:
         """Return the columns at the joint itself; see `Effect.formula_rows`."""
         if type(self).rows is not JointEffect.rows and not self.depends_on & BEYOND_MOTION:
             return self.rows(motion)
@@ -371,7 +351,7 @@ class JointEffect(Effect):
         shaped = [np.broadcast_to(column, (len(motion.v),)) for column in columns]
         return motion.efforts_at(self.joint, np.stack(shaped, -1))
 
-    def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]] | None:
+    def slopes(self, joint: JointMotion) -> Slopes | None:
         """Of each column, its derivatives by `JointMotion` field; fields left out have none.
 
         `sign_v` is a field of its own: how it depends on v is known. None if the effect does not
@@ -387,15 +367,6 @@ class JointEffect(Effect):
         slopes = self.slopes(motion.joint(self.joint))
         return joint_gradient(motion, self.joint, self.columns, slopes, weights)
 
-    @classmethod
-    def candidates(cls, joint: str, peak_speed: float) -> Iterable[Effect]:
-        """Instances a diagnosis should try at a joint: one, or one for every shape on a grid.
-
-        Args:
-            peak_speed: Largest speed of the joint in the log, rad/s or m/s.
-        """
-        return cls.shaped(joint, speed=peak_speed)
-
 
 @dataclass(frozen=True)
 class JointPairEffect(Effect):
@@ -409,16 +380,6 @@ class JointPairEffect(Effect):
         if len(self.joints) != 2 or self.joints[0] == self.joints[1]:
             raise ArgumentError(f"{self.name} needs two different joints; it got {self.joints}.")
 
-    @property
-    def where(self) -> tuple[str, ...]:
-        """Return the two joints."""
-        return self.joints
-
-    @classmethod
-    def candidates(cls, joints: tuple[str, str]) -> Iterable[Effect]:
-        """Instances a diagnosis should try at a pair of joints."""
-        return super().candidates(joints)
-
 
 @dataclass(frozen=True)
 class BodyEffect(Effect):
@@ -428,12 +389,38 @@ class BodyEffect(Effect):
     places: ClassVar[str] = "body"
     depends_on: ClassVar[frozenset[str]] = frozenset({"q", "v", "vd", "load", "bodies"})
 
-    @property
-    def where(self) -> tuple[str, ...]:
-        """Return the body."""
-        return (self.body,)
 
-    @classmethod
-    def candidates(cls, body: str) -> Iterable[Effect]:
-        """Instances a diagnosis should try at a body."""
-        return super().candidates(body)
+@dataclass(frozen=True)
+class RobotEffect(Effect):
+    """An effect of the whole robot. Subclasses define `name`, `parameters`, `rows`."""
+
+    places: ClassVar[str] = "robot"
+    depends_on: ClassVar[frozenset[str]] = frozenset({"q", "v", "vd", "load", "bodies"})
+
+
+@dataclass(frozen=True, eq=False)
+class FittedEffect(Short):
+    """An effect with the values of its linear parameters.
+
+    Attributes:
+        effect: The effect at its place.
+        parameters: (k,) values, in the order and units of `effect.parameters`.
+        deviations: (k,) their standard deviations; None for values that were not fitted.
+    """
+
+    effect: Effect
+    parameters: Array
+    deviations: Array | None = None
+
+    def __post_init__(self) -> None:
+        shape = (len(instance(self.effect, "effect", Effect).parameters),)
+        name = f"{self.effect.name} of {self.effect.place}"
+        values = real_array(self.parameters, f"parameters of {name}", shape)
+        object.__setattr__(self, "parameters", values)
+        if self.deviations is not None:
+            values = real_array(self.deviations, f"deviations of {name}", shape, finite=False)
+            if np.isnan(values).any():
+                raise ArgumentError(
+                    f"deviations of {name} hold NaN; what is not known at all has infinity."
+                )
+            object.__setattr__(self, "deviations", values)

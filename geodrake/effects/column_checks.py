@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.effects.parameter import Parameter
+from geodrake.effects.declarations import Parameter
 from geodrake.effects.robot_motion import RobotMotion
 from geodrake.errors import ArgumentError
 

@@ -9,8 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from geodrake.effects.base import Array, JointEffect, JointMotion, RobotMotion, Role, Values
-from geodrake.effects.fitted_effect import FittedEffect
+from geodrake.effects.base import (
+    Array,
+    FittedEffect,
+    JointEffect,
+    JointMotion,
+    RobotMotion,
+    Role,
+    Values,
+)
 from geodrake.errors import ArgumentError
 from geodrake.logs.filtering import LEAST_SPECTRUM, choose_bandwidth, design_filter
 from geodrake.robot.effort_slopes import EffortSlopes

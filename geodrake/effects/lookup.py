@@ -4,39 +4,32 @@ from __future__ import annotations
 
 import difflib
 import inspect
-import pkgutil
-import sys
 from collections.abc import Mapping, Sequence
-from functools import cache, lru_cache
+from functools import cache
 from importlib import import_module
 from types import ModuleType
 from typing import Any
 
 from geodrake.boundary.arguments import instance, instances
 from geodrake.effects.base import Effect
-from geodrake.effects.parameter import whole_numbers
-from geodrake.effects.place import PLACES
-from geodrake.effects.role import Role
+from geodrake.effects.declarations import PLACES, Role, whole_numbers
 from geodrake.errors import ArgumentError
+
+FAMILIES = ("friction", "sensors", "motor_and_transmission", "bodies", "environment")
+"""Modules of this package that have the effects of the catalogue, in its order."""
 
 
 @cache
 def catalogue() -> tuple[type[Effect], ...]:
-    """The effects that come with geodrake, one a module of this package, by `list_position`."""
-    return _effects_below(__package__)
+    """The effects that come with geodrake, family by family, in the order of their definition."""
+    modules = [import_module(f"{__package__}.{name}") for name in FAMILIES]
+    return tuple(effect for module in modules for effect in effects_in(module))
 
 
 @cache
 def file_effects() -> tuple[type[Effect], ...]:
     """The effects that model files state, and no diagnosis proposes."""
-    return _effects_below(import_module(f"{__package__}.of_files").__name__)
-
-
-def _effects_below(package: str) -> tuple[type[Effect], ...]:
-    names = [module.name for module in pkgutil.iter_modules(sys.modules[package].__path__)]
-    modules = [import_module(f"{package}.{name}") for name in names]
-    found = [effect for module in modules for effect in effects_in(module)]
-    return tuple(sorted(found, key=lambda effect: (effect.list_position, effect.name)))
+    return tuple(effects_in(import_module(f"{__package__}.of_files")))
 
 
 def effects_in(module: ModuleType) -> list[type[Effect]]:
@@ -56,6 +49,15 @@ def classes_in(module: ModuleType) -> list[type[Effect]]:
 def effect_of(role: Role) -> type[Effect]:
     """The first effect of the catalogue that has a role."""
     return next(effect for effect in catalogue() if effect.role is role)
+
+
+def table_rows() -> list[tuple[str, str, str]]:
+    """Name, needed effort and place of every effect of the catalogue, for the table of the docs."""
+    places = [PLACES[effect.places].words for effect in catalogue()]
+    return [
+        (effect.name, effect.law, f"{place}, window" if effect.role is Role.EPISODE else place)
+        for effect, place in zip(catalogue(), places, strict=True)
+    ]
 
 
 def effect_class(name: str, extra: Sequence[type[Effect]] = ()) -> type[Effect]:
@@ -82,12 +84,6 @@ def effect_class(name: str, extra: Sequence[type[Effect]] = ()) -> type[Effect]:
     return effects[name]
 
 
-@lru_cache
-def _fields(cls: type[Effect]) -> tuple[str, ...]:
-    """What an effect is made of, by name."""
-    return tuple(inspect.signature(cls).parameters)
-
-
 def make_effect(
     name: str,
     where: Sequence[str],
@@ -108,7 +104,7 @@ def make_effect(
     place = PLACES[cls.places]
     if isinstance(where, str) or len(where) not in place.counts:
         raise ArgumentError(f"{name} needs {place.wanted}; it got {where!r}.")
-    known = [field for field in _fields(cls) if field != place.field]
+    known = [field for field in inspect.signature(cls).parameters if field != place.field]
     unknown = [key for key in shape if key not in known]
     if unknown:
         raise ArgumentError(

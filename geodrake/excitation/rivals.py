@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 from geodrake.boundary.arguments import instance, instances
 from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, effect_class, make_effect
-from geodrake.effects.user_code import candidates_of
+from geodrake.effects.user_effects import candidates_of
 from geodrake.errors import ArgumentError
 from geodrake.excitation.effect_sizes import sized_effects
 from geodrake.excitation.limits import MotionLimits

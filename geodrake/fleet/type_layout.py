@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
 from geodrake.effects import Role
+from geodrake.effects.declarations import when_sliding
 from geodrake.effects.lookup import effect_of
-from geodrake.effects.shape import when_sliding
 from geodrake.fleet.columns import Spread, TypeColumns, body_spread, column_spreads
 from geodrake.fleet.digest_dataset import model_of_digests
 from geodrake.fleet.hypotheses import ChangeHypothesis, body_change, column_change

@@ -32,7 +32,7 @@ from geodrake.logs.files import Reading, read_mapping
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import load_model
 
-USUAL = tuple(kind for kind in catalogue() if kind.beside_gains and "vd" not in kind.depends_on)
+USUAL = tuple(kind for kind in catalogue() if kind.complexity == 0 and "vd" not in kind.depends_on)
 """Friction and offsets: effects that hardly any joint is without, but rotors, which bodies have."""
 
 _MODELS = 4  # that a process keeps

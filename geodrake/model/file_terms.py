@@ -11,11 +11,11 @@ from geodrake.effects import NonlinearViscousFriction as Drag
 from geodrake.effects import RotorInertia as Rotor
 from geodrake.effects import StribeckFriction as StaticFriction
 from geodrake.effects import ViscousFriction as Damping
-from geodrake.effects.of_files.carried_weight import CarriedWeight as Carried
-from geodrake.effects.of_files.joint_coupling import JointCoupling as Coupling
-from geodrake.effects.of_files.medium_drag import MediumDrag as Medium
-from geodrake.effects.of_files.polynomial_spring import PolynomialSpring as Polynomial
-from geodrake.effects.of_files.strut import Strut as StrutEffect
+from geodrake.effects.of_files import CarriedWeight as Carried
+from geodrake.effects.of_files import JointCoupling as Coupling
+from geodrake.effects.of_files import MediumDrag as Medium
+from geodrake.effects.of_files import PolynomialSpring as Polynomial
+from geodrake.effects.of_files import Strut as StrutEffect
 
 __all__ = [
     "Carried",

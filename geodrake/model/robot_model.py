@@ -23,12 +23,11 @@ from geodrake.boundary.arguments import (
 )
 from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, RobotMotion, Role
+from geodrake.effects.base import FittedEffect, RobotEffect
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.delays import delays_of
 from geodrake.effects.effect_columns import EffectColumns
-from geodrake.effects.fitted_effect import FittedEffect
-from geodrake.effects.robot_effect import RobotEffect
 from geodrake.effects.robot_motion import log_number
+from geodrake.effects.sensors import delays_of
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion

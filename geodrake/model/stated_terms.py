@@ -18,18 +18,19 @@ from typing import Any
 
 import numpy as np
 
-from geodrake.effects import catalogue
-from geodrake.effects.base import Effect
-from geodrake.effects.fitted_effect import FittedEffect
+from geodrake.effects.base import Effect, FittedEffect
 from geodrake.inertia import Array
 from geodrake.model.file_terms import (
     Carried,
     CoupledDry,
     CoupledRotor,
     Coupling,
+    Damping,
     Drag,
+    DryFriction,
     Medium,
     Polynomial,
+    Rotor,
     Spring,
     StrutEffect,
 )
@@ -39,6 +40,11 @@ from geodrake.robot.transmission.actuation import Actuation
 
 _LEAST = 1e-100  # SI units: less counts as zero, as its square has no inverse
 _DAMPING, _FRICTION, _ROTOR = "damping", "dry friction", "reflected rotor inertia"
+_KINDS: Mapping[str, Callable[[str], Effect]] = {
+    _DAMPING: Damping,
+    _FRICTION: DryFriction,
+    _ROTOR: Rotor,
+}
 _WEIGHTS: Mapping[str, Callable[[Array], Array]] = {_FRICTION: np.abs}
 Placed = tuple[str, Effect, Sequence[float]]
 """Where an effect is, in words, the effect, and its values."""
@@ -103,13 +109,10 @@ def stated_effects(
         values[_ROTOR][name] = values[_ROTOR].get(name, 0.0) + inertias.pop((name, name))
     tendons = [each.through(rows, shifts) for each in loaded.file_tendons]
     across = _across(tendons, values, springs, inertias, names)
-    for kind in catalogue():
-        if kind.stated_as in values:
-            single = _without_negligible(values[kind.stated_as], kind.stated_as, found.notes)
-            found.keep(
-                kind.stated_as,
-                [(n, each, [x]) for n, x in single.items() for each in kind.shaped(n)],
-            )
+    for what, kind in _KINDS.items():
+        if what in values:
+            single = _without_negligible(values[what], what, found.notes)
+            found.keep(what, [(n, kind(n), [x]) for n, x in single.items()])
     for exponent, of_power in zip((2.0, 3.0), loaded.file_powers, strict=True):
         what = f"damping of the power {exponent:g}"
         single = places.of(of_power, what, partial(_power, exponent=exponent + 1.0))

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 
 from geodrake.boundary.escaping import printable
 from geodrake.effects import Effect, catalogue
-from geodrake.effects.role import Role
-from geodrake.effects.shape import when_sliding
+from geodrake.effects.declarations import Role, when_sliding
 from geodrake.model.effort_signal import SERVO
 from geodrake.model.robot_model import RobotModel
 

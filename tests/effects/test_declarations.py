@@ -1,4 +1,4 @@
-"""An effect is one file: what others ask of it is declared there, and nobody else names it."""
+"""An effect is one class: what others ask of it is declared there, and nobody else names it."""
 
 import ast
 import inspect
@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 
 import geodrake
+from geodrake import effects
 from geodrake.effects import Role, Shape, catalogue
-from geodrake.effects.generated import stub, table_rows
-from geodrake.effects.lookup import effect_of
-from geodrake.effects.shape import when_sliding
+from geodrake.effects.declarations import when_sliding
+from geodrake.effects.lookup import FAMILIES, effect_of, table_rows
 from geodrake.errors import ArgumentError
 
 PACKAGE = Path(geodrake.__file__).parent
@@ -68,7 +68,7 @@ def mentions(path):
             if (node.module or "").startswith("pydrake"):  # which has a CoulombFriction too
                 drakes |= imported & CLASSES
                 continue
-            found = (imported & CLASSES) | ({(node.module or "").rpartition(".")[2]} & NAMES)
+            found = imported & CLASSES
         elif isinstance(node, ast.Name):
             found = {node.id} & (CLASSES - drakes)
         elif isinstance(node, ast.Attribute):
@@ -96,7 +96,6 @@ def test_what_may_name_effects_does():
         ('if effect.name == "payload": ...', True),
         ('advice = "Fit viscous_friction first."', True),
         ("from geodrake.effects import Contact", True),
-        ("from geodrake.effects.contact import log_number", True),
         ("isinstance(effect, effects.Contact)", True),
         ("geodrake.effects.Contact", True),
         ('"""Such as coulomb_friction."""', False),
@@ -112,14 +111,14 @@ def test_a_name_is_seen(tmp_path, monkeypatch, line, found):
 
 @pytest.mark.parametrize("effect", catalogue(), ids=lambda effect: effect.name)
 class TestDeclarations:
-    def test_is_the_effect_of_its_module(self, effect):
-        assert Path(inspect.getfile(effect)) == EFFECTS / f"{effect.name}.py"
+    def test_is_in_the_file_of_a_family_and_at_the_door(self, effect):
+        assert Path(inspect.getfile(effect)).stem in FAMILIES
+        assert getattr(effects, effect.__name__) is effect and effect.__name__ in effects.__all__
 
     def test_says_what_it_is(self, effect):
         assert effect.law and effect.signature
         assert isinstance(effect.role, Role)
         assert 0 <= effect.complexity <= 3
-        assert effect.list_position < float("inf")
 
     def test_relations_are_to_others(self, effect):
         related = (*effect.contains, effect.companion)
@@ -135,11 +134,6 @@ class TestDeclarations:
 )
 def test_roles_that_one_effect_has(role):
     assert effect_of(role) in [effect for effect in catalogue() if effect.role is role]
-
-
-def test_no_two_effects_at_one_position():
-    positions = [effect.list_position for effect in catalogue()]
-    assert positions == sorted(set(positions))
 
 
 def test_wrong_inertia_has_no_instance():
@@ -184,30 +178,9 @@ def test_table_of_the_readme_is_that_of_the_classes():
     assert "| effect | needed effort | place |\n|---|---|---|\n" + "\n".join(rows) + "\n\n" in text
 
 
-def test_stub_is_that_of_the_classes():
-    """It tells type checkers what is found at run time, so that every effect has its own type."""
-    make = "from geodrake.effects.generated import stub; print(stub(), end='')"
-    written = (EFFECTS / "__init__.pyi").read_text(encoding="utf-8")
-    assert written == stub(), f'Write it anew: python -c "{make}" > geodrake/effects/__init__.pyi'
-    imported = {
-        alias.name: node.module
-        for node in ast.parse(written).body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
-    assert {
-        effect.__name__: effect.__module__ for effect in catalogue()
-    }.items() <= imported.items()
-
-
 CABLE = '''
-"""A cable that is wound up by a joint."""
 
-from dataclasses import dataclass
-
-import numpy as np
-
-from geodrake.effects.base import JointEffect, Parameter, Shape
+from geodrake.effects import base
 
 
 @dataclass(frozen=True)
@@ -225,7 +198,6 @@ class WoundCable(JointEffect):
     name = "wound_cable"
     law = "k tanh(q/a)"
     signature = "a force towards the middle of the motion that saturates"
-    list_position = 33
     shapes = (Shape("width", "rad", (0.03, 0.1)),)
     parameters = (Parameter("strength", "N·m", lower=0.0),)
     depends_on = frozenset({"q"})
@@ -242,19 +214,18 @@ from geodrake import effects
 from geodrake.diagnosis import explain
 
 assert geodrake.__file__.startswith({folder!r}), geodrake.__file__
-cable = effects.WoundCable("elbow", 0.1)
-assert cable == effects.make_effect("wound_cable", ["elbow"], {{"width": 0.1}})
-assert [e.name for e in effects.catalogue()].index("wound_cable") == 19
+assert effects.make_effect("wound_cable", ["elbow"], {{"width": 0.1}}).width == 0.1
 log = pendulum_log(1, lambda q, v, vd, load: 0.4 * np.tanh(q / 0.1) * [0.0, 1.0], seconds=20.0)
 found = explain(geodrake.load_model(PENDULUM), [log], bandwidth=6.0)
 print([(step.effect, step.where) for step in found.steps])
 """
 
 
-def test_one_file_is_one_more_effect(tmp_path):
+def test_one_class_is_one_more_effect(tmp_path):
     """Nothing else is told of it, and it is found in a log."""
     shutil.copytree(PACKAGE, tmp_path / "geodrake")
-    (tmp_path / "geodrake" / "effects" / "wound_cable.py").write_text(CABLE, encoding="utf-8")
+    with (tmp_path / "geodrake" / "effects" / "environment.py").open("a", encoding="utf-8") as file:
+        file.write(CABLE.replace("JointEffect", "base.JointEffect"))
     run = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(USE.format(folder=str(tmp_path)))],
         cwd=tmp_path,

@@ -8,8 +8,7 @@ from effect_motions import JOINTS, instances, random_motion
 
 from geodrake import effects
 from geodrake.effects import BodyEffect, JointEffect, JointMotion, Parameter
-from geodrake.effects.dependencies import dependencies
-from geodrake.effects.effect_columns import EffectColumns
+from geodrake.effects.effect_columns import EffectColumns, dependencies
 
 GAIN = (Parameter("gain", "N·m"),)
 EVERY = tuple(instances())

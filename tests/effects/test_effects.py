@@ -17,15 +17,15 @@ from pydrake.multibody.tree import (
 
 import geodrake.effects
 from geodrake import effects
-from geodrake.effects import Effect, JointMotion, RobotMotion, delays
+from geodrake.effects import Effect, JointMotion, RobotMotion, sensors
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.manifolds import PhysicalInertia
 
 NAMES_OF_DESIGN = (
     "viscous_friction",
     "coulomb_friction",
-    "friction_overcompensation",
     "asymmetric_friction",
+    "friction_overcompensation",
     "stribeck_friction",
     "nonlinear_viscous_friction",
     "load_dependent_friction",
@@ -332,15 +332,15 @@ class TestDelay:
         """Each is delayed by its own time; what makes delays is one effect where they are alike."""
         signals = np.stack([np.sin(40 * self.time), np.cos(90 * self.time)], -1)
         seconds = np.array([0.004, -0.0013])
-        found = delays.delayed_by(seconds, signals, self.period)
+        found = sensors.delayed_by(seconds, signals, self.period)
         for column, (delay, signal) in enumerate(zip(seconds, signals.T, strict=True)):
             alone = effects.EffortDelay(delay).delayed(signal, self.period)
             np.testing.assert_array_equal(found[:, column], alone)
         joints = ("a", "b")
         for some, count in ((seconds, 2), ([0.003, 0.003], 1), ([0.0, 0.01], 1), ([0, 0], 0)):
-            made = delays.effort_delays(some, joints)
+            made = sensors.effort_delays(some, joints)
             assert len(made) == count
-            np.testing.assert_array_equal(delays.delays_of(made, joints), some)
+            np.testing.assert_array_equal(sensors.delays_of(made, joints), some)
 
     def test_bad_arguments(self):
         with pytest.raises(ArgumentError, match="delay of effort_delay must be"):

@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 
 from geodrake import load_model
 from geodrake.cli.app import app
-from geodrake.effects.fitted_effect import FittedEffect
-from geodrake.effects.payload import Payload
-from geodrake.effects.viscous_friction import ViscousFriction
+from geodrake.effects.base import FittedEffect
+from geodrake.effects.bodies import Payload
+from geodrake.effects.friction import ViscousFriction
 from geodrake.errors import ArgumentError
 from geodrake.model import check_dynamics, dynamics_check
 from geodrake.model.dynamics_check import QUANTITIES

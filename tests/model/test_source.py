@@ -15,11 +15,13 @@ import pytest
 
 from geodrake import effects, load_model
 from geodrake.effects import FittedEffect, JointEffect, Parameter, load_effect_file
-from geodrake.effects.of_files.carried_weight import CarriedWeight
-from geodrake.effects.of_files.joint_coupling import JointCoupling
-from geodrake.effects.of_files.medium_drag import MediumDrag
-from geodrake.effects.of_files.polynomial_spring import PolynomialSpring
-from geodrake.effects.of_files.strut import Strut
+from geodrake.effects.of_files import (
+    CarriedWeight,
+    JointCoupling,
+    MediumDrag,
+    PolynomialSpring,
+    Strut,
+)
 from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
 from geodrake.model.source import cpp_source, effort_source, is_written, python_source

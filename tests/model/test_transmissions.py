@@ -17,7 +17,7 @@ from geodrake.control.regressor import ControlModel
 from geodrake.control.rollout import roll_out
 from geodrake.diagnosis import add, explain
 from geodrake.effects import CoulombFriction, JointElasticity, RotorInertia, ViscousFriction
-from geodrake.effects.fitted_effect import FittedEffect
+from geodrake.effects.base import FittedEffect
 from geodrake.errors import LogError, ModelError
 from geodrake.excitation.regressor_gradient import (
     base_wrench_regressor_gradient,

@@ -24,7 +24,7 @@ from geodrake.control.rollout import Rollout
 from geodrake.control.rollout.results import Window
 from geodrake.diagnosis import compare
 from geodrake.effects import CoulombFriction, FittedEffect, GravityTilt, Payload
-from geodrake.effects.contact import Contact
+from geodrake.effects.environment import Contact
 from geodrake.errors import ArgumentError, OutputError
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.logs import JointLog, read_log

@@ -13,8 +13,7 @@ from geodrake.boundary.arguments import instance, one_or_each
 from geodrake.control.regressor.rigid_bodies import RigidSample
 from geodrake.effects import Effect, JointMotion, RobotMotion, Role
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.dependencies import Trial
-from geodrake.effects.effect_columns import EffectColumns, Seen
+from geodrake.effects.effect_columns import EffectColumns, Seen, Trial
 from geodrake.effects.robot_motion import smoothed_sign
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.effects.delays import delayed_by
+from geodrake.effects.sensors import delayed_by
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.reduce import peak_speeds

@@ -23,7 +23,7 @@ from geodrake.diagnosis.columns.limits import spread
 from geodrake.diagnosis.columns.samples import ColumnSamples
 from geodrake.effects import catalogue
 from geodrake.effects.base import Effect
-from geodrake.effects.role import Role
+from geodrake.effects.declarations import Role
 from geodrake.identification.logs.criteria import LARGEST, NOISE_MARGIN, SPREAD
 from geodrake.identification.logs.log_slices import Layout
 from geodrake.identification.logs.noise import noise_floor
@@ -87,7 +87,7 @@ class ColumnModel:
         self.noise, n = noise_floor(samples.trajectories), len(model.joints)
         own = [f for f in model.effects if _is_seen(f.effect)]
         said = {(f.effect.name, f.effect.where) for f in own}
-        usual = [kind for kind in catalogue() if kind.beside_gains]
+        usual = [kind for kind in catalogue() if kind.complexity == 0]
         more = [e for kind in usual for joint in model.single_joints for e in kind.shaped(joint)]
         more = [effect for effect in more if (effect.name, effect.where) not in said]
         self.effects = [*(f.effect for f in own), *more]

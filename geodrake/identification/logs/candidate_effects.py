@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from geodrake.effects import catalogue
 from geodrake.effects.base import Effect, JointEffect
 from geodrake.effects.column_checks import of_geodrake
-from geodrake.effects.role import Proposer, Role
-from geodrake.effects.user_code import candidates_of
+from geodrake.effects.declarations import Proposer, Role
+from geodrake.effects.user_effects import candidates_of
 from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import Segment

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from geodrake.effects.base import Effect
-from geodrake.effects.delays import delayed_by
-from geodrake.effects.dependencies import declares_signals
-from geodrake.effects.effect_columns import EffectColumns
+from geodrake.effects.effect_columns import EffectColumns, declares_signals
 from geodrake.effects.robot_motion import log_number
+from geodrake.effects.sensors import delayed_by
 from geodrake.identification.logs.dataset import Indices, JointRows, column_starts, is_payload
 from geodrake.identification.logs.shared_rows import Blocks, SharedRows
 from geodrake.logs.filtering import spline_through

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
-from geodrake.effects.robot_effect import RobotEffect
+from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter, RobotEffect
 from geodrake.effects.robot_motion import RobotMotion, log_number
 from geodrake.logs.motion import JointLog
 from geodrake.model.signal_efforts import error_integral

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.effects.delays import delayed_by
+from geodrake.effects.sensors import delayed_by
 from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN, LEAST_NOISE
 from geodrake.logs.motion import Motion, Trajectory
 from geodrake.logs.smoothing import Segment

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from geodrake.effects import Role, catalogue
 from geodrake.effects.base import Effect
+from geodrake.effects.declarations import when_sliding
 from geodrake.effects.robot_motion import log_number
-from geodrake.effects.shape import when_sliding
 from geodrake.errors import LogError
 from geodrake.identification.logs.criteria import PENALTY
 from geodrake.identification.logs.dataset import Dataset
@@ -142,7 +142,7 @@ def calibrated(
     commanded = {
         j: _CommandColumns.of(logs, model.joints[j]) for j, k in enumerate(kinds) if k == COMMAND
     }
-    usual = [kind for kind in catalogue() if kind.beside_gains]
+    usual = [kind for kind in catalogue() if kind.complexity == 0]
     free = [kind.shaped(joint)[0] for joint in model.single_joints for kind in usual]
     free += [effect for effect in effects_of(model) if effect.role is not Role.BODY]
     free = list(dict.fromkeys(free))

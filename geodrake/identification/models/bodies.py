@@ -30,7 +30,7 @@ _FAR = 2.0
 _USUAL = 2.0
 """All bodies together are usually no farther off than so many times what a file knows them to."""
 
-USUAL = tuple(effect.name for effect in catalogue() if effect.usual)
+USUAL = tuple(e.name for e in catalogue() if e.complexity == 0 and "v" in e.depends_on)
 """Effects that a real robot is hardly without; inertias that lack them stand in for them."""
 
 

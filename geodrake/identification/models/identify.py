@@ -10,7 +10,7 @@ import numpy as np
 
 from geodrake.boundary.arguments import function, instance, instances
 from geodrake.effects import Effect, FittedEffect, Role
-from geodrake.effects.dependencies import declares_signals
+from geodrake.effects.effect_columns import declares_signals
 from geodrake.errors import ArgumentError, GeodrakeError, IdentificationError, LogError
 from geodrake.identification.identify import IdentificationResult, physical_prior
 from geodrake.identification.logs.case import error_table, open_case, reopen

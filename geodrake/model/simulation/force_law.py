@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from geodrake.boundary.arguments import instances, number, real_array
 from geodrake.effects import Effect, FittedEffect, Role
 from geodrake.effects.column_checks import rows_of
-from geodrake.effects.dependencies import dependencies
+from geodrake.effects.effect_columns import dependencies
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
 from geodrake.model.admissible_effect import check_effect

@@ -15,7 +15,7 @@ from pydrake.systems.primitives import MatrixGain, PassThrough
 
 from geodrake.boundary.arguments import real_array
 from geodrake.effects import Effect, FittedEffect, Role
-from geodrake.effects.delays import delays_of
+from geodrake.effects.sensors import delays_of
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.simulation.delayed_effort import DelayedEffort

@@ -1,0 +1,195 @@
+"""Bodies that the model does not have, or has otherwise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geodrake.effects.base import (
+    Array,
+    BodyEffect,
+    Effect,
+    Parameter,
+    Proposer,
+    RobotMotion,
+    Role,
+    Rows,
+    Shape,
+    Values,
+)
+from geodrake.effects.episode import Episode
+from geodrake.effects.gradient import RobotGradient
+from geodrake.errors import ArgumentError
+from geodrake.inertia import PARAMETER_NAMES, PARAMETER_UNITS, to_mass_com_inertia
+from geodrake.manifolds import Manifold, PhysicalInertia
+
+_NEVER_NEGATIVE = ("m", "Ixx", "Iyy", "Izz")
+
+
+@dataclass(frozen=True)
+class Payload(BodyEffect):
+    """Rigid body fixed to a link.
+
+    effort = Y_B(q, v, v̇) φ, with the regressor of the link's own inertial parameters and the
+    payload's φ about the link's origin, expressed in the link's frame; P(φ) ≻ 0.
+    """
+
+    name = "payload"
+    law = "ten inertial parameters, P ≻ 0"
+    complexity = 1
+    role = Role.BODY
+    summary = "mass"
+    parameters = tuple(
+        Parameter(name, unit, lower=0.0 if name in _NEVER_NEGATIVE else -np.inf)
+        for name, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)
+    )
+    signature = "a body carried by the robot that its model does not have"
+    depends_on = frozenset({"q", "v", "vd"})
+
+    @classmethod
+    def unit_of(cls, name: str) -> str:
+        """Unit of a parameter, or of the mass or the centre of mass that results report."""
+        return {"mass": "kg", **{f"com_{axis}": "m" for axis in "xyz"}}.get(
+            name, super().unit_of(name)
+        )
+
+    def reported(self, parameters: Array, deviations: Array) -> tuple[Values, Values]:
+        """Mass and centre of mass, and their standard deviations."""
+        mass, com, _ = to_mass_com_inertia(parameters)
+        # To first order of the deviations, those of mass and moment taken as independent.
+        spread = np.hypot(deviations[1:4], com * deviations[0]) / mass
+        return _by_name(float(mass), com), _by_name(float(deviations[0]), spread)
+
+    @property
+    def manifold(self) -> Manifold:
+        """Inertial parameters of a body that can exist."""
+        return PhysicalInertia()
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """The link's ten inertial columns at every joint."""
+        columns = motion.body_columns(self.body)
+        return {joint: columns[:, i] for i, joint in enumerate(motion.joints)}
+
+    def regressor(self, motion: RobotMotion) -> Array:
+        """The link's inertial regressor, (N, nv, 10)."""
+        return motion.body_columns(self.body)
+
+    def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient:
+        """The weights themselves, of the link's inertial regressor."""
+        return replace(RobotGradient.zero(motion), bodies={self.body: weights})
+
+
+def _by_name(mass: float, com: Array) -> Values:
+    x, y, z = com.tolist()
+    return {"mass": mass, "com_x": x, "com_y": y, "com_z": z}
+
+
+@dataclass(frozen=True)
+class TemporaryPayload(Episode):
+    """Rigid body that a link holds from when it is picked up until it is put down.
+
+    effort = w(t) Y_B(q, v, v̇) φ, with the weight w of the episode (see `Episode`) and the payload's
+    φ as that of `Payload`.
+
+    Attributes:
+        start: When it is picked up, s since the log began; None if it was before.
+        end: When it is put down, s since the log began; None if it is not.
+        rise: How long that takes, s.
+        log: Number of the log, from `log_number`; 0 for any.
+    """
+
+    start: float | None = None
+    end: float | None = None
+    rise: float = 0.01
+    log: int = 0
+
+    name = "temporary_payload"
+    law = "w(t) Y φ: a payload that is picked up or put down in a log"
+    complexity = 2
+    proposer = Proposer.HANDLING
+    summary = Payload.summary
+    shapes = tuple(Shape(name, "s") for name in ("start", "end", "rise"))
+    parameters = Payload.parameters
+    signature = "a load that is another one from some instant on"
+    depends_on = frozenset({"q", "v", "vd", "time"})
+
+    @property
+    def window(self) -> tuple[float | None, float | None, float, int]:
+        """When it is picked up and put down, how long that takes, and number of the log."""
+        return self.start, self.end, self.rise, self.log
+
+    @property
+    def place(self) -> str:
+        """Return the body, and when it holds the payload."""
+        return f"{self.body}, {self.when}"
+
+    @property
+    def free_shapes(self) -> int:
+        """Return how many of start and end there are."""
+        return (self.start is not None) + (self.end is not None)
+
+    @property
+    def reported_shape(self) -> dict[str, float]:
+        """Return when it is picked up and put down: the log's number says nothing."""
+        shape = super().reported_shape.items()
+        return {name: value for name, value in shape if name in ("start", "end")}
+
+    @classmethod
+    def unit_of(cls, name: str) -> str:
+        """Unit of a parameter, or of what results report."""
+        return "s" if name in ("start", "end", "rise") else Payload.unit_of(name)
+
+    def reported(self, parameters: Array, deviations: Array) -> tuple[Values, Values]:
+        """Mass and centre of mass with their standard deviations, and when it is held."""
+        values, unsure = Payload(self.body).reported(parameters, deviations)
+        return values | self.reported_shape, unsure
+
+    @property
+    def manifold(self) -> Manifold:
+        """Inertial parameters of a body that can exist."""
+        return Payload(self.body).manifold
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """The link's ten inertial columns at every joint, while it holds the payload."""
+        held = np.zeros(len(motion.v))
+        if motion.time is not None and self.is_of(motion.log):
+            held = self.weight(motion.time)
+        columns = held[:, None, None] * motion.body_columns(self.body)
+        return {joint: columns[:, i] for i, joint in enumerate(motion.joints)}
+
+
+@dataclass(frozen=True)
+class WrongInertia(Effect):
+    """Inertial parameters of bodies that are far from the model's, in the geometric distance.
+
+    effort = Y_rb(q, v, v̇) (φ − φ₀), with the model's φ₀.
+
+    Its columns are those of the bodies, which every fit has: a diagnosis finds it by widening their
+    prior, and a model has it in its bodies. So nobody makes an instance.
+    """
+
+    name = "wrong_inertia"
+    law = "the model's inertias, let go from their prior"
+    role = Role.INERTIA
+    places = "bodies"
+    parameters = ()
+    signature = "the inertia of links differs from the model's"
+    depends_on = frozenset({"q", "v", "vd"})
+    complexity = 3
+
+    def __post_init__(self) -> None:
+        raise ArgumentError(
+            f"{self.name} is no effect beside the bodies of a model: it is their inertias.",
+            advice=f"Let geodrake add {self.name} refit them.",
+        )
+
+    @classmethod
+    def unit_of(cls, name: str) -> str:
+        """Unit of the mass of a body that results report."""
+        return "kg" if name == "mass" else super().unit_of(name)
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """Nothing beside the columns of the bodies."""
+        del motion
+        return {}

@@ -1,0 +1,219 @@
+"""What effects declare: their role, what proposes them, places, parameters and shapes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from enum import Enum
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.arguments import instance, instances, integer, number, one_of, positive
+from geodrake.errors import ArgumentError
+
+Array = NDArray[np.float64]
+
+_SCALES = ("", "speed", "reach", "duration", "temperature")
+_LINEAR = (("kg·m²", "kg"), ("N·m", "N"), ("rad", "m"))
+
+
+class Role(Enum):
+    """What an effect does to the efforts that a model needs.
+
+    An effect of another role than FORCE derives from the one of the catalogue that has it: from
+    `EffortScale`, `EffortDelay`, `Payload` or `WrongInertia`, or from the bases `DeflectionEffect`
+    and `Episode`.
+    """
+
+    FORCE = "adds effort"
+    SCALE = "scales the effort of a joint"
+    DELAY = "shifts efforts in time"
+    BODY = "adds a body to a link"
+    DEFLECTION = "bends a joint, so that the link is not where the motor is"
+    EPISODE = "adds effort during a window of one log"
+    INERTIA = "moves the inertias of the bodies"
+
+
+class Proposer(Enum):
+    """What in the residual of a model proposes an effect.
+
+    BENDING and PLAY propose a `DeflectionEffect`, SHARED_ACTUATOR a `SharedActuatorEffect`, EPISODE
+    a `PointEpisode`, HANDLING another `Episode`, the others a `JointEffect`: WAVES one whose one
+    shape parameter is their order, WARMING and BRISTLES one that defines `course`.
+    """
+
+    BENDING = "all joints go with what the load of one joint would bend"
+    PLAY = "a joint errs where its load changes its sign"
+    SHARED_ACTUATOR = "two joints go with the motion of one actuator"
+    WAVES = "waves over the position of a joint"
+    WARMING = "friction that fades with time"
+    BRISTLES = "dry friction that builds up over a way"
+    EPISODE = "several joints err for a while"
+    HANDLING = "the load of a body changes at an instant"
+
+
+class Place(NamedTuple):
+    """A kind of place that effects are bound to.
+
+    Attributes:
+        field: The field of the effect that says where it is; empty if none does.
+        counts: How many names that may be.
+        words: The kind of place in words.
+    """
+
+    field: str
+    counts: tuple[int, ...]
+    wanted: str
+    words: str
+
+
+PLACES = {
+    "joint": Place("joint", (1,), "one joint", "joint"),
+    "joint_pair": Place("joints", (2,), "two joints", "joint pair"),
+    "body": Place("body", (1,), "one body", "body"),
+    "body_pair": Place("bodies", (2,), "two bodies", "body pair"),
+    "bodies": Place("", (0,), "no place, as it is one of all bodies", "bodies"),
+    "robot": Place("", (0,), "no place, as it is one of the whole robot", "robot"),
+    "log": Place("joint", (0, 1), "one joint or none", "log, or joint"),
+}
+"""The kinds of places by their name, `Effect.places`."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One linear parameter of an effect: its name, SI unit and admissible interval.
+
+    Units are those of a revolute joint; at a prismatic joint read N for N·m and m for rad.
+
+    Attributes:
+        spread: How large it may be, as far as anybody knows; a fit holds what the data do not tell.
+
+    Raises:
+        ArgumentError: Name or unit are no printable words, or no value lies between the bounds.
+    """
+
+    name: str
+    unit: str
+    lower: float = -np.inf
+    upper: float = np.inf
+    spread: float = np.inf
+
+    def __post_init__(self) -> None:
+        named: Any = (("name", self.name), ("unit", self.unit))
+        for what, words in named:
+            if not (isinstance(words, str) and words.isprintable() and words.strip()):
+                raise ArgumentError(f"A parameter's {what} is printable words; got {words!r}.")
+        for what in ("lower", "upper", "spread"):
+            number(getattr(self, what), f"{what} of {self.name}", finite=False)
+        if not (self.lower < self.upper and self.lower < np.inf and self.upper > -np.inf):
+            raise ArgumentError(
+                f"{self.name} has lower = {self.lower:g} and upper = {self.upper:g}, with nothing "
+                "between them."
+            )
+        if not self.spread > 0.0:
+            raise ArgumentError(f"{self.name} has spread = {self.spread:g}; it must be above 0.")
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A shape parameter of an effect: its unit, and the values that a diagnosis tries.
+
+    Attributes:
+        name: Name of the field of the effect, or of a value that it reports.
+        unit: SI unit at a joint that turns.
+        grid: Values to try, as shares of a size if there is a `scale`; none for the default.
+        scale: Size that the grid is relative to: "speed", the joint's peak speed, "reach", its
+            range of motion, "duration", that of the longest log, or "temperature", its mean.
+        usual: The value to try where that size is not known.
+    """
+
+    name: str
+    unit: str = "1"
+    grid: tuple[float, ...] = ()
+    scale: str = ""
+    usual: float | None = None
+
+    def __post_init__(self) -> None:
+        for what in ("name", "unit"):
+            instance(getattr(self, what), what, str)
+        for value in instances(self.grid, "grid", (int, float)):
+            number(value, "grid")
+        one_of(self.scale, "scale", _SCALES)
+        if self.usual is not None:
+            number(self.usual, "usual")
+
+    def values(self, scales: Mapping[str, float]) -> tuple[float, ...]:
+        """Return the values to try, where some sizes are known."""
+        if not self.scale and self.grid:
+            return self.grid
+        if self.scale in scales:
+            return tuple(scales[self.scale] * share for share in self.grid)
+        return () if self.usual is None else (self.usual,)
+
+
+def when_sliding(unit: str) -> str:
+    """Return the unit at a joint that slides of what has some unit at one that turns."""
+    for angular, linear in _LINEAR:
+        unit = unit.replace(angular, linear)
+    return re.sub(r"\((\w+)\)", r"\1", unit)  # m/(N) is m/N
+
+
+class CheckedFields:
+    """Refuses fields of an effect that are not of the type they are declared with.
+
+    A subclass with checks of its own calls this one first.
+
+    Raises:
+        ArgumentError: A name is no text, or a shape parameter no finite number.
+    """
+
+    def __post_init__(self) -> None:
+        effect: Any = self
+        for field in fields(effect):
+            value, name = getattr(self, field.name), f"{field.name} of {effect.name}"
+            kind = _declared(field.type)
+            if value is None and kind.endswith("| None"):
+                continue
+            if kind.startswith("tuple[str"):
+                object.__setattr__(self, field.name, instances(value, name, str))
+            elif kind.startswith("str"):
+                instance(value, name, str)
+            elif kind.startswith("float"):
+                number(value, name)
+            elif kind.startswith("int"):
+                integer(value, name)
+
+
+def whole_numbers(effect: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values of fields of a class of effects, those of type `int` whole.
+
+    A saved model holds all numbers as floats.
+
+    Raises:
+        ArgumentError: One of these is not whole.
+    """
+    whole = {field.name for field in fields(effect) if _declared(field.type) == "int"}
+    found = dict(values)
+    for name, value in values.items():
+        if name in whole and isinstance(value, float):
+            if not value.is_integer():
+                raise ArgumentError(
+                    f"{effect.name} needs a whole number as {name}; it got {value}."
+                )
+            found[name] = int(value)
+    return found
+
+
+def _declared(kind: Any) -> str:
+    """Return the type of a field as it is written: `float`, `float | None`, `tuple[str, str]`."""
+    words = kind.__name__ if type(kind) is type else str(kind).replace("typing.", "")
+    return f"{words[9:-1]} | None" if words.startswith("Optional[") else words
+
+
+def require_positive(effect: Any, *names: str) -> None:
+    """Refuse fields of an effect that are not positive and finite."""
+    for name in names:
+        positive(getattr(effect, name), f"{name} of {effect.name}")

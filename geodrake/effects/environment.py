@@ -1,0 +1,278 @@
+"""What is around a robot: the slope it stands on, what it touches, and the air."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.compiling import compiled, contiguous
+from geodrake.effects.base import (
+    Array,
+    BodyEffect,
+    Parameter,
+    RobotEffect,
+    RobotMotion,
+    Rows,
+    Shape,
+)
+from geodrake.effects.body_motion import BodyMotion, RobotBodies
+from geodrake.effects.episode import PointEpisode
+from geodrake.robot.driven_tree import joint_tree
+from geodrake.robot.vectors import add, column, cross, dot, scale, times, vector
+
+_LEAST_CHANGE = 1e-4  # of the weight
+
+
+@dataclass(frozen=True)
+class GravityTilt(RobotEffect):
+    """Base that is turned by two angles against what the model says.
+
+    effort = ∂τ_g/∂g · (R(θ)ᵀ g − g), for the base turned by the rotation vector θ = (θx, θy, 0) rad
+    about the axes of the model's world frame. The effort is linear in gravity, and gravity
+
+        R(θ)ᵀ g − g = sin|θ|/|θ| g × θ + (1 − cos|θ|)/|θ|² (θ θᵀg − g θᵀθ)
+
+    linear in θ with `about` in the place of one θ of each product: exact where θ is `about`. About
+    zero it is wrong by |θ|²/2 of the weight. The bodies are those of the model; fits see others
+    under the gravity of `about`: moments that a level base hides show only there. Gravity is taken
+    to be along z, about which a turn changes nothing.
+
+    Attributes:
+        about_x: Angle about x at which the columns are exact, rad.
+    """
+
+    about_x: float = 0.0
+    about_y: float = 0.0
+
+    name = "gravity_tilt"
+    law = "the base stands on a slope: two angles"
+    complexity = 1
+    shapes = (Shape("about_x", "rad"), Shape("about_y", "rad"))
+    parameters = (
+        Parameter("tilt_x", "rad", spread=1.0),
+        Parameter("tilt_y", "rad", spread=1.0),
+    )
+    signature = "follows the robot's posture at all joints, as if it stood on a slope"
+    depends_on = frozenset({"q", "bodies"})
+
+    @property
+    def free_shapes(self) -> int:
+        """None: the angles are parameters."""
+        return 0
+
+    @property
+    def reported_shape(self) -> dict[str, float]:
+        """None: where the columns are exact is no property of the robot."""
+        return {}
+
+    def expanded_about(self, parameters: Array, bodies: RobotBodies) -> GravityTilt:
+        """The tilt with columns that are exact at its parameters; itself if they are so already."""
+        del bodies
+        step = np.linalg.norm(parameters - self._about[:2])
+        if step * max(np.linalg.norm(parameters), step) < _LEAST_CHANGE:
+            return self
+        about_x, about_y = parameters.tolist()
+        return replace(self, about_x=about_x, about_y=about_y)
+
+    def gravity_of_bodies(self, gravity: Array) -> Array | None:
+        """Gravity turned by the angles at which the columns are exact."""
+        at = self.in_bodies
+        return gravity + self._change(gravity) @ at if at.any() else None
+
+    @property
+    def in_bodies(self) -> Array:
+        """(2,) these angles."""
+        return self._about[:2]
+
+    @property
+    def _about(self) -> Array:
+        return np.array([self.about_x, self.about_y, 0.0])
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """Effort of the change of gravity that each angle makes, at every joint."""
+        bodies = motion.body_motions(self.name)
+        columns = bodies.gravity_efforts(self._change(bodies.gravity))
+        return {joint: columns[:, i] for i, joint in enumerate(motion.joints)}
+
+    def formula_rows(self, motion: RobotMotion) -> Rows:
+        """The same, as the weights of all bodies along their Jacobians."""
+        bodies = motion.body_motions(self.name)
+        change = self._change(bodies.gravity)
+        columns: Array = np.zeros((len(motion.joints), 2))
+        for mobilizer in joint_tree(bodies.tree).mobilizers:
+            m, *h = bodies.phi[mobilizer.body, :4].tolist() if mobilizer.body >= 0 else (0.0,)
+            if m > 0.0 and mobilizer.gravity:
+                body = bodies.motion(bodies.tree.bodies[mobilizer.body])
+                J = body.jacobian_at(np.array(h) / m)[0]
+                columns = columns - m * (J.T @ change)
+        return {joint: columns[None, i] for i, joint in enumerate(motion.joints)}
+
+    def _change(self, gravity: Array) -> Array:
+        """(3, 2) change of gravity for each radian, m/s²."""
+        about, axes = self._about, np.eye(3)[:2]
+        angle = np.linalg.norm(about)
+        first = np.sinc(angle / np.pi)
+        second = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+        products = axes * (about @ gravity) - np.outer(axes @ about, gravity)
+        return np.asarray(first * np.cross(gravity, axes) + second * products).T
+
+
+@dataclass(frozen=True)
+class Contact(PointEpisode):
+    """Contact of a body during a window of time.
+
+    effort = w(t) (J_vᵀ f + J_ωᵀ m), with the weight w of the window (see `Episode`).
+
+    f (N) is the force that the body applies to what it touches, at its point P, and m (N·m) the
+    moment about P. What pushes the robot applies −f. Both keep their direction in the world frame,
+    as where something heavy is leaned on, or in the body's, as a tool's or a jet's.
+    """
+
+    name = "contact"
+    law = "Jᵀ F of a wrench on a body during an episode, found in the residual"
+    complexity = 3
+    parameters = (
+        *(Parameter(f"force_{axis}", "N") for axis in "xyz"),
+        *(Parameter(f"moment_{axis}", "N·m") for axis in "xyz"),
+    )
+    signature = "at several joints at once, for a while, and then no more"
+    depends_on = frozenset({"q", "time", "bodies"})
+
+    def columns(self, body: BodyMotion, time: Array) -> Array:
+        """[w J_vᵀ, w J_ωᵀ] (N, nv, 6) at the point P and instants (N,) since the log began, s."""
+        J = np.stack([body.jacobian_at(self.point), body.angular], 1)  # (N, 2, 3, nv)
+        if self.turning:
+            J = body.rotation[:, None].transpose(0, 1, 3, 2) @ J
+        columns = J.reshape(len(J), 6, J.shape[-1]).transpose(0, 2, 1)
+        return np.asarray(self.weight(time)[:, None, None] * columns)
+
+
+_LEVER = "N·s²/m"
+_LEAST_SPEED = 1e-150  # m/s, whose inverse is a number
+_LEAST_STEP, _LARGEST_STEP = 1e-3, 2.0  # m, of the centre of pressure
+
+
+@dataclass(frozen=True)
+class AerodynamicDrag(BodyEffect):
+    """Drag on a body that moves fast, or through water: force −d |v| v at its centre of pressure.
+
+    effort = d Jᵀ |v| v, with v = J v_joints the velocity of the centre of pressure P, and d ≥ 0 in
+    N·s²/m². How the effort changes with a step p of P is linear in d p as long as p is small, and
+    d p, in N·s²/m, are parameters of their own.
+
+    Attributes:
+        x: Position of P from Bo along x of the body's frame, m, from which p is a step; None for
+            that of the mass centre.
+    """
+
+    x: float | None = None
+    y: float | None = None
+    z: float | None = None
+
+    name = "aerodynamic_drag"
+    law = "d |v_B| v_B on a body, and its lever"
+    shapes = tuple(Shape(axis, "m") for axis in "xyz")
+    parameters = (
+        Parameter("drag", "N·s²/m²", lower=0.0),
+        *(Parameter(f"drag_lever_{axis}", _LEVER, spread=1e3) for axis in "xyz"),
+    )
+    signature = "grows with the square of a body's speed, at all joints up to it"
+    depends_on = frozenset({"q", "v", "bodies"})
+    complexity = 3
+
+    @classmethod
+    def candidates(cls, body: str) -> tuple[AerodynamicDrag, ...]:
+        """About the mass centre, and about the joint, too far away for slopes from there."""
+        return cls(body), cls(body, 0.0, 0.0, 0.0)
+
+    @property
+    def free_shapes(self) -> int:
+        """None: the position is a matter of the parameters."""
+        return 0
+
+    def center(self, p_BoBcm_B: Array) -> Array:
+        """(3,) position of P from Bo, m.
+
+        Args:
+            p_BoBcm_B: (3,) that of the mass centre.
+        """
+        given = zip((self.x, self.y, self.z), p_BoBcm_B.tolist(), strict=True)
+        return np.array([mean if value is None else value for value, mean in given])
+
+    def expanded_about(self, parameters: Array, bodies: RobotBodies) -> AerodynamicDrag:
+        """The drag about the centre of pressure that its parameters say; itself if that is here."""
+        drag, lever = float(parameters[0]), parameters[1:]
+        if not _LEAST_STEP * drag < np.linalg.norm(lever) < _LARGEST_STEP * drag:
+            return self
+        step = lever / drag
+        x, y, z = (self.center(bodies.mass_center(self.body)) + step).tolist()
+        return replace(self, x=x, y=y, z=z)
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """[Jᵀ |v| v, and its slopes in the position of P] at the joints that move the body."""
+        bodies = motion.body_motions(self.name)
+        body = bodies.motion(self.body)
+        center = self.center(bodies.mass_center(self.body))
+        columns = np.zeros((len(motion.v), len(body.dofs), len(self.parameters)))
+        parts = body.rotation, body.angular, body.linear
+        calc_drag_columns(parts, contiguous(motion.v), np.array(body.dofs), center, columns)
+        return {motion.joints[dof]: columns[:, k] for k, dof in enumerate(body.dofs)}
+
+    def formula_rows(self, motion: RobotMotion) -> Rows:
+        """Return the same, along the Jacobian of P."""
+        bodies = motion.body_motions(self.name)
+        body = bodies.motion(self.body)
+        J = body.jacobian_at(self.center(bodies.mass_center(self.body)))
+        v = motion.v[..., None]
+        u, w = (J @ v)[..., 0], (body.angular @ v)[..., 0]
+        speed = np.sqrt((u * u).sum(-1))[:, None]
+        along = u / np.maximum(speed, _LEAST_SPEED)
+        forces, moments = [speed * u], [np.zeros_like(u)]
+        for axis in range(3):
+            step = body.rotation[:, :, axis]
+            change = np.cross(w, step)
+            forces.append(speed * change + (u * change).sum(-1)[:, None] * along)
+            moments.append(np.cross(step, speed * u))
+        force, moment = (np.stack(some, -1) for some in (forces, moments))
+        turned = np.moveaxis(body.angular, 1, 2) @ moment
+        columns = np.moveaxis(J, 1, 2) @ force + turned
+        return {motion.joints[dof]: columns[:, dof] for dof in body.dofs}
+
+
+@compiled
+def calc_drag_columns(
+    body: tuple[Array, Array, Array], v: Array, dofs: NDArray[np.int64], center: Array, out: Array
+) -> None:
+    """Writes [Jᵀ |v| v, and its slopes in the position of P] of the velocities that move a body.
+
+    Args:
+        body: R_WB (N, 3, 3), and the Jacobians (N, 3, nv) of ω and of the velocity of Bo, in W.
+        v: (N, nv) velocities.
+        dofs: (k,) those that move the body.
+        center: (3,) p_BoP_B, m.
+        out: (N, k, 4) the columns.
+    """
+    rotation, angular, linear = body
+    for n in range(len(v)):
+        R, arm = rotation[n], times(rotation[n], vector(center))
+        w = u = (0.0, 0.0, 0.0)
+        for dof in dofs:
+            w = add(w, scale(v[n, dof], column(angular[n], dof)))
+            u = add(u, scale(v[n, dof], column(linear[n], dof)))
+        u = add(u, cross(w, arm))
+        speed = np.sqrt(dot(u, u))
+        force, along = scale(speed, u), scale(1.0 / max(speed, _LEAST_SPEED), u)
+        moment = cross(arm, force)
+        for k in range(len(dofs)):
+            s, t = column(angular[n], dofs[k]), column(linear[n], dofs[k])
+            out[n, k, 0] = dot(t, force) + dot(s, moment)
+        for axis in range(3):
+            step = column(R, axis)
+            change = cross(w, step)
+            slope = add(scale(speed, change), scale(dot(u, change), along))
+            moment = add(cross(arm, slope), cross(step, force))
+            for k in range(len(dofs)):
+                s, t = column(angular[n], dofs[k]), column(linear[n], dofs[k])
+                out[n, k, 1 + axis] = dot(t, slope) + dot(s, moment)

@@ -1,0 +1,617 @@
+"""Friction of joints, and of actuators that move two of them."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geodrake.effects.base import (
+    Array,
+    Effect,
+    JointEffect,
+    JointMotion,
+    JointPairEffect,
+    Parameter,
+    Proposer,
+    RobotMotion,
+    Rows,
+    Shape,
+    Slopes,
+    require_positive,
+)
+from geodrake.effects.gradient import RobotGradient, sign_slope
+from geodrake.effects.sensors import EffortOffset
+from geodrake.errors import ArgumentError
+
+
+@dataclass(frozen=True)
+class ViscousFriction(JointEffect):
+    """Viscous friction of a joint ([Lee2019] Eq. (5.2.2)).
+
+    effort = c v, with c ≥ 0 in N·m·s/rad.
+    """
+
+    name = "viscous_friction"
+    taken_out_as = "friction"
+    law = "c v"
+    complexity = 0
+    parameters = (Parameter("viscous", "N·m·s/rad", lower=0.0),)
+    signature = "grows in proportion to the joint's speed and changes sign with it"
+    depends_on = frozenset({"v"})
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[v]."""
+        return [joint.v]
+
+    def slopes(self, joint: JointMotion) -> Slopes:
+        """One by v."""
+        del joint
+        return [{"v": 1.0}]
+
+
+@dataclass(frozen=True)
+class CoulombFriction(JointEffect):
+    """Dry friction of a joint ([Lee2019] Eq. (5.2.2)).
+
+    effort = F sgn v, with F ≥ 0 in N·m.
+    """
+
+    name = "coulomb_friction"
+    taken_out_as = "friction"
+    law = "F sgn v; `explain` finds below which speed sgn v fades, where that matters"
+    complexity = 0
+    companion = ViscousFriction
+    jumps = True
+    parameters = (Parameter("coulomb", "N·m", lower=0.0),)
+    signature = "a step of constant height wherever the joint reverses"
+    depends_on = frozenset({"v"})
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[sgn v]."""
+        return [joint.sign_v]
+
+    def slopes(self, joint: JointMotion) -> Slopes:
+        """One by sgn v."""
+        del joint
+        return [{"sign_v": 1.0}]
+
+
+@dataclass(frozen=True)
+class AsymmetricFriction(JointEffect):
+    """Dry and viscous friction with magnitudes of their own in each direction.
+
+    effort = F₊ + c₊ v where v > 0, and −F₋ + c₋ v where v < 0; F in N·m, c in N·m·s/rad, all ≥ 0.
+
+    It contains Coulomb and viscous friction (F₊ = F₋, c₊ = c₋), so it replaces that pair. It always
+    brakes: at rest it is zero, and effort · v ≥ 0.
+    """
+
+    name = "asymmetric_friction"
+    taken_out_as = "friction"
+    law = "F₊, F₋, c₊, c₋ by direction"
+    complexity = 1
+    contains = (CoulombFriction, ViscousFriction, EffortOffset)
+    jumps = True
+    parameters = (
+        Parameter("coulomb_positive", "N·m", lower=0.0),
+        Parameter("coulomb_negative", "N·m", lower=0.0),
+        Parameter("viscous_positive", "N·m·s/rad", lower=0.0),
+        Parameter("viscous_negative", "N·m·s/rad", lower=0.0),
+    )
+    signature = "a step at reversals, and slopes or heights that differ between the directions"
+    depends_on = frozenset({"v"})
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[max(sgn v, 0), min(sgn v, 0), max(v, 0), min(v, 0)]."""
+        s, v = joint.sign_v, joint.v
+        return [np.maximum(s, 0.0), np.minimum(s, 0.0), np.maximum(v, 0.0), np.minimum(v, 0.0)]
+
+    def slopes(self, joint: JointMotion) -> Slopes:
+        """Where each direction is, one by sgn v or v."""
+        s, v = joint.sign_v, joint.v
+        return [{"sign_v": s > 0}, {"sign_v": s < 0}, {"v": v > 0}, {"v": v < 0}]
+
+
+@dataclass(frozen=True)
+class FrictionOvercompensation(JointEffect):
+    """What a drive takes out of dry friction beyond what there is.
+
+    effort = −F sgn v, with F ≥ 0 in N·m.
+
+    Drives may add an effort against dry friction that no log shows. If it is larger than the
+    friction, the logged effort is smaller the way the joint moves. The drive pushes the joint: this
+    is none of the robot's friction, and it makes a joint that is held with a weak controller swing.
+    """
+
+    name = "friction_overcompensation"
+    of_motor = True
+    taken_out_as = "friction"
+    law = "−F sgn v: the drive takes out more dry friction than there is"
+    complexity = 1
+    contains = (CoulombFriction, AsymmetricFriction)
+    jumps = True
+    by_drive = True
+    parameters = (Parameter("excess", "N·m", lower=0.0),)
+    signature = "a step of constant height wherever the joint reverses, along the motion"
+    depends_on = frozenset({"v"})
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[−sgn v]."""
+        return [-joint.sign_v]
+
+    def slopes(self, joint: JointMotion) -> Slopes:
+        """Minus one by sgn v."""
+        del joint
+        return [{"sign_v": -1.0}]
+
+
+_SHARES = tuple(np.geomspace(0.01, 0.3, 4).tolist())  # of the peak speed
+
+
+@dataclass(frozen=True)
+class StribeckFriction(JointEffect):
+    """What dry friction has at low speed over its value at high speed.
+
+    effort = (S − F) exp(−|v / v_s|^α) sgn v, with the excess S − F ≥ 0 in N·m.
+
+    It goes on top of `coulomb_friction`, which has the F of the whole Stribeck curve
+    (F + (S − F) exp(−|v / v_s|^α)) sgn v, and of `viscous_friction`.
+
+    Attributes:
+        stribeck_velocity: v_s, rad/s or m/s.
+        exponent: α; 1 (Tustin) and 2 (Gaussian) are usual.
+    """
+
+    stribeck_velocity: float
+    exponent: float = 1.0
+
+    name = "stribeck_friction"
+    taken_out_as = "friction"
+    law = "(S − F) exp(−|v/v_s|^α) sgn v, on top of Coulomb friction"
+    jumps = True
+    shapes = (Shape("stribeck_velocity", "rad/s", grid=_SHARES, scale="speed"),)
+    parameters = (Parameter("excess", "N·m", lower=0.0),)
+    signature = "extra friction near reversals that fades as the joint speeds up"
+    depends_on = frozenset({"v"})
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self, "stribeck_velocity", "exponent")
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[exp(−|v / v_s|^α) sgn v]."""
+        fading = np.exp(-(np.abs(joint.v / self.stribeck_velocity) ** self.exponent))
+        return [fading * joint.sign_v]
+
+    def slopes(self, joint: JointMotion) -> Slopes:
+        """Of exp(−|v / v_s|^α) by v, times sgn v."""
+        u = np.abs(joint.v / self.stribeck_velocity)
+        fading = np.exp(-(u**self.exponent))
+        moving = np.where(u > 0, u, 1.0)
+        steepness = self.exponent * moving ** (self.exponent - 1.0) / self.stribeck_velocity
+        slope = -fading * steepness * np.sign(joint.v)
+        return [{"v": slope * joint.sign_v, "sign_v": fading}]
+
+    @property
+    def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
+        """Dry friction, with viscous friction or without."""
+        return ((CoulombFriction,), (CoulombFriction, ViscousFriction))
+
+
+_LEAST_RATIO = 1.25  # of the exponent to that of viscous friction
+
+
+@dataclass(frozen=True)
+class NonlinearViscousFriction(JointEffect):
+    """Friction that grows with a power of speed: lubricants (α < 1), drag (α = 2).
+
+    effort = c |v|^α sgn v, with c ≥ 0 in N·m·(s/rad)^α.
+    """
+
+    exponent: float
+
+    name = "nonlinear_viscous_friction"
+    taken_out_as = "friction"
+    law = "c |v|^α sgn v"
+    shapes = (Shape("exponent", grid=(0.5, 1.5, 2.0, 3.0)),)
+    parameters = (Parameter("viscous", "N·m·(s/rad)^α", lower=0.0),)
+    signature = "follows the joint's speed along a curve and changes sign with it"
+    depends_on = frozenset({"v"})
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self, "exponent")
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[|v|^α sgn v]."""
+        return [np.abs(joint.v) ** self.exponent * joint.sign_v]
+
+    def slopes(self, joint: JointMotion) -> Slopes:
+        """Of |v|^α by v, times sgn v."""
+        speed = np.abs(joint.v)
+        moving = np.where(speed > 0, speed, 1.0)
+        slope = self.exponent * moving ** (self.exponent - 1.0) * np.sign(joint.v)
+        return [{"v": slope * joint.sign_v, "sign_v": speed**self.exponent}]
+
+    @property
+    def distinct(self) -> bool:
+        """Whether the exponent is far enough from 1, at which this is viscous friction."""
+        return bool(abs(np.log(self.exponent)) >= np.log(_LEAST_RATIO))
+
+    @property
+    def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
+        """With α < 1, dry and viscous friction, between which it stands; a drag refines nothing."""
+        return ((CoulombFriction, ViscousFriction),) if self.exponent < 1.0 else ()
+
+
+@dataclass(frozen=True)
+class LoadDependentFriction(JointEffect):
+    """Dry friction in proportion to the effort that the gear transmits.
+
+    effort = k |τ_model| sgn v, with k ≥ 0 and without unit.
+
+    τ_model is the effort that the rigid-body model needs, never the measured one, whose noise and
+    whose own friction would bias k.
+    """
+
+    name = "load_dependent_friction"
+    of_motor = True
+    taken_out_as = "friction"
+    label = "load-dependent friction"
+    law = "k |τ_model| sgn v"
+    complexity = 1
+    jumps = True
+    parameters = (Parameter("load_factor", "1", lower=0.0),)
+    signature = "a step at reversals whose height grows with the load on the joint"
+    depends_on = frozenset({"v", "load"})
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[|τ_model| sgn v]."""
+        return [np.abs(joint.load) * joint.sign_v]
+
+    def slopes(self, joint: JointMotion) -> Slopes:
+        """Of |τ_model| by the load, times sgn v."""
+        load, s = joint.load, joint.sign_v
+        return [{"load": np.sign(load) * s, "sign_v": np.abs(load)}]
+
+
+@dataclass(frozen=True)
+class GearEfficiency(JointEffect):
+    """Losses of a gear in proportion to its load, one where it drives and one where it brakes.
+
+    effort = k_d |τ_model| sgn v where τ_model v > 0, and k_b |τ_model| sgn v elsewhere; both ≥ 0
+    and without unit. The efficiency of a driving gear is 1 / (1 + k_d), that of one that the load
+    drives is 1 − k_b.
+
+    It contains load-dependent friction (k_d = k_b). Of a joint that moves, the difference of both
+    is ½ (k_d − k_b) τ_model, which is the effort of bodies that are heavier by that share. It can
+    be told only by inertias that are known from elsewhere, as a gain of the effort can
+    (`effort_scale`). A diagnosis tries it only then.
+    """
+
+    name = "gear_efficiency"
+    of_motor = True
+    taken_out_as = "friction"
+    label = "efficiency of a gear"
+    law = (
+        "k |τ_model| sgn v, with a k for driving and one for braking; where the inertia is trusted "
+        "or a known payload is carried in one log"
+    )
+    contains = (LoadDependentFriction,)
+    jumps = True
+    parameters = (
+        Parameter("driving_loss", "1", lower=0.0),
+        Parameter("braking_loss", "1", lower=0.0),
+    )
+    signature = "a step at reversals that grows with the load, more where the joint drives"
+    depends_on = frozenset({"v", "load"})
+    needs_known_inertia = True
+
+    @property
+    def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
+        """Load-dependent friction, which it replaces where the difference is worth it."""
+        return ((LoadDependentFriction,),)
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[|τ_model| sgn v where τ_model v > 0, and where it is not]."""
+        forth, back = np.maximum(joint.sign_v, 0.0), np.minimum(joint.sign_v, 0.0)
+        up, down = np.maximum(joint.load, 0.0), np.maximum(-joint.load, 0.0)
+        return [up * forth + down * back, up * back + down * forth]
+
+    def slopes(self, joint: JointMotion) -> Slopes:
+        """Of |τ_model| by the load, times sgn v, in either case."""
+        load, s = joint.load, joint.sign_v
+        drives = load * s > 0.0
+        by_load, by_sign = np.sign(load) * s, np.abs(load)
+        return [
+            {"load": np.where(here, by_load, 0.0), "sign_v": np.where(here, by_sign, 0.0)}
+            for here in (drives, ~drives)
+        ]
+
+
+Direction = Callable[[Array], Array]
+"""Smoothed signs of speeds."""
+
+
+@dataclass(frozen=True)
+class SharedActuatorEffect(JointPairEffect):
+    """An effect of an actuator that turns with vᵢ + s vⱼ. Subclasses define `shared` and `rows`.
+
+    A diagnosis tries it at joints that follow each other, and at any other two whose residuals both
+    go with the motion of one actuator, beyond what they have of their own.
+    """
+
+    proposer = Proposer.SHARED_ACTUATOR
+
+    @staticmethod
+    @abc.abstractmethod
+    def shared(v: Array, turned_v: Array, turned_vd: Array, direction: Direction) -> Array:
+        """Columns (..., k) at a joint; with the right sign s, no parameter is negative.
+
+        Args:
+            v: (...) velocity of the joint.
+            turned_v: (...) velocity s vⱼ of the other one, with the sign s of its part.
+            turned_vd: (...) the same of its acceleration.
+        """
+
+
+@dataclass(frozen=True)
+class CoupledFriction(SharedActuatorEffect):
+    """Friction of an actuator whose speed is w = vᵢ + s vⱼ, as in a coupled wrist.
+
+    effort of joint i = F sgn w + c w, and s times that at joint j, so that the power is
+    (F sgn w + c w) w; F ≥ 0 in N·m and c ≥ 0 in N·m·s/rad.
+
+    Attributes:
+        joints: The joints i and j.
+        sign: s, 1 or −1. A ratio other than one belongs in a transmission.
+    """
+
+    sign: int = 1
+
+    name = "coupled_friction"
+    of_motor = True
+    taken_out_as = "friction"
+    law = (
+        "friction of an actuator that turns with v_i ± v_j; of joints that do not follow each "
+        "other, found in the residual"
+    )
+    complexity = 1
+    shapes = (Shape("sign", grid=(1, -1)),)
+    jumps = True
+    parameters = (
+        Parameter("coulomb", "N·m", lower=0.0),
+        Parameter("viscous", "N·m·s/rad", lower=0.0),
+    )
+    signature = "steps at both joints at once, where the sum or difference of their speeds reverses"
+    depends_on = frozenset({"v"})
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.sign not in (-1, 1):
+            raise ArgumentError(f"{self.name} needs the sign 1 or −1; it got {self.sign}.")
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """[sgn w, w] at joint i and s [sgn w, w] at joint j."""
+        i, j = map(motion.index, self.joints)
+        w = motion.v[:, i] + self.sign * motion.v[:, j]
+        width = np.hypot(motion.sign_width[i], motion.sign_width[j])
+        columns = np.stack([motion.direction(w, width), w], -1)
+        return {self.joints[0]: columns, self.joints[1]: self.sign * columns}
+
+    def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient:
+        """Of both columns by w, which is how both joints' speeds enter."""
+        i, j = map(motion.index, self.joints)
+        w = motion.v[:, i] + self.sign * motion.v[:, j]
+        width = np.hypot(motion.sign_width[i], motion.sign_width[j])
+        both = weights[:, i] + self.sign * weights[:, j]
+        by_w = both[:, 0] * sign_slope(motion.direction(w, width), width) + both[:, 1]
+        gradient = RobotGradient.zero(motion)
+        gradient.v[:, i], gradient.v[:, j] = by_w, self.sign * by_w
+        return gradient
+
+    @staticmethod
+    def shared(v: Array, turned_v: Array, turned_vd: Array, direction: Direction) -> Array:
+        """[sgn w, w] with w = v + s vⱼ, whatever the joint: at joint j, s is taken out."""
+        del turned_vd
+        w = v + turned_v
+        return np.stack([direction(w), w], -1)
+
+
+@dataclass(frozen=True)
+class FrictionDrift(JointEffect):
+    """What dry and viscous friction have at the start of a log over what they settle at.
+
+    effort = e^{−t/T} (F sgn v + c v), with F in N·m and c in N·m·s/rad, t s after the log began.
+
+    It goes on top of `coulomb_friction` and `viscous_friction`, which have the settled values,
+    if these are not none. F and c are positive where grease warms up, but need not be. Where time
+    is not known the joint has settled.
+
+    Attributes:
+        time_constant: T, s.
+    """
+
+    time_constant: float
+
+    name = "friction_drift"
+    taken_out_as = "friction"
+    law = "e^(−t/T) (F sgn v + c v): friction of a gear that warms up, on top of what it settles at"
+    proposer = Proposer.WARMING
+    shapes = (
+        Shape("time_constant", "s", grid=(0.1, 0.3, 1.0, 3.0), scale="duration", usual=300.0),
+    )
+    parameters = (Parameter("coulomb_change", "N·m"), Parameter("viscous_change", "N·m·s/rad"))
+    signature = "friction that is another one at the end of a log than at its start"
+    depends_on = frozenset({"v", "time"})
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self, "time_constant")
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """Nothing, of a joint that has settled."""
+        return [np.zeros_like(joint.v), np.zeros_like(joint.v)]
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """e^{−t/T} [sgn v, v]."""
+        if motion.time is None:
+            return super().rows(motion)
+        joint = motion.joint(self.joint)
+        left = self.course(motion.time)
+        return {self.joint: left[:, None] * np.stack([joint.sign_v, joint.v], -1)}
+
+    def course(self, along: Array) -> Array:
+        """Share e^{−t/T} of the change that is left at instants (N,) since the log began, s."""
+        return np.exp(-along / self.time_constant)
+
+    @property
+    def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
+        """Dry friction or viscous friction, or nothing: what runs in may settle at none."""
+        return ((CoulombFriction,), (ViscousFriction,), ())
+
+
+@dataclass(frozen=True)
+class ThermalFriction(JointEffect):
+    """What dry and viscous friction gain with every degree that a joint is warmer.
+
+    effort = (T − T₀) (F sgn v + c v), with F in N·m/°C and c in N·m·s/(rad·°C), at T °C.
+
+    It goes on top of `coulomb_friction` and `viscous_friction`, which have the values at T₀. F and
+    c are negative where grease gets thinner, but need not be. Where the temperature is not known
+    it is T₀. `friction_drift` goes with the time instead, for logs without temperatures.
+
+    Attributes:
+        reference: T₀, °C; a diagnosis takes the mean of the logs.
+    """
+
+    reference: float
+
+    name = "thermal_friction"
+    taken_out_as = "friction"
+    law = "(T − T₀) (F sgn v + c v), where the log has the joint's temperature T"
+    shapes = (Shape("reference", "°C", grid=(1.0,), scale="temperature", usual=25.0),)
+    parameters = (
+        Parameter("coulomb_slope", "N·m/°C"),
+        Parameter("viscous_slope", "N·m·s/(rad·°C)"),
+    )
+    signature = "friction that goes with the logged temperature of the joint"
+    depends_on = frozenset({"v", "temperature"})
+
+    @property
+    def free_shapes(self) -> int:
+        """None: another T₀ is the same law with other friction beside it."""
+        return 0
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """Nothing, of a joint at T₀."""
+        return [np.zeros_like(joint.v), np.zeros_like(joint.v)]
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """(T − T₀) [sgn v, v]; nothing where T is not known."""
+        if motion.temperature is None:
+            return super().rows(motion)
+        joint, warmer = motion.joint(self.joint), motion.warmer(self.joint, self.reference)
+        return {self.joint: warmer[:, None] * np.stack([joint.sign_v, joint.v], -1)}
+
+    @property
+    def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
+        """Dry friction or viscous friction."""
+        return ((CoulombFriction,), (ViscousFriction,))
+
+
+@dataclass(frozen=True)
+class Hysteresis(JointEffect):
+    """Dahl's friction: dry friction with a memory of where the joint turned round.
+
+    effort = F z, with F ≥ 0 in N·m and the bristles' bend z in [−1, 1]:
+
+        ż = (v − |v| z) / θ,
+
+    which after a reversal goes from −sgn v to sgn v as 1 − 2 e^{−Δq/θ}. At rest the joint is held
+    like by a spring of stiffness F/θ. LuGre's friction is this one, beside `viscous_friction` for
+    its damping and `stribeck_friction` for its dependence on speed.
+
+    A log says nothing of z before it begins: a joint that moves there is taken to have slipped,
+    z = sgn v, and one at rest to be free, z = 0. Either is forgotten after a few θ. Where samples
+    are no series in time, the joint has slipped far: z = sgn v.
+
+    Attributes:
+        breakaway_angle: θ, rad or m.
+    """
+
+    breakaway_angle: float
+
+    name = "hysteresis"
+    law = "F z with Dahl's bristles z, ż = (v − |v| z) / θ"
+    proposer = Proposer.BRISTLES
+    shapes = (
+        Shape(
+            "breakaway_angle", "rad", grid=(0.003, 0.01, 0.03, 0.1, 0.3), scale="reach", usual=0.02
+        ),
+    )
+    parameters = (Parameter("coulomb", "N·m", lower=0.0),)
+    signature = "dry friction that after a reversal comes back over an angle, not at once"
+    depends_on = frozenset({"q", "v", "history"})
+    state_count = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self, "breakaway_angle")
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[sgn v], of a joint that has slipped far."""
+        return [joint.sign_v]
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """[z]."""
+        if self in motion.states:
+            return {self.joint: motion.states[self]}
+        if motion.before is None:
+            return super().rows(motion)
+        return {self.joint: self.states_along(motion)}
+
+    def states_along(self, motion: RobotMotion) -> Array:
+        """Return the bend z (N, 1) along the motion, and along what was before it."""
+        at = motion.index(self.joint)
+        before = motion.q[:0] if motion.before is None else motion.before
+        q = np.concatenate([before[:, at], motion.q[:, at]])
+        start = 0.0
+        if motion.time is not None and len(motion.time) > 1 and len(q) > 1:
+            speed = (q[1] - q[0]) / (motion.time[1] - motion.time[0])
+            start = float(motion.direction(speed, motion.sign_width[at]))
+        return self.bend(q, start)[len(before) :, None]
+
+    def state_rates(self, motion: RobotMotion, state: Array) -> Array:
+        """ż, (N, 1)."""
+        v = motion.v[:, motion.index(self.joint), None]
+        return np.asarray((v - np.abs(v) * state) / self.breakaway_angle)
+
+    def bend(self, q: Array, start: float = 0.0) -> Array:
+        """Return the bristles' bend z along positions, exact between reversals.
+
+        Args:
+            q: (N,) positions one after another, rad or m.
+            start: z at the first of them.
+
+        Returns:
+            (N,) z.
+        """
+        step = np.diff(q, prepend=q[:1])
+        kept = np.exp(-np.abs(step) / self.breakaway_angle)
+        z = np.sign(step) * (1.0 - kept)
+        z[:1] = start
+        # z_k = kept_k z_{k−1} + z_k, for all k at once: maps are composed pairwise, log₂ N times.
+        reach = 1
+        while reach < len(z):
+            z[reach:] = kept[reach:] * z[:-reach] + z[reach:]
+            kept[reach:] = kept[reach:] * kept[:-reach]
+            reach *= 2
+        return z
+
+    def course(self, along: Array) -> Array:
+        """Return the bristles' bend z along positions (N,), from no bend on."""
+        return self.bend(along)

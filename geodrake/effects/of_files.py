@@ -1,0 +1,302 @@
+"""Effects that model files state: exact terms of their formats, which no diagnosis proposes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from geodrake.effects.base import (
+    Array,
+    BodyEffect,
+    Effect,
+    JointEffect,
+    JointMotion,
+    JointPairEffect,
+    Parameter,
+    RobotMotion,
+    Rows,
+    Shape,
+    Slopes,
+)
+from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.gradient import RobotGradient
+from geodrake.errors import ArgumentError
+from geodrake.robot.files.values import rotation
+
+
+@dataclass(frozen=True)
+class PolynomialSpring(JointEffect):
+    """Spring across a joint as MuJoCo states it: effort = p + k₁ x + k₂ x² + k₃ x³, x = q − q_c.
+
+    No coefficient has a sign of its own, unlike those of `joint_spring`.
+
+    Attributes:
+        center: q_c, rad or m.
+    """
+
+    center: float = 0.0
+
+    name = "polynomial_spring"
+    law = "p + k₁ x + k₂ x² + k₃ x³, x = q − q_c"
+    complexity = 3
+    shapes = (Shape("center", "rad"),)
+    parameters = (
+        Parameter("preload", "N·m"),
+        Parameter("stiffness", "N·m/rad"),
+        Parameter("stiffness_2", "N·m/rad²"),
+        Parameter("stiffness_3", "N·m/rad³"),
+    )
+    signature = "follows the joint's position, whatever its speed"
+    depends_on = frozenset({"q"})
+
+    @property
+    def free_shapes(self) -> int:
+        """None: the file says where the polynomial is written about."""
+        return 0
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[1, x, x², x³]."""
+        x = joint.q - self.center
+        return [np.ones_like(x), x, x**2, x**3]
+
+    def slopes(self, joint: JointMotion) -> Slopes:
+        """Of the powers of x by q."""
+        x = joint.q - self.center
+        return [{}, {"q": np.ones_like(x)}, {"q": 2.0 * x}, {"q": 3.0 * x**2}]
+
+
+@dataclass(frozen=True)
+class JointCoupling(JointPairEffect):
+    """What a spring and a damper of length cᵢ qᵢ + cⱼ qⱼ add between the two joints.
+
+    effort of joint i = k qⱼ + d vⱼ and effort of joint j = k qᵢ + d vᵢ, from the energy k qᵢ qⱼ:
+    k = cᵢ cⱼ times the stiffness of a tendon over both, and d likewise. What the tendon is at each
+    joint alone is a `joint_spring` and `viscous_friction` there; a tendon over more joints has one
+    coupling for each two of them.
+    """
+
+    name = "joint_coupling"
+    law = "k q_j + d v_j on joint i, and k q_i + d v_i on joint j"
+    complexity = 3
+    parameters = (Parameter("stiffness", "N·m/rad"), Parameter("damping", "N·m·s/rad"))
+    signature = "at each of two joints, follows the position and the speed of the other one"
+    depends_on = frozenset({"q", "v"})
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """[qⱼ, vⱼ] at joint i and [qᵢ, vᵢ] at joint j."""
+        i, j = map(motion.joint, self.joints)
+        return motion.at_both(self.joints, *(np.stack([x.q, x.v], -1) for x in (j, i)))
+
+    def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient | None:
+        """Of either joint's columns by the other one's q and v."""
+        if not set(motion.joints).issuperset(self.joints):
+            return None
+        gradient = RobotGradient.zero(motion)
+        i, j = map(motion.index, self.joints)
+        for at, of in ((i, j), (j, i)):
+            gradient.q[:, of], gradient.v[:, of] = weights[:, at, 0], weights[:, at, 1]
+        return gradient
+
+
+@dataclass(frozen=True)
+class CarriedWeight(BodyEffect):
+    """Weight of a body that needs no effort: compensated gravity, buoyancy, gravity switched off.
+
+    effort = m J_Pᵀ g, with the mass m in kg at the point P of the body and gravity g, against the
+    weight −m J_Pᵀ g that the body has in the model.
+
+    Attributes:
+        body: Name of the body.
+        x: Position of P from Bo along x of the body's frame, m.
+        y: The same along y.
+        z: The same along z.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+
+    name = "carried_weight"
+    law = "m Jᵀ g at a point of a body, against its weight"
+    complexity = 3
+    shapes = tuple(Shape(axis, "m") for axis in "xyz")
+    parameters = (Parameter("mass", "kg"),)
+    signature = "follows the posture at all joints up to a body, as if it weighed less"
+    depends_on = frozenset({"q", "bodies"})
+
+    @property
+    def free_shapes(self) -> int:
+        """None: the file says where the weight is carried."""
+        return 0
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """[J_Pᵀ g] at the joints that move the body."""
+        bodies = motion.body_motions(self.name)
+        body = bodies.motion(self.body)
+        J = body.jacobian_at(np.array([self.x, self.y, self.z]))
+        column = np.moveaxis(J, 1, 2) @ bodies.gravity
+        return {motion.joints[dof]: column[:, dof, None] for dof in body.dofs}
+
+
+_WIND = ("wind_x", "wind_y", "wind_z")
+
+
+@dataclass(frozen=True)
+class MediumDrag(BodyEffect):
+    """Drag of air or water on a body that counts as the box with its inertia (MuJoCo, "Fluid").
+
+    With v and ω of the box against the medium, along its axes, at its centre P, force and moment of
+    a medium of density ρ and viscosity β are, for a box of sizes b and d = (b₁ + b₂ + b₃)/3,
+
+        fᵢ = −½ ρ bⱼ bₖ |vᵢ| vᵢ − 3 π β d vᵢ
+        gᵢ = −ρ bᵢ (bⱼ⁴ + bₖ⁴)/64 |ωᵢ| ωᵢ − π β d³ ωᵢ
+
+    and effort = −J_Pᵀ f − J_ωᵀ g.
+
+    Attributes:
+        body: Name of the body.
+        size_x: b₁, m; b₂ and b₃ follow.
+        x: Position of P from Bo along x of the body's frame, m; y and z follow.
+        turn_w: Real part of the quaternion of the box's axes in the body's frame; its vector
+            follows.
+        wind_x: Velocity of the medium along x of the world, m/s; y and z follow.
+    """
+
+    size_x: float = 1.0
+    size_y: float = 1.0
+    size_z: float = 1.0
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    turn_w: float = 1.0
+    turn_x: float = 0.0
+    turn_y: float = 0.0
+    turn_z: float = 0.0
+    wind_x: float = 0.0
+    wind_y: float = 0.0
+    wind_z: float = 0.0
+
+    name = "medium_drag"
+    law = "drag of a medium on a box: ρ of the squares of v and ω, β of v and ω"
+    complexity = 3
+    shapes = (
+        *(Shape(name, "m") for name in ("size_x", "size_y", "size_z", "x", "y", "z")),
+        *(Shape(f"turn_{axis}") for axis in "wxyz"),
+        *(Shape(name, "m/s") for name in _WIND),
+    )
+    parameters = (
+        Parameter("density", "kg/m³", lower=0.0),
+        Parameter("viscosity", "Pa·s", lower=0.0),
+    )
+    signature = "grows with a body's speed and its square, at all joints up to it"
+    depends_on = frozenset({"q", "v", "bodies"})
+
+    @property
+    def free_shapes(self) -> int:
+        """None: the file says what the box is."""
+        return 0
+
+    @property
+    def reported_shape(self) -> dict[str, float]:
+        """None: the box is that of the body's inertia."""
+        return {}
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """Columns of density and viscosity at the joints that move the body."""
+        body = motion.body_motions(self.name).motion(self.body)
+        J = body.jacobian_at(np.array([self.x, self.y, self.z]))
+        turn = np.array([self.turn_w, self.turn_x, self.turn_y, self.turn_z])
+        axes = np.moveaxis(body.rotation @ rotation(turn), 1, 2)
+        speed = motion.v[..., None]
+        wind = np.array([self.wind_x, self.wind_y, self.wind_z])
+        v, w = axes @ ((J @ speed)[..., 0] - wind)[..., None], axes @ (body.angular @ speed)
+        b = np.array([self.size_x, self.size_y, self.size_z])
+        d, (j, k) = b.mean(), (np.roll(b, -1), np.roll(b, -2))
+        force = np.concatenate([(0.5 * j * k)[:, None] * np.abs(v) * v, 3.0 * np.pi * d * v], -1)
+        moment = np.concatenate(
+            [(b * (j**4 + k**4) / 64.0)[:, None] * np.abs(w) * w, np.pi * d**3 * w], -1
+        )
+        along = np.moveaxis(axes @ J, 1, 2) @ force
+        columns = along + np.moveaxis(axes @ body.angular, 1, 2) @ moment
+        return {motion.joints[dof]: columns[:, dof] for dof in body.dofs}
+
+
+_WORLD = "world"
+_LEAST_LENGTH = 1e-150  # m, whose inverse is a number
+
+
+@dataclass(frozen=True)
+class Strut(Effect):
+    """Spring and damper between a point P of a body and a point Q of another one, or of the world.
+
+    With L the distance of the two, effort = (k L + p + d L̇) ∂L/∂q: a counterbalance or a gas spring
+    of stiffness k in N/m, preload p = −k L₀ in N and damping d in N·s/m.
+
+    Attributes:
+        bodies: Names of the two bodies; "world" for what stands still.
+        x: Position of P from Bo along x of the first body's frame, m; y and z follow.
+        other_x: The same of Q in the frame of the second body.
+    """
+
+    bodies: tuple[str, str]
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    other_x: float = 0.0
+    other_y: float = 0.0
+    other_z: float = 0.0
+
+    name = "strut"
+    law = "(k L + p + d L̇) ∂L/∂q, L the distance of two points"
+    places: ClassVar[str] = "body_pair"
+    complexity = 3
+    shapes = tuple(Shape(name, "m") for name in ("x", "y", "z", "other_x", "other_y", "other_z"))
+    parameters = (
+        Parameter("stiffness", "N/m", lower=0.0),
+        Parameter("preload", "N"),
+        Parameter("damping", "N·s/m", lower=0.0),
+    )
+    signature = "follows the posture at all joints between two bodies"
+    depends_on = frozenset({"q", "v", "bodies"})
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.bodies) != 2 or self.bodies[0] == self.bodies[1]:
+            raise ArgumentError(f"{self.name} needs two different bodies; it got {self.bodies}.")
+
+    @property
+    def free_shapes(self) -> int:
+        """None: the file says where the points are."""
+        return 0
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """Columns of stiffness, preload and damping at the joints that move either body."""
+        bodies = motion.body_motions(self.name)
+        points = ([self.x, self.y, self.z], [self.other_x, self.other_y, self.other_z])
+        (p, J, first), (other_p, other_J, second) = (
+            _point(bodies, body, np.array(point))
+            for body, point in zip(self.bodies, points, strict=True)
+        )
+        apart, moving = other_p - p, other_J - J
+        length = np.sqrt((apart * apart).sum(-1))[:, None]
+        along = (apart / np.maximum(length, _LEAST_LENGTH))[:, None, :]
+        slope = (along @ moving)[:, 0]
+        rate = (slope * motion.v).sum(-1)[:, None]
+        dofs = sorted({*first, *second})
+        return {
+            motion.joints[dof]: np.stack(
+                [slope[:, dof] * length[:, 0], slope[:, dof], slope[:, dof] * rate[:, 0]], -1
+            )
+            for dof in dofs
+        }
+
+
+def _point(bodies: RobotBodies, body: str, p_BoP_B: Array) -> tuple[Array, Array, tuple[int, ...]]:
+    """Return the position (N, 3) of a point of a body, its Jacobian, and what moves it."""
+    if body == _WORLD:
+        return p_BoP_B[None], np.zeros((1, 3, bodies.tree.num_velocities)), ()
+    motion = bodies.motion(body)
+    return motion.position + motion.rotation @ p_BoP_B, motion.jacobian_at(p_BoP_B), motion.dofs

@@ -1,1 +1,0 @@
-"""Effects that model files state: exact terms of their formats, which no diagnosis proposes."""

@@ -1,0 +1,231 @@
+"""What sensors of effort make of it: offsets, gains and delays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import BSpline
+
+from geodrake.boundary.arguments import positive, real_array
+from geodrake.effects.base import (
+    Array,
+    Effect,
+    JointEffect,
+    JointMotion,
+    Parameter,
+    RobotMotion,
+    Role,
+    Rows,
+    Shape,
+    Slopes,
+)
+from geodrake.errors import ArgumentError
+from geodrake.logs.filtering import spline_through
+
+
+@dataclass(frozen=True)
+class EffortOffset(JointEffect):
+    """Constant effort: a sensor's zero, a current offset, a constant-force balancer.
+
+    effort = o, in N·m.
+    """
+
+    name = "effort_offset"
+    of_motor = True
+    law = "o"
+    complexity = 0
+    parameters = (Parameter("offset", "N·m"),)
+    signature = "the same at all times"
+    depends_on = frozenset()
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[1]."""
+        return [np.ones_like(joint.v)]
+
+    def slopes(self, joint: JointMotion) -> Slopes:
+        """None."""
+        del joint
+        return [{}]
+
+
+@dataclass(frozen=True)
+class ThermalOffset(JointEffect):
+    """Offset that changes with every degree that a joint is warmer, as that of a torque sensor.
+
+    effort = o + k (T − T₀), with o in N·m and k in N·m/°C, at T °C.
+
+    It contains the constant `effort_offset`. Where the temperature is not known it is T₀.
+
+    Attributes:
+        reference: T₀, °C; a diagnosis takes the mean of the logs.
+    """
+
+    reference: float
+
+    name = "thermal_offset"
+    law = "o + k (T − T₀), where the log has the joint's temperature T"
+    complexity = 1
+    contains = (EffortOffset,)
+    shapes = (Shape("reference", "°C", grid=(1.0,), scale="temperature", usual=25.0),)
+    parameters = (Parameter("offset", "N·m"), Parameter("slope", "N·m/°C"))
+    signature = "an offset that goes with the logged temperature of the joint"
+    depends_on = frozenset({"temperature"})
+
+    @property
+    def free_shapes(self) -> int:
+        """None: another T₀ is the same law with another offset beside it."""
+        return 0
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[1, 0], of a joint at T₀."""
+        return [np.ones_like(joint.v), np.zeros_like(joint.v)]
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """[1, T − T₀]; [1, 0] where T is not known."""
+        warmer = motion.warmer(self.joint, self.reference)
+        return {self.joint: np.stack([np.ones_like(warmer), warmer], -1)}
+
+
+@dataclass(frozen=True)
+class EffortScale(JointEffect):
+    """Gain of a joint's effort that is not one: a torque constant, a gear ratio, a sensor's slope.
+
+    effort = (1 + ε) × all that the joint needs otherwise, so that ε times it is added; ε > −1.
+
+    A joint that reads 10 % too much and bodies that are 10 % heavier look alike. The gain can be
+    told only by inertias that are known from elsewhere: those of a model fitted to other logs, or
+    a payload of known mass that the robot held in some of the logs and not in all, at the joints
+    that bear it. A diagnosis tries it only then. A mass that is stated too large by a factor looks
+    like gains of all these joints that are too small by the same factor.
+    """
+
+    name = "effort_scale"
+    of_motor = True
+    law = (
+        "the logged effort is (1 + ε) that of the joint, where the inertia is trusted or a known "
+        "payload is carried in one log"
+    )
+    complexity = 1
+    role = Role.SCALE
+    parameters = (Parameter("gain_error", "1", lower=-0.99),)
+    signature = "in proportion to everything else that the joint needs"
+    depends_on = frozenset({"load"})
+    needs_known_inertia = True
+
+    def columns(self, joint: JointMotion) -> tuple[Array]:
+        """[τ] of the rigid bodies, where no more is known."""
+        return (joint.load,)
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """[τ], what the joint needs by all other effects of the model."""
+        if motion.effort is None:
+            return super().rows(motion)
+        at = motion.index(self.joint)
+        return {self.joint: motion.effort()[:, at, None]}
+
+
+@dataclass(frozen=True)
+class EffortDelay(Effect):
+    """Time by which logged efforts lag behind logged motion.
+
+    effort logged at t = effort needed at t − δ.
+
+    It has no columns of its own but shifts those of everything else: `delayed` turns the needed
+    efforts, or the regressor columns that they come from, into what the log shows. Shift before
+    filtering. In a simulation it is `geodrake.control.DelayedEffort`.
+
+    Efforts that were commanded, and not measured, are ahead of the motion if they act late: δ is
+    then negative, and −δ the time after which a command acts.
+
+    Attributes:
+        delay: δ, s; negative if the efforts are ahead.
+        joint: The joint whose effort lags; all joints of the log if None.
+    """
+
+    delay: float
+    joint: str | None = None
+
+    name = "effort_delay"
+    law = "effort logged at t is that needed at t − δ; δ < 0 where it is a command that acts late"
+    complexity = 1
+    role = Role.DELAY
+    shapes = (Shape("delay", "s"),)
+    parameters = ()
+    places: ClassVar[str] = "log"
+    signature = "follows the rate of change of the effort, so it is largest in fast motion"
+    depends_on = frozenset()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not np.isfinite(self.delay):
+            raise ArgumentError(f"{self.name} needs a finite delay; it got {self.delay}.")
+
+    def rows(self, motion: RobotMotion) -> Rows:
+        """Nothing: a delay adds no effort."""
+        del motion
+        return {}
+
+    def delayed(self, signal: ArrayLike, period: float, *, spline: BSpline | None = None) -> Array:
+        """Return the signal as it was δ ago, by quintic spline interpolation.
+
+        Args:
+            signal: (N, ...) samples at a uniform rate.
+            period: Time between samples, s.
+
+        Returns:
+            (N, ...) the samples at t − δ; what lies outside the signal is its first or last sample.
+
+        Raises:
+            ArgumentError: The period is not positive, or there are no samples.
+        """
+        signal, period = real_array(signal, "signal"), positive(period, "period")
+        if signal.size == 0 or signal.ndim == 0:
+            raise ArgumentError(f"A delay needs samples; its signal has the shape {signal.shape}.")
+        if self.delay == 0 or len(signal) == 1:
+            return signal.copy()
+        samples = np.arange(len(signal), dtype=float)
+        spline = spline_through(signal) if spline is None else spline
+        return np.asarray(spline(np.clip(samples - self.delay / period, 0, samples[-1])))
+
+
+def delays_of(effects: Sequence[Effect], joints: Sequence[str]) -> Array:
+    """(n,) delays, s, that some effects make together at n joints."""
+    delays = np.zeros(len(joints))
+    for effect in effects:
+        if effect.role is Role.DELAY:
+            at = [not effect.where or joint in effect.where for joint in joints]
+            delays[at] += effect.shape["delay"]
+    return delays
+
+
+def effort_delays(delays: ArrayLike, joints: Sequence[str]) -> list[EffortDelay]:
+    """The effects that make delays (n,), s, at n joints: one of all efforts if they are alike.
+
+    Args:
+        delays: (n,) delays, s.
+    """
+    seconds = np.asarray(delays, float).tolist()
+    if len(set(seconds)) == 1:
+        return [EffortDelay(seconds[0])] if seconds[0] else []
+    return [EffortDelay(own, joint) for own, joint in zip(seconds, joints, strict=True) if own]
+
+
+def delayed_by(
+    delays: ArrayLike, signals: Array, period: float, *, spline: BSpline | None = None
+) -> Array:
+    """Signals (N, n) as they were some time ago, each with a delay of its own.
+
+    Args:
+        delays: (n,) delays, s.
+        signals: (N, n) samples at a uniform rate.
+        period: Time between samples, s.
+    """
+    seconds = np.asarray(delays, float).tolist()
+    if len(set(seconds)) == 1:
+        return EffortDelay(seconds[0]).delayed(signals, period, spline=spline)
+    both = zip(seconds, signals.T, strict=True)
+    return np.stack([EffortDelay(own).delayed(signal, period) for own, signal in both], axis=1)

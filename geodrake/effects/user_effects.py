@@ -1,0 +1,278 @@
+"""Users' own effects: their files, whether their classes declare what they must, candidates."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import hashlib
+import importlib.util
+import keyword
+import os
+import sys
+import traceback
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from importlib.machinery import SourceFileLoader
+from inspect import get_annotations
+from itertools import islice
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import Any
+
+from geodrake.boundary.arguments import file_path
+from geodrake.boundary.input_files import regular_file
+from geodrake.effects.base import SIGNALS, Effect, JointEffect
+from geodrake.effects.column_checks import line_of, telling
+from geodrake.effects.declarations import PLACES, Parameter, Proposer, Role, Shape
+from geodrake.effects.deflection import DeflectionEffect
+from geodrake.effects.episode import Episode, PointEpisode
+from geodrake.effects.friction import SharedActuatorEffect
+from geodrake.effects.lookup import catalogue, classes_in, effect_of, effects_in, file_effects
+from geodrake.errors import ArgumentError, ModelError
+
+_MOST_CANDIDATES = 1000
+_ALIKE = 0.8
+"""Names as similar as this, 1 being the same, are taken for the same name with a slip."""
+
+_KINDS: Mapping[type, tuple[Any, str]] = {
+    str: (str, "words"),
+    bool: (bool, "True or False"),
+    int: (int, "a whole number"),
+    tuple: ((tuple, list), "a tuple"),
+    frozenset: ((frozenset, set), "a set"),
+    Role: (Role, "a Role"),
+}
+"""What may stand where a class attribute of `Effect` is of a type, also in words."""
+
+_BASES: Mapping[Role, type] = {Role.DEFLECTION: DeflectionEffect, Role.EPISODE: Episode}
+"""What an effect of a role derives from, where that is not the one effect that has it."""
+
+_PROPOSED: Mapping[Proposer, type] = {
+    Proposer.BENDING: DeflectionEffect,
+    Proposer.PLAY: DeflectionEffect,
+    Proposer.SHARED_ACTUATOR: SharedActuatorEffect,
+    Proposer.WAVES: JointEffect,
+    Proposer.WARMING: JointEffect,
+    Proposer.BRISTLES: JointEffect,
+    Proposer.EPISODE: PointEpisode,
+    Proposer.HANDLING: Episode,
+}
+"""What an effect of a proposer derives from."""
+
+
+def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
+    """Runs a Python file of a user and collects the effects that it defines.
+
+    Args:
+        path: A file such as the one in the documentation of `geodrake.effects`.
+
+    Returns:
+        Its effects in the order of definition, to be passed on as `extra`.
+
+    Raises:
+        ModelError: There is no such file, it cannot be run, or it defines no usable effect.
+    """
+    path = regular_file(file_path(path), "file of effects", ModelError)
+    module = _import(path)
+    classes, effects = classes_in(module), effects_in(module)
+    unfinished = [c for c in classes if c not in effects and (not effects or "name" in vars(c))]
+    if unfinished:
+        raise ModelError(
+            f"The effect {unfinished[-1].__name__} of {path} lacks "
+            f"{', '.join(sorted(unfinished[-1].__abstractmethods__))}.",
+            advice="Define it as a method.",
+        )
+    if not effects:
+        raise ModelError(
+            f"{path} defines no effect.",
+            advice="Derive a class from geodrake.effects.JointEffect and define its columns().",
+        )
+    taken = {effect.name for effect in (*catalogue(), *file_effects())}
+    for effect in effects:
+        name = getattr(effect, "name", None)
+        missing = [key for key in ("name", "parameters", "places") if not hasattr(effect, key)]
+        if missing or not is_dataclass(effect):
+            what = ", ".join(missing) or "the line @dataclass(frozen=True)"
+            raise ModelError(f"The effect {effect.__name__} of {path} lacks {what}.")
+        try:
+            check_class(effect)
+        except ArgumentError as error:
+            raise ModelError(f"{path}: {error.problem}", advice=error.advice) from error
+        place, own = PLACES.get(str(effect.places)), _field_names(effect)
+        if place is None or not (effect.places in ("log", "robot") or place.field in own):
+            raise ModelError(
+                f"The effect {effect.__name__} of {path} has places = {effect.places!r} and the "
+                f"fields {own}.",
+                advice="Derive it from JointEffect, JointPairEffect or BodyEffect, which have "
+                "the field that says where the effect is.",
+            )
+        if name in taken:
+            raise ModelError(
+                f"The effect {effect.__name__} of {path} has the name {name!r} of another effect.",
+                advice="Give it a name of its own.",
+            )
+        taken.add(effect.name)
+    return tuple(effects)
+
+
+def candidates_of(effect: type[Effect], *place: Any) -> tuple[Effect, ...]:
+    """What `Effect.candidates` gives at a place.
+
+    Raises:
+        ArgumentError: They are no instances of the effect, or endlessly many.
+    """
+    line = line_of(effect, "candidates")
+    with telling(effect.name, line):
+        made: Any = effect.candidates(*place)
+        listed = isinstance(made, Sequence | Iterator | frozenset | set)
+        found = list(islice(made, _MOST_CANDIDATES + 1)) if listed else [made]
+    if len(found) > _MOST_CANDIDATES:
+        raise ArgumentError(f"{effect.name} has more than {_MOST_CANDIDATES} candidates{line}.")
+    wrong = [one for one in found if getattr(one, "name", None) != effect.name]
+    if wrong:
+        raise ArgumentError(
+            f"{effect.name} has {wrong[0]!r:.80} among its candidates{line}.",
+            advice="Let candidates() return instances of the effect.",
+        )
+    return tuple(found)
+
+
+def check_class(effect: type[Effect]) -> None:
+    """Refuse a class of effects whose class attributes are not what `Effect` says.
+
+    Raises:
+        ArgumentError: One is not.
+    """
+    _check_names(effect)
+
+    def check(holds: bool, has: str, wanted: str) -> None:
+        if not holds:
+            raise _of_class(effect, has, wanted)
+
+    name: Any = effect.name
+    is_name = isinstance(name, str) and name.isidentifier() and not keyword.iskeyword(name)
+    check(is_name, f"the name {name!r}", "words joined by underscores")
+    parameters: Any = effect.parameters
+    listed = isinstance(parameters, tuple | list) and len(parameters) > 0
+    check(
+        listed and all(isinstance(parameter, Parameter) for parameter in parameters),
+        f"parameters = {parameters!r:.60}",
+        "a tuple of one Parameter or more",
+    )
+    names = [parameter.name for parameter in parameters]
+    twice = [name for name in names if names.count(name) > 1]
+    check(not twice, f"two parameters {', '.join(twice[:1])!r}", "a name of its own for each")
+    for attribute in Effect.__annotations__:
+        kind = type(getattr(Effect, attribute, None))
+        value = getattr(effect, attribute)
+        if kind in _KINDS and not isinstance(value, property):
+            kinds, wanted = _KINDS[kind]
+            fits = isinstance(value, kinds) and not (isinstance(value, bool) and kind is not bool)
+            check(fits, f"{attribute} = {value!r:.60}", wanted)
+    signals = f"some of {', '.join(sorted(SIGNALS))}"
+    check(effect.depends_on <= SIGNALS, f"depends_on = {effect.depends_on!r:.60}", signals)
+    shapes = all(isinstance(shape, Shape) for shape in effect.shapes)
+    check(shapes, f"shapes = {effect.shapes!r:.60}", "a tuple of Shape")
+    check(effect.state_count >= 0, f"state_count = {effect.state_count}", "0 or more")
+    related = all(_is_effect(each) for each in effect.contains)
+    check(related, f"contains = {effect.contains!r:.60}", "a tuple of classes of effects")
+    related = effect.companion is None or _is_effect(effect.companion)
+    check(related, f"companion = {effect.companion!r:.60}", "the class of an effect, or None")
+    role, proposer = effect.role, effect.proposer
+    if role is not Role.FORCE:
+        base = _BASES.get(role) or effect_of(role)
+        check(issubclass(effect, base), f"role = {role}", f"the base {base.__name__} for it")
+    if proposer is None:
+        return
+    has, own = f"proposer = {proposer!s:.60}", _field_names(effect)
+    check(isinstance(proposer, Proposer), f"proposer = {proposer!r:.60}", "a Proposer, or None")
+    base = _PROPOSED[proposer]
+    check(issubclass(effect, base), has, f"the base {base.__name__} for it")
+    of_waves = proposer is not Proposer.WAVES or len(own) == 2
+    check(of_waves, f"{has} and the fields {own}", "the joint and the order of the waves")
+    by_course = proposer in (Proposer.WARMING, Proposer.BRISTLES)
+    check(not by_course or effect.course is not Effect.course, has, "the method course() for it")
+
+
+def _check_names(effect: type[Effect]) -> None:
+    """Refuse attributes that hide a method of geodrake's, or are a declaration but for a letter."""
+    own = [kind for kind in effect.__mro__ if issubclass(kind, Effect) and not _is_ours(kind)]
+    ours: Any = next(kind for kind in effect.__mro__ if _is_ours(kind))
+    declared = set(Effect.__annotations__)
+    for kind in own:
+        known = declared | {"where"} | set(get_annotations(kind))
+        for attribute, value in tuple(vars(kind).items()):
+            is_code = callable(value) or hasattr(value, "__get__")
+            if attribute in known or attribute.startswith("_") or is_code:
+                continue
+            has, hidden = f"{attribute} = {value!r:.60}", getattr(ours, attribute, None)
+            if hidden is not None and not getattr(hidden, "__isabstractmethod__", False):
+                raise _of_class(effect, has, "a method of that name")
+            if near := difflib.get_close_matches(attribute, declared, 1, _ALIKE):
+                raise _of_class(effect, f"{has}, which nothing reads", near[0])
+
+
+def _is_ours(kind: type) -> bool:
+    return kind.__module__.partition(".")[0] == "geodrake"
+
+
+def _is_effect(value: Any) -> bool:
+    return isinstance(value, type) and issubclass(value, Effect)
+
+
+def _of_class(effect: type[Effect], has: str, wanted: str) -> ArgumentError:
+    return ArgumentError(f"The effect {effect.__name__} has {has}; it needs {wanted}.")
+
+
+def _field_names(effect: type[Effect]) -> list[str]:
+    return [field.name for field in fields(effect)]  # type: ignore[arg-type]
+
+
+class _AsItStands(SourceFileLoader):
+    """Compiles a file anew: kept bytecode counts as that of a file of the same second and size."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        path = self.get_filename(fullname)
+        return self.source_to_code(self.get_data(path), path)
+
+
+def _import(path: Path) -> ModuleType:
+    """Imports a file under a name that depends on where it is, so that files do not collide."""
+    digest = hashlib.sha256(os.fsencode(path.resolve())).hexdigest()[:12]
+    name = f"geodrake_user_effects_{digest}"
+    spec = importlib.util.spec_from_file_location(name, path.absolute())
+    if spec is None or spec.loader is None:
+        raise ModelError(f"{path} is not a Python file.", advice="Give a file that ends in .py.")
+    if isinstance(spec.loader, SourceFileLoader):
+        spec.loader = _AsItStands(name, str(path.absolute()))
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up while they are made
+    folder = Path.cwd()
+    try:
+        with contextlib.redirect_stdout(sys.stderr):  # standard output is for results
+            spec.loader.exec_module(module)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever it raises is the file's
+        del sys.modules[name]
+        words = " ".join(str(error).split()).rstrip(".")
+        raise ModelError(
+            f"{path} cannot be run: {_line(error, path)}{type(error).__name__}: {words}.",
+            advice="Run it with python to see where it fails.",
+        ) from error
+    if Path.cwd() != folder:
+        os.chdir(folder)
+        raise ModelError(
+            f"{path} changes the working directory to which all other paths belong.",
+            advice="Take os.chdir out of it.",
+        )
+    return module
+
+
+def _line(error: BaseException, path: Path) -> str:
+    """The innermost line of a file that an error came through, in words."""
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if Path(frame.filename) == path.absolute()]
+    if isinstance(error, SyntaxError) and error.filename == str(path.absolute()):
+        lines.append(error.lineno)
+    return f"line {lines[-1]}: " if lines and lines[-1] else ""
