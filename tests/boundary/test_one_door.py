@@ -35,7 +35,7 @@ CHECKED = {
     "control/export_proof/engines/mujoco_engine.py": {"from_xml_path"},
     "control/export_proof/engines/python_engine.py": {"run_path"},
     "control/scenes/building.py": {"ProcessModelDirectives"},
-    "effects/user_code.py": {"exec_module"},
+    "effects/user_effects.py": {"exec_module"},
     "excitation/collision_geometry.py": {"AddModels"},
     "logs/files/formats.py": {"read_text"},
     "logs/files/lcm_log.py": {"EventLog"},
