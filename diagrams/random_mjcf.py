@@ -319,7 +319,7 @@ def _only(values: np.ndarray, places: list[int]) -> np.ndarray:
 def _positions(model, q: np.ndarray) -> np.ndarray:
     """Positions in Drake's order; balls are at zero."""
     found = np.zeros((len(q), model.tree.num_positions))
-    for velocity, position in model.position_places.items():
+    for velocity, position in zip(*model.single_places, strict=True):
         found[:, position] = q[:, velocity]
     return found
 

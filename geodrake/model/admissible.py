@@ -6,15 +6,25 @@ admitted, and what rounding and the tolerance of solvers put beyond them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import chain, combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geodrake.boundary.arguments.arrays import LARGEST
+from geodrake.effects import FittedEffect
 from geodrake.errors import ModelError
-from geodrake.inertia import Array
-from geodrake.model.admissible_effect import ROUNDING, check_body, check_effect, place_of
-from geodrake.model.robot_model import RobotModel
+from geodrake.inertia import PARAMETER_NAMES, Array, is_physical, pseudo_inertia
+from geodrake.manifolds import Interval, PhysicalInertia
+
+if TYPE_CHECKING:
+    from geodrake.model.robot_model import RobotModel
+
+ROUNDING = 1e-6
+"""Of the largest eigenvalue, entry or parameter beside it: what may be beyond an edge."""
+
+_LEAST = 1e-9  # of a parameter beyond a bound, in its unit
 
 
 def check_model(model: RobotModel) -> None:
@@ -34,7 +44,7 @@ def check_model(model: RobotModel) -> None:
         check_effect(fitted)
     for first, second in combinations(model.effects, 2):
         if first.effect == second.effect:
-            raise ModelError(f"effects has {place_of(first)} twice.")
+            raise ModelError(f"effects has {_named(first)} twice.")
     for field, values in (
         ("effort_noise", model.effort_noise),
         ("fading_speed", model.fading_speed),
@@ -81,3 +91,63 @@ def _check_information(information: Array) -> None:
             f"information is not positive semidefinite: scaled to a unit diagonal, it has the "
             f"eigenvalue {least:.3g}."
         )
+
+
+def check_body(what: str, phi: Array) -> None:
+    """Refuses inertial parameters (10,) of no body.
+
+    Raises:
+        ModelError: The message has the values.
+    """
+    _check_finite(what, PARAMETER_NAMES, phi)
+    if phi[0] < 1.0 / LARGEST:
+        raise ModelError(f"{what} have a mass of {phi[0]:g} kg.")
+    if not is_physical(phi, tolerance=-ROUNDING):
+        least, *_, most = np.linalg.eigvalsh(pseudo_inertia(phi))
+        raise ModelError(
+            f"{what} are those of no body: the pseudo inertia P(φ) must be positive definite, and "
+            f"has eigenvalues from {least:.3g} to {most:.3g}."
+        )
+
+
+def check_effect(fitted: FittedEffect) -> None:
+    """Refuses parameters beyond the manifold of their effect, as negative friction is.
+
+    Raises:
+        ModelError: The message has the parameter and the value.
+    """
+    effect, what = fitted.effect, f"parameters of {_named(fitted)}"
+    names = [parameter.name for parameter in effect.parameters]
+    for key, value in effect.shape.items():
+        if isinstance(value, float) and not abs(value) <= LARGEST:
+            raise ModelError(f"shape of {_named(fitted)} has {key} = {value:g}.")
+    _check_finite(what, names, fitted.parameters)
+    manifold, values = effect.manifold, fitted.parameters
+    if isinstance(manifold, Interval):
+        margin = _LEAST + ROUNDING * np.abs(values).max(initial=0.0)
+        for name, value, low, high in zip(
+            names, values, manifold.lower, manifold.upper, strict=True
+        ):
+            if not low - margin <= value <= high + margin:
+                raise ModelError(f"{what} have {name} = {value:g}, outside [{low:g}, {high:g}].")
+    elif isinstance(manifold, PhysicalInertia):
+        check_body(what, values)
+    elif not manifold.contains(values):
+        raise ModelError(f"{what} are {values.tolist()}, outside of what the effect allows.")
+    deviations = [] if fitted.deviations is None else fitted.deviations.tolist()
+    for name, value in zip(names, deviations, strict=False):
+        if not value >= 0.0:
+            raise ModelError(
+                f"deviations of {_named(fitted)} have {name} = {value:g}, which is less than 0."
+            )
+
+
+def _check_finite(what: str, names: Sequence[str], values: Array) -> None:
+    for name, value in zip(names, values, strict=True):
+        if not abs(value) <= LARGEST:
+            raise ModelError(f"{what} have {name} = {value:g}.")
+
+
+def _named(fitted: FittedEffect) -> str:
+    """An effect and where it is, in words."""
+    return f"{fitted.effect.name} at {fitted.effect.place}"

@@ -26,15 +26,14 @@ from geodrake.effects import Effect, RobotMotion, Role
 from geodrake.effects.base import FittedEffect, RobotEffect
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.effect_columns import EffectColumns
-from geodrake.effects.robot_motion import log_number
 from geodrake.effects.sensors import delays_of
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.effort_signal import EffortSignal, signal_of
-from geodrake.model.simulation.driven_robot import Driving
-from geodrake.model.simulation.robot_in_diagram import DiagramRobot, RobotInDiagram
+from geodrake.model.simulation.driven_robot import Driving, driving_of
+from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, add_robot, make_act
 from geodrake.model.stated_terms import stated_effects
 from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_positions
 from geodrake.robot.files import Given
@@ -47,7 +46,6 @@ from geodrake.robot.plant import (
     effort_limits,
     joint_names,
     load_plant,
-    scoped_joint_names,
     set_inertial_parameters,
     velocity_limits,
 )
@@ -202,41 +200,12 @@ class RobotModel(Short):
         """
         if not (self.followers or self.transmission):
             return None
-        gain = np.ones(len(self.joints))
-        for fitted in self.effects:
-            effect = fitted.effect
-            if effect.role is Role.DEFLECTION or effect.state_count:
-                raise ModelError(
-                    f"{effect.name} of {effect.place} cannot be simulated where joints follow "
-                    "others or are behind a transmission.",
-                    advice="Leave it out of the model there.",
-                )
-            if effect.role is Role.SCALE:
-                gain[self.joints.index(effect.where[0])] *= 1.0 + fitted.parameters[0]
-        number = 0 if log is None else log_number(log)
-
-        def needed(q: Array, v: Array, vd: Array, time: float) -> Array:
-            instants = np.full(len(q), time)
-            warmth = None if temperatures is None else temperatures.at(instants, self.joints)
-            seen = self.motion(Motion(q, v, vd, temperature=warmth), sign_width=sign_width)
-            return self._unscaled_effort(replace(seen, time=instants, log=number))
-
-        return Driving(self.tree, self.coordinates, self.total_phi, self.joints, needed, gain)
+        return driving_of(self, sign_width, log, temperatures)
 
     def robot_gradient(self, q: Array, gradient: Array) -> Array:
         """(N, nq) gradient with the positions q (N, nq), of that with the plant's (N, ·)."""
         gradient = self.coordinates.robot_gradient(gradient)
         return gradient if self.actuation is None else self.actuation.robot_gradient(q, gradient)
-
-    def refuse_transmission(self, what: str, advice: str) -> None:
-        """Refuses what only works at joints.
-
-        Raises:
-            ModelError: The model has a transmission.
-        """
-        if self.transmission:
-            actuators = ", ".join(name for drive in self.transmission for name in drive.actuators)
-            raise ModelError(f"{what} {actuators}, behind a transmission.", advice=advice)
 
     def place_of(self, joint: Joint) -> int | None:
         """Which velocity of the model a joint of the plant has; None if it has none of its own."""
@@ -319,23 +288,16 @@ class RobotModel(Short):
     @cached_property
     def joint_pairs(self) -> tuple[tuple[str, str], ...]:
         """Pairs of single-degree joints of one type that follow each other along the tree."""
-        single = set(self.single_places[0])
-        pairs = []
-        mobilizers = self.joint_tree.mobilizers
+        mobilizers, pairs = self.joint_tree.mobilizers, []
         for mobilizer in mobilizers:
-            if mobilizer.parent >= 0:
-                parent = mobilizers[mobilizer.parent]
-                pair = self.standing(parent.velocities), self.standing(mobilizer.velocities)
-                alike = single.issuperset(pair) and len({self._types[at] for at in pair}) == 1
-                if alike and pair[0] != pair[1]:
-                    pairs.append((self.joints[pair[0]], self.joints[pair[1]]))
+            if mobilizer.parent < 0:
+                continue
+            own = mobilizers[mobilizer.parent].velocities.start, mobilizer.velocities.start
+            both = own if self.actuation is None else map(self.actuation.stands_at, own)
+            pair = [at for at in dict.fromkeys(both) if at in self.single_places[0]]
+            if len(pair) == 2 and self._types[pair[0]] == self._types[pair[1]]:
+                pairs.append((self.joints[pair[0]], self.joints[pair[1]]))
         return tuple(pairs)
-
-    def standing(self, velocities: slice) -> int:
-        """The model's velocity in the place of the first of some of `joint_tree`; -1 for none."""
-        at = velocities.start
-        found = at if self.actuation is None else self.actuation.stands_at(at)
-        return -1 if found is None else found
 
     @property
     def delays(self) -> Array:
@@ -385,7 +347,7 @@ class RobotModel(Short):
             seen = replace(seen, before=self._by_velocity(motion.before))
         if motion.temperature is not None:
             seen = replace(seen, temperature=motion.temperature)
-        return replace(seen, effort=cache(lambda: self._unscaled_effort(seen)))
+        return replace(seen, effort=cache(lambda: self.unscaled_effort(seen)))
 
     def _by_velocity(self, q: Array) -> Array:
         """(N, nv) positions by velocity, of q (N, nq); NaN for joints of several degrees."""
@@ -406,13 +368,13 @@ class RobotModel(Short):
         for start in range(0, len(motion), size):
             part = slice(start, start + size)
             seen = self.motion(motion[part], sign_width=sign_width)
-            effort[part] = self._unscaled_effort(seen)
+            effort[part] = self.unscaled_effort(seen)
             for fitted in self.effects:
                 if fitted.effect.role is Role.SCALE:
                     effort[part] += fitted.effect.effort(seen, fitted.parameters)
         return effort
 
-    def _unscaled_effort(self, seen: RobotMotion) -> Array:
+    def unscaled_effort(self, seen: RobotMotion) -> Array:
         """Effort (N, nv) of the bodies and all effects but scales."""
         columns, mu = self._unscaled_effects
         return seen.load + columns.effort(seen, mu)
@@ -490,17 +452,6 @@ class RobotModel(Short):
         closing = (loop.joints[k] for loop in loops for k in loop.cut if loop.slides[k])
         return (*own, *(names[k] for k in at if names[k] in self.joints_behind), *closing)
 
-    @property
-    def scoped_joints(self) -> tuple[str, ...]:
-        """Names of the joints as `robot::joint`."""
-        scoped_names = scoped_joint_names(self.plant)
-        return tuple(scoped_names[k] for k in self.coordinates.own_velocities)
-
-    @property
-    def position_places(self) -> dict[int, int]:
-        """Where in q the position of each velocity is that belongs to a single-degree joint."""
-        return dict(zip(*self.single_places, strict=True))
-
     @cached_property
     def single_places(self) -> tuple[list[int], list[int]]:
         """Return where the joints of one degree of freedom are in v and in q."""
@@ -574,9 +525,8 @@ class RobotModel(Short):
         if scene_graph is not None:
             instance(scene_graph, "scene_graph", (SceneGraph, bool))
         step, name = number(time_step, "time_step", lower=0.0), instance(name, "name", str)
-        robot = self._in_diagram(name, sign_width, log)
-        driving = self.driving(robot.sign_width, log)
-        return robot.add(builder, step, scene_graph, driving)
+        width = self.sign_widths(sign_width)
+        return add_robot(self, builder, step, scene_graph, name=name, sign_width=width, log=log)
 
     def add_to_scene(
         self,
@@ -618,13 +568,8 @@ class RobotModel(Short):
         sees_world = any(isinstance(fitted.effect, RobotEffect) for fitted in self.effects)
         place.check_base(self.joint_tree, self.joints, turned=sees_world)
         name = "plant" if place.name is None else place.name
-        return self._in_diagram(name, sign_width, log).add_to_scene(builder, place)
-
-    def _in_diagram(self, name: str, sign_width: ArrayLike, log: str | None) -> DiagramRobot:
-        """Return what a diagram needs to know."""
-        file = self.path, self.floating, self.held, self.given
-        fitted, width = (self.total_phi, self.effects, self.joints), self.sign_widths(sign_width)
-        return DiagramRobot(*file, *fitted, name, width, log)
+        width = self.sign_widths(sign_width)
+        return make_act(self, builder, place, name=name, sign_width=width, log=log)
 
     def with_fit(
         self,

@@ -1,4 +1,4 @@
-"""Fitted models as YAML files."""
+"""Fitted models as YAML files, and the model files that they are based on."""
 
 from __future__ import annotations
 
@@ -20,15 +20,14 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import file_path, instance, instances, typed
 from geodrake.boundary.escaping import one_line
-from geodrake.boundary.input_files import open_regular, regular_file
+from geodrake.boundary.input_files import open_regular, regular_file, sha256_of
 from geodrake.boundary.whole_files import write_whole
 from geodrake.boundary.yaml_schema import Schema, as_schema
 from geodrake.boundary.yaml_text import yaml_text
 from geodrake.effects import Effect, FittedEffect, effect_class, make_effect
 from geodrake.effects.column_checks import of_geodrake
-from geodrake.errors import ArgumentError, GeodrakeError, ModelError
+from geodrake.errors import ArgumentError, GeodrakeError, ModelError, OutputError
 from geodrake.model.admissible import check_model
-from geodrake.model.base_file import digest, existing_base, find_base, is_file
 from geodrake.model.effort_signal import EffortSignal
 from geodrake.model.holding import held_notes, holding
 from geodrake.model.robot_model import RobotModel, load_description
@@ -44,6 +43,70 @@ from geodrake.robot.files import Given, read_description
 from geodrake.robot.files.named_robots import robot_file
 from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.statements import Stated
+
+
+def existing_base(path: Path) -> Path:
+    """Return the absolute path of the model file, which a saved model needs to be read again.
+
+    Raises:
+        OutputError: The file is gone, or its path is none that YAML can hold.
+    """
+    base = path.resolve()
+    problem, advice = f"its file {base} is gone", "Put it back."
+    if base.is_file():
+        try:
+            str(base).encode()
+            return base
+        except UnicodeEncodeError:
+            problem = f"the path of its file {base} is not UTF-8"
+            advice = "Rename the file or its folder."
+    raise OutputError(f"Cannot save the model: {problem}.", advice=advice, path=base)
+
+
+def find_base(path: Path, relative: str, absolute: str, sha256: str) -> Path:
+    """Return the model file that the saved model `path` is based on, wherever both are now.
+
+    Both may have moved together, or into one folder, or the model file stayed where it was
+    (`absolute`, if known). Where there are several files, it is the one that is as it was, by its
+    digest.
+
+    Raises:
+        ModelError: There is no such file.
+    """
+    folder = path.resolve().parent
+    places = [
+        folder / relative,
+        folder / Path(relative).name,
+        *([Path(absolute)] if absolute else ()),
+    ]
+    there = [place for place in places if is_file(place)] or places[:1]
+    alike = [place for place in there if digest(place) == sha256] if there[1:] else []
+    base = [*alike, *there][0]
+    try:
+        return regular_file(base, "file", ModelError)
+    except ModelError as error:
+        raise ModelError(
+            f"{path} is based on {relative!r}, which cannot be read. {error.problem}",
+            advice="Move it back or beside the saved model, or change base_model there.",
+            base=base,
+        ) from error
+
+
+def is_file(path: Path) -> bool:
+    """Return whether there is a file; no name that no file can have is an error."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def digest(path: Path) -> str:
+    """Return the SHA-256 of a file; nothing if it cannot be read."""
+    try:
+        return sha256_of(path)
+    except GeodrakeError:
+        return ""
+
 
 T = TypeVar("T")
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # those of LibYAML, where it is

@@ -22,8 +22,8 @@ from geodrake.effects import (
 )
 from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog, Motion
-from geodrake.model.exporting.export_format import Exported, ExportFormat
 from geodrake.model.exporting.formats import FORMATS
+from geodrake.model.exporting.held import Exported, ExportFormat
 from geodrake.model.saved_model import load_model, save_model
 
 MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"

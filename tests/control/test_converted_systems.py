@@ -21,8 +21,7 @@ from geodrake.control.systems import (
 )
 from geodrake.errors import ArgumentError
 from geodrake.logs.motion import JointLog
-from geodrake.model.simulation.scalar_system import differenced
-from geodrake.model.simulation.scalars import scalars
+from geodrake.model.simulation.scalar_system import differenced, scalars
 
 START = perturbed(0.15)
 RNG = np.random.default_rng(3)

@@ -23,7 +23,7 @@ from geodrake.effects import JointEffect, Parameter
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import from_spatial_inertia, inertial_parameters
 from geodrake.logs.temperatures import Temperatures
-from geodrake.model.simulation.scalars import scalars
+from geodrake.model.simulation.scalar_system import scalars
 from geodrake.robot.plant import set_inertial_parameters
 
 LINK = SpatialInertia(2.0, [0.02, -0.01, 0.25], UnitInertia.SolidBox(0.2, 0.1, 1.2))

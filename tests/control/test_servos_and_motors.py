@@ -32,7 +32,7 @@ from geodrake.effects import FittedEffect, RotorInertia, ViscousFriction
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.model import EffortSignal
 from geodrake.model.saved_model import load_model
-from geodrake.model.simulation.scalars import scalars
+from geodrake.model.simulation.scalar_system import scalars
 
 GAINS = {
     "kp": [20.0, 8.0],

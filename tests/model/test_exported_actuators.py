@@ -20,7 +20,7 @@ from geodrake.errors import ModelError
 from geodrake.model import EffortSignal, holding, save_model
 from geodrake.model.exporting.formats import export_format
 from geodrake.model.exporting.held import held_by
-from geodrake.model.exporting.mjcf_actuators import samples_of
+from geodrake.model.exporting.joints import samples_of
 from geodrake.model.logged_joints import reading_for
 from geodrake.model.saved_model import load_model
 from geodrake.robot.plant import load_plant

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from geodrake.identification.logs.case import Case, reopen
 from geodrake.identification.logs.compare import comparison
 from geodrake.logs.motion import Motion
-from geodrake.model.exporting.export_format import ExportFormat
-from geodrake.model.exporting.held import HeldModel, Lost, held_by
+from geodrake.model.exporting.held import ExportFormat, HeldModel, Lost, held_by
 from geodrake.model.robot_model import RobotModel
 
 

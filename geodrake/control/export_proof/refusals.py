@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from geodrake.errors import ModelError
-from geodrake.model.exporting.export_format import ExportFormat
+from geodrake.model.exporting.held import ExportFormat
 from geodrake.model.robot_model import RobotModel
 
 
@@ -24,8 +24,10 @@ def check_format(model: RobotModel, form: ExportFormat) -> None:
             f"{loops[0]}.",
             advice="Export the inertias alone into the model's file: geodrake identify --export.",
         )
-    if not form.at_actuators:
-        model.refuse_transmission(
-            f"The format {form.name} has efforts and friction at joints, and the model at",
-            "Export to python or cpp, or the inertias alone: geodrake identify --export.",
+    if model.transmission and not form.at_actuators:
+        actuators = ", ".join(name for drive in model.transmission for name in drive.actuators)
+        raise ModelError(
+            f"The format {form.name} has efforts and friction at joints, and the model at "
+            f"{actuators}, behind a transmission.",
+            advice="Export to python or cpp, or the inertias alone: geodrake identify --export.",
         )

@@ -13,9 +13,8 @@ from geodrake.control.export_proof.export import ProvenExport, export_with_proof
 from geodrake.control.export_proof.refusals import check_format
 from geodrake.errors import OutputError
 from geodrake.logs.motion import JointLog
-from geodrake.model.exporting.export_format import ExportFormat
 from geodrake.model.exporting.formats import export_format
-from geodrake.model.exporting.held import HeldModel
+from geodrake.model.exporting.held import ExportFormat, HeldModel
 from geodrake.model.robot_model import RobotModel
 
 

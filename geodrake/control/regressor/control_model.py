@@ -78,7 +78,7 @@ class ControlModel:
         """
         joints, bodies = instance(model, "model", RobotModel).joints, model.bodies
         positions, single = np.zeros(len(joints), int), np.zeros(len(joints), bool)
-        for velocity, position in model.position_places.items():
+        for velocity, position in zip(*model.single_places, strict=True):
             single[velocity], positions[velocity] = True, position
         sign_width = model.sign_widths(one_or_each(sign_width, "sign_width", len(joints)))
         effects = tuple(fitted.effect for fitted in model.effects)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -215,3 +216,44 @@ def _named(lost: Sequence[FittedEffect], into: dict[Effect, tuple[str, ...]]) ->
         names = dict.fromkeys([*before.into, *into.get(fitted.effect, ())])
         found[name] = Lost(name, tuple(where), tuple(names))
     return tuple(found.values())
+
+
+@dataclass(frozen=True)
+class Exported:
+    """The files of an export.
+
+    Attributes:
+        files: Name in the folder -> content; what a simulator loads first.
+        notes: What is worth knowing about them.
+    """
+
+    files: Mapping[str, bytes]
+    notes: tuple[str, ...] = ()
+
+
+Holding = Callable[[RobotModel], Callable[[Effect], bool]]
+"""For a model, whether the files hold one of its effects as it is."""
+
+Write = Callable[[RobotModel, HeldModel, Path], Exported]
+"""Writes a model: the whole one, what the format holds of it, and the folder of the files."""
+
+
+@dataclass(frozen=True)
+class ExportFormat:
+    """A format.
+
+    Attributes:
+        name: What it is called, as in `--to`.
+        holding: What tells, for a model, whether the files hold an effect as it is; inertias and
+            payloads they always hold.
+        engines: Names of the simulators in which the files are tried.
+        at_actuators: Whether the files have the efforts of actuators behind a transmission, too.
+        servos: Whether the files have the gains of servos.
+    """
+
+    name: str
+    holding: Holding
+    write: Write
+    engines: tuple[str, ...] = ()
+    at_actuators: bool = False
+    servos: bool = False

@@ -2,24 +2,292 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
-from pydrake.common.eigen_geometry import AngleAxis
+from pydrake.common.eigen_geometry import AngleAxis, Quaternion
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.tree import Joint
 
-from geodrake.inertia import Array
-from geodrake.model.export import export_bodies, file_kind
-from geodrake.model.exporting.from_plant import SUFFIXES, from_plant
-from geodrake.model.exporting.joints import all_numbers, changed_numbers, exported_joints
-from geodrake.model.exporting.mjcf_actuators import with_actuators
+from geodrake.errors import ModelError
+from geodrake.inertia import Array, change_frame, to_mass_com_inertia
+from geodrake.inertia.bodies import lumped_bodies
+from geodrake.model.export import export_bodies, file_kind, repair_comments
+from geodrake.model.exporting.joints import (
+    ExportedJoint,
+    all_numbers,
+    changed_numbers,
+    exported_joints,
+    with_actuators,
+)
 from geodrake.model.file_terms import Tilt
 from geodrake.model.robot_model import RobotModel, is_of_file
 from geodrake.robot.files.joint_text import with_gravity, with_joint_numbers, without_passive_forces
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.reading import model_text_of
 from geodrake.robot.files.references import with_references
+from geodrake.robot.files.source_text import comment_words
+from geodrake.robot.files.values import UPPER, tensor_words, words
 from geodrake.robot.files.xacro_file import read_expanded
+from geodrake.robot.holding import moving_joints
+
+_DRAKE = "http://drake.mit.edu"
+_UNLIMITED = 1e9  # effort and speed, where a URDF must state some
+SUFFIXES = {"urdf": ".urdf", "sdf": ".sdf", "xml": ".xml"}
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A body that a joint moves; its frame L is that of the joint, on the side of the body.
+
+    Attributes:
+        parent: Name of the body that carries it; None for the world.
+        joint: What the file says of the joint.
+        X_PL: Pose of the link in the frame of the parent, with the joint at zero.
+        axis: (3,) unit axis of the joint, in L.
+        limits: Lowest and highest position, rad or m; infinite where there is none.
+        phi: (10,) inertial parameters about Lo, expressed in L.
+    """
+
+    name: str
+    parent: str | None
+    joint: ExportedJoint
+    X_PL: RigidTransform
+    axis: Array
+    limits: tuple[float, float]
+    phi: Array
+
+
+def _links_of(model: RobotModel) -> tuple[Link, ...]:
+    """Return the links of a model from the base on, each after its parent, payloads included.
+
+    Raises:
+        ModelError: It has joints that turn about or slide along more than one axis, or backwards.
+    """
+    plant, joints = model.plant, exported_joints(model)
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, np.zeros(plant.num_positions()))
+    lumps, moving = lumped_bodies(plant), _moving_joints(model)
+    names = [body.name.replace("::", "_") for body in lumps]
+    owner = {int(m.index): k for k, body in enumerate(lumps) for m in body.members}
+    inboard = {owner[int(joint.child_body().index())]: joint for joint in moving}
+    X_WL = {k: joint.frame_on_child().CalcPoseInWorld(context) for k, joint in inboard.items()}
+    found: dict[int, Link] = {}
+    while len(found) < len(lumps):
+        ready = {
+            k: joint
+            for k, joint in inboard.items()
+            if k not in found
+            and ((above := owner.get(int(joint.parent_body().index()))) is None or above in found)
+        }
+        if not ready:
+            raise _refusal(moving[0], "points from a body to what carries it")
+        for k, joint in ready.items():
+            above = owner.get(int(joint.parent_body().index()))
+            X_WP = RigidTransform() if above is None else X_WL[above]
+            X_WR = plant.get_body(lumps[k].body_index).body_frame().CalcPoseInWorld(context)
+            X_LR = X_WL[k].inverse() @ X_WR
+            found[k] = Link(
+                names[k],
+                None if above is None else names[above],
+                joints[model.joints[model.coordinates.velocity_of(joint)]],
+                X_WP.inverse() @ X_WL[k],
+                _axis(joint),
+                (float(joint.position_lower_limits()[0]), float(joint.position_upper_limits()[0])),
+                change_frame(model.total_phi[k], X_LR.rotation().matrix(), X_LR.translation()),
+            )
+    return tuple(found.values())
+
+
+def _axis(joint: Joint) -> Array:
+    turns = joint.type_name() == "revolute"
+    return np.array(joint.revolute_axis() if turns else joint.translation_axis())
+
+
+def _moving_joints(model: RobotModel) -> list[Joint]:
+    moving = moving_joints(model.plant)
+    for joint in moving:
+        if joint.type_name() not in ("revolute", "prismatic"):
+            raise _refusal(joint, f"is of the type {joint.type_name()}")
+    return sorted(moving, key=lambda joint: joint.velocity_start())
+
+
+def _refusal(joint: Joint, problem: str) -> ModelError:
+    return ModelError(
+        f"The robot cannot be written in another format than its own: joint {joint.name()} "
+        f"{problem}.",
+        advice="Export it in the format of its own file.",
+        joint=joint.name(),
+    )
+
+
+def from_plant(model: RobotModel, kind: str, gravity: Array) -> bytes:
+    """Return a robot's bodies and joints, without geometry.
+
+    Args:
+        model: The model, of effects that the format holds.
+        gravity: (3,) acceleration of gravity in the frame of the base, for a format that has it.
+
+    Raises:
+        ModelError: The robot floats, or has joints that no other format has alike.
+    """
+    if model.floating:
+        raise ModelError(
+            "The robot floats, and is written in the format of its own file alone.",
+            advice="Choose that one.",
+        )
+    name = model.path.name.partition(".")[0]
+    root = _WRITERS[kind](_links_of(model), name, gravity)
+    for at, each in enumerate(repair_comments(model)):
+        root.insert(at, Comment(comment_words(each)))
+    indent(root)
+    return tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
+
+
+def _inertial(phi: Array) -> tuple[str, str, Mapping[str, str], Array]:
+    mass, com, inertia = to_mass_com_inertia(phi)
+    return words(mass), words(com), tensor_words(inertia), inertia
+
+
+def _pose(X: RigidTransform) -> tuple[str, str]:
+    return words(X.translation()), words(RollPitchYaw(X.rotation()).vector())
+
+
+def _urdf(links: Sequence[Link], name: str, gravity: Array) -> Element:
+    del gravity
+    root = Element("robot", {"name": name, "xmlns:drake": _DRAKE})
+    SubElement(root, "link", name="world")
+    for link in links:
+        element = SubElement(root, "link", name=link.name)
+        mass, com, tensor, _ = _inertial(link.phi)
+        inertial = SubElement(element, "inertial")
+        SubElement(inertial, "origin", xyz=com, rpy="0 0 0")
+        SubElement(inertial, "mass", value=mass)
+        SubElement(inertial, "inertia", dict(tensor))
+        _urdf_joint(root, link)
+    return root
+
+
+def _urdf_joint(root: Element, link: Link) -> None:
+    numbers, limited = link.joint, bool(np.isfinite(link.limits).all())
+    kind = "prismatic" if not numbers.turns else "revolute" if limited else "continuous"
+    joint = SubElement(root, "joint", name=link.joint.name, type=kind)
+    xyz, rpy = _pose(link.X_PL)
+    SubElement(joint, "origin", xyz=xyz, rpy=rpy)
+    SubElement(joint, "parent", link=link.parent or "world")
+    SubElement(joint, "child", link=link.name)
+    SubElement(joint, "axis", xyz=words(link.axis))
+    limit = {
+        "effort": words(min(link.joint.effort, _UNLIMITED)),
+        "velocity": words(min(link.joint.velocity, _UNLIMITED)),
+    }
+    if kind != "continuous":
+        low, high = np.clip(link.limits, -_UNLIMITED, _UNLIMITED)
+        limit |= {"lower": words(low), "upper": words(high)}
+    SubElement(joint, "limit", limit)
+    SubElement(joint, "dynamics", damping=words(numbers.damping), friction=words(numbers.friction))
+    if numbers.armature:
+        transmission = SubElement(root, "transmission", name=f"{link.joint.name}_rotor")
+        SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
+        SubElement(transmission, "joint", name=link.joint.name)
+        actuator = SubElement(transmission, "actuator", name=f"{link.joint.name}_motor")
+        SubElement(actuator, "drake:rotor_inertia", value=words(numbers.armature))
+        SubElement(actuator, "drake:gear_ratio", value="1.0")
+
+
+def _sdf(links: Sequence[Link], name: str, gravity: Array) -> Element:
+    del gravity
+    root = Element("sdf", {"version": "1.9", "xmlns:drake": _DRAKE})
+    model = SubElement(root, "model", name=name)
+    for link in links:
+        element = SubElement(model, "link", name=link.name)
+        SubElement(element, "pose", relative_to=link.joint.name).text = "0 0 0 0 0 0"
+        mass, com, tensor, _ = _inertial(link.phi)
+        inertial = SubElement(element, "inertial")
+        SubElement(inertial, "pose").text = f"{com} 0 0 0"
+        SubElement(inertial, "mass").text = mass
+        inertia = SubElement(inertial, "inertia")
+        for key, word in tensor.items():
+            SubElement(inertia, key).text = word
+        _sdf_joint(model, link)
+    return root
+
+
+def _sdf_joint(model: Element, link: Link) -> None:
+    numbers = link.joint
+    kind = "revolute" if numbers.turns else "prismatic"
+    joint = SubElement(model, "joint", name=link.joint.name, type=kind)
+    pose = SubElement(joint, "pose", relative_to=link.parent or "__model__")
+    pose.text = " ".join(_pose(link.X_PL))
+    SubElement(joint, "parent").text = link.parent or "world"
+    SubElement(joint, "child").text = link.name
+    if numbers.armature:
+        SubElement(joint, "drake:rotor_inertia").text = words(numbers.armature)
+        SubElement(joint, "drake:gear_ratio").text = "1.0"
+    axis = SubElement(joint, "axis")
+    SubElement(axis, "xyz").text = words(link.axis)
+    bounds = dict(zip(("lower", "upper"), link.limits, strict=True))
+    limits = bounds | {"effort": link.joint.effort, "velocity": link.joint.velocity}
+    limit = SubElement(axis, "limit")
+    for key, value in limits.items():
+        if np.isfinite(value):
+            SubElement(limit, key).text = words(value)
+    dynamics = SubElement(axis, "dynamics")
+    SubElement(dynamics, "damping").text = words(numbers.damping)
+    SubElement(dynamics, "friction").text = words(numbers.friction)
+    if numbers.stiffness:
+        SubElement(dynamics, "spring_reference").text = words(numbers.rest)
+        SubElement(dynamics, "spring_stiffness").text = words(numbers.stiffness)
+
+
+def _mjcf(links: Sequence[Link], name: str, gravity: Array) -> Element:
+    root = Element("mujoco", model=name)
+    SubElement(root, "compiler", angle="radian")
+    SubElement(root, "option", gravity=words(gravity))
+    world = SubElement(root, "worldbody")
+    bodies: dict[str | None, Element] = {None: world}
+    for link in links:
+        quaternion = Quaternion(link.X_PL.rotation().matrix()).wxyz()
+        pose = {"pos": words(link.X_PL.translation()), "quat": words(quaternion)}
+        body = SubElement(bodies[link.parent], "body", {"name": link.name, **pose})
+        bodies[link.name] = body
+        mass, com, _, inertia = _inertial(link.phi)
+        full = words(inertia[UPPER])
+        SubElement(body, "inertial", pos=com, mass=mass, fullinertia=full)
+        SubElement(body, "joint", _mjcf_joint(link))
+    return root
+
+
+def _mjcf_joint(link: Link) -> dict[str, str]:
+    numbers = link.joint
+    attributes = {
+        "name": link.joint.name,
+        "type": "hinge" if numbers.turns else "slide",
+        "axis": words(link.axis),
+    }
+    if np.isfinite(link.limits).all():
+        attributes |= {"range": words(np.array(link.limits)), "limited": "true"}
+    if numbers.driven and np.isfinite(numbers.effort):
+        attributes["actuatorfrcrange"] = words(np.array([-link.joint.effort, link.joint.effort]))
+        attributes["actuatorfrclimited"] = "true"
+    values = {
+        "damping": numbers.damping,
+        "frictionloss": numbers.friction,
+        "armature": numbers.armature,
+        "stiffness": numbers.stiffness,
+        "springref": numbers.rest,
+    }
+    return attributes | {key: words(value) for key, value in values.items() if value}
+
+
+_WRITERS: Mapping[str, Callable[[Sequence[Link], str, Array], Element]] = {
+    "urdf": _urdf,
+    "sdf": _sdf,
+    "xml": _mjcf,
+}
 
 
 def written_kind(model: RobotModel, kinds: Sequence[str]) -> str:

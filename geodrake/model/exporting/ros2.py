@@ -11,8 +11,7 @@ import numpy as np
 
 from geodrake.boundary.escaping import printable
 from geodrake.errors import ModelError
-from geodrake.model.exporting.export_format import Exported
-from geodrake.model.exporting.held import HeldModel
+from geodrake.model.exporting.held import Exported, HeldModel
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.source import effort_source
 

@@ -13,17 +13,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem
 
+from geodrake.effects import Role
+from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
+from geodrake.logs.motion import Motion
+from geodrake.logs.temperatures import Temperatures
 from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_positions, plant_jacobians
 from geodrake.robot.followers import OwnCoordinates
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.regressor import inverse_dynamics
+
+if TYPE_CHECKING:
+    from geodrake.model.robot_model import RobotModel
 
 _RETURN = 50.0  # rate at which joints come back to where their actuators have them, 1/s
 _MOST_ITERATIONS = 100
@@ -143,6 +151,32 @@ class Driving:
     @cached_property
     def _context(self) -> Context:
         return self.coordinates.plant.CreateDefaultContext()
+
+
+def driving_of(
+    model: RobotModel, sign_width: Array, log: str | None, temperatures: Temperatures | None
+) -> Driving:
+    """Return how a plant of a model moves; see `RobotModel.driving`."""
+    gain = np.ones(len(model.joints))
+    for fitted in model.effects:
+        effect = fitted.effect
+        if effect.role is Role.DEFLECTION or effect.state_count:
+            raise ModelError(
+                f"{effect.name} of {effect.place} cannot be simulated where joints follow "
+                "others or are behind a transmission.",
+                advice="Leave it out of the model there.",
+            )
+        if effect.role is Role.SCALE:
+            gain[model.joints.index(effect.where[0])] *= 1.0 + fitted.parameters[0]
+    number = 0 if log is None else log_number(log)
+
+    def needed(q: Array, v: Array, vd: Array, time: float) -> Array:
+        instants = np.full(len(q), time)
+        warmth = None if temperatures is None else temperatures.at(instants, model.joints)
+        seen = model.motion(Motion(q, v, vd, temperature=warmth), sign_width=sign_width)
+        return model.unscaled_effort(replace(seen, time=instants, log=number))
+
+    return Driving(model.tree, model.coordinates, model.total_phi, model.joints, needed, gain)
 
 
 class DrivenPlant(LeafSystem):

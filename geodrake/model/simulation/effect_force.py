@@ -30,11 +30,14 @@ from geodrake.inertia.bodies import check_context
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.formulas.evaluation import Scalars
 from geodrake.model.simulation.force_law import EffectWithValues, ForceLaw, Response, admissible
-from geodrake.model.simulation.plant_motion import PlantMotion
-from geodrake.model.simulation.scalar_system import ScalarSystem, add_scalar_types
-from geodrake.model.simulation.scalars import slopes_of, value_of
+from geodrake.model.simulation.scalar_system import (
+    ScalarSystem,
+    add_scalar_types,
+    slopes_of,
+    value_of,
+)
 from geodrake.model.simulation.soft_joints import Coupling
-from geodrake.model.simulation.terms import PlantState
+from geodrake.model.simulation.terms import PlantMotion, PlantState
 from geodrake.robot.robot_instance import RobotInstance, add_generalized_force, selected
 
 _PARAMETERS, _PHI = 0, 1

@@ -16,9 +16,8 @@ from geodrake.effects.column_checks import rows_of
 from geodrake.effects.effect_columns import dependencies
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
-from geodrake.model.admissible_effect import check_effect
-from geodrake.model.simulation.plant_motion import PlantDynamics, PlantMotion
-from geodrake.model.simulation.scalars import settled, solve
+from geodrake.model.admissible import check_effect
+from geodrake.model.simulation.scalar_system import settled, solve
 from geodrake.model.simulation.soft_joints import (
     LEAST_MOTOR,
     SoftJoints,
@@ -26,7 +25,13 @@ from geodrake.model.simulation.soft_joints import (
     link_inertias,
     usual_loads,
 )
-from geodrake.model.simulation.terms import Parameters, PlantState, Terms
+from geodrake.model.simulation.terms import (
+    Parameters,
+    PlantDynamics,
+    PlantMotion,
+    PlantState,
+    Terms,
+)
 
 _LOAD_ITERATIONS = 200
 _LAG_ITERATIONS = 100

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,17 +14,18 @@ from pydrake.systems.framework import Context, DiagramBuilder, InputPort, Output
 from pydrake.systems.primitives import MatrixGain, PassThrough
 
 from geodrake.boundary.arguments import real_array
-from geodrake.effects import Effect, FittedEffect, Role
-from geodrake.effects.sensors import delays_of
+from geodrake.effects import Effect, Role
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.simulation.delayed_effort import DelayedEffort
 from geodrake.model.simulation.driven_robot import DrivenPlant, Driving
 from geodrake.model.simulation.effect_force import EffectForce
-from geodrake.robot.files import Given
 from geodrake.robot.plant import load_plant
 from geodrake.robot.robot_instance import RobotInstance, RobotPorts, add_generalized_force
 from geodrake.robot.visuals import add_visuals
+
+if TYPE_CHECKING:
+    from geodrake.model.robot_model import RobotModel
 
 _PERIOD = 1e-3  # of sampling efforts that are delayed, s, where delays are no shorter
 
@@ -140,123 +141,103 @@ class RobotInDiagram:
                 force.set_inertial_parameters(force.GetMyMutableContextFromRoot(root), whole)
 
 
-@dataclass(frozen=True, eq=False)
-class DiagramRobot:
-    """A model that a diagram is to simulate, as `RobotModel` gives it.
-
-    Attributes:
-        floating: Whether free roots float instead of being welded to the world.
-        held: Joint that is held -> where, rad or m.
-        given: How the model file was read.
-        total_phi: (nb, 10) inertial parameters, payloads included.
-        sign_width: (nv,) speed below which dry friction fades, rad/s or m/s.
-        log: Name of the log that is simulated, if it is one.
-    """
-
-    path: Path
-    floating: bool
-    held: Mapping[str, float]
-    given: Given
-    total_phi: Array
-    effects: tuple[FittedEffect, ...]
-    joints: tuple[str, ...]
-    name: str
-    sign_width: Array
-    log: str | None
-
-    def add(
-        self,
-        builder: DiagramBuilder,
-        time_step: float,
-        scene_graph: SceneGraph | bool | None,
-        driving: Driving | None,
-    ) -> RobotInDiagram:
-        """Adds it to a builder; `driving` is how its plant moves, if with other coordinates."""
-        plant = MultibodyPlant(time_step)
-        plant.set_name(self.name)
-        scene = scene_graph or None
-        if scene is True:
-            scene = builder.AddNamedSystem(f"{self.name}_scene_graph", SceneGraph())
-        if scene is not None:
-            plant.RegisterAsSourceForSceneGraph(scene)
-        load_plant(
-            self.path,
-            floating=self.floating,
-            held=self.held,
-            given=self.given,
-            phi=self.total_phi,
-            into=plant,
-        )
-        builder.AddSystem(plant)
-        notes: tuple[str, ...] = ()
-        if scene is not None:
-            notes = add_visuals(plant, scene, self.path, self.given)
-            source = scene.get_source_pose_port(plant.get_source_id())
-            builder.Connect(plant.get_geometry_pose_output_port(), source)
-            builder.Connect(scene.get_query_output_port(), plant.get_geometry_query_input_port())
-        place = RobotInstance(plant)
-        if driving is None:
-            added = self._acting(builder, place)
-        else:
-            added = self._driven(builder, place, driving.in_plant(plant))
-        return replace(added, scene_graph=scene, notes=(*notes, *added.notes))
-
-    def add_to_scene(self, builder: DiagramBuilder, place: RobotInstance) -> RobotInDiagram:
-        """Makes a robot in a larger plant move as the model."""
-        if stated := place.stated_terms:
-            raise ArgumentError(
-                f"{', '.join(stated)} of {place.name!r} would count twice, in the plant and as "
-                "effects of the model.",
-                advice="Call geodrake.robot.take_out_stated(plant, name) before plant.Finalize().",
-            )
-        return self._acting(builder, place)
-
-    def _acting(self, builder: DiagramBuilder, place: RobotInstance) -> RobotInDiagram:
-        """Connects effects and delays with the plant."""
-        name, plant, joints = self.name, place.plant, self.joints
-        effort, acting, logged = self._efforts(builder)
-        state = plant.get_state_output_port()
-        if place.name is not None:
-            state = place.state_port(builder, joints)
-            gain = builder.AddNamedSystem(f"{name}_in_plant", MatrixGain(place.to_plant(joints)))
-            builder.Connect(acting, gain.get_input_port())
-            acting = gain.get_output_port()
-        add_generalized_force(builder, plant, acting)
-        forces = [fitted for fitted in self.effects if fitted.effect.role in FORCES]
-        force, notes, phi = None, tuple[str, ...](), self.total_phi
-        if forces:
-            own = None if place.name is None else place.plant_parameters(phi)
-            force = EffectForce(place, forces, sign_width=self.sign_width, phi=own, log=self.log)
-            builder.AddNamedSystem(f"{name}_effects", force)
-            builder.Connect(plant.get_state_output_port(), force.GetInputPort("state"))
-            builder.Connect(acting, force.GetInputPort("applied_effort"))
-            add_generalized_force(builder, plant, force.GetOutputPort("generalized_force"))
-            notes = force.notes
-            if force.soft_joints:
-                state = force.state_port(builder, joints)
-        return RobotInDiagram(place, None, force, joints, phi, effort, state, logged, notes)
-
-    def _driven(
-        self, builder: DiagramBuilder, place: RobotInstance, driving: Driving
-    ) -> RobotInDiagram:
-        """Connects a plant of other coordinates."""
-        effort, acting, logged = self._efforts(builder)
-        system = builder.AddNamedSystem(f"{self.name}_driven", DrivenPlant(driving))
+def add_robot(
+    model: RobotModel,
+    builder: DiagramBuilder,
+    time_step: float,
+    scene_graph: SceneGraph | bool | None,
+    *,
+    name: str,
+    sign_width: Array,
+    log: str | None,
+) -> RobotInDiagram:
+    """Adds a model to a builder; see `RobotModel.add_to_builder`."""
+    driving = model.driving(sign_width, log)
+    plant = MultibodyPlant(time_step)
+    plant.set_name(name)
+    scene = scene_graph or None
+    if scene is True:
+        scene = builder.AddNamedSystem(f"{name}_scene_graph", SceneGraph())
+    if scene is not None:
+        plant.RegisterAsSourceForSceneGraph(scene)
+    load_plant(
+        model.path,
+        floating=model.floating,
+        held=model.held,
+        given=model.given,
+        phi=model.total_phi,
+        into=plant,
+    )
+    builder.AddSystem(plant)
+    notes: tuple[str, ...] = ()
+    if scene is not None:
+        notes = add_visuals(plant, scene, model.path, model.given)
+        source = scene.get_source_pose_port(plant.get_source_id())
+        builder.Connect(plant.get_geometry_pose_output_port(), source)
+        builder.Connect(scene.get_query_output_port(), plant.get_geometry_query_input_port())
+    robot = RobotInstance(plant)
+    if driving is None:
+        added = make_act(model, builder, robot, name=name, sign_width=sign_width, log=log)
+    else:
+        driving = driving.in_plant(plant)
+        effort, acting, logged = _efforts(model, builder, name)
+        system = builder.AddNamedSystem(f"{name}_driven", DrivenPlant(driving))
         system.close_loop(builder)
         builder.Connect(acting, system.GetInputPort("effort"))
         ports = effort, system.GetOutputPort("state"), logged
-        return RobotInDiagram(
-            place, None, None, self.joints, self.total_phi, *ports, driving=driving
-        )
+        own = robot, None, None, model.joints, model.total_phi
+        added = RobotInDiagram(*own, *ports, driving=driving)
+    return replace(added, scene_graph=scene, notes=(*notes, *added.notes))
 
-    def _efforts(self, builder: DiagramBuilder) -> tuple[InputPort, OutputPort, OutputPort]:
-        """Return the input of efforts, and outputs of those that act and those that are logged."""
-        count, name = len(self.joints), self.name
-        effort = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(count)))
-        delays = delays_of([fitted.effect for fitted in self.effects], self.joints)
-        logged = late(builder, f"{name}_logged_effort", effort.get_output_port(), delays)
-        acting = late(builder, f"{name}_acting_effort", effort.get_output_port(), -delays)
-        return effort.get_input_port(), acting, logged
+
+def make_act(
+    model: RobotModel,
+    builder: DiagramBuilder,
+    robot: RobotInstance,
+    *,
+    name: str,
+    sign_width: Array,
+    log: str | None,
+) -> RobotInDiagram:
+    """Connects a model's effects and delays with a robot in a plant of the builder."""
+    plant, joints, phi = robot.plant, model.joints, model.total_phi
+    if robot.name is not None and (stated := robot.stated_terms):
+        raise ArgumentError(
+            f"{', '.join(stated)} of {robot.name!r} would count twice, in the plant and as "
+            "effects of the model.",
+            advice="Call geodrake.robot.take_out_stated(plant, name) before plant.Finalize().",
+        )
+    effort, acting, logged = _efforts(model, builder, name)
+    state = plant.get_state_output_port()
+    if robot.name is not None:
+        state = robot.state_port(builder, joints)
+        gain = builder.AddNamedSystem(f"{name}_in_plant", MatrixGain(robot.to_plant(joints)))
+        builder.Connect(acting, gain.get_input_port())
+        acting = gain.get_output_port()
+    add_generalized_force(builder, plant, acting)
+    forces = [fitted for fitted in model.effects if fitted.effect.role in FORCES]
+    force, notes = None, tuple[str, ...]()
+    if forces:
+        own = None if robot.name is None else robot.plant_parameters(phi)
+        force = EffectForce(robot, forces, sign_width=sign_width, phi=own, log=log)
+        builder.AddNamedSystem(f"{name}_effects", force)
+        builder.Connect(plant.get_state_output_port(), force.GetInputPort("state"))
+        builder.Connect(acting, force.GetInputPort("applied_effort"))
+        add_generalized_force(builder, plant, force.GetOutputPort("generalized_force"))
+        notes = force.notes
+        if force.soft_joints:
+            state = force.state_port(builder, joints)
+    return RobotInDiagram(robot, None, force, joints, phi, effort, state, logged, notes)
+
+
+def _efforts(
+    model: RobotModel, builder: DiagramBuilder, name: str
+) -> tuple[InputPort, OutputPort, OutputPort]:
+    """Return the input of efforts, and outputs of those that act and those that are logged."""
+    effort = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(len(model.joints))))
+    logged = late(builder, f"{name}_logged_effort", effort.get_output_port(), model.delays)
+    acting = late(builder, f"{name}_acting_effort", effort.get_output_port(), -model.delays)
+    return effort.get_input_port(), acting, logged
 
 
 def late(builder: DiagramBuilder, name: str, effort: OutputPort, delays: Array) -> OutputPort:

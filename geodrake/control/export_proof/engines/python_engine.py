@@ -28,7 +28,7 @@ class PythonEngine(Engine):
         self._effort = names["effort"]
         places = {joint: k for k, joint in enumerate(names["JOINTS"])}
         self._order = order_of(model, places.__getitem__, file, self.name)
-        self._positions = list(model.position_places.values())
+        self._positions = model.single_places[1]
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
         """The function's efforts; see `Engine.effort`."""

@@ -1,0 +1,468 @@
+"""A model's effort as a function without dependencies, in Python or C++, for a controller."""
+
+from __future__ import annotations
+
+import textwrap
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geodrake.boundary.arguments import instance, one_of, typed
+from geodrake.boundary.escaping import identifier, printable, quoted
+from geodrake.effects import Effect, FittedEffect, RobotMotion, Role
+from geodrake.effects.base import BEYOND_MOTION
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.inertia import Array
+from geodrake.model.export import repair_comments
+from geodrake.model.formulas.rigid_bodies import BodyFormulas, inverse_dynamics_formula
+from geodrake.model.formulas.symbols import Operand, Symbol, Symbols, in_order, recorded_rows
+from geodrake.model.robot_model import RobotModel
+
+_MOST_OPERATIONS = 12  # in a line
+_COMMUTING = ("add", "multiply", "maximum", "minimum", "equal", "not_equal")
+
+Key = tuple[Any, ...]
+"""What tells an operation from others, or a number."""
+
+Term = Callable[[str, tuple[str, ...]], str]
+"""Writes an operation on operands that are written already."""
+
+
+def straight_line(
+    results: Sequence[Operand], write: Term, number: Callable[[float], str]
+) -> tuple[list[tuple[str, str]], list[str]]:
+    """Return names and expressions of statements in their order, and expressions of the results.
+
+    Args:
+        write: Writes an operation; of an input, its operands are its name and place.
+    """
+    operations, found = _operations(results)
+    uses = Counter(key for _, keys in operations.values() for key in keys if key in operations)
+    uses.update(key for key in found if key in operations)
+    written: dict[Key, str] = {}
+    sizes: dict[Key, int] = {}
+    statements: list[tuple[str, str]] = []
+
+    def text(key: Key) -> str:
+        return written[key] if key in written else number(key[0])
+
+    for key, (name, operands) in operations.items():
+        if name == "input":
+            written[key], sizes[key] = write(name, tuple(map(str, operands))), 0
+            continue
+        expression = write(name, tuple(text(x) for x in operands))
+        size = 1 + sum(sizes.get(x, 0) for x in operands)
+        repeated = uses[key] > 1 and name != "negative"
+        if repeated or size > _MOST_OPERATIONS:
+            statements.append((f"x{len(statements)}", expression))
+            expression, size = statements[-1][0], 0
+        written[key], sizes[key] = expression, size
+    return statements, [text(key) for key in found]
+
+
+def _operations(results: Sequence[Operand]) -> tuple[dict[Key, tuple[str, Key]], list[Key]]:
+    """Return all operations, each after its operands and once; and which of them are the results.
+
+    An operation is known by its name and by its operands, of which numbers are known by
+    themselves.
+    """
+    operations: dict[Key, tuple[str, Key]] = {}
+    keys: dict[Symbol, Key] = {}
+    numbers: dict[Key, int] = {}
+
+    def key_of(x: Operand) -> Key:
+        return keys[x] if isinstance(x, Symbol) else (float(x),)
+
+    for symbol in in_order(results):
+        operands: Key = symbol.operands
+        if symbol.operation != "input":
+            operands = tuple(map(key_of, operands))
+            if symbol.operation in _COMMUTING:
+                operands = tuple(sorted(operands, key=str))
+        identity = (symbol.operation, operands)
+        key = keys[symbol] = ("operation", numbers.setdefault(identity, len(numbers)))
+        operations.setdefault(key, identity)
+    return operations, [key_of(x) for x in results]
+
+
+_INFIX = {
+    "add": "+",
+    "subtract": "-",
+    "multiply": "*",
+    "divide": "/",
+    "greater": ">",
+    "greater_equal": ">=",
+    "less": "<",
+    "less_equal": "<=",
+    "equal": "==",
+    "not_equal": "!=",
+}
+_FUNCTIONS = {  # of C and of Python's math, where the name is not NumPy's
+    "arcsin": "asin",
+    "arccos": "acos",
+    "arctan": "atan",
+    "arctan2": "atan2",
+    "arcsinh": "asinh",
+    "arccosh": "acosh",
+    "arctanh": "atanh",
+    "power": "pow",
+}
+
+
+_PYTHON = '''{comment}
+
+import math
+
+JOINTS = (
+{joints}
+)
+
+
+def effort(q, v, vd):
+    """Effort that a motion needs at the joints, N·m or N, in the order of JOINTS.
+
+    q are {nq} positions, v and vd {nv} velocities and accelerations, in SI units.
+    """
+{statements}
+    return [
+{results}
+    ]
+
+
+def sign(x):
+    """-1, 0 or 1."""
+    return (x > 0.0) - (x < 0.0)
+'''
+
+_CPP = """{comment}
+
+#pragma once
+
+#include <array>
+#include <cmath>
+
+namespace {name} {{
+
+inline constexpr int kPositions = {nq};
+inline constexpr int kJoints = {nv};
+
+inline constexpr std::array<const char*, kJoints> kJointNames = {{
+{joints}
+}};
+
+inline double sign(double x) {{ return double(x > 0.0) - double(x < 0.0); }}
+
+inline double floored_remainder(double x, double y) {{ return x - y * std::floor(x / y); }}
+
+// Effort that a motion needs at the joints, N·m or N, in the order of kJointNames:
+// positions q, velocities v and accelerations vd in SI units.
+inline std::array<double, kJoints> effort(
+    [[maybe_unused]] const std::array<double, kPositions>& q,
+    [[maybe_unused]] const std::array<double, kJoints>& v,
+    [[maybe_unused]] const std::array<double, kJoints>& vd) {{
+{statements}
+  return {{
+{results}
+  }};
+}}
+
+}}  // namespace {name}
+"""
+
+
+@dataclass(frozen=True)
+class Language:
+    """A language that formulas are written in, and what a file in it is made of.
+
+    Attributes:
+        comment: Mark of a line of a comment.
+        statement: A name and an expression.
+        module: What stands before the names of mathematical functions.
+        own: Operations that are written in a way of their own, as formats of their operands.
+    """
+
+    suffix: str
+    template: str
+    comment: str
+    statement: str
+    result: str
+    string: Callable[[str], str]
+    module: str
+    own: Mapping[str, str]
+
+    def operation(self, name: str, operands: tuple[str, ...]) -> str:
+        """Return an operation, by NumPy's name, on operands that are written already.
+
+        Those of an input are its name and place.
+        """
+        if name in self.own:
+            return self.own[name].format(*operands)
+        if name == "input":
+            return f"{operands[0]}[{operands[1]}]"
+        if name in _INFIX:
+            return f"({operands[0]} {_INFIX[name]} {operands[1]})"
+        if name == "negative":
+            return f"(-{operands[0]})"
+        return f"{self.module}{_FUNCTIONS.get(name, name)}({', '.join(operands)})"
+
+    def number(self, value: float) -> str:
+        """Return a number with all its digits.
+
+        Raises:
+            ModelError: It is not finite.
+        """
+        if not np.isfinite(value):
+            raise ModelError(
+                f"The formula of the effort has {value:g} in it, which is no number.",
+                advice="Leave the effect out that uses what is not known, such as the position of "
+                "a joint of several degrees.",
+            )
+        return repr(float(value)) if value >= 0.0 else f"({float(value)!r})"
+
+
+PYTHON = Language(
+    ".py",
+    _PYTHON,
+    "# ",
+    "    {} = {}",
+    "        {},",
+    quoted,
+    "math.",
+    {
+        "absolute": "abs({0})",
+        "maximum": "max({0}, {1})",
+        "minimum": "min({0}, {1})",
+        "sign": "sign({0})",
+        "where": "({1} if {0} else {2})",
+        "remainder": "({0} % {1})",
+        "logical_and": "bool({0} and {1})",
+        "logical_or": "bool({0} or {1})",
+        "logical_not": "(not {0})",
+    },
+)
+
+CPP = Language(
+    ".hpp",
+    _CPP,
+    "// ",
+    "  const double {} = {};",
+    "      {},",
+    lambda name: quoted(printable(name)),
+    "std::",
+    {
+        "absolute": "std::abs({0})",
+        "maximum": "std::fmax({0}, {1})",
+        "minimum": "std::fmin({0}, {1})",
+        "sign": "sign({0})",
+        "where": "({0} ? {1} : {2})",
+        "remainder": "floored_remainder({0}, {1})",
+        "logical_and": "({0} && {1})",
+        "logical_or": "({0} || {1})",
+        "logical_not": "(!{0})",
+    },
+)
+
+
+_NOT_INCLUDED = {
+    Role.DELAY: "logged efforts lag behind what is needed by it",
+    Role.DEFLECTION: "it depends on how the motion goes on",
+    Role.EPISODE: "it belongs to one log",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class EffortFormula:
+    """Efforts as formulas, and what they are without.
+
+    Attributes:
+        efforts: (nv) formulas of the entries of q, v and vd, or numbers.
+        included: The effects that they have, in words.
+        left_out: The effects that they have not, or not as they are, with the reason.
+    """
+
+    efforts: tuple[Operand, ...]
+    included: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+@typed
+def is_written(effect: Effect) -> bool:
+    """Return whether a formula of q, v and v̇ has an effect as it is."""
+    return effect.role not in _NOT_INCLUDED and not effect.depends_on & BEYOND_MOTION
+
+
+def effort_formula(model: RobotModel, sign_width: ArrayLike) -> EffortFormula:
+    """Return the effort that a model needs for a motion.
+
+    Args:
+        sign_width: Speed below which dry friction fades, at least; see `RobotModel.sign_widths`.
+
+    Raises:
+        ModelError: An effect cannot be written.
+    """
+    nv = len(model.joints)
+    q = Symbols.inputs("q", model.tree.num_positions)
+    v, vd = Symbols.inputs("v", nv), Symbols.inputs("vd", nv)
+    load = inverse_dynamics_formula(model.tree, q, v, vd, model.total_phi)
+    seen = RobotMotion(
+        model.joints,
+        _by_joint(model, q),
+        v[None],
+        vd[None],
+        load[None],
+        model.sign_widths(sign_width),
+        _no_columns,
+        BodyFormulas(model.tree, q[None], model.total_phi),
+    )
+    effort, scales = load.copy(), []
+    included, left_out = [], []
+    for fitted in model.effects:
+        effect, what = fitted.effect, _words(fitted)
+        if effect.role in _NOT_INCLUDED:
+            left_out.append(f"{what}: {_NOT_INCLUDED[effect.role]}")
+            continue
+        if effect.role is Role.SCALE:
+            scales.append(fitted)
+        elif effect.role is not Role.BODY:
+            for joint, columns in recorded_rows(effect, seen, with_past=False).items():
+                at = seen.index(joint)
+                effort[at] = effort[at] + columns @ fitted.parameters.astype(object)
+        included.append(what)
+        if not is_written(effect):
+            warm = "temperature" in effect.depends_on
+            left_out.append(
+                f"the temperature of {what}: it is taken to be the reference"
+                if warm
+                else f"the history of {what}: it is as if the motion had gone on for long"
+            )
+    total = effort.copy()
+    for fitted in scales:
+        at = seen.index(fitted.effect.where[0])
+        total[at] = total[at] + float(fitted.parameters[0]) * effort[at]
+    return EffortFormula(tuple(total.tolist()), tuple(included), tuple(left_out))
+
+
+def _words(fitted: FittedEffect) -> str:
+    effect = fitted.effect
+    values, _ = effect.reported(fitted.parameters, np.full(len(fitted.parameters), np.nan))
+    listed = ", ".join(f"{name} {value:.6g}" for name, value in values.items())
+    place = effect.place if effect.where else "the robot"
+    return f"{effect.name} of {place}{f' ({listed})' if listed else ''}"
+
+
+def _by_joint(model: RobotModel, q: Symbols) -> Symbols:
+    """(1, nv) position belonging to each velocity, NaN for joints of several degrees."""
+    found = Symbols.of(np.full((1, len(model.joints)), np.nan))
+    at_velocity, at_position = model.single_places
+    found[0, at_velocity] = q[at_position]
+    return found
+
+
+def _no_columns(body: str) -> Array:
+    raise ArgumentError(
+        f"The inertial columns of {body!r} are not known here.",
+        advice="Use motion.body_motions, or a payload.",
+    )
+
+
+_WIDTH = 96
+_LANGUAGES = {"python": PYTHON, "cpp": CPP}
+
+
+def python_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
+    """Return a Python module with a function effort(q, v, vd); it imports `math` alone.
+
+    The function has the rigid bodies, payloads and effects of the model. What needs the history of
+    the motion is named in the comment at its head.
+
+    Args:
+        model: The model.
+        sign_width: Speed below which dry friction fades, rad/s or m/s, at least; one for all
+            velocities or (nv,). At 0, the sign of a velocity jumps where the model's does.
+
+    Raises:
+        ModelError: An effect cannot be written as source code.
+    """
+    return effort_source(model, "python", sign_width=sign_width).text
+
+
+def cpp_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
+    """Return a C++17 header with a function effort(q, v, vd); it includes standard headers alone.
+
+    Raises:
+        ModelError: An effect cannot be written as source code.
+    """
+    return effort_source(model, "cpp", sign_width=sign_width).text
+
+
+@dataclass(frozen=True)
+class EffortSource:
+    """A file with a model's effort.
+
+    Attributes:
+        file_name: Its name, such as `arm_effort.py`.
+        left_out: The effects that it has not, or not as they are, with the reason.
+    """
+
+    file_name: str
+    text: str
+    left_out: tuple[str, ...]
+
+
+def effort_source(model: RobotModel, language: str, *, sign_width: ArrayLike = 0.0) -> EffortSource:
+    """Return a model's effort as a file in a language, "python" or "cpp"; see `python_source`.
+
+    Raises:
+        ArgumentError: It is another language.
+        ModelError: An effect cannot be written as source code.
+    """
+    kind = _LANGUAGES[one_of(language, "language", _LANGUAGES)]
+    formula = effort_formula(instance(model, "model", RobotModel), sign_width)
+    lines, efforts = straight_line(formula.efforts, kind.operation, kind.number)
+    text = kind.template.format(
+        comment=_comment(model, formula, kind.comment),
+        name=f"{_name(model)}_model",
+        nq=model.tree.num_positions,
+        nv=len(model.joints),
+        joints="\n".join(f"    {kind.string(joint)}," for joint in model.joints),
+        statements="\n".join(kind.statement.format(name, _bare(x)) for name, x in lines),
+        results="\n".join(kind.result.format(_bare(x)) for x in efforts),
+    )
+    return EffortSource(f"{_name(model)}_effort{kind.suffix}", text, formula.left_out)
+
+
+def _bare(expression: str) -> str:
+    """Return an expression without brackets around all of it."""
+    depth = 0
+    for place, letter in enumerate(expression):
+        depth += (letter == "(") - (letter == ")")
+        if depth == 0 and place < len(expression) - 1:
+            return expression
+    return expression[1:-1]
+
+
+def _name(model: RobotModel) -> str:
+    """Return an ASCII identifier for the robot, of its file's name."""
+    plain = "".join(c if c.isascii() else " " for c in model.path.name.partition(".")[0])
+    return identifier(plain)
+
+
+def _comment(model: RobotModel, formula: EffortFormula, mark: str) -> str:
+    """Return what the file is, line by line; names are quoted, as they may hold anything."""
+    paragraphs = [
+        f"Effort that {quoted(model.path.name)} needs for a motion, written by geodrake.",
+        f"Rigid bodies, payloads included, and: {'; '.join(formula.included) or 'no effect'}.",
+        *(f"Not included: {one}." for one in formula.left_out),
+        *repair_comments(model),
+    ]
+    lines = [line for p in paragraphs for line in textwrap.wrap(printable(p), _WIDTH)]
+    return "\n".join(f"{mark}{line}{_ended(line)}" for line in lines)
+
+
+def _ended(line: str) -> str:
+    """Return what ends a line of a comment, as C++ goes on in the next one after a backslash."""
+    return "." if line.endswith("\\") else ""
