@@ -14,8 +14,7 @@ from geodrake.effects import CoulombFriction, EffortDelay, FittedEffect, Payload
 from geodrake.errors import ModelError
 from geodrake.identification.models import IdentificationSettings, identify_model
 from geodrake.inertia import from_mass_com_inertia
-from geodrake.model.admissible import check_model
-from geodrake.model.saved_model import save_model
+from geodrake.model.saved_model import check_model, save_model
 
 RUBBING = friction((0.3, 0.2), (0.1, 0.05))
 DRIVEN = friction((-0.5, -0.3), (-0.2, -0.1))  # against all bounds

@@ -21,9 +21,9 @@ from geodrake.control.export_proof.samples import (
 )
 from geodrake.identification.logs.case import open_case
 from geodrake.logs.motion import JointLog
-from geodrake.model.effort_signal import servos_of
 from geodrake.model.exporting.held import Exported, ExportFormat, held_by, reasons
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.servos import servos_of
 
 _SEVERAL = (
     "the robot has joints of several degrees of freedom, so the export was not tried in simulators"

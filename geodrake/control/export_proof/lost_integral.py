@@ -10,9 +10,9 @@ from geodrake.control.rollout import case_rollout
 from geodrake.control.rollout.acting import told_joints
 from geodrake.errors import LogError, ModelError
 from geodrake.identification.logs.case import Case
-from geodrake.model.effort_signal import servos_of
 from geodrake.model.exporting.held import ExportFormat
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.servos import servos_of
 
 _WINDOWS = 6
 

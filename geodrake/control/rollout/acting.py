@@ -16,8 +16,8 @@ from geodrake.control.motors import ServoError, ServoGains, servo_effort
 from geodrake.control.rollout.passages import Passage
 from geodrake.control.systems.position_servo import PositionServo
 from geodrake.logs.motion import JointLog
-from geodrake.model.effort_signal import command_delays, servo_gains, servos_of
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.servos import command_delays, servo_gains, servos_of
 from geodrake.model.signal_efforts import integral_effort
 
 Array = NDArray[np.float64]

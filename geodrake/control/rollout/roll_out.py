@@ -17,8 +17,8 @@ from geodrake.effects.lookup import effect_of
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import Case, checked_logs, open_case
 from geodrake.logs.motion import JointLog
-from geodrake.model.effort_signal import servos_of
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.servos import servos_of
 
 HORIZON = 0.5
 """Length of a window, s."""

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from geodrake.effects import FittedEffect, Role
 from geodrake.effects.deflection import DeflectionEffect, Give
 from geodrake.errors import ModelError
-from geodrake.model.effort_signal import SERVO, EffortSignal, servos_of
+from geodrake.model.effort_signal import SERVO, EffortSignal
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.servos import servos_of
 
 Array = NDArray[np.float64]
 

@@ -21,9 +21,9 @@ from geodrake.control.systems.joint_system import JointSystem, count_of
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_context
-from geodrake.model.effort_signal import command_delays, servo_gains
 from geodrake.model.formulas.evaluation import Scalars
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.servos import command_delays, servo_gains
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, late
 from geodrake.model.simulation.scalar_system import add_scalar_types
 

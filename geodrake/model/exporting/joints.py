@@ -10,9 +10,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from geodrake.effects import Effect
-from geodrake.model.effort_signal import servos_of
 from geodrake.model.file_terms import Damping, DryFriction, Rotor, Spring
 from geodrake.model.robot_model import RobotModel, from_loaded_plant
+from geodrake.model.servos import servos_of
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.mjcf_sections import with_sections
 from geodrake.robot.files.reading import model_text_of

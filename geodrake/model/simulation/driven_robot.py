@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -30,8 +30,8 @@ from geodrake.robot.followers import OwnCoordinates
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.regressor import inverse_dynamics
 
-if TYPE_CHECKING:
-    from geodrake.model.robot_model import RobotModel
+Model = Any
+"""A `RobotModel`, which imports this module."""
 
 _RETURN = 50.0  # rate at which joints come back to where their actuators have them, 1/s
 _MOST_ITERATIONS = 100
@@ -154,7 +154,7 @@ class Driving:
 
 
 def driving_of(
-    model: RobotModel, sign_width: Array, log: str | None, temperatures: Temperatures | None
+    model: Model, sign_width: Array, log: str | None, temperatures: Temperatures | None
 ) -> Driving:
     """Return how a plant of a model moves; see `RobotModel.driving`."""
     gain = np.ones(len(model.joints))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,14 +17,11 @@ from geodrake.effects import Effect, Role
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.simulation.delayed_effort import DelayedEffort
-from geodrake.model.simulation.driven_robot import DrivenPlant, Driving
+from geodrake.model.simulation.driven_robot import DrivenPlant, Driving, Model
 from geodrake.model.simulation.effect_force import EffectForce
 from geodrake.robot.plant import load_plant
 from geodrake.robot.robot_instance import RobotInstance, RobotPorts, add_generalized_force
 from geodrake.robot.visuals import add_visuals
-
-if TYPE_CHECKING:
-    from geodrake.model.robot_model import RobotModel
 
 _PERIOD = 1e-3  # of sampling efforts that are delayed, s, where delays are no shorter
 
@@ -142,7 +138,7 @@ class RobotInDiagram:
 
 
 def add_robot(
-    model: RobotModel,
+    model: Model,
     builder: DiagramBuilder,
     time_step: float,
     scene_graph: SceneGraph | bool | None,
@@ -191,7 +187,7 @@ def add_robot(
 
 
 def make_act(
-    model: RobotModel,
+    model: Model,
     builder: DiagramBuilder,
     robot: RobotInstance,
     *,
@@ -231,7 +227,7 @@ def make_act(
 
 
 def _efforts(
-    model: RobotModel, builder: DiagramBuilder, name: str
+    model: Model, builder: DiagramBuilder, name: str
 ) -> tuple[InputPort, OutputPort, OutputPort]:
     """Return the input of efforts, and outputs of those that act and those that are logged."""
     effort = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(len(model.joints))))
