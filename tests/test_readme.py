@@ -99,7 +99,7 @@ def test_links_lead_somewhere():
         assert (README.parent / target.partition("#")[0]).is_file(), target
 
 
-@pytest.mark.parametrize("name", ["README.md", "BENCHMARKS.md", "docs/design.md"])
+@pytest.mark.parametrize("name", ["README.md", "docs/benchmarks.md", "docs/design.md"])
 def test_files_that_documents_name_are_there(name):
     words = (README.parent / name).read_text(encoding="utf-8")
     paths = re.findall(r"\b(?:diagrams|docs|geodrake|tests)/[\w/]*(?:\.\w+)?", words)
