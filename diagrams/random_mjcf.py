@@ -264,7 +264,7 @@ class Writer:
 
 def reference(path: Path, left_out: set[str]) -> mujoco.MjModel:
     """MuJoCo's own reading of the file, without what no model of geodrake takes."""
-    with quiet_mujoco(mujoco):
+    with quiet_mujoco():
         model = mujoco.MjModel.from_xml_path(str(path))
     for tendon in left_out:
         model.tendon_stiffness[model.tendon(tendon).id] = 0.0
@@ -334,7 +334,7 @@ def run(count: int, seed: int) -> dict[str, object]:
             path = writer.write()
             try:
                 mujoco.MjSpec.from_file(str(path))
-                with quiet_mujoco(mujoco):
+                with quiet_mujoco():
                     mujoco.MjModel.from_xml_path(str(path))
             except ValueError:
                 refused += 1  # MuJoCo's limits of inertias, mostly

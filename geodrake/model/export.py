@@ -26,9 +26,8 @@ from geodrake.inertia import (
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.model.exporting.held import reasons
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.files.description import drake_messages, read_description
+from geodrake.robot.files.description import drake_messages, model_text_of, read_description
 from geodrake.robot.files.inertia_text import link_names, with_inertias, without_mass_settings
-from geodrake.robot.files.reading import model_text_of
 from geodrake.robot.files.source_text import with_comments
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded
 from geodrake.robot.repairs import TOLERANCE
@@ -231,7 +230,7 @@ def _stated_inertias(model: RobotModel) -> Mapping[str, Array]:
     for k in range(1, plant.num_bodies()):
         spatial = plant.get_body(BodyIndex(k)).default_spatial_inertia()
         found[_scoped(plant, k)] = from_spatial_inertia(spatial)
-    return found | dict(description.set_aside)
+    return found | dict(description.terms.set_aside)
 
 
 def _check(content: bytes, path: Path, written: Mapping[str, Array]) -> None:

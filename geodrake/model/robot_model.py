@@ -37,7 +37,7 @@ from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, add_robot
 from geodrake.model.stated_terms import stated_effects
 from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_positions
 from geodrake.robot.files import Given
-from geodrake.robot.followers import Follower, OwnCoordinates
+from geodrake.robot.followers import Follower, OwnCoordinates, scoped
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import (
@@ -51,15 +51,14 @@ from geodrake.robot.plant import (
 )
 from geodrake.robot.regressor import body_regressor, inverse_dynamics
 from geodrake.robot.robot_instance import RobotInstance
-from geodrake.robot.several_robots import scoped
-from geodrake.robot.transmission.actuation import Actuation
-from geodrake.robot.transmission.base import times
-from geodrake.robot.transmission.drive import Drive
-from geodrake.robot.transmission.limits import (
+from geodrake.robot.transmission.actuation import (
+    Actuation,
     actuator_effort_limits,
     actuator_positions_between,
     actuator_rates,
 )
+from geodrake.robot.transmission.base import times
+from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
 
 Array = NDArray[np.float64]
@@ -212,7 +211,7 @@ class RobotModel(Short):
         if scoped(joint) in self.coordinates.leaders:
             return None
         at = self.coordinates.velocity_of(joint)
-        return at if self.actuation is None else self.actuation.stands_at(at)
+        return at if self.actuation is None else self.actuation.standing.get(at)
 
     @cached_property
     def led(self) -> Mapping[str, tuple[str, float]]:
@@ -293,7 +292,7 @@ class RobotModel(Short):
             if mobilizer.parent < 0:
                 continue
             own = mobilizers[mobilizer.parent].velocities.start, mobilizer.velocities.start
-            both = own if self.actuation is None else map(self.actuation.stands_at, own)
+            both = own if self.actuation is None else map(self.actuation.standing.get, own)
             pair = [at for at in dict.fromkeys(both) if at in self.single_places[0]]
             if len(pair) == 2 and self._types[pair[0]] == self._types[pair[1]]:
                 pairs.append((self.joints[pair[0]], self.joints[pair[1]]))

@@ -36,7 +36,7 @@ from geodrake.robot.files import read_description
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.description import drake_messages
 from geodrake.robot.files.mjcf import MjcfText
-from geodrake.robot.files.mjcf_source import mujoco_or_none, quiet_mujoco
+from geodrake.robot.files.mjcf_source import load_mujoco, quiet_mujoco
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.holding import moving_joints
@@ -164,7 +164,9 @@ def _efforts(engine: OtherProgram, joints: list[Joint], q: Array, v: Array, vd: 
 def _held(model: RobotModel, text: ModelText) -> Places:
     """Return where joints are held, those included that follow held ones."""
     places = dict(model.held)
-    followers = [(f, f.joint.split("::")[-1], f.leader.split("::")[-1]) for f in text.followers]
+    followers = [
+        (f, f.joint.split("::")[-1], f.leader.split("::")[-1]) for f in text.terms.followers
+    ]
     for _ in followers:  # which may follow each other
         for follower, joint, leader in followers:
             if leader in places:
@@ -173,10 +175,7 @@ def _held(model: RobotModel, text: ModelText) -> Places:
 
 
 def _by_mujoco(text: MjcfText, held: Places, joints: list[Joint]) -> OtherProgram | str:
-    mujoco = mujoco_or_none()
-    if mujoco is None or text.compiled is None:
-        return 'MuJoCo, which defines MJCF, is not installed: pip install "geodrake[mjcf]"'
-    theirs = text.compiled
+    mujoco, theirs = load_mujoco(), text.compiled
     theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     sizes = {0: (7, 6), 1: (4, 3)}  # of free joints and balls
     data = mujoco.MjData(theirs)
@@ -206,7 +205,7 @@ def _by_mujoco(text: MjcfText, held: Places, joints: list[Joint]) -> OtherProgra
 
     def inverse_dynamics(q: Array, v: Array, vd: Array) -> Array:
         data.qpos[:], data.qvel[:], data.qacc[:] = q, v, vd
-        with quiet_mujoco(mujoco):
+        with quiet_mujoco():
             mujoco.mj_inverse(theirs, data)
         return np.array(data.qfrc_inverse)
 

@@ -169,10 +169,6 @@ def structural_base_parameters(
 
     Args:
         seed: Of the random motions; another one finds the same combinations.
-
-    Raises:
-        ArgumentError: A value is something else, or out of its range.
-        ModelError: The plant is not finalized, or has a joint that is not supported.
     """
     tree = checked_tree(plant)
     integer(seed, "seed", lower=0)

@@ -90,9 +90,6 @@ def effort_slopes(
         v: (N, nv) velocities.
         vd: (N, nv) accelerations v̇.
         phi: (nb, 10) inertial parameters.
-
-    Raises:
-        ArgumentError: A shape does not fit the plant, or a value is not finite.
     """
     robot = checked_tree(plant)
     tree, samples, J = checked_samples(robot, q, v, vd)
@@ -111,7 +108,7 @@ def effort_slopes(
         found = _at_actuators(
             found, robot.actuation, J, efforts, Motion(*(np.asarray(x, float) for x in (q, v, vd)))
         )
-        columns = [at for at in map(robot.actuation.stands_at, columns) if at is not None]
+        columns = [at for at in map(robot.actuation.standing.get, columns) if at is not None]
     for slope in (found.position, found.velocity, found.acceleration):
         slope[..., columns] = np.nan
     return found

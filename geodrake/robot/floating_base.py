@@ -75,9 +75,6 @@ def wrench_map(X_WP: RigidTransform | ArrayLike, count: int) -> Array:
 
     Args:
         X_WP: Pose of P, one or (count, 4, 4).
-
-    Raises:
-        ArgumentError: X_WP is no pose.
     """
     return _wrench_map(_poses(X_WP, integer(count, "count", lower=0), "X_WP"))
 
@@ -93,9 +90,6 @@ def move_wrench(wrench: ArrayLike, X_QP: RigidTransform | ArrayLike) -> Array:
 
     Returns:
         (N, 6) wrenches.
-
-    Raises:
-        ArgumentError: A shape does not fit, or X_QP is no pose.
     """
     wrench = real_array(wrench, "wrench", ("N", 6))
     inverse = np.asarray(np.linalg.inv(_poses(X_QP, len(wrench), "X_QP")), float)

@@ -17,12 +17,22 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint
 
 from geodrake.inertia import Array
-from geodrake.robot.several_robots import scoped
 
 Indices = NDArray[np.intp]
 
 _MOST = 1e12
 """Ratio or offset beyond which no joint follows another."""
+
+
+def scoped(joint: Joint) -> str:
+    """Return the name of a joint with that of its model instance before it."""
+    instance = joint.GetParentPlant().GetModelInstanceName(joint.model_instance())
+    return f"{instance}::{joint.name()}"
+
+
+def joints_of(plant: MultibodyPlant) -> list[Joint]:
+    """Return the joints of a plant, welds included."""
+    return [plant.get_joint(index) for index in plant.GetJointIndices()]
 
 
 @dataclass(frozen=True)
@@ -81,11 +91,7 @@ def leads_back(joint: str, leader: str, leaders: Mapping[str, str]) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class OwnCoordinates:
-    """Which positions and velocities of a plant are a robot's own, and how the others follow.
-
-    Attributes:
-        followers: The joints of it that follow others.
-    """
+    """Which positions and velocities of a plant are a robot's own, and how the others follow."""
 
     plant: MultibodyPlant
     followers: tuple[Follower, ...] = ()
@@ -98,17 +104,19 @@ class OwnCoordinates:
     @cached_property
     def own_positions(self) -> Indices:
         """(nq,) where the robot's positions are in those of the plant."""
-        return self._own("position")
+        following = [to for to, _ in self._places]
+        return np.setdiff1d(np.arange(self.plant.num_positions()), following)
 
     @cached_property
     def own_velocities(self) -> Indices:
         """(nv,) where the robot's velocities are in those of the plant."""
-        return self._own("velocity")
+        following = [to for to, _, _ in self.followed]
+        return np.setdiff1d(np.arange(self.plant.num_velocities()), following)
 
     @cached_property
     def followed(self) -> tuple[tuple[int, int, float], ...]:
         """Of each follower, its velocity and its leader's in the plant's, and its ratio."""
-        starts = {name: joint.velocity_start() for name, joint in self._joints.items()}
+        starts = {name: int(joint.velocity_start()) for name, joint in self._joints.items()}
         return tuple((starts[f.joint], starts[f.leader], f.ratio) for f in self.followers)
 
     def position_of(self, joint: Joint) -> int:
@@ -123,8 +131,7 @@ class OwnCoordinates:
         """(N, nq of the plant) positions, of those of the robot (N, nq)."""
         whole = np.zeros((len(q), self.plant.num_positions()))
         whole[:, self.own_positions] = q
-        for follower in self.followers:
-            to, of = self._places(follower)
+        for follower, (to, of) in zip(self.followers, self._places, strict=True):
             whole[:, to] = follower.ratio * whole[:, of] + follower.offset
         return whole
 
@@ -139,26 +146,20 @@ class OwnCoordinates:
     def robot_gradient(self, gradient: Array) -> Array:
         """(N, nq) gradient with the robot's positions, of that with the plant's (N, ·)."""
         found = np.array(gradient, float)
-        for follower in self.followers:
-            to, of = self._places(follower)
+        for follower, (to, of) in zip(self.followers, self._places, strict=True):
             found[:, of] += follower.ratio * found[:, to]
         return found[:, self.own_positions]
 
     def position_limits(self) -> tuple[Array, Array]:
         """Lower and upper limits (nq,) of the positions, those of followers included, rad or m."""
         lower, upper = self.plant.GetPositionLowerLimits(), self.plant.GetPositionUpperLimits()
-        for follower in self.followers:
-            to, of = self._places(follower)
+        for follower, (to, of) in zip(self.followers, self._places, strict=True):
             ends = (np.array([lower[to], upper[to]]) - follower.offset) / follower.ratio
             lower[of], upper[of] = max(lower[of], ends.min()), min(upper[of], ends.max())
         return lower[self.own_positions], upper[self.own_positions]
 
     def rate_limits(self, limits: Array) -> Array:
-        """Largest speeds or accelerations (nv,), those of followers included.
-
-        Args:
-            limits: (nv of the plant) those of all its velocities.
-        """
+        """Largest speeds or accelerations (nv,), of those of all of the plant's velocities."""
         limits = np.array(limits, float)
         for to, of, ratio in self.followed:
             limits[of] = min(limits[of], limits[to] / abs(ratio))
@@ -176,21 +177,16 @@ class OwnCoordinates:
             values[of] += abs(ratio) ** power * values[to]
         return values[self.own_velocities]
 
-    def _places(self, follower: Follower) -> tuple[int, int]:
-        """Where the positions of a follower and its leader are in those of the plant."""
-        joint, leader = self._joints[follower.joint], self._joints[follower.leader]
-        return int(joint.position_start()), int(leader.position_start())
+    @cached_property
+    def _places(self) -> tuple[tuple[int, int], ...]:
+        """Of each follower, its position and its leader's in the plant's."""
+        starts = {name: int(joint.position_start()) for name, joint in self._joints.items()}
+        return tuple((starts[f.joint], starts[f.leader]) for f in self.followers)
 
     @cached_property
     def _joints(self) -> dict[str, Joint]:
-        joints = (self.plant.get_joint(index) for index in self.plant.GetJointIndices())
-        return {scoped(joint): joint for joint in joints}
+        return {scoped(joint): joint for joint in joints_of(self.plant)}
 
     def _mover(self, joint: Joint) -> Joint:
         follower = self.leaders.get(scoped(joint))
         return joint if follower is None else self._joints[follower.leader]
-
-    def _own(self, kind: str) -> Indices:
-        count = getattr(self.plant, "num_positions" if kind == "position" else "num_velocities")()
-        following = {getattr(self._joints[f.joint], f"{kind}_start")() for f in self.followers}
-        return np.array([k for k in range(count) if k not in following], np.intp)

@@ -1,7 +1,8 @@
-"""Joints of a plant held where they stand: a weld in the place of each."""
+"""What of a model file moves: one robot of several, and joints held where they stand, by welds."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,15 +10,15 @@ from pathlib import Path
 import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Joint, WeldJoint
+from pydrake.multibody.tree import BodyIndex, Joint, WeldJoint
 
 from geodrake.errors import ModelError
 from geodrake.robot.cut_joints import remove_joint
-from geodrake.robot.followers import Follower
-from geodrake.robot.several_robots import scoped
+from geodrake.robot.followers import Follower, joints_of, scoped
 
 _SLACK = 1e-9  # rad or m, by which a held joint may be beyond its limits
 _ASIDE = " stands"  # after the name of a joint of a robot that is not the one asked for
+_WORLD = 0
 
 
 @dataclass(frozen=True)
@@ -43,9 +44,61 @@ class Arrangement:
     followers: tuple[Follower, ...] = ()
     joints: tuple[str, ...] = ()
 
-    def is_of_robot(self, body: int) -> bool:
-        """Whether a body belongs to the robot asked for."""
-        return self.robot is None or body in self.robot
+
+@dataclass(frozen=True)
+class OneRobot:
+    """A robot of a model file: bodies that joints connect, not by way of the world.
+
+    Attributes:
+        name: That of its model in the file, or of its first body where the model has several.
+        joints: Scoped names of its joints that move.
+    """
+
+    name: str
+    bodies: frozenset[int]
+    joints: tuple[str, ...]
+
+
+def robots_of(plant: MultibodyPlant) -> tuple[OneRobot, ...]:
+    """Return the robots of a plant: what moves and is joined, in order of their bodies."""
+    joints, group = joints_of(plant), {body: {body} for body in range(1, plant.num_bodies())}
+    ends = [(int(j.parent_body().index()), int(j.child_body().index())) for j in joints]
+    for first, second in ends:
+        if _WORLD not in (first, second) and group[first] is not group[second]:
+            joined = group[first] | group[second]
+            group |= dict.fromkeys(joined, joined)
+    found = list[tuple[str, set[int], tuple[str, ...]]]()
+    for members in sorted({id(each): each for each in group.values()}.values(), key=min):
+        moving = tuple(
+            scoped(joint)
+            for joint, (parent, child) in zip(joints, ends, strict=True)
+            if joint.num_velocities() and (parent if child == _WORLD else child) in members
+        )
+        if moving:
+            root = plant.get_body(BodyIndex(min(members)))
+            found.append((plant.GetModelInstanceName(root.model_instance()), members, moving))
+    count = Counter(model for model, _, _ in found)
+    return tuple(
+        OneRobot(
+            model if count[model] == 1 else plant.get_body(BodyIndex(min(members))).name(),
+            frozenset(members),
+            moving,
+        )
+        for model, members, moving in found
+    )
+
+
+def chosen_robot(plant: MultibodyPlant, name: str, path: object) -> OneRobot:
+    """Return the robot of a name."""
+    robots = robots_of(plant)
+    found = next((robot for robot in robots if robot.name == name), None)
+    if found is None:
+        raise ModelError(
+            f"{path} has no robot {name!r}.",
+            advice=f"It has {', '.join(robot.name for robot in robots) or 'none that moves'}.",
+            path=path,
+        )
+    return found
 
 
 def checked_held(
@@ -104,36 +157,33 @@ def poses_of(
         places: Scoped names of joints of one degree of freedom -> their positions, rad or m; the
             others stand where they do by default.
     """
-    context = plant.CreateDefaultContext()
-    q, moving = np.array(plant.GetPositions(context)), moving_joints(plant)
-    for joint in moving:
-        if scoped(joint) in (places or {}):
-            q[joint.position_start()] = (places or {})[scoped(joint)]
+    context, places = plant.CreateDefaultContext(), places or {}
+    q, own = np.array(plant.GetPositions(context)), {scoped(j): j for j in moving_joints(plant)}
+    for name in own.keys() & places.keys():
+        q[own[name].position_start()] = places[name]
     plant.SetPositions(context, q)
     return {
-        scoped(joint): joint.frame_on_child().CalcPose(context, joint.frame_on_parent())
-        for joint in moving
-        if scoped(joint) in joints
+        name: joint.frame_on_child().CalcPose(context, joint.frame_on_parent())
+        for name, joint in own.items()
+        if name in joints
     }
 
 
 def weld_joints(
     plant: MultibodyPlant, poses: Mapping[str, RigidTransform], *, aside: bool = False
 ) -> None:
-    """Puts welds in the place of joints, of the same name.
+    """Put welds in the place of joints, of the same name, in a plant that is not finalized.
 
     Args:
-        plant: A plant that is not finalized; changed.
         poses: Scoped joint name -> pose X_FM that the weld has.
         aside: Whether they get other names, as no robot in question has them.
     """
-    for joint in [plant.get_joint(index) for index in plant.GetJointIndices()]:
-        if scoped(joint) not in poses or not joint.num_velocities():
-            continue
-        X_FM, name = poses[scoped(joint)], joint.name() + (_ASIDE if aside else "")
-        frames = joint.frame_on_parent(), joint.frame_on_child()
-        remove_joint(plant, joint)
-        plant.AddJoint(WeldJoint(name, *frames, X_FM))
+    for joint in moving_joints(plant):
+        if scoped(joint) in poses:
+            X_FM, name = poses[scoped(joint)], joint.name() + (_ASIDE if aside else "")
+            frames = joint.frame_on_parent(), joint.frame_on_child()
+            remove_joint(plant, joint)
+            plant.AddJoint(WeldJoint(name, *frames, X_FM))
 
 
 def welds_of(plant: MultibodyPlant, *, aside: bool = False) -> dict[str, RigidTransform]:
@@ -142,13 +192,11 @@ def welds_of(plant: MultibodyPlant, *, aside: bool = False) -> dict[str, RigidTr
     Args:
         aside: Those of other robots than the one in question.
     """
-    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
-    welds = {scoped(joint): joint.X_FM() for joint in joints if isinstance(joint, WeldJoint)}
-    names = {name: name.endswith(_ASIDE) for name in welds}
-    return {name.removesuffix(_ASIDE): welds[name] for name in welds if names[name] is aside}
+    welds = {scoped(j): j.X_FM() for j in joints_of(plant) if isinstance(j, WeldJoint)}
+    wanted = (name for name in welds if name.endswith(_ASIDE) is aside)
+    return {name.removesuffix(_ASIDE): welds[name] for name in wanted}
 
 
 def moving_joints(plant: MultibodyPlant) -> list[Joint]:
     """The joints of a plant that are no welds."""
-    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
-    return [joint for joint in joints if joint.num_velocities()]
+    return [joint for joint in joints_of(plant) if joint.num_velocities()]

@@ -16,10 +16,9 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
-from geodrake.robot.followers import Follower, OwnCoordinates
+from geodrake.robot.followers import Follower, OwnCoordinates, scoped
 from geodrake.robot.joints import FrameMotion, joint_motions
 from geodrake.robot.recursion import MOBILIZER, TreeRecords
-from geodrake.robot.several_robots import scoped
 
 _WORLD, _MASSLESS = -1, -2
 
@@ -76,11 +75,6 @@ class KinematicTree(Short):
         Args:
             plant: Any finalized plant; it is not kept.
             followers: Joints of it that follow others, whose leaders follow none.
-
-        Raises:
-            ArgumentError: It is no plant.
-            ModelError: The plant is not finalized, has a joint of an unsupported type or a loop,
-                or has gravity switched off for a part of a connected robot only.
         """
         bodies = lumped_bodies(plant)
         gravity = [_has_gravity(plant, body) for body in bodies]

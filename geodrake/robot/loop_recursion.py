@@ -286,9 +286,6 @@ def _go(loop: Any, wanted: Array, x: Array, rooms: Any) -> float:
 
     Each step goes along the tangent, and then to where the loop is closed; where that is far, the
     step is shorter.
-
-    Returns:
-        The share of the way that was possible.
     """
     free, units, (room, solving, c, J, trial) = loop[4], loop[7], rooms
     none, move = np.zeros((len(c), 1)), np.zeros((len(x), 1))

@@ -27,13 +27,13 @@ from geodrake.compiling import contiguous
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
-from geodrake.robot.closure import WORLD, Closure
 from geodrake.robot.followers import Follower, OwnCoordinates
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.joints import Features, axis_motion, slide_motion
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
 from geodrake.robot.loop_recursion import CLOSURE, Indices, LoopRecords, calc_misses
 from geodrake.robot.recursion import TreeRecords
+from geodrake.robot.stated import WORLD, Closure
 from geodrake.robot.transmission.base import times
 from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.loop import LoopTransmission
@@ -104,9 +104,6 @@ class Loops:
 
         Args:
             held: Joint -> where it is held, rad or m.
-
-        Raises:
-            ModelError: A loop does not close there.
         """
         every, still = dict[str, float](), dict[str, float]()
         for loop in self.loops:
@@ -173,9 +170,6 @@ class ClosedLoop:
 
         Args:
             held: Joint of the tree -> where it is held, rad or m.
-
-        Raises:
-            ModelError: The loop does not close there.
         """
         free, names = self.map.free, self.map.joints
         q = np.array([held.get(names[at], self.map.reference[at]) for at in free])
@@ -206,9 +200,6 @@ def closed_loops(
     """Return the closed loops of a plant.
 
     Of the joints of a loop those are free that are driven, and then those nearest to the base.
-
-    Raises:
-        ModelError: A loop does not close at the posture of the file, or is singular there.
     """
     return _LoopFinder(plant, tuple(names), path, how).loops(closures) if closures else Loops()
 

@@ -40,9 +40,6 @@ def wavefront(path: Path, most: int = MOST_TRIANGLES) -> str:
 
     Args:
         most: Most triangles; a finer mesh is drawn more coarsely.
-
-    Raises:
-        ModelError: The file cannot be read, or has no triangles.
     """
     try:
         return wavefront_text(READERS[path.suffix.lower()](path), most)
@@ -73,9 +70,6 @@ def check_mesh(path: Path) -> None:
 
     Args:
         path: A mesh of any kind; one that is not there is nothing to wait for.
-
-    Raises:
-        ModelError: It would.
     """
     for mesh in _there([path]):
         open_regular(mesh, "mesh", ModelError).close()
@@ -156,11 +150,7 @@ def _merged(vertices: Array, faces: Faces, number: Faces) -> Surface:
 
 
 def stl_vertices(path: Path) -> Array:
-    """(3 n, 3) vertices of the n triangles of an STL file, binary or text, in the file's unit.
-
-    Raises:
-        ModelError: The file cannot be read, or has no triangles.
-    """
+    """(3 n, 3) vertices of the n triangles of an STL file, binary or text, in the file's unit."""
     data = read_regular(path, "mesh", ModelError, empty=True)
     start = _HEADER + _COUNT
     count = int.from_bytes(data[_HEADER:start], "little")

@@ -1,17 +1,16 @@
-"""The shapes of an MJCF's bodies, as MuJoCo compiles them."""
+"""The shapes of an MJCF's bodies, as MuJoCo compiles them, and MJCFs in scenes of directives."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from pydrake.common import MemoryFile
-from pydrake.common.eigen_geometry import Quaternion
 from pydrake.geometry import (
+    AddContactMaterial,
     Box,
     Capsule,
     Convex,
@@ -19,17 +18,21 @@ from pydrake.geometry import (
     Ellipsoid,
     InMemoryMesh,
     Mesh,
+    ProximityProperties,
     Rgba,
     Shape,
     Sphere,
 )
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform
+from pydrake.multibody.parsing import ModelDirectives
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 
 from geodrake.errors import ModelError
+from geodrake.robot.files.description import read_model_text
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
-from geodrake.robot.files.mjcf_source import compiled, mujoco_or_none
-from geodrake.robot.files.mjcf_tree import name_of
+from geodrake.robot.files.mjcf_source import compiled, load_mujoco
+from geodrake.robot.files.mjcf_terms import pose_of
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.mesh_files import wavefront_text
@@ -37,7 +40,7 @@ from geodrake.robot.mesh_files import wavefront_text
 _LAST_GROUP = 2  # of geoms that MuJoCo shows unasked
 _WIDE, _DEEP = 100.0, 1.0
 """Sides of the box below a plane, m: Drake has no distances of half-spaces to most shapes."""
-WORLD = "WorldModelInstance::world"  # Drake's scoped name
+_WORLD = "WorldModelInstance::world"  # Drake's scoped name
 SHAPES_ADVICE = (
     "Give the links shapes of their own with `links` and leave out those of the file "
     "(use_file=False)."
@@ -66,19 +69,12 @@ class MjcfGeom:
     friction: float
 
 
-def is_mjcf(path: Path, given: Given) -> bool:
-    """Return whether a model file is an MJCF."""
-    if path.suffix.lower() in (".yaml", ".yml"):
-        return False
-    return parse_xml_bytes(read_expanded(path, given), path).tag == "mujoco"
-
-
 def mjcf_geoms(
     path: Path, given: Given, *, hulls: bool = False, scope: str | None = None
 ) -> tuple[Mapping[str, tuple[MjcfGeom, ...]], tuple[str, ...]] | None:
     """Return the geoms of each body by its scoped name, and sentences on meshes that are lost.
 
-    Of other files, and without MuJoCo, that is None.
+    Of other files, that is None.
 
     Args:
         hulls: For collisions and not for pictures: meshes are convex hulls of all of their points,
@@ -88,53 +84,53 @@ def mjcf_geoms(
     Raises:
         ModelError: MuJoCo refuses it, or a mesh; or a mesh for collisions is not there.
     """
-    mujoco = mujoco_or_none()
-    if mujoco is None or not is_mjcf(path, given):
+    if path.suffix.lower() in (".yaml", ".yml"):
         return None
     root = parse_xml_bytes(read_expanded(path, given), path)
+    if root.tag != "mujoco":
+        return None
     Includes(path, given.packages).insert_elements(root)
     scope = scope or root.get("model") or path.stem
-    source = compiled(root, path, mujoco, geoms=True)
+    source = compiled(root, path, geoms=True)
     if hulls and source.touching:
         raise ModelError(
             f"{path} cannot be read with its collision geometry: {' '.join(source.lost)}",
             advice=SHAPES_ADVICE,
             path=path,
         )
-    m = source.model
+    m, plane = source.model, load_mujoco().mjtGeom.mjGEOM_PLANE
     found = dict[str, list[MjcfGeom]]()
     for at in range(m.ngeom):
-        shape = _shape(m, at, hulls, mujoco)
-        world = not m.geom_bodyid[at]
-        if shape is None or (world and not hulls):
+        shape, body = _shape(m, at, hulls), int(m.geom_bodyid[at])
+        if shape is None or not (body or hulls):
             continue  # the ground is no part of the robot
-        body = name_of(m, mujoco, "BODY", int(m.geom_bodyid[at]))
-        turn = RotationMatrix(Quaternion(np.array(m.geom_quat[at])))
-        below = 0.5 * _DEEP * (m.geom_type[at] == int(mujoco.mjtGeom.mjGEOM_PLANE))
-        material = int(m.geom_matid[at])
+        X_BG, material = pose_of(m.geom_pos[at], m.geom_quat[at]), int(m.geom_matid[at])
+        if int(m.geom_type[at]) == plane:
+            X_BG = X_BG @ RigidTransform([0.0, 0.0, -0.5 * _DEEP])
         color = m.geom_rgba[at] if material < 0 else m.mat_rgba[material]
         geom = MjcfGeom(
-            name_of(m, mujoco, "GEOM", at) or str(at),
+            m.geom(at).name or str(at),
             shape,
-            RigidTransform(turn, m.geom_pos[at] - below * turn.matrix()[:, 2]),
+            X_BG,
             Rgba(*np.clip(color, 0.0, 1.0)),
             bool(m.geom_group[at] <= _LAST_GROUP),
             bool(m.geom_contype[at] or m.geom_conaffinity[at]),
             float(m.geom_friction[at][0]),
         )
-        found.setdefault(WORLD if world else f"{scope}::{body}", []).append(geom)
-    return {link: tuple(geoms) for link, geoms in found.items()}, source.lost
+        link = f"{scope}::{m.body(body).name}" if body else _WORLD
+        found.setdefault(link, []).append(geom)
+    return {link: tuple(geoms) for link, geoms in found.items()}, tuple(source.lost)
 
 
-def _shape(m: Any, at: int, hulls: bool, mujoco: ModuleType) -> Shape | None:
-    kinds, kind = mujoco.mjtGeom, int(m.geom_type[at])
+def _shape(m: Any, at: int, hulls: bool) -> Shape | None:
+    kinds, kind = load_mujoco().mjtGeom, int(m.geom_type[at])
     a, b, c = (float(x) for x in m.geom_size[at])
-    if kind == int(kinds.mjGEOM_MESH):
+    if kind == kinds.mjGEOM_MESH:
         mesh = int(m.geom_dataid[at])
         first, count = int(m.mesh_vertadr[mesh]), int(m.mesh_vertnum[mesh])
         face, faces = int(m.mesh_faceadr[mesh]), int(m.mesh_facenum[mesh])
         vertices = np.array(m.mesh_vert[first : first + count], float)
-        name = name_of(m, mujoco, "MESH", mesh) or str(mesh)
+        name = m.mesh(mesh).name or str(mesh)
         if hulls:
             return Convex(points=vertices.T, label=name)
         text = wavefront_text((vertices, np.array(m.mesh_face[face : face + faces], np.int64)))
@@ -149,3 +145,48 @@ def _shape(m: Any, at: int, hulls: bool, mujoco: ModuleType) -> Shape | None:
     if hulls:
         shapes[int(kinds.mjGEOM_PLANE)] = lambda: Box(_WIDE, _WIDE, _DEEP)
     return shapes[kind]() if kind in shapes else None
+
+
+def plain_mjcfs(
+    directives: ModelDirectives, includes: Includes, given: Given, folder: Path
+) -> Mapping[str, Path]:
+    """Name plain files in the place of MJCFs; return the MJCFs by the names of their models.
+
+    Drake reads the tree that MuJoCo compiled (`geodrake.robot.files.mjcf`) in the place of each,
+    to which `add_geoms` adds its geoms.
+
+    Args:
+        directives: Flattened directives; changed.
+    """
+    found = dict[str, Path]()
+    for model in (each.add_model for each in directives.directives if each.add_model):
+        file = includes.checked(includes.resolve(model.file, Path()))
+        text = read_model_text(file, given, model.name)
+        if text.kind == "xml":
+            plain = folder / f"{len(found)}.xml"
+            plain.write_text(text.text()[0], encoding="utf-8")
+            model.file, found[model.name] = plain.as_uri(), file
+    return found
+
+
+def add_geoms(plant: MultibodyPlant, name: str, file: Path, given: Given) -> None:
+    """Add the geoms of an MJCF to a model of a plant: what MuJoCo shows, and what touches others.
+
+    Args:
+        plant: A plant that is not finalized and has a SceneGraph.
+    """
+    shown, _ = mjcf_geoms(file, given, scope=name) or ({}, ())
+    solid, _ = mjcf_geoms(file, given, hulls=True, scope=name) or ({}, ())
+    index = plant.GetModelInstanceByName(name)
+    for link in dict.fromkeys((*shown, *solid)):
+        world = link == _WORLD
+        own = plant.world_body() if world else plant.GetBodyByName(link.rpartition("::")[2], index)
+        label = f"{name}_" if world else ""
+        for geom in (each for each in (solid if world else shown).get(link, ()) if each.shown):
+            plant.RegisterVisualGeometry(
+                own, geom.X_BG, geom.shape, label + geom.name, geom.color.rgba
+            )
+        for geom in (each for each in solid.get(link, ()) if each.collides):
+            touch, rub = ProximityProperties(), CoulombFriction(geom.friction, geom.friction)
+            AddContactMaterial(friction=rub, properties=touch)
+            plant.RegisterCollisionGeometry(own, geom.X_BG, geom.shape, label + geom.name, touch)

@@ -8,8 +8,6 @@ MuJoCo's opinion. Free bodies rest where the file puts them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,46 +18,21 @@ from pydrake.multibody.tree import Joint, JointIndex, MultibodyForces
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.files import ModelDescription
-from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.mjcf import MjcfText
-from geodrake.robot.files.mjcf_source import mujoco_or_none, quiet_mujoco
-from geodrake.robot.several_robots import scoped
-from geodrake.robot.stated import Spring, Tendon
+from geodrake.robot.files.mjcf_source import load_mujoco, quiet_mujoco
+from geodrake.robot.followers import scoped
+from geodrake.robot.stated import BuiltPlant
 
 _STATES = 3
 _TOLERANCE = 1e-9  # of the largest effort
 _APART = 1e-4  # of the size, by which loops of rounded numbers may be open
 _SPEED, _ACCELERATION = 2.0, 5.0
 _FAR = 3.0  # rad or m, where limits leave a choice
+_BUG = "This is a bug in geodrake; please report it with the file."
 
 
-@dataclass(frozen=True, eq=False)
-class JointTerms:
-    """What a model file states of joints, beside a plant of rigid bodies.
-
-    Attributes:
-        damping: (nv,) c of c v, SI; nv of the plant.
-        friction: (nv,) dry friction, N·m or N.
-        rotor_inertia: (nv,) reflected inertia, kg·m² or kg.
-        powers: (2, nv) c of c |v| v and of c v³, SI.
-        springs: Velocity -> the spring of its joint.
-        tendons: Tendons over several joints, by scoped names.
-        coupled_inertia: Scoped names of two joints, or one twice, and what tendons are there in the
-            mass matrix.
-    """
-
-    plant: MultibodyPlant
-    damping: Array
-    friction: Array
-    rotor_inertia: Array
-    powers: Array
-    springs: Mapping[int, Spring]
-    tendons: tuple[Tendon, ...]
-    coupled_inertia: tuple[tuple[str, str, float], ...]
-
-
-def check_against_mujoco(description: ModelDescription, built: JointTerms) -> None:
-    """Compare a plant with what MuJoCo compiled, where its file is an MJCF that it did.
+def check_against_mujoco(description: ModelDescription, built: BuiltPlant) -> None:
+    """Compare a plant with what MuJoCo compiled, where its file is an MJCF.
 
     Args:
         built: Its plant, all of whose joints move, before repairs of inertias.
@@ -67,18 +40,14 @@ def check_against_mujoco(description: ModelDescription, built: JointTerms) -> No
     Raises:
         ModelError: They differ; the message has the joint.
     """
-    mujoco = mujoco_or_none()
-    (text, *others) = description.texts
-    reference = getattr(text, "reference", None)
-    if mujoco is None or reference is None or others or description.directives is not None:
-        return
-    if text.set_aside:  # a thin body, say, whose repair is told of
-        return
-    places = _places(text, reference, built.plant, mujoco)
+    text = _compiled(description)
+    if text is None or description.directives is not None or text.terms.set_aside:
+        return  # of a thin body, say, whose repair is told of
+    places = _places(text, built.plant)
     rng = np.random.default_rng(0)
     errors, largest = np.zeros(len(places)), 0.0
     for _ in range(_STATES):
-        ours, theirs = _efforts(built, reference, places, rng, mujoco)
+        ours, theirs = _efforts(built, text, places, rng)
         for k, (own, other) in enumerate(zip(ours, theirs, strict=True)):
             errors[k] = max(errors[k], float(np.abs(own - other).max(initial=0.0)))
             largest = max(largest, float(np.abs(other).max(initial=0.0)))
@@ -88,10 +57,16 @@ def check_against_mujoco(description: ModelDescription, built: JointTerms) -> No
         raise ModelError(
             f"{description.path}: geodrake does not read the joint {joint.name()} or the body "
             f"{body} as MuJoCo does: efforts differ by up to {errors.max():.3g}, of {largest:.3g}.",
-            advice="This is a bug in geodrake; please report it with the file.",
+            advice=_BUG,
             path=description.path,
             body=body,
         )
+
+
+def _compiled(description: ModelDescription) -> MjcfText | None:
+    text, *others = description.texts
+    is_whole = isinstance(text, MjcfText) and text.reference is not None and not others
+    return text if is_whole else None  # type: ignore[return-value]
 
 
 def check_loops_against_mujoco(
@@ -106,69 +81,67 @@ def check_loops_against_mujoco(
     Raises:
         ModelError: Some are not closed by MuJoCo's constraints, or come apart.
     """
-    mujoco, (text, *others) = mujoco_or_none(), description.texts
-    if mujoco is None or others or not isinstance(text, MjcfText) or text.reference is None:
+    text = _compiled(description)
+    if text is None:
         return
     m = text.compiled
-    data, numbers = mujoco.MjData(m), list[tuple[Joint, int]]()
-    for joint in (plant.get_joint(JointIndex(i)) for i in plant.GetJointIndices()):
-        at = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_JOINT, joint.name())
-        if joint.num_velocities() == joint.num_positions() == 1 and at >= 0:
-            numbers.append((joint, at))
+    data, numbers = load_mujoco().MjData(m), _numbers(m, plant, (1,))
     for at in range(m.neq):
         data.eq_active[at] = at in text.closing
     closing = list(text.closing)
     places = np.concatenate([m.body_pos.ravel(), m.eq_data[closing, :6].ravel()])
     size = float(np.abs(places).max(initial=1e-3))
+    equality = int(load_mujoco().mjtConstraint.mjCNSTR_EQUALITY)
     for q, v in zip(*states, strict=True):
         for joint, at in numbers:
             data.qpos[m.jnt_qposadr[at]] = q[joint.position_start()]
             data.qvel[m.jnt_dofadr[at]] = v[joint.velocity_start()]
-        with quiet_mujoco(mujoco):
-            mujoco.mj_forward(m, data)
-        own = np.array(data.efc_type) == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        with quiet_mujoco():
+            load_mujoco().mj_forward(m, data)
+        own = np.array(data.efc_type) == equality
         apart = np.concatenate([data.efc_pos[own], data.efc_vel[own]])
         if not np.abs(apart).max(initial=0.0) <= _APART * size:
             raise ModelError(
                 f"{description.path}: geodrake does not close its loops as MuJoCo does: they come "
                 f"apart by up to {np.abs(apart).max():.3g} m or rad.",
-                advice="This is a bug in geodrake; please report it with the file.",
+                advice=_BUG,
                 path=description.path,
             )
 
 
-def _places(
-    text: ModelText, reference: Any, plant: MultibodyPlant, mujoco: Any
-) -> list[tuple[Joint, int]]:
-    """Return the plant's moving joints, but free ones, and their numbers in MuJoCo's model."""
-    found, free = [], int(mujoco.mjtJoint.mjJNT_FREE)
+def _numbers(m: Any, plant: MultibodyPlant, sizes: tuple[int, ...]) -> list[tuple[Joint, int]]:
+    """Return joints of as many velocities as positions, and their numbers in MuJoCo's model."""
+    mujoco, found = load_mujoco(), []
     for joint in (plant.get_joint(JointIndex(i)) for i in plant.GetJointIndices()):
-        if joint.num_velocities() in (1, 3):
-            at = mujoco.mj_name2id(reference, mujoco.mjtObj.mjOBJ_JOINT, joint.name())
-            if at >= 0 and int(reference.jnt_type[at]) != free:
-                found.append((joint, at))
-    count = sum(int(kind) != free for kind in reference.jnt_type)
+        at = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_JOINT, joint.name())
+        if joint.num_velocities() == joint.num_positions() in sizes and at >= 0:
+            found.append((joint, at))
+    return found
+
+
+def _places(text: MjcfText, plant: MultibodyPlant) -> list[tuple[Joint, int]]:
+    """Return the plant's moving joints, but free ones, and their numbers in MuJoCo's model."""
+    m, free = text.reference, load_mujoco().mjtJoint.mjJNT_FREE
+    found = [(joint, at) for joint, at in _numbers(m, plant, (1, 3)) if int(m.jnt_type[at]) != free]
+    count = sum(int(kind) != free for kind in m.jnt_type)
     if len(found) != count:
         raise ModelError(
             f"{text.path}: MuJoCo has {count} joints there, and geodrake {len(found)}.",
-            advice="This is a bug in geodrake; please report it with the file.",
+            advice=_BUG,
             path=text.path,
         )
     return found
 
 
 def _efforts(
-    built: JointTerms,
-    m: Any,
-    places: list[tuple[Joint, int]],
-    rng: np.random.Generator,
-    mujoco: Any,
+    built: BuiltPlant, text: MjcfText, places: list[tuple[Joint, int]], rng: np.random.Generator
 ) -> tuple[list[Array], list[Array]]:
     """Return efforts at a random state, the plant's and MuJoCo's, N·m or N.
 
     Both have one (1,) or, of a ball, (3,) for each of `places`, along MuJoCo's velocities.
     """
-    plant, data = built.plant, mujoco.MjData(m)
+    plant, m, mujoco = built.plant, text.reference, load_mujoco()
+    data = mujoco.MjData(m)
     context = plant.CreateDefaultContext()
     q, v, vd = plant.GetPositions(context), *np.zeros((2, plant.num_velocities()))
     turns = []
@@ -195,20 +168,20 @@ def _efforts(
         turns.append(turn)
     plant.SetPositions(context, q)
     plant.SetVelocities(context, v)
-    with quiet_mujoco(mujoco):
+    with quiet_mujoco():
         mujoco.mj_inverse(m, data)
     effort = plant.CalcInverseDynamics(context, vd, MultibodyForces(plant))
     effort -= plant.CalcGravityGeneralizedForces(context)
     effort += v * (built.damping + np.abs(v) * built.powers[0] + v**2 * built.powers[1])
     effort += built.rotor_inertia * vd
     starts = {scoped(j): (j.position_start(), j.velocity_start()) for j, _ in places}
-    for tendon in built.tendons:
+    for tendon in text.terms.tendons:
         along = np.array([*tendon.shares.values()])
         at_q, at = np.array([starts[joint] for joint in tendon.shares]).T
         stretch = along @ q[at_q] - tendon.length
         pull = tendon.stiffness * stretch + tendon.damping * (along @ v[at])
         effort[at] += along * pull
-    for first, second, inertia in built.coupled_inertia:
+    for first, second, inertia in text.terms.coupled_inertia:
         i, j = starts[first][1], starts[second][1]
         effort[[i, j]] += inertia * vd[[j, i]]
     ours, theirs = [], []

@@ -9,49 +9,42 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import (
-    BodyIndex,
-    Joint,
-    JointActuatorIndex,
-    JointIndex,
-    RigidBody,
-    SpatialInertia,
-)
+from pydrake.multibody.tree import BodyIndex, Joint, JointActuator, RigidBody, SpatialInertia
 from pydrake.systems.framework import Context
 
 from geodrake.boundary.arguments import file_path, instance, number, real_array, typed
 from geodrake.errors import ModelError
-from geodrake.inertia import (
-    PARAMETERS_PER_BODY,
-    Array,
-    inertial_parameters,
-    to_spatial_inertia,
-)
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, inertial_parameters, to_spatial_inertia
 from geodrake.inertia.bodies import Member, lumped_bodies
-from geodrake.robot.cut_joints import OpenedLoop, open_loops
-from geodrake.robot.files import Given, ModelDescription, read_description
+from geodrake.robot.cut_joints import open_loops
+from geodrake.robot.files import Given, ModelDescription
 from geodrake.robot.files.checks import check_poses
-from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.files.description import drake_errors, drake_messages, read_description
 from geodrake.robot.files.named_robots import robot_file
-from geodrake.robot.followers import Follower, OwnCoordinates, resolved
-from geodrake.robot.holding import Arrangement, checked_held, poses_of, weld_joints, welds_of
-from geodrake.robot.loops import ClosedLoop, LoopJoints, Loops, closed_loops
-from geodrake.robot.mujoco_check import (
-    JointTerms,
-    check_against_mujoco,
-    check_loops_against_mujoco,
+from geodrake.robot.followers import Follower, OwnCoordinates, joints_of, resolved, scoped
+from geodrake.robot.holding import (
+    Arrangement,
+    checked_held,
+    chosen_robot,
+    poses_of,
+    robots_of,
+    weld_joints,
+    welds_of,
 )
+from geodrake.robot.loops import ClosedLoop, LoopJoints, Loops, closed_loops
+from geodrake.robot.mujoco_check import check_against_mujoco, check_loops_against_mujoco
 from geodrake.robot.repairs import Repair, repair_inertias
-from geodrake.robot.several_robots import chosen_robot, robots_of, scoped
 from geodrake.robot.stated import (
     BoxInMedium,
+    BuiltPlant,
     Entries,
+    FileTerms,
     Spring,
     StatedStrut,
     Tendon,
@@ -66,6 +59,7 @@ from geodrake.robot.transmission.statements import Followers, Gear
 _STATES = 3  # random ones at which loops are compared with MuJoCo's
 _LIMIT = "limit of "  # before the names of actuators that only have a limit of efforts
 _SAME = 1e-9  # of the largest of a body's parameters: what text and Drake may change
+_NO_SPRING = Spring.linear(0.0)
 
 
 @dataclass(frozen=True)
@@ -95,8 +89,8 @@ class LoadedPlant:
         held: Joint that does not move, though it does in the file -> where it is held, rad or m.
         given: How the file was to be read.
         followers: Joints of the plant that follow others.
-        joints: Names of all joints of one degree of freedom that the robot has in the file, held
-            ones and followers included.
+        joints: Names of all joints of one degree of freedom of the file, held ones and followers
+            included.
         bent: Joints that follow others by a ratio that changes, and are among the plant's own.
         geared: Joints of which the file states motors that move otherwise than they do.
     """
@@ -116,15 +110,15 @@ class LoadedPlant:
     file_weights: tuple[Weight, ...]
     file_boxes: tuple[BoxInMedium, ...]
     file_struts: tuple[StatedStrut, ...]
+    left_out: tuple[str, ...]
+    loops: tuple[ClosedLoop, ...]
+    closing: Mapping[str, Mapping[str, float]]
     held: Mapping[str, float]
     given: Given
-    followers: tuple[Follower, ...] = ()
-    joints: tuple[str, ...] = ()
-    bent: tuple[Followers, ...] = ()
-    geared: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()
-    loops: tuple[ClosedLoop, ...] = ()
-    closing: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    followers: tuple[Follower, ...]
+    joints: tuple[str, ...]
+    bent: tuple[Followers, ...]
+    geared: tuple[str, ...]
 
     @property
     def stated(self) -> Mapping[str, Array]:
@@ -173,7 +167,7 @@ def load_plant(
     with drake_messages() as messages:
         description = read_description(path, given)
         draft, arrangement, loops = _draft(description, floating=floating, held=held, given=given)
-        repairs, left_out, changed = repair_inertias(description, draft.plant)
+        repairs, weightless, changed = repair_inertias(description, draft.plant)
         if phi is not None:
             _write_inertias(description, draft.plant, phi)
             changed = True
@@ -182,43 +176,51 @@ def load_plant(
             built = _build(description, arrangement, into)
         if phi is not None:
             _check_inertias(built.plant, phi, path)
-    notes = [*origin, *description.notes, *built.notes, *_follower_notes(arrangement)]
-    notes += loops.notes
-    ignored, apart = _ignored(description, arrangement), list[str]()
-    (apart if any(text.kind == "xml" for text in description.texts) else notes).extend(ignored)
-    changes = [*map(str, repairs), *left_out, *description.lost, *_relevant(messages)]
-    coordinates = OwnCoordinates(built.plant, arrangement.followers)
+    terms, plant = description.terms, built.plant
+    apart = _ignored(description, arrangement)
+    of_xml = any(text.kind == "xml" for text in description.texts)
+    notes = [*origin, *terms.notes, *built.notes, *_follower_notes(arrangement), *loops.notes]
+    lines = [message.partition("\n")[0].rpartition("warning: ")[2] for message in messages]
+    of_drake = [f"Drake: {line}" for line in lines if "inertia" in line or "mass" in line]
+    coordinates = OwnCoordinates(plant, arrangement.followers)
     rows, shifts = _rows(coordinates, arrangement)
-    tendons, lost = _joined_tendons(built, rows, shifts)
+    tendons, lost = _joined_tendons(terms, rows, shifts)
+    closing = _closing(terms, built, loops)
+    left_out = [*terms.left_out, *(apart if of_xml else ()), *lost, *loops.left_out]
     return LoadedPlant(
-        built.plant,
+        plant,
         path,
         repairs,
-        tuple(dict.fromkeys(changes)),
-        tuple(dict.fromkeys(notes)),
+        _once([*map(str, repairs), *weightless, *terms.lost, *of_drake]),
+        _once([*notes, *(() if of_xml else apart)]),
         coordinates.joined(built.damping, 2),
         coordinates.joined(built.friction, 1),
         coordinates.joined(built.rotor_inertia, 2),
         np.array([coordinates.joined(c, n) for c, n in zip(built.powers, (3, 4), strict=True)]),
         _joined_springs(built, coordinates),
         tendons,
-        entries_through(built.coupled_inertia, rows),
-        weights_of(built.plant, description.joint_values("carried")),
-        boxes_of(built.plant, [box for text in description.texts for box in text.boxes]),
-        struts_of(built.plant, [each for text in description.texts for each in text.struts]),
-        {**loops.held, **held},
-        given,
-        arrangement.followers,
-        (*arrangement.joints, *_closing(description, built, loops)),
-        tuple(part for part in description.bent if part not in loops.taken),
-        _geared(description),
-        tuple(dict.fromkeys([*description.left_out, *apart, *lost, *loops.left_out])),
+        entries_through(terms.coupled_inertia, rows),
+        weights_of(plant, terms.carried),
+        boxes_of(plant, terms.boxes),
+        struts_of(plant, terms.struts),
+        _once(left_out),
         loops.loops,
-        _closing(description, built, loops),
+        closing,
+        held={**loops.held, **held},
+        given=given,
+        followers=arrangement.followers,
+        joints=(*arrangement.joints, *closing),
+        bent=tuple(part for part in terms.bent if part not in loops.taken),
+        # Gears of MJCF's actuators do not count: most scale efforts and are no gears.
+        geared=tuple(joint for is_alike, joint in _motors(description) if not is_alike),
     )
 
 
-def _joined_springs(built: _Built, coordinates: OwnCoordinates) -> dict[int, Spring]:
+def _once(sentences: Iterable[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(sentences))
+
+
+def _joined_springs(built: BuiltPlant, coordinates: OwnCoordinates) -> dict[int, Spring]:
     """Return the springs at the robot's own velocities, with those of their followers."""
     springs = dict(built.springs)
     offsets = [follower.offset for follower in coordinates.followers]
@@ -247,23 +249,15 @@ def _rows(
 
 
 def _joined_tendons(
-    built: _Built, rows: Mapping[str, Mapping[int, float]], shifts: Mapping[str, float]
+    terms: FileTerms, rows: Mapping[str, Mapping[int, float]], shifts: Mapping[str, float]
 ) -> tuple[tuple[Tendon, ...], list[str]]:
     """Return the tendons over the robot's own velocities, and those that are not its own."""
-    within = [tendon for tendon in built.tendons if rows.keys() >= tendon.shares.keys()]
+    within = [tendon for tendon in terms.tendons if rows.keys() >= tendon.shares.keys()]
     return tuple(tendon.through(rows, shifts) for tendon in within), [
         f"The tendon {tendon.name} over joints of several robots is left out."
-        for tendon in built.tendons
+        for tendon in terms.tendons
         if tendon not in within and not rows.keys().isdisjoint(tendon.shares)
     ]
-
-
-def _geared(description: ModelDescription) -> tuple[str, ...]:
-    """Joints of which the file states motors that move otherwise than they do.
-
-    Gears of MJCF's actuators do not count: most scale efforts and are no gears.
-    """
-    return tuple(joint for is_alike, joint in _motors(description) if not is_alike)
 
 
 def _motors(description: ModelDescription) -> Iterator[tuple[bool, str]]:
@@ -277,7 +271,7 @@ def _motors(description: ModelDescription) -> Iterator[tuple[bool, str]]:
 
 def _draft(
     description: ModelDescription, *, floating: bool, held: Mapping[str, float], given: Given
-) -> tuple[_Built, Arrangement, Loops]:
+) -> tuple[BuiltPlant, Arrangement, Loops]:
     """Return the plant before repairs, of the robot asked for, with its joints held."""
     arrangement = Arrangement(floating)
     draft = _build(description, arrangement)
@@ -289,9 +283,9 @@ def _draft(
         arrangement = replace(arrangement, aside=aside, robot=robot.bodies)
         draft = _build(description, arrangement)
     joints = _single_joints(draft.plant)
-    followers = resolved(description.followers, [scoped(joint) for joint in joints.values()])
+    followers = resolved(description.terms.followers, [scoped(joint) for joint in joints.values()])
     arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
-    stated = description.joint_values("fixed")
+    stated = description.terms.fixed
     fixed = {name: stated[scoped(j)] for name, j in joints.items() if scoped(j) in stated}
     held = {**fixed, **held}
     first = (*held, *given.leading)
@@ -303,18 +297,13 @@ def _draft(
     if held or still:
         places = checked_held(joints, followers, {**still, **held}, description.path)
         still = {name: held[name] for name in fixed} | still
-        if len(places) == draft.plant.num_velocities() and still:
-            raise ModelError(
-                f"No joint moves in {description.path}: constraints hold {', '.join(still)}.",
-                advice="Correct what closes them; a constraint too many holds a linkage.",
-                path=description.path,
-            )
         if len(places) == draft.plant.num_velocities():
-            raise ModelError(
-                f"All joints of {description.path} are held, so nothing moves.",
-                advice="Leave out at least one of them.",
-                path=description.path,
-            )
+            what = f"All joints of {description.path} are held, so nothing moves."
+            advice = "Leave out at least one of them."
+            if still:
+                what = f"No joint moves in {description.path}: constraints hold {', '.join(still)}."
+                advice = "Correct what closes them; a constraint too many holds a linkage."
+            raise ModelError(what, advice=advice, path=description.path)
         arrangement = replace(
             arrangement,
             held=poses_of(draft.plant, places, places),
@@ -327,20 +316,20 @@ def _draft(
     return draft, arrangement, loops
 
 
-def _loops(description: ModelDescription, built: _Built, how: LoopJoints) -> Loops:
+def _loops(description: ModelDescription, built: BuiltPlant, how: LoopJoints) -> Loops:
     """Return the closed loops of a plant of a description."""
-    plant, closures = built.plant, [*description.closures, *(o.closure for o in built.opened)]
+    plant, terms = built.plant, description.terms
+    closures = [*terms.closures, *built.opened]
     if not closures:
         return Loops()
     names, own = joint_names(plant), OwnCoordinates(plant, how.followers).own_velocities
     limited = (a.joint() for a in _actuators(plant) if np.isfinite(a.effort_limit()))
-    driven = {names[joint.velocity_start()] for joint in limited} | description.driven_joints
-    driven |= {each.closure.cut.name for each in built.opened if each.driven and each.closure.cut}
-    none = Spring.linear(0.0)
-    stated = {n: description.springs.get(scoped(j), none) for n, j in _single_joints(plant).items()}
-    springs = {name: spring.coefficients[1] for name, spring in stated.items()}
-    sprung = sorted((n for n, k in springs.items() if k > 0.0), key=lambda n: -springs[n])
-    how = replace(how, bent=description.bent, driven=driven, sprung=sprung)
+    driven = {names[joint.velocity_start()] for joint in limited} | terms.driven
+    driven |= {each.cut.name for each in built.opened if each.cut and each.cut.driven}
+    single = _single_joints(plant).items()
+    stiffness = {n: terms.springs.get(scoped(j), _NO_SPRING).coefficients[1] for n, j in single}
+    sprung = sorted((n for n, k in stiffness.items() if k > 0.0), key=lambda n: -stiffness[n])
+    how = replace(how, bent=tuple(terms.bent), driven=driven, sprung=sprung)
     found = closed_loops(plant, [names[k] for k in own], closures, path=description.path, how=how)
     if found.left_out and built.opened:
         raise ModelError(
@@ -351,24 +340,20 @@ def _loops(description: ModelDescription, built: _Built, how: LoopJoints) -> Loo
     return found
 
 
-def _closing(
-    description: ModelDescription, built: _Built, loops: Loops
-) -> dict[str, dict[str, float]]:
+def _closing(terms: FileTerms, built: BuiltPlant, loops: Loops) -> dict[str, dict[str, float]]:
     """Return what the file states of joints that close loops which move."""
-    moving = {loop.map.joints[k] for loop in loops.loops for k in loop.map.cut}
-    friction, armature = (description.joint_values(name) for name in ("friction", "armature"))
-    springs, none = description.springs, Spring.linear(0.0)
-    return {
-        each.closure.cut.name: {
-            "damping": each.damping,
-            "dry friction": friction.get(each.scoped_name, 0.0),
-            "reflected rotor inertia": armature.get(each.scoped_name, each.rotor_inertia),
-            "spring": springs.get(each.scoped_name, none).coefficients[1],
-            "rest": springs.get(each.scoped_name, none).center,
-        }
-        for each in built.opened
-        if each.closure.cut is not None and each.closure.cut.name in moving
-    }
+    moving, found = {loop.map.joints[k] for loop in loops.loops for k in loop.map.cut}, {}
+    for cut in (each.cut for each in built.opened):
+        if cut is not None and cut.name in moving:
+            spring = terms.springs.get(cut.scoped_name, _NO_SPRING)
+            found[cut.name] = {
+                "damping": cut.damping,
+                "dry friction": terms.friction.get(cut.scoped_name, 0.0),
+                "reflected rotor inertia": terms.armature.get(cut.scoped_name, cut.rotor_inertia),
+                "spring": spring.coefficients[1],
+                "rest": spring.center,
+            }
+    return found
 
 
 def _closed_states(
@@ -395,7 +380,7 @@ def _closed_states(
 def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:
     """The joints of one degree of freedom by their names, in the order of their velocities."""
     names = joint_names(plant)
-    single = [j for j in _joints(plant) if j.num_velocities() == j.num_positions() == 1]
+    single = [j for j in joints_of(plant) if j.num_velocities() == j.num_positions() == 1]
     single.sort(key=lambda joint: int(joint.velocity_start()))
     return {names[joint.velocity_start()]: joint for joint in single}
 
@@ -410,7 +395,7 @@ def _follower_notes(arrangement: Arrangement) -> list[str]:
 def _ignored(description: ModelDescription, arrangement: Arrangement) -> list[str]:
     """Return which joints cannot follow, though the file says so, in words."""
     there = {f.joint for f in arrangement.followers}.union(arrangement.held, arrangement.aside)
-    apart = [_last(f.joint) for f in description.followers if f.joint not in there]
+    apart = [_last(f.joint) for f in description.terms.followers if f.joint not in there]
     if not apart:
         return []
     what = "<equality>" if description.texts[0].kind == "xml" else "<mimic>"
@@ -419,9 +404,9 @@ def _ignored(description: ModelDescription, arrangement: Arrangement) -> list[st
 
 def cannot_follow(what: str, joints: Iterable[str]) -> str:
     """Return a sentence on joints of a statement of the file whose leaders are not there."""
-    names = ", ".join(joints)
     return (
-        f"{what} is ignored, as there is no joint to follow: {names} count as joints of their own."
+        f"{what} is ignored, as there is no joint to follow: {', '.join(joints)} count as joints "
+        "of their own."
     )
 
 
@@ -429,33 +414,29 @@ def _last(name: str) -> str:
     return name.rpartition("::")[2]
 
 
-@dataclass(frozen=True, eq=False)
-class _Built(JointTerms):
-    """A plant, notes on how it was read, and the joints that closed its loops."""
-
-    notes: tuple[str, ...]
-    opened: tuple[OpenedLoop, ...]
-
-
 def _build(
     description: ModelDescription, arrangement: Arrangement, plant: MultibodyPlant | None = None
-) -> _Built:
+) -> BuiltPlant:
     plant = MultibodyPlant(time_step=0.0) if plant is None else plant
     description.add_to(plant)
+    terms = description.terms
     with drake_errors(description.path):
         opened = open_loops(plant)
         weld_joints(plant, arrangement.held)
         weld_joints(plant, arrangement.aside, aside=True)
-        notes = [*_root_notes(plant, arrangement)]
+        notes = _root_notes(plant, arrangement)
         _limit_efforts(plant, description)
-        damping = {
-            j: np.array(joint.default_damping_vector()) for j, joint in enumerate(_joints(plant))
-        }
-        rotor = _take_rotor_inertia(plant, description)
-        starts = description.joint_values("start")
-        for joint in _joints(plant):
+        joints = joints_of(plant)
+        damping = {scoped(joint): joint.default_damping_vector().copy() for joint in joints}
+        rotor = dict[str, float]()
+        for actuator in _actuators(plant):
+            name = scoped(actuator.joint())
+            rotor[name] = rotor.get(name, 0.0) + actuator.default_reflected_inertia()
+            actuator.set_default_rotor_inertia(0.0)
+        for joint in joints:
             joint.set_default_damping_vector(np.zeros(joint.num_velocities()))
-            if (start := starts.get(scoped(joint), 0.0)) and joint.num_positions() == 1:
+            start = terms.start.get(scoped(joint), 0.0)
+            if start and joint.num_positions() == 1:
                 joint.set_default_positions([start])
         plant.Finalize()
         check_poses(plant, description.path)
@@ -470,35 +451,28 @@ def _build(
     if plant.num_constraints() or plant.num_force_elements() > 1:
         notes.append("Constraints and springs of the file are no part of the open tree.")
 
-    def per_velocity(values: dict[int, Array]) -> Array:
-        array = np.zeros(plant.num_velocities())
-        for j, joint in enumerate(_joints(plant)):
-            if j in values:
-                start = joint.velocity_start()
-                array[start : start + joint.num_velocities()] = np.nan_to_num(values[j])
-        return array
+    def per_velocity(values: Mapping[str, ArrayLike], most: float = np.inf) -> Array:
+        found = np.zeros(plant.num_velocities())
+        for joint in joints_of(plant):
+            start, count = joint.velocity_start(), joint.num_velocities()
+            if count <= most:
+                found[start : start + count] = np.nan_to_num(values.get(scoped(joint), 0.0))
+        return found
 
-    def of_text(name: str, most: float = np.inf) -> dict[int, Array]:
-        stated = description.joint_values(name)
-        counts = {j: joint.num_velocities() for j, joint in enumerate(_joints(plant))}
-        values = {j: stated.get(scoped(joint), 0.0) for j, joint in enumerate(_joints(plant))}
-        return {j: np.full(count, values[j]) for j, count in counts.items() if count <= most}
-
-    springs = description.springs
-    single = [joint for joint in _joints(plant) if joint.num_velocities() == 1]
-    return _Built(
+    single = [joint for joint in joints_of(plant) if joint.num_velocities() == 1]
+    return BuiltPlant(
         plant,
+        damping=per_velocity(damping),
+        friction=per_velocity(terms.friction),
+        rotor_inertia=per_velocity(rotor | terms.armature),
+        powers=np.array([per_velocity(c, most=1) for c in (terms.damping_2, terms.damping_3)]),
+        springs={
+            int(joint.velocity_start()): terms.springs[scoped(joint)]
+            for joint in single
+            if scoped(joint) in terms.springs
+        },
         notes=tuple(notes),
         opened=opened,
-        damping=per_velocity(damping),
-        friction=per_velocity(of_text("friction")),
-        rotor_inertia=per_velocity(rotor),
-        powers=np.array([per_velocity(of_text(f"damping_{n}", most=1)) for n in (2, 3)]),
-        springs={
-            int(j.velocity_start()): springs[scoped(j)] for j in single if scoped(j) in springs
-        },
-        tendons=tuple(tendon for text in description.texts for tendon in text.tendons),
-        coupled_inertia=tuple(e for text in description.texts for e in text.coupled_inertia),
     )
 
 
@@ -530,7 +504,8 @@ def _check_inertias(plant: MultibodyPlant, phi: ArrayLike, path: Path) -> None:
 def _root_notes(plant: MultibodyPlant, arrangement: Arrangement) -> list[str]:
     """Welds the free roots to the world unless they shall float; says what is worth saying."""
     roots, floating = free_roots(plant), arrangement.floating
-    own = [b for b in roots if arrangement.is_of_robot(int(b.index()))]
+    robot = arrangement.robot
+    own = [b for b in roots if robot is None or int(b.index()) in robot]
     for body in roots:
         if not floating or body not in own:
             X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
@@ -570,7 +545,7 @@ def free_roots(plant: MultibodyPlant) -> list[RigidBody]:
     """Return the root of each tree that no joint connects to the world."""
     tree = list(range(plant.num_bodies()))
     children = set()
-    for joint in _joints(plant):
+    for joint in joints_of(plant):
         parent, child = int(joint.parent_body().index()), int(joint.child_body().index())
         children.add(child)
         old, new = tree[child], tree[parent]
@@ -591,8 +566,8 @@ def motor_joints(plant: MultibodyPlant) -> frozenset[str]:
 def _limit_efforts(plant: MultibodyPlant, description: ModelDescription) -> None:
     """Gives the joints the effort limits that the file states without an actuator of Drake's."""
     actuators = {int(a.joint().index()): a for a in _actuators(plant)}
-    efforts, driven = description.joint_values("effort"), {n for _, n in _motors(description)}
-    for joint in _joints(plant):
+    efforts, driven = description.terms.effort, {n for _, n in _motors(description)}
+    for joint in joints_of(plant):
         limit = efforts.get(scoped(joint), 0.0)
         is_driven = joint.name() in driven
         if joint.num_velocities() != 1 or not (limit > 0 or is_driven):
@@ -604,33 +579,7 @@ def _limit_efforts(plant: MultibodyPlant, description: ModelDescription) -> None
             actuators[int(joint.index())].set_effort_limit(limit)
 
 
-def _take_rotor_inertia(plant: MultibodyPlant, description: ModelDescription) -> dict[int, Array]:
-    """Reflected inertias by joint, which are set to zero in the plant."""
-    numbers = {int(joint.index()): j for j, joint in enumerate(_joints(plant))}
-    stated = description.joint_values("armature")
-    rotor = {
-        j: np.full(joint.num_velocities(), stated.get(scoped(joint), 0.0))
-        for j, joint in enumerate(_joints(plant))
-    }
-    for actuator in _actuators(plant):
-        joint = actuator.joint()
-        if scoped(joint) not in stated:
-            rotor[numbers[int(joint.index())]] += actuator.default_reflected_inertia()
-        actuator.set_default_rotor_inertia(0.0)
-    return rotor
-
-
-def _relevant(messages: list[str]) -> list[str]:
-    """Return what Drake says about masses and inertias that it replaced on its own."""
-    lines = [message.partition("\n")[0].rpartition("warning: ")[2] for message in messages]
-    return [f"Drake: {line}" for line in lines if "inertia" in line or "mass" in line]
-
-
-def _joints(plant: MultibodyPlant) -> list[Joint]:
-    return [plant.get_joint(JointIndex(i)) for i in plant.GetJointIndices()]
-
-
-def _actuators(plant: MultibodyPlant) -> list[JointActuatorIndex]:
+def _actuators(plant: MultibodyPlant) -> list[JointActuator]:
     return [plant.get_joint_actuator(i) for i in plant.GetJointActuatorIndices()]
 
 
@@ -642,9 +591,6 @@ def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayL
     Args:
         phi: (nb, 10) parameters in the order and frames of `inertial_parameters`; they need not
             be physical.
-
-    Raises:
-        ArgumentError: The shape does not fit, or a value is not finite.
     """
     set_lump_inertias(plant, context, [body.members for body in lumped_bodies(plant)], phi)
 
@@ -669,7 +615,7 @@ def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
     """
     names = plant.GetVelocityNames(add_model_instance_prefix=False, always_add_suffix=False)
     full = plant.GetVelocityNames(add_model_instance_prefix=True, always_add_suffix=False)
-    held = [joint.name() for joint in _joints(plant) if not joint.num_velocities()]
+    held = [joint.name() for joint in joints_of(plant) if not joint.num_velocities()]
     return tuple(
         long if names.count(short) > 1 or short in held else short
         for short, long in zip(names, full, strict=True)
@@ -680,7 +626,7 @@ def scoped_joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
     """Names of the joints (nv) that velocities belong to, as `robot::joint`."""
     names = {
         joint.velocity_start() + k: scoped(joint)
-        for joint in _joints(plant)
+        for joint in joints_of(plant)
         for k in range(joint.num_velocities())
     }
     return tuple(names[k] for k in range(plant.num_velocities()))

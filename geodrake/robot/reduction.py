@@ -29,9 +29,6 @@ def triangular_factor(blocks: Iterable[ArrayLike]) -> Array:
     Returns:
         (p, p) upper triangular R with RᵀR = Σ AᵢᵀAᵢ. Signs on the diagonal are arbitrary, and with
         fewer than p independent rows some of it is zero up to rounding.
-
-    Raises:
-        ArgumentError: There is no block, widths differ, or a value is not finite.
     """
     factor: Array | None = None
     for number, block in enumerate(blocks):

@@ -155,9 +155,6 @@ def checked_samples(
         q: (N, nq) positions in Drake's order.
         v: (N, nv) velocities in Drake's order.
         vd: (N, nv) accelerations v̇ in Drake's order.
-
-    Raises:
-        ArgumentError: A shape does not fit the plant, or a value is not finite.
     """
     tree = checked_tree(plant)
     sizes: Sizes = {}
@@ -168,10 +165,5 @@ def checked_samples(
 
 
 def checked_tree(plant: MultibodyPlant | RobotTree) -> RobotTree:
-    """The tree of a plant, or the tree that it is.
-
-    Raises:
-        ArgumentError: It is something else.
-        ModelError: The plant is not finalized, or has a joint that is not supported.
-    """
+    """The tree of a plant, or the tree that it is."""
     return plant if isinstance(plant, RobotTree) else KinematicTree.from_plant(plant)

@@ -66,15 +66,12 @@ def repair_inertias(
 
     Returns:
         The repairs, notes on welded links that were left out, and whether the text changed.
-
-    Raises:
-        ModelError: A body needs repair, but comes from a file that is included.
     """
     lumps = lumped_bodies(plant)
     stated = [_stated_parameters(description, plant, body) for body in lumps]
     usable = [np.where(_counts(phi)[:, None], phi, 0.0).sum(0) for phi in stated]
     between = [
-        all(_scoped(plant, member.index) in description.between for member in body.members)
+        all(_scoped(plant, member.index) in description.terms.between for member in body.members)
         for body in lumps
     ]
     spare_mass = _spare_mass(
@@ -96,7 +93,7 @@ def repair_inertias(
             if names:
                 notes.append(f"{', '.join(names)}: no mass above zero, so it adds none.")
         scoped = {_scoped(plant, member.index) for member in body.members}
-        if after is not phi or scoped & description.set_aside.keys():
+        if after is not phi or scoped & description.terms.set_aside.keys():
             changed = True
             _write(description, plant, body, after)
     return tuple(repairs), tuple(notes), changed
@@ -163,7 +160,7 @@ def _stated_parameters(
     rows = []
     for member in body.members:
         spatial = plant.get_body(member.index).default_spatial_inertia()
-        phi = description.set_aside.get(_scoped(plant, member.index))
+        phi = description.terms.set_aside.get(_scoped(plant, member.index))
         phi = from_spatial_inertia(spatial) if phi is None else phi
         R_RB, p_RoBo_R = member.X_RB.rotation().matrix(), member.X_RB.translation()
         usable = np.isfinite(phi).all()

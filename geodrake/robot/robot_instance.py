@@ -361,11 +361,7 @@ class RobotInstance:
 
 @typed
 def take_out_stated(plant: MultibodyPlant, name: str) -> None:
-    """Takes damping and rotor inertia out of a robot, as they are to be effects of a model.
-
-    Raises:
-        ArgumentError: The plant is finalized, or has no such instance.
-    """
+    """Takes damping and rotor inertia out of a robot, as they are to be effects of a model."""
     if plant.is_finalized() or not plant.HasModelInstanceNamed(name):
         raise ArgumentError(
             f"The plant is finalized, or has no model instance {name!r}.",
@@ -383,11 +379,7 @@ def take_out_stated(plant: MultibodyPlant, name: str) -> None:
 def add_generalized_force(
     builder: DiagramBuilder, plant: MultibodyPlant, force: OutputPort
 ) -> None:
-    """Connects a generalized force (nv), N·m or N, to a plant, beside those that act on it.
-
-    Raises:
-        ArgumentError: The plant's port for generalized forces is an input of the diagram.
-    """
+    """Connects a generalized force (nv), N·m or N, to a plant, beside those that act on it."""
     port = plant.get_applied_generalized_force_input_port()
     if builder.IsConnectedOrExported(port):
         place = (plant, port.get_index())

@@ -1,12 +1,9 @@
-"""What model files state beside rigid bodies and numbers of joints: springs, tendons, weights.
-
-All is effort that is needed beside that of the bodies, at velocities of a plant or of a robot.
-"""
+"""What model files state beside rigid bodies: terms of joints, tendons, weights, closed loops."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -16,6 +13,11 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import lumped_bodies
+from geodrake.robot.followers import Follower
+from geodrake.robot.transmission.statements import Followers
+
+WORLD = "world"
+"""Name of the world among the bodies of closures."""
 
 _ROUNDING = 1e-14  # of what two springs have, where they have nothing together
 
@@ -89,10 +91,6 @@ class Tendon:
     damping: float = 0.0
     friction: float = 0.0
 
-    def scoped(self, scope: str) -> Tendon:
-        """Return the tendon with the names that joints of a model have."""
-        return replace(self, shares={f"{scope}::{j}": share for j, share in self.shares.items()})
-
     def through(self, rows: Mapping[Any, Mapping[Any, float]], at: Mapping[Any, float]) -> Tendon:
         """Return the tendon over what its joints follow.
 
@@ -133,6 +131,46 @@ def entries_through(
 
 
 @dataclass(frozen=True)
+class CutJoint:
+    """A joint that closes a loop and is not in the tree.
+
+    Attributes:
+        axis: (3,) its axis in the first frame of its closure.
+        slides: Whether it is prismatic.
+        damping: N·m·s/rad or N·s/m.
+        rotor_inertia: kg·m² or kg.
+        driven: Whether a motor with a limit drives it.
+    """
+
+    name: str
+    scoped_name: str
+    axis: Array
+    slides: bool
+    damping: float
+    rotor_inertia: float
+    driven: bool
+
+
+@dataclass(frozen=True)
+class Closure:
+    """Two frames of a robot's bodies that are one, or whose origins are.
+
+    Attributes:
+        name: What closes the loop, in words.
+        bodies: Scoped names of the bodies, or `WORLD`.
+        poses: Poses of the frames in them.
+        turns: Whether the frames turn together; else only the origins are one.
+        cut: The joint between the frames; None for none.
+    """
+
+    name: str
+    bodies: tuple[str, str]
+    poses: tuple[RigidTransform, RigidTransform]
+    turns: bool
+    cut: CutJoint | None = None
+
+
+@dataclass(frozen=True)
 class BoxInMedium:
     """What a medium acts on: a body as the box that has its inertia.
 
@@ -170,14 +208,6 @@ class StatedStrut:
     length: float
     damping: float
 
-    def scoped(self, scope: str) -> StatedStrut:
-        """Return the strut with the names that bodies of a model have."""
-        first, second = (
-            "WorldModelInstance::world" if body == "world" else f"{scope}::{body}"
-            for body in self.bodies
-        )
-        return replace(self, bodies=(first, second))
-
 
 @dataclass(frozen=True)
 class Weight:
@@ -186,6 +216,100 @@ class Weight:
     body: str
     mass: float
     place: Array
+
+
+@dataclass(eq=False)
+class FileTerms:
+    """What model files state beside rigid bodies, by scoped names of joints and links, SI.
+
+    Attributes:
+        notes: Sentences on what was taken otherwise than it is stated.
+        left_out: Sentences on what bears on efforts, and is nowhere here.
+        lost: Sentences on inertias that nothing tells.
+        gravity: (3,) acceleration of gravity, m/s²; None for Drake's.
+        set_aside: Link -> (10,) inertial parameters that no body can have; not in the plant.
+        damping_2: Joint -> c of its damping c |v| v; likewise c v³.
+        start: Joint -> where the file has it by default, rad or m; otherwise at 0.
+        fixed: Joint -> where a constraint holds it, rad or m.
+        effort: Joint -> its largest effort, N or N·m.
+        driven: Names of joints that the file says are driven.
+        coupled_inertia: Two joints, or one twice, and what tendons are there in the mass matrix.
+        carried: Link -> which share of its weight something else carries.
+        bent: Joints that follow others by a ratio that changes.
+        closures: What closes loops of the robot.
+        between: Bodies between several joints of one, which weigh nothing.
+    """
+
+    notes: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+    gravity: Array | None = None
+    set_aside: dict[str, Array] = field(default_factory=dict)
+    friction: dict[str, float] = field(default_factory=dict)
+    armature: dict[str, float] = field(default_factory=dict)
+    damping_2: dict[str, float] = field(default_factory=dict)
+    damping_3: dict[str, float] = field(default_factory=dict)
+    start: dict[str, float] = field(default_factory=dict)
+    fixed: dict[str, float] = field(default_factory=dict)
+    effort: dict[str, float] = field(default_factory=dict)
+    driven: set[str] = field(default_factory=set)
+    springs: dict[str, Spring] = field(default_factory=dict)
+    tendons: list[Tendon] = field(default_factory=list)
+    coupled_inertia: list[tuple[str, str, float]] = field(default_factory=list)
+    carried: dict[str, float] = field(default_factory=dict)
+    boxes: list[BoxInMedium] = field(default_factory=list)
+    struts: list[StatedStrut] = field(default_factory=list)
+    followers: list[Follower] = field(default_factory=list)
+    bent: list[Followers] = field(default_factory=list)
+    closures: list[Closure] = field(default_factory=list)
+    between: set[str] = field(default_factory=set)
+
+    @classmethod
+    def joined(cls, parts: Sequence[FileTerms]) -> FileTerms:
+        """Return what several files state together."""
+        found = cls()
+        for part in parts:
+            for name in (each.name for each in fields(cls)):
+                own, more = getattr(found, name), getattr(part, name)
+                if isinstance(own, dict):
+                    setattr(found, name, more | own)
+                elif isinstance(own, list):
+                    own += more
+                elif isinstance(own, set):
+                    own |= more
+        gravities = [(0.0, 0.0, -9.81) if p.gravity is None else tuple(p.gravity) for p in parts]
+        if len(several := set(gravities)) > 1:
+            each = ", ".join(" ".join(f"{x:g}" for x in gravity) for gravity in several)
+            found.left_out.append(
+                f"The models have several gravities ({each}); all but one is left out."
+            )
+        stated = [part.gravity for part in parts if part.gravity is not None]
+        found.gravity = stated[-1] if stated else None
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltPlant:
+    """A plant of rigid bodies, and what its file states of its joints.
+
+    Attributes:
+        damping: (nv,) c of c v, SI; nv of the plant.
+        friction: (nv,) dry friction, N·m or N.
+        rotor_inertia: (nv,) reflected inertia, kg·m² or kg.
+        powers: (2, nv) c of c |v| v and of c v³, SI.
+        springs: Velocity -> the spring of its joint.
+        notes: Sentences on how it was read.
+        opened: Joints that closed its loops.
+    """
+
+    plant: MultibodyPlant
+    damping: Array
+    friction: Array
+    rotor_inertia: Array
+    powers: Array
+    springs: Mapping[int, Spring]
+    notes: tuple[str, ...]
+    opened: tuple[Closure, ...]
 
 
 def weights_of(plant: MultibodyPlant, shares: Mapping[str, float]) -> tuple[Weight, ...]:

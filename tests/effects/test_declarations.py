@@ -38,7 +38,6 @@ ALLOWED = {
     "model/file_terms.py": "says what files have of their own of what effects are",
     "robot/files/joint_text.py": "drake:rotor_inertia is a tag of Drake's",
     "robot/files/checks.py": "drake:rotor_inertia is a tag of Drake's",
-    "robot/files/mjcf_simple.py": "contact is a tag of MuJoCo's",
     "robot/files/mjcf_source.py": "contact is a tag of MuJoCo's",
     "robot/files/unread.py": "contact is a tag of PyBullet's",
 }

@@ -266,7 +266,7 @@ def test_check_holds_and_sees_a_loop_that_is_not_mujocos(tmp_path, monkeypatch):
 
 
 def wrong_pose(position, quaternion):
-    from geodrake.robot.files.mjcf_tree import pose_of
+    from geodrake.robot.files.mjcf import pose_of
 
     return pose_of(np.array(position) + 0.01, quaternion)
 

@@ -1,9 +1,7 @@
 """MJCF means what MuJoCo makes of it: each construct against MuJoCo's own inverse dynamics."""
 
-import sys
 import threading
 import time
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -423,24 +421,6 @@ def test_a_plant_that_is_not_mujocos_is_refused(tmp_path, monkeypatch):
         load_model(path)
 
 
-def test_without_mujoco_simple_files_are_read_and_others_refused(tmp_path, monkeypatch):
-    simple = mjcf(tip('damping=".2" armature=".1" stiffness="2" springref="9" range="-50 50"'))
-    path = write(tmp_path, simple)
-    with_mujoco = load_model(path)
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    without = load_model(path)
-    assert without.joints == with_mujoco.joints and without.bodies == with_mujoco.bodies
-    np.testing.assert_allclose(without.phi, with_mujoco.phi, atol=1e-12)
-    assert [e.effect for e in without.effects] == [e.effect for e in with_mujoco.effects]
-    for what in sorted(TAKEN.keys() - {"gravity", "dry friction", "a spring that pushes"}):
-        with pytest.raises(ModelError, match="MuJoCo, which is not installed") as refused:
-            load_model(write(tmp_path, TAKEN[what][0]))
-        assert 'pip install "geodrake[mjcf]"' in str(refused.value), what
-    for text, _ in LEFT_OUT.values():
-        with pytest.raises(ModelError, match="not installed"):
-            load_model(write(tmp_path, text))
-
-
 def test_seven_joints_are_read_in_a_moment(tmp_path):
     inside = ""
     for k in range(7):
@@ -530,15 +510,12 @@ BACK = '<joint joint1="a" joint2="t" polycoef="0 1 {} 0 0"/>'
         FOLLOW.format(1, 0) + BACK.format(0.2),
     ],
 )
-def test_a_second_constraint_of_a_joint_is_left_out(tmp_path, monkeypatch, both):
+def test_a_second_constraint_of_a_joint_is_left_out(tmp_path, both):
     path = write(tmp_path, mjcf(tip(), tail=f"<equality>{both}</equality>"))
     model = load_model(path)
     (said,) = model.left_out
     assert said.startswith("<equality>: the constraint <joint> of ") and said in model.repairs
     assert len(model.joints) == 1
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(ModelError, match="<equality> is read by MuJoCo, which is not installed"):
-        load_model(path)
 
 
 def test_a_joint_that_cannot_follow_is_left_out(tmp_path):
@@ -560,29 +537,22 @@ def test_deformable_bodies_are_read_and_their_elasticity_is_told(tmp_path):
     assert said.startswith("<flex> of 1 deformable bodies")
 
 
-def test_names_between_joints_are_those_of_no_body(tmp_path, monkeypatch):
+def test_names_between_joints_are_those_of_no_body(tmp_path):
     text = mjcf(
         f'<body name="b"><joint name="x"/><joint name="y" axis="0 1 0"/>{GEOM}'
         f'<body name="b_x"><joint name="z"/>{GEOM}</body></body>'
     )
     model = assert_as_mujoco(tmp_path, text, "a x y z")
     assert len(set(model.bodies)) == len(model.bodies)
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(ModelError, match="a body of several joints is read by MuJoCo"):
-        load_model(write(tmp_path, text))
 
 
-def test_a_yield_of_a_spring_is_told(tmp_path, monkeypatch):
+def test_a_yield_of_a_spring_is_told(tmp_path):
     tendon = '<tendon><fixed name="p" {}>' + PAIR + "</fixed></tendon>"
     of_tendon = mjcf(tip(), tail=tendon.format('stiffness="4" springyield=".1"'))
     of_joint = mjcf(tip('stiffness="4" springyield=".1"'))
     for text in (of_tendon, of_joint):
         (said,) = load_model(write(tmp_path, text)).left_out
         assert "yield" in said
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    for text in (of_joint, mjcf(tip(), tail=tendon.format('springyield=".1"'))):
-        with pytest.raises(ModelError, match="springyield of <"):
-            load_model(write(tmp_path, text))
 
 
 def test_what_is_switched_off_of_a_tendon_is_not_told(tmp_path):
@@ -596,22 +566,15 @@ def test_one_thread_at_a_time_takes_mujocos_warnings():
     there = threading.Event()
 
     def enter():
-        with mjcf_source.quiet_mujoco(mujoco):
+        with mjcf_source.quiet_mujoco():
             there.set()
 
     other = threading.Thread(target=enter)
-    with mjcf_source.quiet_mujoco(mujoco):
+    with mjcf_source.quiet_mujoco():
         other.start()
         assert not there.wait(0.2)
     other.join(10.0)
     assert there.is_set()
-
-
-def test_a_mujoco_that_is_too_old_is_none(monkeypatch):
-    assert mjcf_source.mujoco_or_none() is mujoco
-    old = SimpleNamespace(MjSpec=object, mjtDisableBit=SimpleNamespace(mjDSBL_PASSIVE=32))
-    monkeypatch.setitem(sys.modules, "mujoco", old)
-    assert mjcf_source.mujoco_or_none() is None
 
 
 def test_springs_of_a_finger_that_follows_are_at_its_leader(tmp_path):

@@ -21,9 +21,8 @@ from geodrake.logs.motion import Motion
 from geodrake.robot.plant import joint_names
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
 from geodrake.robot.transmission import Drive, FunctionTransmission, LinearTransmission
-from geodrake.robot.transmission.actuation import Actuation
-from geodrake.robot.transmission.limits import actuator_effort_limits, actuator_rates
-from geodrake.robot.transmission.parts import InSequence, SideBySide, gears, rolling_joint
+from geodrake.robot.transmission.actuation import Actuation, actuator_effort_limits, actuator_rates
+from geodrake.robot.transmission.base import InSequence, SideBySide, gears, rolling_joint
 
 RATIO = 10.6
 SPIN = 0.003  # kg·m², of a rotor about its axis

@@ -39,7 +39,7 @@ from geodrake.robot.files.description import drake_errors, drake_messages, model
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.meshes import check_geometry
-from geodrake.robot.mjcf_scene import add_geoms, plain_mjcfs
+from geodrake.robot.mjcf_shapes import add_geoms, plain_mjcfs
 from geodrake.robot.robot_instance import RobotInstance, RobotPorts, take_out_stated
 
 _DIRECTIVES = Path("the directives")  # what messages call them

@@ -13,9 +13,9 @@ from geodrake.effects import Effect
 from geodrake.model.file_terms import Damping, DryFriction, Rotor, Spring
 from geodrake.model.robot_model import RobotModel, from_loaded_plant
 from geodrake.model.servos import servos_of
+from geodrake.robot.files.description import model_text_of
 from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.mjcf_sections import with_sections
-from geodrake.robot.files.reading import model_text_of
 from geodrake.robot.files.values import words
 from geodrake.robot.plant import load_plant, scoped_joint_names
 
@@ -159,7 +159,7 @@ def with_actuators(
     text = model_text_of(data, path)
     if not isinstance(text, MjcfText) or model.transmission:
         return data, ()
-    joints, driven = list(exported_joints(model).values()), text.driven_joints
+    joints, driven = list(exported_joints(model).values()), text.terms.driven
     free = [each for each in joints if each.driven and each.name not in driven]
     wanted = [each for each in joints if each.is_servo or each.delay]
     kept = [each for each in wanted if each.name in driven]

@@ -14,7 +14,7 @@ from pydrake.multibody.tree import WeldJoint
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
-from geodrake.robot.files.xml_text import place_of
+from geodrake.robot.files.xml_text import wrong_at
 
 LARGEST = 1e12
 """In SI units, larger than anything of a robot but a limit, which may stand for none."""
@@ -37,14 +37,12 @@ class Numbers:
     most: float = LARGEST
 
     def problem(self, text: str) -> str:
-        """What is wrong with a text, to be read after it; nothing if it will do."""
+        """Return what is wrong with a text, to be read after it; nothing if it will do."""
         words = text.split()
-        if not words:
-            return ""
         wrong = [word for word in words if not _NUMBER.fullmatch(word)]
         if wrong:
             return f"{wrong[0][:50]!r} is no number"
-        if len(words) not in self.counts:
+        if words and len(words) not in self.counts:
             few, many = self.counts[0], self.counts[-1]
             return f"it needs {few if few == many else f'{few} to {many}'} numbers"
         values = np.array(words, float)
@@ -55,23 +53,13 @@ class Numbers:
         return f"{outside[0]:g} is {word} {bound:g}"
 
 
-class Words(Numbers):
-    """Words that are no numbers, and that stand where other elements have some."""
+Numeric = Mapping[str, Mapping[str, Numbers | None]]
+"""Tag -> attribute -> numbers, None for any word.
 
-    def problem(self, text: str) -> str:
-        """Return nothing, as any word will do."""
-        return ""
+The attribute "" is the text, the tag "" stands for all.
+"""
 
-
-Numeric = Mapping[str, Mapping[str, Numbers]]
-"""Tag -> attribute -> numbers; the attribute "" is the text, the tag "" stands for all."""
-
-
-def _exactly(count: int) -> Numbers:
-    return Numbers(range(count, count + 1))
-
-
-_ONE, _VECTOR = Numbers(), _exactly(3)
+_ONE, _VECTOR, _FOUR, _SIX = (Numbers(range(count, count + 1)) for count in (1, 3, 4, 6))
 _POSITIVE = Numbers(least=0.0)
 _LIMIT = Numbers(least=-np.inf, most=np.inf)
 _MAGNITUDE = Numbers(least=0.0, most=np.inf)
@@ -106,29 +94,17 @@ SDF_NUMBERS: Numeric = {
 }
 MJCF_NUMBERS: Numeric = {
     "": {
-        "pos": _VECTOR,
-        "axis": _VECTOR,
-        "euler": _VECTOR,
-        "zaxis": _VECTOR,
-        "gravity": _VECTOR,
-        "quat": _exactly(4),
-        "axisangle": _exactly(4),
-        "xyaxes": _exactly(6),
-        "fromto": _exactly(6),
+        **dict.fromkeys(("pos", "axis", "euler", "zaxis", "gravity"), _VECTOR),
+        **dict.fromkeys(("quat", "axisangle"), _FOUR),
+        **dict.fromkeys(("xyaxes", "fromto"), _SIX),
         "size": Numbers(range(1, 5)),
         "gear": Numbers(range(1, 7)),
-        "range": _RANGE,
-        "ctrlrange": _RANGE,
-        "forcerange": _RANGE,
-        "actuatorfrcrange": _RANGE,
-        "armature": _POSITIVE,
-        "frictionloss": _POSITIVE,
+        **dict.fromkeys(("range", "ctrlrange", "forcerange", "actuatorfrcrange"), _RANGE),
+        **dict.fromkeys(("armature", "frictionloss", "density", "mass"), _POSITIVE),
         "damping": Numbers(range(1, 4), least=0.0),
         "stiffness": Numbers(range(1, 4)),
-        "density": _POSITIVE,
-        "mass": _POSITIVE,
     },
-    "flag": {"gravity": Words()},
+    "flag": {"gravity": None},
 }
 
 
@@ -136,26 +112,19 @@ def check_numbers(root: Element, numeric: Numeric, path: Path) -> None:
     """Refuses numbers that are none, too few or too many, or out of bounds.
 
     Those of an `inertial` are left to the repair of inertias.
-
-    Raises:
-        ModelError: The message has the line, the text and what is wrong with it.
     """
     for element in _but_inertials(root):
         every = {**numeric.get("", {}), **numeric.get(element.tag, {})}
         for attribute, numbers in every.items():
             text = element.get(attribute, "") if attribute else (element.text or "")
-            problem = numbers.problem(text) if not len(element) or attribute else ""
+            problem = numbers.problem(text) if numbers and (attribute or not len(element)) else ""
             if problem:
                 words = f"{attribute}={text[:50]!r}" if attribute else repr(text.strip()[:50])
                 raise _wrong(element, path, f"has {words}: {problem}")
 
 
 def check_links(links: Mapping[str, Element], path: Path) -> None:
-    """Refuses names that Drake takes for a link of another model.
-
-    Raises:
-        ModelError: The message has the line and the name.
-    """
+    """Refuses names that Drake takes for a link of another model."""
     for link in links.values():
         if "::" in link.get("name", ""):
             raise _wrong(link, path, f"has name={link.get('name')!r}: :: separates model and link")
@@ -165,9 +134,6 @@ def check_inertia(link: Element, phi: Array, path: Path) -> None:
     """Refuses inertial parameters (10,) that are numbers, but larger than anything of a robot.
 
     What is not finite passes.
-
-    Raises:
-        ModelError: The message has the line, the link and the number.
     """
     largest = np.abs(phi).max()
     if LARGEST < largest < np.inf:
@@ -176,11 +142,7 @@ def check_inertia(link: Element, phi: Array, path: Path) -> None:
 
 
 def check_limits(root: Element, path: Path) -> None:
-    """Refuses lower limits above upper ones.
-
-    Raises:
-        ModelError: The message has the line and the limits.
-    """
+    """Refuses lower limits above upper ones."""
     for element in root.iter():
         limits = []
         if element.tag == "limit":
@@ -199,11 +161,7 @@ def check_limits(root: Element, path: Path) -> None:
 
 
 def check_poses(plant: MultibodyPlant, path: Path) -> None:
-    """Refuses joints at places that are no numbers, or beyond all that is a robot.
-
-    Raises:
-        ModelError: The message has the joint and the place.
-    """
+    """Refuses joints at places that are no numbers, or beyond all that is a robot."""
     for joint in (plant.get_joint(index) for index in plant.GetJointIndices()):
         frames = (joint.frame_on_parent(), joint.frame_on_child())
         poses = [frame.GetFixedPoseInBodyFrame() for frame in frames]
@@ -234,8 +192,4 @@ def _but_inertials(root: Element) -> Iterator[Element]:
 
 
 def _wrong(element: Element, path: Path, reason: str) -> ModelError:
-    return ModelError(
-        f"{place_of(element) or path}: <{element.tag}> {reason}.",
-        advice="Correct the file there.",
-        path=path,
-    )
+    return wrong_at(element, path, f"<{element.tag}> {reason}.")

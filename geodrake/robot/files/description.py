@@ -1,13 +1,19 @@
-"""A model file of any format, ready to be added to a plant."""
+"""A model file of any format, ready to be added to a plant.
+
+Drake refuses some files that describe a robot well enough for its dynamics (a mesh that is not
+there, a mimic joint that mimics nothing), and silently puts a 1 kg ball in the place of an inertia
+it finds impossible. So geometry and loop closures are taken out of the text first, and inertias
+that no body can have are set aside, for `geodrake.robot.plant` to repair.
+"""
 
 from __future__ import annotations
 
 import logging
 import re
-from collections import ChainMap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -27,17 +33,17 @@ from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.yaml_text import yaml_text
 from geodrake.errors import GeodrakeError, ModelError
 from geodrake.inertia import Array
-from geodrake.robot.closure import Closure
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
+from geodrake.robot.files.mjcf import MjcfText
 from geodrake.robot.files.packages import add_packages, named_packages
-from geodrake.robot.files.reading import read_model_text
+from geodrake.robot.files.sdf import SdfText
+from geodrake.robot.files.urdf import UrdfText
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded
-from geodrake.robot.files.xml_text import LARGEST_FILE, SUPPORTED_FORMATS
-from geodrake.robot.followers import Follower
-from geodrake.robot.stated import Spring
-from geodrake.robot.transmission.statements import Followers, Statement
+from geodrake.robot.files.xml_text import LARGEST_FILE, SUPPORTED_FORMATS, parse_xml_bytes
+from geodrake.robot.stated import FileTerms
+from geodrake.robot.transmission.statements import Statement
 
 _MOST_LINKS = 2000  # as the time grows with their square, to 3 s
 _LINE = re.compile(r"(?:<literal-string>|\S*?/(\d+))\.\w+:(\d+): ")
@@ -58,68 +64,14 @@ class ModelDescription:
     directives: ModelDirectives | None = None
     given: Given = field(default_factory=Given)
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Return what was taken out of the texts and matters."""
-        return tuple(note for text in self.texts for note in text.notes)
-
-    @property
-    def left_out(self) -> tuple[str, ...]:
-        """Return what of the texts bears on efforts and is not taken, in words."""
-        words = [words for text in self.texts for words in text.left_out]
-        stated = [(0.0, 0.0, -9.81) if t.gravity is None else tuple(t.gravity) for t in self.texts]
-        if len(set(stated)) > 1:
-            each = ", ".join(" ".join(f"{x:g}" for x in gravity) for gravity in set(stated))
-            words.append(f"The models have several gravities ({each}); all but one is left out.")
-        return tuple(words)
-
-    @property
-    def lost(self) -> tuple[str, ...]:
-        """Inertias that the texts do not state and nothing else tells, in words."""
-        return tuple(note for text in self.texts for note in text.lost)
-
-    @property
-    def set_aside(self) -> Mapping[str, Array]:
-        """Scoped link names with inertial parameters (10,) that no body can have."""
-        return ChainMap(*(text.set_aside for text in self.texts))
-
-    @property
-    def between(self) -> frozenset[str]:
-        """Scoped names of bodies between several joints of one, which the files do not have."""
-        return frozenset(name for text in self.texts for name in text.between)
-
-    @property
-    def followers(self) -> tuple[Follower, ...]:
-        """Joints that the texts have follow others."""
-        return tuple(follower for text in self.texts for follower in text.followers)
-
-    @property
-    def bent(self) -> tuple[Followers, ...]:
-        """Joints that the texts have follow others by a ratio that changes."""
-        return tuple(part for text in self.texts for part in text.bent)
-
-    @property
-    def closures(self) -> tuple[Closure, ...]:
-        """Return what closes loops of the robots."""
-        return tuple(closure for text in self.texts for closure in text.closures)
-
-    @property
-    def driven_joints(self) -> frozenset[str]:
-        """Names of joints that the texts say are driven."""
-        return frozenset(name for text in self.texts for name in text.driven_joints)
+    @cached_property
+    def terms(self) -> FileTerms:
+        """What the texts do not have of their files."""
+        return FileTerms.joined([text.terms for text in self.texts])
 
     def motors(self) -> tuple[Statement, ...]:
         """Return what the texts state of motors behind transmissions."""
         return tuple(part for text in self.texts for part in text.motors())
-
-    @property
-    def springs(self) -> Mapping[str, Spring]:
-        """Springs of joints by scoped joint name."""
-        return ChainMap(*(text.springs for text in self.texts))
-
-    def joint_values(self, name: str) -> Mapping[str, float]:
-        """`friction`, `armature` or another quantity of `ModelText`, by scoped joint name."""
-        return ChainMap(*(getattr(text, name) for text in self.texts))
 
     def named_packages(self) -> set[str]:
         """Packages that the files name, geometry included."""
@@ -128,58 +80,47 @@ class ModelDescription:
         return {name for text in texts for name in named_packages(text)}
 
     def add_packages(self, packages: PackageMap, names: Iterable[str]) -> None:
-        """Makes packages known of which the files name something."""
+        """Make packages known of which the files name something."""
         add_packages(packages, self.path, names, self.given.packages)
 
     def add_every_package(self, packages: PackageMap) -> None:
-        """Makes packages known, geometry's too; folders above the file by their own names."""
+        """Make packages known, geometry's too; folders above the file by their own names."""
         self.add_packages(packages, self.named_packages())
         for folder in self.path.resolve().parents:
             if folder.name and not packages.Contains(folder.name):
                 packages.Add(folder.name, str(folder))
 
     def set_inertia(self, link: str, phi: Array | None) -> bool:
-        """Gives a link inertial parameters (10,), or none; False if no text has the link."""
+        """Give a link inertial parameters (10,), or none; False if no text has the link."""
         return any(text.set_inertia(link, phi) for text in self.texts)
 
     def add_to(self, plant: MultibodyPlant) -> None:
-        """Adds the models to a plant.
-
-        Raises:
-            ModelError: Drake cannot parse the description; the message has Drake's reason.
-        """
+        """Add the models to a plant."""
         parser = Parser(plant)
         names = {name for text in self.texts for name in text.packages}
         self.add_packages(parser.package_map(), names)
         texts = [text.text() for text in self.texts]
-        with drake_errors(self.path, [places for _, places in texts]):
+        with (
+            drake_errors(self.path, [places for _, places in texts]),
+            TemporaryDirectory() as folder,
+        ):
             if self.directives is None:
                 for own, (text, _) in zip(self.texts, texts, strict=True):
                     parser.AddModelsFromString(text, own.kind)
-                self._set_gravity(plant)
-                return
-            with TemporaryDirectory() as folder:
+            else:
                 models = [d.add_model for d in self.directives.directives if d.add_model]
                 for k, (model, own) in enumerate(zip(models, self.texts, strict=True)):
                     file = Path(folder) / f"{k}.{own.kind}"
                     file.write_text(texts[k][0], encoding="utf-8")
                     model.file = file.as_uri()
                 ProcessModelDirectives(self.directives, parser)
-                self._set_gravity(plant)
-
-    def _set_gravity(self, plant: MultibodyPlant) -> None:
-        for text in self.texts:
-            if text.gravity is not None:
-                plant.mutable_gravity_field().set_gravity_vector(text.gravity)
+            if self.terms.gravity is not None:
+                plant.mutable_gravity_field().set_gravity_vector(self.terms.gravity)
 
 
 @typed
 def read_description(path: Path, given: Given | None = None) -> ModelDescription:
-    """Reads a model file of any supported format.
-
-    Raises:
-        ModelError: There is no such file, or it does not describe a robot.
-    """
+    """Read a model file of any supported format."""
     regular_file(path, "model file", ModelError, largest=LARGEST_FILE)
     given = given or Given()
     if path.suffix.lower() in (".yaml", ".yml"):
@@ -203,6 +144,26 @@ def read_description(path: Path, given: Given | None = None) -> ModelDescription
     return found
 
 
+def read_model_text(path: Path, given: Given, scope: str | None = None) -> ModelText:
+    """Read and simplify a URDF, SDF or MJCF file; a xacro file is expanded first."""
+    return model_text_of(read_expanded(path, given), path, given, scope)
+
+
+def model_text_of(
+    data: bytes, path: Path, given: Given | None = None, scope: str | None = None
+) -> ModelText:
+    """Read and simplify what is, or will be, in a file; its root element decides what it is."""
+    root = parse_xml_bytes(data, path)
+    kinds: dict[str, type[ModelText]] = {"robot": UrdfText, "sdf": SdfText, "mujoco": MjcfText}
+    if root.tag not in kinds:
+        raise ModelError(
+            f"{path} is not a robot description: its root element is <{root.tag}>.",
+            advice=SUPPORTED_FORMATS,
+            path=path,
+        )
+    return kinds[root.tag](root, path, scope, (given or Given()).packages)
+
+
 def _read_directives(path: Path, given: Given) -> ModelDescription:
     includes = Includes(path, given.packages)
     loaded = _load_directives(path, includes, (path.resolve(),))
@@ -213,19 +174,13 @@ def _read_directives(path: Path, given: Given) -> ModelDescription:
         raise ModelError(
             f"The directives {path} add no model.", advice=SUPPORTED_FORMATS, path=path
         )
-    texts = []
-    for model in models:
-        file = includes.checked(includes.resolve(model.file, path.parent))
-        texts.append(read_model_text(file, given, model.name))
-    return ModelDescription(path, tuple(texts), directives, given)
+    files = [(includes.resolve(model.file, path.parent), model.name) for model in models]
+    texts = tuple(read_model_text(includes.checked(file), given, name) for file, name in files)
+    return ModelDescription(path, texts, directives, given)
 
 
 def model_files(directives: Iterable[ModelDirective], includes: Includes) -> Iterator[Path]:
-    """Yield the model files that directives add, and those that they lead to.
-
-    Raises:
-        ModelError: A file cannot be read, or there is no end to them.
-    """
+    """Yield the model files that directives add, and those that they lead to."""
     for each in directives:
         if each.add_model:
             yield includes.checked(includes.resolve(each.add_model.file, Path()))
@@ -271,20 +226,15 @@ def drake_errors(
     except (Exception, SystemExit) as error:
         line = str(error).strip().partition("\n")[0]
         reason = line.rpartition("error: ")[2].removeprefix("ERROR: ")[:300].rstrip(".")
+        place, found = "", _LINE.match(line)
+        if found:
+            text, at = int(found[1] or 0), int(found[2]) - 1
+            place = places[text][at] if text < len(places) and at < len(places[text]) else ""
         raise ModelError(
-            f"Drake cannot read {_place(line, places) or path}{how}: {reason}.",
+            f"Drake cannot read {place or path}{how}: {reason}.",
             advice=advice,
             path=path,
         ) from error
-
-
-def _place(message: str, places: Sequence[Sequence[str]]) -> str:
-    """Return where the line is from that a message of Drake is about."""
-    found = _LINE.match(message)
-    if not found:
-        return ""
-    text, line = int(found[1] or 0), int(found[2]) - 1
-    return places[text][line] if text < len(places) and line < len(places[text]) else ""
 
 
 @contextmanager

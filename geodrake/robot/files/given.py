@@ -40,10 +40,6 @@ class Given:
             as those may that the user or a friend has written.
         leading: Names of joints that are free in closed loops, before those that motors drive.
         expansions: What xacro files were expanded to; see `read_expanded`.
-
-    Raises:
-        ArgumentError: Something is not of its type.
-        ModelError: A package's folder is not there.
     """
 
     robot: str | None = None
@@ -88,10 +84,6 @@ class Given:
         Args:
             packages: `NAME=FOLDER` of each package.
             xacro: `NAME:=VALUE` of each argument of a xacro file.
-
-        Raises:
-            ArgumentError: One cannot be read, or is there twice.
-            ModelError: A package's folder is not there.
         """
         folders = _pairs(packages, "=", "--package", "ur_description=~/ws/src/ur_description")
         values = _pairs(xacro, ":=", "--xacro-arg", "ur_type:=ur10e")

@@ -45,9 +45,6 @@ class Includes:
 
         Args:
             url: A `package://`, `model://` or `file://` URL, or a path.
-
-        Raises:
-            ModelError: It names an unknown package or scheme.
         """
         scheme, _, rest = url.rpartition("://")
         if not scheme:
@@ -76,9 +73,6 @@ class Includes:
 
         Args:
             chain: The files that led there, all resolved, the model file first.
-
-        Raises:
-            ModelError: It cannot be read, or there is no end to what is included.
         """
         self._count += 1
         file = self.checked(file).resolve()

@@ -34,9 +34,6 @@ def with_inertias(data: bytes, path: Path, inertias: Mapping[str, Array]) -> byt
     Args:
         path: The file, for messages and for the name of a model that has none.
         inertias: Scoped link name -> (10,) inertial parameters of mass above zero.
-
-    Raises:
-        ModelError: A link is not in the file itself, or it is no such file.
     """
     root = parse_xml_bytes(data, path)
     if root.tag not in _FORMATS:

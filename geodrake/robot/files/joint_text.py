@@ -49,9 +49,6 @@ def with_joint_numbers(data: bytes, path: Path, changes: Mapping[str, Change]) -
     Args:
         path: Where they are from, for messages and for the name of a model that has none.
         changes: Scoped name of the joint -> what changes.
-
-    Raises:
-        ModelError: A joint is not in the file itself.
     """
     changes = {name: change for name, change in changes.items() if change}
     if not changes:

@@ -34,11 +34,7 @@ def missing_meshes(description: ModelDescription) -> tuple[str, ...]:
 
 
 def check_geometry(files: Iterable[Path], packages: PackageMap, given: Given) -> None:
-    """Raise if Drake would open what is no file, for the geometry of model files.
-
-    Raises:
-        ModelError: It would.
-    """
+    """Raise if Drake would open what is no file, for the geometry of model files."""
     for path in files:
         root = parse_xml_bytes(read_expanded(path, given), path)
         includes = Includes(path, given.packages)

@@ -1,48 +1,39 @@
-"""MJCF, the format of MuJoCo."""
+"""MJCF, the format of MuJoCo: what MuJoCo compiles, as one plain tree that Drake reads alike."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
 from typing import Any
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+from pydrake.common.eigen_geometry import AngleAxis
+from pydrake.math import RigidTransform, RotationMatrix
 
 from geodrake.inertia import Array
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import MJCF_NUMBERS, check_limits, check_numbers
 from geodrake.robot.files.includes import Includes
-from geodrake.robot.files.mjcf_simple import read_simple
-from geodrake.robot.files.mjcf_source import compiled, mujoco_or_none
-from geodrake.robot.files.mjcf_terms import terms_of
-from geodrake.robot.files.mjcf_tree import plain_tree
+from geodrake.robot.files.mjcf_source import CompiledMjcf, compiled, load_mujoco, unused
+from geodrake.robot.files.mjcf_terms import fixed_tendon, pose_of, terms_of
 from geodrake.robot.files.motors import mjcf_motors
-from geodrake.robot.files.values import (
-    inertial_parameters_of,
-    numbers,
-    rotation,
-    symmetric,
-)
+from geodrake.robot.files.values import UPPER, inertial_parameters_of, numbers, symmetric, words
+from geodrake.robot.files.xml_text import LocatedElement
 from geodrake.robot.transmission.statements import Statement
 
-_OF_MOTORS = ("actuator", "tendon")
 _ACTUATORS = ("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder")
 
 
 class MjcfText(ModelText):
-    """A MuJoCo model, as MuJoCo compiles it where that is installed.
+    """A MuJoCo model, as MuJoCo compiles it.
 
-    The text is then one plain tree of bodies, each with its inertia and joints, which has no
-    geometry. What else the file states of joints, and what no model takes, is in the attributes.
+    The text is one plain tree of bodies, each with its inertia and joints, which has no geometry.
 
     Attributes:
-        compiled: MuJoCo's model of all of the file; None without MuJoCo.
+        compiled: MuJoCo's model of all of the file.
         reference: MuJoCo's model without what is left out, which robots are compared with; None
-            without MuJoCo.
+            where inertias are lost.
         closing: Numbers of MuJoCo's constraints that close loops.
         degrees: Whether angles in the file are in degrees.
         timestep: Step of the simulation, s; MuJoCo's own where the file states none that can be.
@@ -52,100 +43,51 @@ class MjcfText(ModelText):
     kind = "xml"
     numeric = MJCF_NUMBERS
 
-    def __init__(
-        self, root: Element, path: Path, scope: str | None, folders: Mapping[str, Path]
-    ) -> None:
-        self.reference: Any = None
-        self.compiled: Any = None
-        self.closing: tuple[int, ...] = ()
-        super().__init__(root, path, scope, folders)
-
     def _read(self) -> None:
-        Includes(self.path, self.folders).insert_elements(self.root)
-        check_numbers(self.root, self.numeric, self.path)
-        check_limits(self.root, self.path)
-        self.degrees = turns_in_degrees(self.root)
-        self.timestep = _timestep(self.root)
-        mains = self.root.findall("default")
-        self.actuator_defaults = any(child.tag in _ACTUATORS for main in mains for child in main)
-        scope = self.scope or self.root.get("model") or self.path.stem
-        name = self.root.get("model") or scope
-        mujoco = mujoco_or_none()
-        if mujoco is None:
-            read_simple(self, scope, degrees=self.degrees)
-        else:
-            self._read_compiled(scope, name, mujoco)
+        root = self.root
+        Includes(self.path, self.folders).insert_elements(root)
+        check_numbers(root, self.numeric, self.path)
+        check_limits(root, self.path)
+        self.degrees = turns_in_degrees(root)
+        self.timestep = _timestep(root)
+        self.actuator_defaults = any(
+            child.tag in _ACTUATORS for main in root.findall("default") for child in main
+        )
+        scope = self.scope or root.get("model") or self.path.stem
+        source = compiled(root, self.path)
+        terms = terms_of(source, scope)
+        name = root.get("model") or scope
+        self.root = plain_tree(source, name, terms.damping)
+        self.compiled: Any = source.model
+        self.reference: Any = None if source.lost else terms.reference
+        self.closing, self.terms = tuple(terms.closing), terms
         self._motors = Element("mujoco")
-        self._motors.extend(deepcopy(e) for e in self.root if e.tag in _OF_MOTORS)
+        self._motors.extend(deepcopy(e) for e in self.root if e.tag in ("actuator", "tendon"))
         for tendon in self.root.findall("tendon"):
             self.root.remove(tendon)
-        for world in self.root.findall("worldbody"):
-            for body in world.iter("body"):
-                link = f"{scope}::{body.get('name')}"
-                self._links[link] = body
-                if body.attrib.pop("between", ""):
-                    self.between.add(link)
-
-    def _read_compiled(self, scope: str, name: str, mujoco: ModuleType) -> None:
-        source = compiled(self.root, self.path, mujoco)
-        terms = terms_of(source, mujoco)
-        self.root = plain_tree(source, name, terms.of_joints["damping"], mujoco)
-        for quantity, values in terms.of_joints.items():
-            if quantity != "damping":
-                of_joints = {f"{scope}::{joint}": value for joint, value in values.items()}
-                setattr(self, quantity, of_joints)
-        self.springs = {f"{scope}::{joint}": spring for joint, spring in terms.springs.items()}
-        self.carried = {f"{scope}::{body}": share for body, share in terms.carried.items()}
-        self.boxes = [replace(box, body=f"{scope}::{box.body}") for box in terms.boxes]
-        self.struts = [each.scoped(scope) for each in terms.struts]
-        self.tendons = [tendon.scoped(scope) for tendon in terms.tendons]
-        self.coupled_inertia = [
-            (f"{scope}::{i}", f"{scope}::{j}", own) for i, j, own in terms.coupled_inertia
-        ]
-        self.reference = None if source.lost else terms.reference
-        self.compiled, self.gravity = source.model, terms.gravity
-        self.followers, self.bent = terms.followers_in(scope), terms.bent_followers
-        self.closures, self.closing = terms.closures_in(scope), tuple(terms.closures)
-        self.left_out += (*source.about, *terms.left_out)
-        self.notes += [
-            *source.split,
-            *terms.notes,
-            *(f"MuJoCo: {' '.join(each.split())}" for each in source.said),
-        ]
-        self.lost += source.lost
+        for body in self.root.iter("body"):
+            link = f"{scope}::{body.get('name')}"
+            self._links[link] = body
+            if body.attrib.pop("between", ""):
+                terms.between.add(link)
+        pulled = {
+            fixed.get("name"): {part.get("joint", "") for part in fixed}
+            for fixed in self._motors.iter("fixed")
+        }
+        for motor in self._motors.iter("motor"):
+            terms.driven |= pulled.get(motor.get("tendon"), {motor.get("joint", "")})
 
     def motors(self) -> tuple[Statement, ...]:
         """Gears of actuators, and fixed tendons."""
         return mjcf_motors(self._motors, self.path)
 
-    @property
-    def driven_joints(self) -> frozenset[str]:
-        """Names of joints that actuators of the file drive, by themselves or by fixed tendons."""
-        pulled = {
-            tendon.get("name"): {part.get("joint", "") for part in tendon}
-            for group in self._motors.findall("tendon")
-            for tendon in group.findall("fixed")
-        }
-        found = set[str]()
-        for motor in (each for group in self._motors.findall("actuator") for each in group):
-            found |= {motor.get("joint", ""), motor.get("jointinparent", "")}
-            found |= pulled.get(motor.get("tendon"), set())
-        return frozenset(found - {""})
-
     def _inertia(self, link: Element) -> Array | None:
         inertial = link.find("inertial")
         if inertial is None:
             return None
-        full = inertial.get("fullinertia")
-        moments = str(full or inertial.get("diaginertia", "")).split() + ["0"] * (0 if full else 3)
-        if len(moments) != 6:
-            moments = ["0"] * 6
-        # Other orientations than a quaternion leave the size of the inertia as it is, which is
-        # what is left of an impossible inertia after its repair.
-        turn = numbers(inertial.get("quat", "1 0 0 0"), 4)
-        mass = numbers(inertial.get("mass", ""), 1)[0]
-        com = numbers(inertial.get("pos", ""), 3)
-        return inertial_parameters_of(mass, com, rotation(turn), symmetric(moments))
+        mass, com = numbers(inertial.get("mass", ""), 1)[0], numbers(inertial.get("pos", ""), 3)
+        moments = symmetric(inertial.get("fullinertia", "").split())
+        return inertial_parameters_of(mass, com, np.eye(3), moments)
 
 
 def _timestep(root: Element) -> float:
@@ -158,3 +100,106 @@ def turns_in_degrees(root: Element) -> bool:
     """Return whether angles in an MJCF file are in degrees, as they are if it does not say."""
     compilers = [compiler.get("angle") for compiler in root.findall("compiler")]
     return next((angle for angle in reversed(compilers) if angle), "degree") == "degree"
+
+
+def plain_tree(source: CompiledMjcf, name: str, damping: Mapping[str, float]) -> Element:
+    """Return the root element of bodies with inertias and joints, motors and fixed tendons.
+
+    Angles are in radians. Positions are MuJoCo's: a joint that the file draws at `ref` has the
+    pose of its body turned back by that.
+
+    Args:
+        damping: Joint -> its damping, N·m·s/rad or N·s/m.
+    """
+    root, m = Element("mujoco", model=name), source.model
+    SubElement(root, "compiler", angle="radian")
+    elements = {0: SubElement(root, "worldbody")}
+    free = unused({m.body(at).name for at in range(m.nbody)})
+    for at in range(1, m.nbody):
+        own, parent = m.body(at).name, elements[int(m.body_parentid[at])]
+        like, X_PB = source.elements.get(own), pose_of(m.body_pos[at], m.body_quat[at])
+        joints = range(m.body_jntadr[at], m.body_jntadr[at] + m.body_jntnum[at])
+        for joint in joints:
+            X_PB, between = X_PB @ _back(m, joint), joint != joints[-1]
+            label = free(f"{own}_{m.joint(joint).name}") if between else own
+            parent = _body(parent, label, X_PB, like)
+            if between:
+                parent.set("between", "true")
+            _write_joint(parent, m, joint, damping)
+            X_PB = RigidTransform()
+        elements[at] = parent if joints else _body(parent, own, X_PB, like)
+        if m.body_mass[at] > 0.0 and own not in source.unknown:
+            turn = pose_of(np.zeros(3), m.body_iquat[at]).rotation().matrix()
+            inertia = turn @ np.diag(m.body_inertia[at]) @ turn.T
+            SubElement(
+                elements[at],
+                "inertial",
+                pos=words(m.body_ipos[at]),
+                mass=words(m.body_mass[at]),
+                fullinertia=words(inertia[UPPER]),
+            )
+    _write_motors(root, m)
+    return root
+
+
+def _body(parent: Element, name: str, X: RigidTransform, like: Element | None) -> Element:
+    """Put a body into another one, which was read where an element of the file was."""
+    turn = words(X.rotation().ToQuaternion().wxyz())
+    stated = {"name": name, "pos": words(X.translation()), "quat": turn}
+    made = Element("body", stated)
+    if isinstance(like, LocatedElement):
+        made = located = LocatedElement("body", stated)
+        located.path, located.line = like.path, like.line
+    parent.append(made)
+    return made
+
+
+def _kind(m: Any, joint: int) -> str:
+    kind = load_mujoco().mjtJoint(int(m.jnt_type[joint]))
+    return str(kind.name).removeprefix("mjJNT_").lower()
+
+
+def _write_joint(body: Element, m: Any, joint: int, damping: Mapping[str, float]) -> None:
+    kind, name = _kind(m, joint), m.joint(joint).name
+    if kind == "free":
+        SubElement(body, "freejoint", name=name)
+        return
+    stated = {"name": name, "type": kind, "pos": words(m.jnt_pos[joint])}
+    if kind != "ball":
+        stated |= {"axis": words(m.jnt_axis[joint])}
+        if m.jnt_limited[joint]:
+            stated |= {"range": words(m.jnt_range[joint]), "limited": "true"}
+    SubElement(body, "joint", {**stated, "damping": words(damping.get(name, 0.0))})
+
+
+def _back(m: Any, joint: int) -> RigidTransform:
+    """Return what turns a body back from where it is drawn to where its joint is at zero."""
+    kind, ref = _kind(m, joint), float(m.qpos0[m.jnt_qposadr[joint]])
+    if kind not in ("hinge", "slide") or not ref:
+        return RigidTransform()
+    axis, point = np.array(m.jnt_axis[joint]), np.array(m.jnt_pos[joint])
+    if kind == "slide":
+        return RigidTransform(-ref * axis)
+    turn = RotationMatrix(AngleAxis(-ref, axis))
+    return RigidTransform(turn, point - turn.multiply(point))
+
+
+def _write_motors(root: Element, m: Any) -> None:
+    """Gears of motors at joints and of fixed tendons, as MuJoCo resolved their classes."""
+    on_what = load_mujoco().mjtTrn
+    motors, pulled = SubElement(root, "actuator"), list[int]()
+    for at in range(len(m.actuator_trntype)):
+        kind, on = int(m.actuator_trntype[at]), int(m.actuator_trnid[at][0])
+        own, gear = m.actuator(at).name, words(m.actuator_gear[at][0])
+        stated = {**({"name": own} if own else {}), "gear": gear}
+        if kind in (on_what.mjTRN_JOINT, on_what.mjTRN_JOINTINPARENT):
+            if _kind(m, on) in ("hinge", "slide"):
+                SubElement(motors, "motor", {**stated, "joint": m.joint(on).name})
+        elif kind == on_what.mjTRN_TENDON and (fixed := fixed_tendon(m, on)):
+            tendon = m.tendon(on).name or f"tendon_{on}"
+            SubElement(motors, "motor", {**stated, "tendon": tendon})
+            if on not in pulled:
+                pulled.append(on)
+                group = SubElement(SubElement(root, "tendon"), "fixed", name=tendon)
+                for joint, share in fixed.items():
+                    SubElement(group, "joint", joint=m.joint(joint).name, coef=words(share))

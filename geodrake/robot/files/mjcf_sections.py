@@ -17,9 +17,6 @@ def with_sections(
     """Return an MJCF file with more sections, after all others; nameless joints in them get names.
 
     Sections are tags with their elements, a line each; empty ones are left out.
-
-    Raises:
-        ModelError: A joint is not in the file itself.
     """
     root = parse_xml_bytes(data, path)
     there = {name.rpartition("::")[2]: own for name, own in mjcf_joints(root, path).items()}

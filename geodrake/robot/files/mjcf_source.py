@@ -2,10 +2,15 @@
 
 MuJoCo gets texts and bytes that geodrake has read, under keys of their own, so that it opens no
 file itself: includes are put in their places, and meshes and attached models are named anew.
+
+Ball joints of closed loops become three hinges, as a loop's joints have one coordinate. The last
+one turns about the way to the point at which the loop is closed: a rod with balls at both ends
+turns about itself, which moves nothing else.
 """
 
 from __future__ import annotations
 
+import importlib
 import re
 import threading
 import warnings
@@ -13,7 +18,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -21,36 +25,29 @@ import numpy as np
 
 from geodrake.boundary.input_files import read_regular
 from geodrake.errors import ModelError
+from geodrake.inertia import Array
 from geodrake.robot.files.includes import Includes
-from geodrake.robot.files.mjcf_balls import split_balls
 from geodrake.robot.files.values import drop
 from geodrake.robot.files.xml_text import (
     LARGEST_FILE,
-    LocatedElement,
     numbered_text,
     parse_xml,
     place_of,
+    wrong_at,
 )
 
 _NO_DYNAMICS = (
-    "sensor",
-    "keyframe",
-    "visual",
-    "statistic",
-    "custom",
-    "contact",
+    *("sensor", "keyframe", "visual", "statistic", "custom", "contact", "camera", "light"),
+    *("skin", "texture", "layer"),
     "size",  # which would ask for memory
-    "camera",
-    "light",
-    "skin",
-    "texture",
-    "layer",
 )
 _FOLDERS = ("meshdir", "assetdir", "texturedir", "strippath")
 _MESHES = (".obj", ".stl", ".msh")
 _MOST_ELEMENTS = 200_000  # with those that MuJoCo makes of others
 _MOST_MADE = 2000  # bodies that one element makes
 _DEEPEST = 30  # models attached to models
+_OF_BALLS = ("armature", "frictionloss", "damping")  # that each hinge has, which is about the same
+_SUFFIXES = ("_1", "_2", "_spin")
 Sizes = dict[str, tuple[int, int]]
 """Name of a model that is attached -> how many elements and how many bodies it has."""
 
@@ -58,20 +55,15 @@ _ONE_AT_A_TIME = threading.RLock()  # as where warnings go is one place of the w
 _LINE = re.compile(r",? *line (\d+)")
 
 
-def mujoco_or_none() -> ModuleType | None:
-    """Return MuJoCo, where it is installed and new enough."""
-    try:
-        import mujoco
-    except ImportError:
-        return None
-    flags = getattr(mujoco, "mjtDisableBit", None)  # without springs' before 3.5
-    return mujoco if hasattr(mujoco, "MjSpec") and hasattr(flags, "mjDSBL_SPRING") else None
+def load_mujoco() -> Any:
+    """Return MuJoCo, which takes a moment to import."""
+    return importlib.import_module("mujoco")
 
 
 @contextmanager
-def quiet_mujoco(mujoco: ModuleType) -> Iterator[list[str]]:
+def quiet_mujoco() -> Iterator[list[str]]:
     """Collect MuJoCo's warnings, which it would print, and write into a file where it runs."""
-    said: list[str] = []
+    mujoco, said = load_mujoco(), list[str]()
     with _ONE_AT_A_TIME:
         before = mujoco.get_mju_user_warning()
         mujoco.set_mju_user_warning(said.append)
@@ -90,26 +82,25 @@ class CompiledMjcf:
 
     Attributes:
         elements: Names of bodies -> their elements in the file; without those made by MuJoCo.
+        said: Sentences of MuJoCo.
+        notes: Sentences on ball joints that are three hinges.
+        left_out: Sentences on what such joints are without, and on plugins.
         unknown: Names of bodies whose inertia follows from meshes that are not there alone.
         lost: Sentences on meshes that are not there.
         touching: Names of bodies of whose meshes that are not there some touch others.
-        plugins: Places of plugins, which are left out.
-        split: Sentences on ball joints of closed loops, which are three hinges.
-        about: Sentences on what of them is not quite the same.
     """
 
     model: Any
-    elements: dict[str, Element] = field(default_factory=dict)
-    unknown: frozenset[str] = frozenset()
-    lost: tuple[str, ...] = ()
-    touching: tuple[str, ...] = ()
-    plugins: tuple[str, ...] = ()
-    said: tuple[str, ...] = ()
-    split: tuple[str, ...] = ()
-    about: tuple[str, ...] = ()
+    elements: dict[str, Element]
+    said: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    unknown: set[str] = field(default_factory=set)
+    lost: list[str] = field(default_factory=list)
+    touching: list[str] = field(default_factory=list)
 
 
-def compiled(root: Element, path: Path, mujoco: ModuleType, *, geoms: bool = False) -> CompiledMjcf:
+def compiled(root: Element, path: Path, *, geoms: bool = False) -> CompiledMjcf:
     """Return what MuJoCo makes of a file whose includes are in their places.
 
     Args:
@@ -118,46 +109,12 @@ def compiled(root: Element, path: Path, mujoco: ModuleType, *, geoms: bool = Fal
     Raises:
         ModelError: MuJoCo refuses it, in MuJoCo's words, or a file that it names is missing.
     """
-    return _Compiler(path, mujoco, geoms).read(root)
-
-
-@dataclass
-class _Absent:
-    """Meshes that are not there: bodies that have such, by what follows from that.
-
-    Attributes:
-        where: Folders in which they are not.
-        unknown: Bodies of whose inertia nothing else tells.
-        heavy: Bodies whose inertia follows from them, alone or in part.
-        seen: Bodies whose inertia does not.
-        touching: Bodies of which some touch others.
-    """
-
-    where: str = ""
-    unknown: set[str] = field(default_factory=set)
-    heavy: list[str] = field(default_factory=list)
-    seen: list[str] = field(default_factory=list)
-    touching: list[str] = field(default_factory=list)
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """Return what is said of them."""
-        gone = f"meshes that are not there or not .obj, .stl or .msh (in {self.where})"
-        found = list[str]()
-        if self.heavy:
-            found.append(
-                f"The inertia of {', '.join(self.heavy)} follows from {gone}; these meshes do not "
-                "count."
-            )
-        if self.seen:
-            found.append(f"The shapes of {', '.join(self.seen)} are, in part, {gone}.")
-        return tuple(found)
+    return _Compiler(path, geoms).read(root)
 
 
 @dataclass
 class _Compiler:
     path: Path
-    mujoco: ModuleType
     geoms: bool
     models: dict[str, bytes] = field(default_factory=dict)
     meshes: dict[str, Path] = field(default_factory=dict)
@@ -167,28 +124,19 @@ class _Compiler:
         self._prepare(root, self.path, "", (self.path.resolve(),))
         bodies = {e.get("name", ""): e for w in root.findall("worldbody") for e in w.iter("body")}
         text, places = numbered_text(root)
-        with self._refusals(places), quiet_mujoco(self.mujoco) as said:
-            spec = self.mujoco.MjSpec.from_string(text, include=self.models or None)
+        found = CompiledMjcf(None, bodies)
+        with self._refusals(places), quiet_mujoco() as said:
+            spec = load_mujoco().MjSpec.from_string(text, include=self.models or None)
             spec.compiler.usethread = False
             _name_joints(spec)
-            absent = self._take_meshes(spec)
-            model = spec.compile()
-            free = unused({joint.name for joint in spec.joints})
-            split, about = split_balls(spec, model, self.mujoco, free)
-            if split:
-                model = spec.compile()
-        self._check_finite(model)
-        return CompiledMjcf(
-            model,
-            bodies,
-            frozenset(absent.unknown),
-            absent.sentences,
-            tuple(absent.touching),
-            tuple(self.plugins),
-            tuple(said),
-            split,
-            about,
-        )
+            self._take_meshes(spec, found)
+            found.model = spec.compile()
+            if _split_balls(spec, found):
+                found.model = spec.compile()
+        self._check_finite(found.model)
+        found.said += (f"MuJoCo: {' '.join(each.split())}" for each in said)
+        found.left_out += self.plugins
+        return found
 
     def _prepare(self, root: Element, path: Path, prefix: str, chain: tuple[Path, ...]) -> Sizes:
         """Leaves what bears on dynamics; return how many elements each attached model has."""
@@ -221,7 +169,8 @@ class _Compiler:
         for plugin in root.iter("plugin"):
             if plugin.get("plugin") or plugin.get("instance"):
                 name = plugin.get("plugin") or plugin.get("instance")
-                self.plugins.append(f"the plugin {name} ({place_of(plugin) or self.path})")
+                where = place_of(plugin) or self.path
+                self.plugins.append(f"the plugin {name} ({where}) is left out.")
         drop(root, "extension", "plugin")
 
     def _attach(
@@ -231,8 +180,9 @@ class _Compiler:
         file = path.parent / element.get("file", "")
         data = parse_xml(file)
         if data.tag != "mujoco":
-            reason = f"attaches {file}, whose root element is <{data.tag}> instead of <mujoco>"
-            raise _wrong(f"{place_of(element) or path} {reason}.", path)
+            where = place_of(element) or path
+            what = f"attaches {file}, whose root element is <{data.tag}> instead of <mujoco>"
+            raise _wrong(f"{where} {what}.", path)
         if file.resolve() in chain or len(chain) > _DEEPEST:
             raise _wrong(f"{path} cannot be read: {file} attaches itself.", path)
         Includes(file, {}).insert_elements(data)
@@ -255,8 +205,8 @@ class _Compiler:
         self.meshes[key] = path.parent / folders[0] / place
         element.set("file", key)
 
-    def _take_meshes(self, spec: Any) -> _Absent:
-        """Gives the meshes that are there, and return what is said of the others."""
+    def _take_meshes(self, spec: Any, found: CompiledMjcf) -> None:
+        """Give the meshes that are there, and say what follows where others are not."""
         used = {geom.meshname for geom in spec.geoms if geom.meshname}
         assets, absent = dict[str, bytes](), dict[str, Path]()
         for mesh in list(spec.meshes):
@@ -269,42 +219,15 @@ class _Compiler:
                 else:
                     assets[mesh.file] = read_regular(file, "mesh", ModelError, largest=LARGEST_FILE)
         spec.assets = assets
-        return self._without(spec, absent) if absent else _Absent()
-
-    def _without(self, spec: Any, absent: dict[str, Path]) -> _Absent:
-        """Take geoms out whose meshes are not there, and return what follows from that."""
-        where = ", ".join(dict.fromkeys(str(file.parent) for file in absent.values()))
-        found, always = _Absent(where), int(self.mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE)
-        by_geoms = int(spec.compiler.inertiafromgeom) == always
-        for body in spec.bodies:
-            gone = [geom for geom in body.geoms if geom.meshname in absent]
-            if any(geom.contype or geom.conaffinity for geom in gone):
-                found.touching.append(body.name)
-            for geom in gone:
-                spec.delete(geom)
-            heavy = body.explicitinertial or body.name == "world"
-            if gone:
-                follows = body.name != "world" and (by_geoms or not heavy)
-                (found.heavy if follows else found.seen).append(body.name)
-            if (
-                gone
-                and not heavy
-                and not any(geom.mass != 0.0 and geom.density != 0.0 for geom in body.geoms)
-            ):
-                found.unknown.add(body.name)
-                body.explicitinertial = True
-                body.mass, body.inertia, body.ipos = 1.0, [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]
-        for mesh in list(spec.meshes):
-            if mesh.name in absent:
-                spec.delete(mesh)
-        return found
+        if absent:
+            _take_out(spec, absent, found)
 
     def _check_finite(self, model: Any) -> None:
         for at in range(model.nbody):
             tables = (model.body_mass, model.body_ipos, model.body_inertia, model.body_iquat)
             places = (model.body_pos, model.body_quat)
             if not all(np.isfinite(table[at]).all() for table in (*tables, *places)):
-                name = self.mujoco.mj_id2name(model, self.mujoco.mjtObj.mjOBJ_BODY, at)
+                name = model.body(at).name
                 raise _wrong(f"{self.path}: the body {name!r} has what is no number.", self.path)
 
     @contextmanager
@@ -325,6 +248,39 @@ class _Compiler:
             raise _wrong(
                 f"MuJoCo refuses {place or self.path}: {words.rstrip('.')}.", self.path
             ) from error
+
+
+def _take_out(spec: Any, absent: dict[str, Path], found: CompiledMjcf) -> None:
+    """Take meshes that are not there out, with their geoms, and say what follows from that."""
+    always = load_mujoco().mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    by_geoms, heavy, seen = spec.compiler.inertiafromgeom == always, list[str](), list[str]()
+    for body in spec.bodies:
+        gone = [geom for geom in body.geoms if geom.meshname in absent]
+        if any(geom.contype or geom.conaffinity for geom in gone):
+            found.touching.append(body.name)
+        for geom in gone:
+            spec.delete(geom)
+        stated = body.explicitinertial or body.name == "world"
+        if gone:
+            follows = body.name != "world" and (by_geoms or not stated)
+            (heavy if follows else seen).append(body.name)
+        weighs = any(geom.mass != 0.0 and geom.density != 0.0 for geom in body.geoms)
+        if gone and not stated and not weighs:
+            found.unknown.add(body.name)
+            body.explicitinertial = True
+            body.mass, body.inertia, body.ipos = 1.0, [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]
+    for mesh in list(spec.meshes):
+        if mesh.name in absent:
+            spec.delete(mesh)
+    where = ", ".join(dict.fromkeys(str(file.parent) for file in absent.values()))
+    gone_ones = f"meshes that are not there or not .obj, .stl or .msh (in {where})"
+    if heavy:
+        found.lost.append(
+            f"The inertia of {', '.join(heavy)} follows from {gone_ones}; these meshes do not "
+            "count."
+        )
+    if seen:
+        found.lost.append(f"The shapes of {', '.join(seen)} are, in part, {gone_ones}.")
 
 
 def _wrong(words: str, path: Path) -> ModelError:
@@ -418,15 +374,12 @@ def _check_size(root: Element, sizes: Sizes, path: Path) -> None:
             for word in (element.get("count") or "1").split():
                 made *= _whole(word)
             if made > _MOST_MADE:
-                raise _wrong(
-                    f"{place_of(element) or path}: <{element.tag}> makes {made} bodies, and "
-                    f"geodrake reads up to {_MOST_MADE}.",
-                    path,
-                )
+                what = f"makes {made} bodies, and geodrake reads up to {_MOST_MADE}."
+                raise wrong_at(element, path, f"<{element.tag}> {what}")
         if element.tag == "mesh" and element.get("builtin"):
             words = (element.get("params") or "").split()
             if any(_whole(word) > 100 for word in words):
-                raise _wrong(f"{place_of(element) or path}: <mesh> is too fine.", path)
+                raise wrong_at(element, path, "<mesh> is too fine.")
     elements, bodies = _size(root, sizes)
     for what, made, most in (("elements", elements, _MOST_ELEMENTS), ("links", bodies, _MOST_MADE)):
         if made > most:
@@ -455,10 +408,61 @@ def _whole(word: str) -> int:
         return 0  # which MuJoCo refuses
 
 
-def located(tag: str, attributes: dict[str, str], like: Element | None) -> Element:
-    """Return an element that was read where another one was."""
-    if not isinstance(like, LocatedElement):
-        return Element(tag, attributes)
-    made = LocatedElement(tag, attributes)
-    made.path, made.line = like.path, like.line
-    return made
+def _split_balls(spec: Any, found: CompiledMjcf) -> bool:
+    """Put three hinges in the place of ball joints of closed loops; whether there are such."""
+    m, free = found.model, unused({joint.name for joint in spec.joints})
+    balls, hinge = _balls(m), load_mujoco().mjtJoint.mjJNT_HINGE
+    for joint, axis in balls.items():
+        name, body = m.joint(joint).name, m.body(int(m.jnt_bodyid[joint])).name
+        old = next(each for each in spec.joints if each.name == name)
+        across = np.linalg.svd(axis[None])[2][1:]
+        names = [free(f"{name}{suffix}") for suffix in _SUFFIXES]
+        numbers = {key: np.array(getattr(old, key), float) for key in (*_OF_BALLS, "stiffness")}
+        place, holder = np.array(old.pos), next(b for b in spec.bodies if b.name == body)
+        spec.delete(old)
+        for own, direction in zip(names, (*across, axis), strict=True):
+            made = holder.add_joint(name=own, type=hinge, axis=direction, pos=place)
+            for key in _OF_BALLS:
+                setattr(made, key, numbers[key] if numbers[key].ndim else float(numbers[key]))
+        found.notes.append(
+            f"The ball joint {name} of a closed loop is read as the hinges {', '.join(names)}."
+        )
+        for key in (key for key, value in numbers.items() if value.any()):
+            how = "is that of each hinge, which is about the same"
+            how = how if key in _OF_BALLS else "is left out"
+            found.left_out.append(f"The {key} of the ball joint {name} of a closed loop {how}.")
+    return bool(balls)
+
+
+def _balls(m: Any) -> dict[int, Array]:
+    """Number of a ball joint of a closed loop -> axis in its body to where the loop is closed."""
+    mujoco = load_mujoco()
+    data, found = mujoco.MjData(m), dict[int, Array]()
+    mujoco.mj_kinematics(m, data)
+    connect, weld = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
+    for at in range(m.neq):
+        if not m.eq_active0[at] or int(m.eq_type[at]) not in (connect, weld):
+            continue
+        bodies = [int(m.eq_obj1id[at]), int(m.eq_obj2id[at])]
+        if int(m.eq_objtype[at]) == mujoco.mjtObj.mjOBJ_SITE:
+            end = np.array(data.site_xpos[bodies[0]])
+            bodies = [int(m.site_bodyid[each]) for each in bodies]
+        else:
+            first = int(m.eq_type[at]) == connect  # whose first point is that of the first body
+            R = data.xmat[bodies[0]].reshape(3, 3)
+            end = data.xpos[bodies[0]] + R @ m.eq_data[at][slice(0, 3) if first else slice(3, 6)]
+        chains = [set(chain_to_world(m, body)) for body in bodies]
+        for body in chains[0] ^ chains[1]:
+            joint = int(m.body_jntadr[body])
+            if m.body_jntnum[body] == 1 and int(m.jnt_type[joint]) == mujoco.mjtJoint.mjJNT_BALL:
+                arm = data.xmat[body].reshape(3, 3).T @ (end - data.xanchor[joint])
+                size = float(np.linalg.norm(arm))
+                found[joint] = arm / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
+    return found
+
+
+def chain_to_world(m: Any, body: int) -> Iterator[int]:
+    """Yield a body of a compiled model and those that it hangs from, without the world."""
+    while body:
+        yield body
+        body = int(m.body_parentid[body])

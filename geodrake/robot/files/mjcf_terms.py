@@ -13,114 +13,89 @@ spring there. Contacts and limits of joints are no part of any model.
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import combinations_with_replacement
-from types import ModuleType
 from typing import Any
 
 import numpy as np
-from pydrake.math import RigidTransform
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform, RotationMatrix
 
 from geodrake.inertia import Array
-from geodrake.robot.closure import WORLD, Closure
-from geodrake.robot.files.mjcf_source import CompiledMjcf
-from geodrake.robot.files.mjcf_tree import fixed_tendon, name_of, pose_of
+from geodrake.robot.files.mjcf_source import CompiledMjcf, chain_to_world, load_mujoco
 from geodrake.robot.followers import Follower, leads_back
-from geodrake.robot.stated import BoxInMedium, Spring, StatedStrut, Tendon
+from geodrake.robot.stated import (
+    WORLD,
+    BoxInMedium,
+    Closure,
+    FileTerms,
+    Spring,
+    StatedStrut,
+    Tendon,
+)
 from geodrake.robot.transmission.statements import Followers
 
-_KINDS = ("free", "ball", "slide", "hinge")
 _LEAST_INERTIA = 1e-15  # kg·m², as MuJoCo has it
 
 
 @dataclass(eq=False)
-class MjcfTerms:
-    """What a compiled MJCF states of joints, by their names, and the rest in words.
+class MjcfTerms(FileTerms):
+    """What a compiled MJCF states.
 
     Attributes:
         reference: The compiled model without what is left out.
-        gravity: (3,) gravity, less what compensates that of all bodies alike, m/s².
-        of_joints: Name of a quantity, as in `ModelText` -> joint -> its value, SI.
-        springs: Joint -> its spring.
-        tendons: Tendons over several joints, by their names.
-        coupled_inertia: Two joints, or one twice, and what tendons are there in the mass matrix.
-        carried: Body -> which share of its weight something else carries.
-        boxes: Bodies as what a medium acts on.
-        struts: Spatial tendons between two sites.
-        followers: Joint -> leader, ratio and offset.
-        bent: Leader -> joint -> coefficients of a polynomial.
-        closures: Number of a constraint of MuJoCo's -> how it closes a loop, bodies by their own
-            names.
-        left_out: Sentences on what bears on efforts and no model takes.
-        notes: Sentences on what was taken otherwise than it is stated.
+        damping: Joint, by its own name -> N·m·s/rad or N·s/m.
+        closing: Numbers of MuJoCo's constraints that close loops.
     """
 
-    reference: Any
-    gravity: Array
-    of_joints: dict[str, dict[str, float]]
-    springs: dict[str, Spring] = field(default_factory=dict)
-    tendons: list[Tendon] = field(default_factory=list)
-    coupled_inertia: list[tuple[str, str, float]] = field(default_factory=list)
-    carried: dict[str, float] = field(default_factory=dict)
-    boxes: list[BoxInMedium] = field(default_factory=list)
-    struts: list[StatedStrut] = field(default_factory=list)
-    followers: list[Follower] = field(default_factory=list)
-    bent: dict[str, dict[str, list[float]]] = field(default_factory=dict)
-    closures: dict[int, Closure] = field(default_factory=dict)
-    left_out: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-    def followers_in(self, scope: str) -> list[Follower]:
-        """Return the followers with names that have their model's."""
-        return [
-            Follower(f"{scope}::{f.joint}", f"{scope}::{f.leader}", f.ratio, f.offset)
-            for f in self.followers
-        ]
-
-    def closures_in(self, scope: str) -> list[Closure]:
-        """Return what closes loops, with names of bodies that have their model's."""
-
-        def full(body: str) -> str:
-            return body if body == WORLD else f"{scope}::{body}"
-
-        return [
-            replace(each, bodies=(full(each.bodies[0]), full(each.bodies[1])))
-            for each in self.closures.values()
-        ]
-
-    @property
-    def bent_followers(self) -> list[Followers]:
-        """Return the joints that follow others by a ratio that changes."""
-        return [Followers(leader, own) for leader, own in self.bent.items()]
+    reference: Any = None
+    damping: dict[str, float] = field(default_factory=dict)
+    closing: list[int] = field(default_factory=list)
 
 
-_OF_JOINTS = ("friction", "armature", "damping", "damping_2", "damping_3", "start", "fixed")
-QUANTITIES = (*_OF_JOINTS, "effort")
+def terms_of(source: CompiledMjcf, scope: str) -> MjcfTerms:
+    """Return what a compiled file states, by the names in a model, and what is left out."""
+    found = _Terms(source, scope).found
+    found.lost += source.lost
+    found.notes = [*source.notes, *found.notes, *source.said]
+    return found
 
 
-def terms_of(source: CompiledMjcf, mujoco: ModuleType) -> MjcfTerms:
-    """Return what a compiled file states of joints, and what is left out."""
-    return _Terms(source, mujoco).found
+def pose_of(position: Array, quaternion: Array) -> RigidTransform:
+    """Return the pose of a position (3,), m, and a quaternion w, x, y, z (4,)."""
+    turn = RotationMatrix(Quaternion(np.array(quaternion, float)))
+    return RigidTransform(turn, np.array(position))
+
+
+def fixed_tendon(m: Any, at: int) -> dict[int, float]:
+    """Return joint -> coefficient of a fixed tendon; nothing of a spatial one."""
+    found = dict[int, float]()
+    for k in range(m.tendon_adr[at], m.tendon_adr[at] + m.tendon_num[at]):
+        if int(m.wrap_type[k]) != load_mujoco().mjtWrap.mjWRAP_JOINT:
+            return {}
+        joint = int(m.wrap_objid[k])
+        found[joint] = found.get(joint, 0.0) + float(m.wrap_prm[k])
+    return found
 
 
 class _Terms:
-    def __init__(self, source: CompiledMjcf, mujoco: ModuleType) -> None:
-        self.mujoco, self.m = mujoco, source.model
+    def __init__(self, source: CompiledMjcf, scope: str) -> None:
+        self.mujoco, self.m, self.scope = load_mujoco(), source.model, scope
         self.found = MjcfTerms(
-            copy.copy(source.model), np.array(self.m.opt.gravity), {q: {} for q in QUANTITIES}
+            reference=copy.copy(source.model),
+            gravity=np.array(self.m.opt.gravity),
+            left_out=list(source.left_out),
         )
-        self.found.left_out += (f"{plugin} is left out." for plugin in source.plugins)
-        off = mujoco.mjtDisableBit
+        off = self.mujoco.mjtDisableBit
         if self._disabled(off.mjDSBL_GRAVITY):
             self.found.gravity = np.zeros(3)
-        self._take_joints(
-            springs=not self._disabled(off.mjDSBL_SPRING),
-            dampers=not self._disabled(off.mjDSBL_DAMPER),
-            friction=not self._disabled(off.mjDSBL_FRICTIONLOSS, off.mjDSBL_CONSTRAINT),
-        )
+        self.springs = not self._disabled(off.mjDSBL_SPRING)
+        self.dampers = not self._disabled(off.mjDSBL_DAMPER)
+        self.friction = not self._disabled(off.mjDSBL_FRICTIONLOSS, off.mjDSBL_CONSTRAINT)
+        self._take_joints()
         self._take_tendons()
         self._take_actuators()
-        if not (self._disabled(off.mjDSBL_SPRING) and self._disabled(off.mjDSBL_DAMPER)):
+        if self.springs or self.dampers:
             self._take_gravcomp()  # without both, MuJoCo has no passive forces at all
             self._take_medium()
         if not self._disabled(off.mjDSBL_EQUALITY, off.mjDSBL_CONSTRAINT):
@@ -136,52 +111,57 @@ class _Terms:
         self.found.left_out.append(f"{what} is left out.")
 
     def _name(self, kind: str, at: int) -> str:
-        return name_of(self.m, self.mujoco, kind, at) or f"{kind.lower()} {at}"
+        return getattr(self.m, kind.lower())(at).name or f"{kind.lower()} {at}"
+
+    def _joint(self, at: int) -> str:
+        return f"{self.scope}::{self._name('JOINT', at)}"
+
+    def _body(self, at: int) -> str:
+        return f"{self.scope}::{self._name('BODY', at)}"
 
     def _add(self, quantity: str, joint: int, value: float) -> None:
-        name, values = self._name("JOINT", joint), self.found.of_joints[quantity]
+        values = getattr(self.found, quantity)
+        name = self._name("JOINT", joint) if quantity == "damping" else self._joint(joint)
         values[name] = values.get(name, 0.0) + float(value)
 
-    def _single(self, joint: int) -> bool:
-        return _KINDS[int(self.m.jnt_type[joint])] in ("slide", "hinge")
+    def _velocities(self, joint: int) -> int:
+        kinds = self.mujoco.mjtJoint
+        sizes = {int(kinds.mjJNT_FREE): 6, int(kinds.mjJNT_BALL): 3}
+        return sizes.get(int(self.m.jnt_type[joint]), 1)
 
-    def _take_joints(self, *, springs: bool, dampers: bool, friction: bool) -> None:
+    def _take_joints(self) -> None:
         m, reference = self.m, self.found.reference
         for joint in range(m.njnt):
             dof, name = int(m.jnt_dofadr[joint]), self._name("JOINT", joint)
-            count = {"free": 6, "ball": 3}.get(_KINDS[int(m.jnt_type[joint])], 1)
+            count = self._velocities(joint)
             self._add("armature", joint, m.dof_armature[dof])
-            self._add("friction", joint, m.dof_frictionloss[dof] if friction else 0.0)
+            self._add("friction", joint, m.dof_frictionloss[dof] if self.friction else 0.0)
             poly = _row(m, "dof_dampingpoly", dof)
             if count == 6:
-                self._leave_of_free(dof, name)
+                has = {"damping": m.dof_damping, "armature": m.dof_armature}
+                has["frictionloss"] = m.dof_frictionloss
+                parts = [f"{what} {values[dof]:g}" for what, values in has.items() if values[dof]]
+                if parts:
+                    self._leave(f"The free joint {name} with {', '.join(parts)}")
                 continue
-            if dampers:
+            if self.dampers:
                 self._add("damping", joint, m.dof_damping[dof])
                 for power, value in zip((2, 3), poly if count == 1 else (), strict=False):
                     self._add(f"damping_{power}", joint, value)
                 if count > 1 and poly.any():
                     self._leave(f"The damping polynomial {_list(poly)} of the joint {name}")
                     reference.dof_dampingpoly[dof : dof + count] = 0.0
-            if springs and m.jnt_stiffness[joint] + np.abs(self._poly(joint)).sum():
+            if self.springs:
                 self._take_spring(joint, name, count)
-            self._take_limit(joint, count)
             if count == 1:
+                if m.jnt_actfrclimited[joint]:
+                    self._limit(joint, float(np.abs(m.jnt_actfrcrange[joint]).max()))
                 self._add("start", joint, m.qpos0[m.jnt_qposadr[joint]])
 
-    def _leave_of_free(self, dof: int, name: str) -> None:
-        m = self.m
-        has = {"damping": m.dof_damping, "armature": m.dof_armature}
-        has["frictionloss"] = m.dof_frictionloss
-        parts = [f"{what} {values[dof]:g}" for what, values in has.items() if values[dof]]
-        if parts:
-            self._leave(f"The free joint {name} with {', '.join(parts)}")
-
-    def _poly(self, joint: int) -> Array:
-        return _row(self.m, "jnt_stiffnesspoly", joint)
-
     def _take_spring(self, joint: int, name: str, count: int) -> None:
-        m, reference, poly = self.m, self.found.reference, self._poly(joint)
+        m, reference, poly = self.m, self.found.reference, _row(self.m, "jnt_stiffnesspoly", joint)
+        if not m.jnt_stiffness[joint] + np.abs(poly).sum():
+            return
         if count > 1:
             numbers = np.append(m.jnt_stiffness[joint], poly)
             self._leave(f"The stiffness {_list(numbers)} of the joint {name}")
@@ -196,38 +176,25 @@ class _Terms:
             reference.jnt_springyield[joint] = 0.0
 
     def _add_spring(self, joint: int, spring: Spring) -> None:
-        name, springs = self._name("JOINT", joint), self.found.springs
+        name, springs = self._joint(joint), self.found.springs
         springs[name] = springs[name] + spring if name in springs else spring
 
-    def _take_limit(self, joint: int, count: int) -> None:
-        if count == 1 and self.m.jnt_actfrclimited[joint]:
-            self._limit(joint, float(np.abs(self.m.jnt_actfrcrange[joint]).max()))
-
     def _limit(self, joint: int, most: float) -> None:
-        name, limits = self._name("JOINT", joint), self.found.of_joints["effort"]
+        name, limits = self._joint(joint), self.found.effort
         limits[name] = min(most, limits.get(name, np.inf))
 
     def _take_tendons(self) -> None:
         """Fixed tendons of one joint are terms of it; of others is said what no tendon here has."""
-        m, off = self.m, self.mujoco.mjtDisableBit
-        springs = not self._disabled(off.mjDSBL_SPRING)
-        dampers = not self._disabled(off.mjDSBL_DAMPER)
-        rubs = not self._disabled(off.mjDSBL_FRICTIONLOSS, off.mjDSBL_CONSTRAINT)
+        m, kinds = self.m, ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "frictionloss")
+        acts = (self.springs, self.springs, self.dampers, self.dampers, self.friction)
         for at in range(m.ntendon):
-            has = {
-                "stiffness": springs * _row(m, "tendon_stiffness", at),
-                "stiffnesspoly": springs * _row(m, "tendon_stiffnesspoly", at),
-                "damping": dampers * _row(m, "tendon_damping", at),
-                "dampingpoly": dampers * _row(m, "tendon_dampingpoly", at),
-                "frictionloss": rubs * _row(m, "tendon_frictionloss", at),
-                "armature": _row(m, "tendon_armature", at),
-                "springyield": springs * _row(m, "tendon_springyield", at),
-            }
+            has = {k: on * _row(m, f"tendon_{k}", at) for k, on in zip(kinds, acts, strict=True)}
+            has["armature"] = _row(m, "tendon_armature", at)
+            has["springyield"] = self.springs * _row(m, "tendon_springyield", at)
             low, high = (float(x) for x in m.tendon_lengthspring[at])
-            shares = fixed_tendon(m, self.mujoco, at)
-            name = self._name("TENDON", at)
-            self._take_along(name, shares, has, low if low == high else None)
-            self._take_strut(at, has, low if low == high else None)
+            length, name = low if low == high else None, self._name("TENDON", at)
+            self._take_along(name, fixed_tendon(m, at), has, length)
+            self._take_strut(at, has, length)
             self._leave_rest(f"The tendon {name}", has, "tendon", at)
 
     def _take_along(
@@ -238,18 +205,19 @@ class _Terms:
         What is taken is zero in `has` afterwards.
         """
         shares = {joint: share for joint, share in shares.items() if share}
-        if not shares or not all(map(self._single, shares)):
+        if not shares or any(self._velocities(joint) > 1 for joint in shares):
             return
         stiffness = [0.0] if length is None else _pop(has, "stiffness")
         damping = _pop(has, "damping")
         friction, (inertia, *_) = _pop(has, "frictionloss"), _pop(has, "armature")
         if len(shares) > 1:
             for pair in combinations_with_replacement(shares, 2) if inertia else ():
-                if self._in_a_chain(*pair):  # as MuJoCo's mass matrix has no other entries
-                    first, second = (self._name("JOINT", joint) for joint in pair)
+                chains = [set(chain_to_world(self.m, int(self.m.jnt_bodyid[j]))) for j in pair]
+                if chains[0] <= chains[1] or chains[1] <= chains[0]:  # others MuJoCo has not
+                    first, second = map(self._joint, pair)
                     own = inertia * shares[pair[0]] * shares[pair[1]]
                     self.found.coupled_inertia.append((first, second, own))
-            named = {self._name("JOINT", joint): share for joint, share in shares.items()}
+            named = {self._joint(joint): share for joint, share in shares.items()}
             if stiffness[0] or damping[0] or friction[0]:
                 numbers = (stiffness[0], length or 0.0, damping[0], friction[0])
                 self.found.tendons.append(Tendon(name, named, *numbers))
@@ -270,29 +238,20 @@ class _Terms:
         m, first = self.m, int(self.m.tendon_adr[at])
         wraps = range(first, first + int(m.tendon_num[at]))
         sites = [int(m.wrap_objid[k]) for k in wraps]
-        kinds = {int(m.wrap_type[k]) for k in wraps}
-        straight = kinds == {int(self.mujoco.mjtWrap.mjWRAP_SITE)} and len(sites) == 2
+        site = self.mujoco.mjtWrap.mjWRAP_SITE
+        straight = len(sites) == 2 and all(int(m.wrap_type[k]) == site for k in wraps)
         if not straight or has["stiffness"][0] < 0.0:
             return
         (stiffness,) = [0.0] if length is None else _pop(has, "stiffness")
         (damping,) = _pop(has, "damping")
-        one, two = (self._name("BODY", int(m.site_bodyid[site])) for site in sites)
+        ends = [int(m.site_bodyid[site]) for site in sites]
+        one, two = (self._body(body) if body else "WorldModelInstance::world" for body in ends)
         points = np.array(m.site_pos[sites[0]]), np.array(m.site_pos[sites[1]])
         strut = StatedStrut((one, two), points, stiffness, length or 0.0, damping)
         if stiffness or damping:
             self.found.struts.append(strut)
         for what in ("stiffness", "damping"):
             getattr(self.found.reference, f"tendon_{what}")[at] = 0.0
-
-    def _in_a_chain(self, first: int, second: int) -> bool:
-        """Return whether one of two joints moves the other."""
-        ends = [int(self.m.jnt_bodyid[joint]) for joint in (first, second)]
-        for body, other in (ends, ends[::-1]):
-            while body and body != other:
-                body = int(self.m.body_parentid[body])  # noqa: PLW2901
-            if body == other:
-                return True
-        return False
 
     def _leave_rest(self, what: str, has: dict[str, Array], kind: str, at: int) -> None:
         """Say what of a tendon or an actuator is left, and take it out of the reference."""
@@ -305,38 +264,37 @@ class _Terms:
 
     def _take_actuators(self) -> None:
         """Limits of efforts, and the armature and damping that motors add to joints."""
-        m, mujoco = self.m, self.mujoco
-        at_joints = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-        dampers = not self._disabled(mujoco.mjtDisableBit.mjDSBL_DAMPER)
+        m, on_what = self.m, self.mujoco.mjtTrn
         for at in range(len(m.actuator_trntype)):
             name, on = self._name("ACTUATOR", at), int(m.actuator_trnid[at][0])
             kind, gear = int(m.actuator_trntype[at]), float(m.actuator_gear[at][0])
             has = {
                 "armature": _row(m, "actuator_armature", at),
-                "damping": dampers * _row(m, "actuator_damping", at),
-                "dampingpoly": dampers * _row(m, "actuator_dampingpoly", at),
+                "damping": self.dampers * _row(m, "actuator_damping", at),
+                "dampingpoly": self.dampers * _row(m, "actuator_dampingpoly", at),
             }
             shares = dict[int, float]()
-            if kind in at_joints and self._single(on):
+            at_joint = kind in (on_what.mjTRN_JOINT, on_what.mjTRN_JOINTINPARENT)
+            if at_joint and self._velocities(on) == 1:
                 self._limit_of_motor(at, on, gear)
                 shares = {on: gear}
                 for power, value in zip((2, 3), _pop(has, "dampingpoly"), strict=True):
                     self._add(f"damping_{power}", on, gear**2 * value)  # not gear³, as of tendons
-            elif kind == int(mujoco.mjtTrn.mjTRN_TENDON):
-                pulled = fixed_tendon(m, mujoco, on)
-                if all(map(self._single, pulled)):
-                    shares = {joint: gear * share for joint, share in pulled.items()}
+            elif kind == on_what.mjTRN_TENDON:
+                shares = {joint: gear * share for joint, share in fixed_tendon(m, on).items()}
             self._take_along(name, shares, has, None)
             self._leave_rest(f"The actuator {name}", has, "actuator", at)
 
     def _limit_of_motor(self, at: int, joint: int, gear: float) -> None:
         m, mujoco = self.m, self.mujoco
         ranges = [m.actuator_forcerange[at]] if m.actuator_forcelimited[at] else []
-        fixed = int(m.actuator_gaintype[at]) == int(mujoco.mjtGain.mjGAIN_FIXED)
-        plain = int(m.actuator_biastype[at]) == int(mujoco.mjtBias.mjBIAS_NONE)
-        still = int(m.actuator_dyntype[at]) == int(mujoco.mjtDyn.mjDYN_NONE)
+        plain = (
+            int(m.actuator_gaintype[at]) == mujoco.mjtGain.mjGAIN_FIXED
+            and int(m.actuator_biastype[at]) == mujoco.mjtBias.mjBIAS_NONE
+            and int(m.actuator_dyntype[at]) == mujoco.mjtDyn.mjDYN_NONE
+        )
         limited = getattr(m, "actuator_ctrllimited")  # noqa: B009, as older versions have it, too
-        if fixed and plain and still and len(limited) > at and limited[at]:
+        if plain and len(limited) > at and limited[at]:
             ranges.append(float(m.actuator_gainprm[at][0]) * np.asarray(m.actuator_ctrlrange[at]))
         if ranges and gear:
             self._limit(joint, min(abs(gear) * float(np.abs(each).max()) for each in ranges))
@@ -344,7 +302,8 @@ class _Terms:
     def _take_gravcomp(self) -> None:
         """Compensation of the weight of all moving bodies alike is less gravity."""
         m, reference = self.m, self.found.reference
-        if not np.any(m.body_gravcomp > 0.0) or not self.found.gravity.any():  # as MuJoCo counts
+        gravity = np.asarray(self.found.gravity)
+        if not np.any(m.body_gravcomp > 0.0) or not gravity.any():  # as MuJoCo counts
             return
         moving = [b for b in range(m.nbody) if m.body_weldid[b] and m.body_mass[b] > 0.0]
         shares = m.body_gravcomp[moving]
@@ -352,7 +311,7 @@ class _Terms:
         if by_motors.all():
             return  # as MuJoCo counts it among the efforts of the actuators
         if len(shares) and np.ptp(shares) == 0.0 and not by_motors.any():
-            self.found.gravity = self.found.gravity * (1.0 - float(shares[0]))
+            self.found.gravity = gravity * (1.0 - float(shares[0]))
             self.found.notes.append(
                 f"gravcomp={shares[0]:g} of all bodies is kept as that much less gravity."
             )
@@ -361,7 +320,7 @@ class _Terms:
             if m.body_gravcomp[body] and by_motors.any():
                 self._leave(f"gravcomp={m.body_gravcomp[body]:g} of {self._name('BODY', body)}")
             elif m.body_gravcomp[body]:
-                self.found.carried[self._name("BODY", body)] = float(m.body_gravcomp[body])
+                self.found.carried[self._body(body)] = float(m.body_gravcomp[body])
         reference.body_gravcomp[:] = 0.0
 
     def _take_medium(self) -> None:
@@ -381,7 +340,7 @@ class _Terms:
                 edges = np.maximum(inertia.sum() - 2.0 * inertia, _LEAST_INERTIA)
                 self.found.boxes.append(
                     BoxInMedium(
-                        self._name("BODY", body),
+                        self._body(body),
                         np.sqrt(6.0 * edges / mass),
                         pose_of(m.body_ipos[body], m.body_iquat[body]),
                         float(option.density),
@@ -397,94 +356,86 @@ class _Terms:
             )
 
     def _take_equalities(self) -> None:
-        m, kinds = self.m, self.mujoco.mjtEq
-        names = {
-            int(getattr(kinds, each)): each[5:].lower() for each in dir(kinds) if "EQ_" in each
-        }
+        m, mujoco = self.m, self.mujoco
         for at in range(m.neq):
             first, second = int(m.eq_obj1id[at]), int(m.eq_obj2id[at])
-            kind = names[int(m.eq_type[at])]
-            sites = int(m.eq_objtype[at]) == int(self.mujoco.mjtObj.mjOBJ_SITE)
+            kind = mujoco.mjtEq(int(m.eq_type[at])).name.removeprefix("mjEQ_").lower()
+            sites = int(m.eq_objtype[at]) == mujoco.mjtObj.mjOBJ_SITE
             of = {"joint": "JOINT", "tendon": "TENDON", "flex": "FLEX"}.get(kind)
             of = of or ("SITE" if sites else "BODY")
             what = " and ".join(self._name(of, each) for each in (first, second) if each >= 0)
+            data = np.array(m.eq_data[at])
             if not m.eq_active0[at]:
                 self.found.notes.append(
                     f"<equality>: the constraint <{kind}> of {what} is not active, and not used."
                 )
             elif kind == "joint" and second >= 0:
-                self._follow(first, second, np.array(m.eq_data[at][:5]))
+                self._follow(first, second, data[:5])
             elif kind == "joint":
-                place = float(m.qpos0[m.jnt_qposadr[first]] + m.eq_data[at][0])
-                self.found.of_joints["fixed"][self._name("JOINT", first)] = place
-            elif kind in ("connect", "weld") and self._close(at, f"<{kind}> of {what}"):
-                continue
-            elif kind != "tendon" or not self._follow_tendon(first, second, m.eq_data[at][:5]):
+                place = float(m.qpos0[m.jnt_qposadr[first]] + data[0])
+                self.found.fixed[self._joint(first)] = place
+            elif not (
+                (kind in ("connect", "weld") and self._close(at, f"<{kind}> of {what}", sites))
+                or (kind == "tendon" and self._follow_tendon(first, second, data[:5]))
+            ):
                 self._leave(
                     f"<equality>: the constraint <{kind}> of {what}, which makes a closed loop or "
                     "holds something (the robot is read as an open tree),"
                 )
 
-    def _close(self, at: int, name: str) -> bool:
+    def _close(self, at: int, name: str, sites: bool) -> bool:
         """Return whether a constraint of points or frames closes a loop of the robot.
 
         It does not where it holds what is free: a body on a table, say.
         """
-        m = self.m
-        numbers = [int(m.eq_obj1id[at]), int(m.eq_obj2id[at])]
-        data, welds = (
-            np.array(m.eq_data[at]),
-            int(m.eq_type[at]) == int(self.mujoco.mjtEq.mjEQ_WELD),
-        )
-        turns = welds and float(data[10]) != 0.0  # the scale of the torque
-        if int(m.eq_objtype[at]) == int(self.mujoco.mjtObj.mjOBJ_SITE):
-            poses = [pose_of(m.site_pos[each], m.site_quat[each]) for each in numbers]
-            numbers = [int(m.site_bodyid[each]) for each in numbers]
+        m, data = self.m, np.array(self.m.eq_data[at])
+        bodies = [int(m.eq_obj1id[at]), int(m.eq_obj2id[at])]
+        welds = int(m.eq_type[at]) == self.mujoco.mjtEq.mjEQ_WELD
+        if sites:
+            first, second = (pose_of(m.site_pos[each], m.site_quat[each]) for each in bodies)
+            bodies = [int(m.site_bodyid[each]) for each in bodies]
         elif welds:  # the second point stands first
-            poses = [pose_of(data[3:6], data[6:10]), RigidTransform(data[:3])]
+            first, second = pose_of(data[3:6], data[6:10]), RigidTransform(data[:3])
         else:
-            poses = [RigidTransform(data[:3]), RigidTransform(data[3:6])]
-        roots = [self._free_root(each) for each in numbers]
-        if roots[0] != roots[1]:
+            first, second = RigidTransform(data[:3]), RigidTransform(data[3:6])
+        if len({self._free_root(each) for each in bodies}) > 1:
             return False
-        first, second = (self._name("BODY", each) if each else WORLD for each in numbers)
-        closure = Closure(name, (first, second), (poses[0], poses[1]), turns)
-        self.found.closures[at] = closure
+        one, two = (self._body(each) if each else WORLD for each in bodies)
+        turns = bool(welds and data[10] != 0.0)  # the scale of the torque
+        self.found.closures.append(Closure(name, (one, two), (first, second), turns))
+        self.found.closing.append(at)
         return True
 
     def _free_root(self, body: int) -> int:
         """Number of the free body that a body hangs from, or is; 0 for none."""
-        m, free = self.m, int(self.mujoco.mjtJoint.mjJNT_FREE)
-        while body:
-            joints = range(m.body_jntadr[body], m.body_jntadr[body] + m.body_jntnum[body])
+        m, free = self.m, self.mujoco.mjtJoint.mjJNT_FREE
+        for each in chain_to_world(m, body):
+            joints = range(m.body_jntadr[each], m.body_jntadr[each] + m.body_jntnum[each])
             if any(int(m.jnt_type[joint]) == free for joint in joints):
-                return body
-            body = int(m.body_parentid[body])
+                return each
         return 0
 
     def _follow_tendon(self, first: int, second: int, data: Array) -> bool:
         """Return whether L − L₀ = a₀ + a₁ (M − M₀) of fixed tendons has a joint follow another."""
         m, known = self.m, self.found.followers
-        shares = dict(fixed_tendon(m, self.mujoco, first))
+        shares = fixed_tendon(m, first)
         length = float(m.tendon_length0[first]) + float(data[0])
         if second >= 0:
-            other = fixed_tendon(m, self.mujoco, second)
+            other = fixed_tendon(m, second)
             length -= float(data[1]) * float(m.tendon_length0[second])
             shares = shares if other else {}
             for joint, share in other.items():
                 shares[joint] = shares.get(joint, 0.0) - float(data[1]) * share
         shares = {joint: share for joint, share in shares.items() if share}
-        if len(shares) != 2 or np.any(data[2:]) or not all(map(self._single, shares)):
+        several = any(self._velocities(joint) > 1 for joint in shares)
+        if len(shares) != 2 or np.any(data[2:]) or several:
             return False
         # A joint that a motor drives leads; otherwise the first.
-        joints = (int(self.mujoco.mjtTrn.mjTRN_JOINT), int(self.mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-        driven = {
-            int(on[0])
-            for on, kind in zip(m.actuator_trnid, m.actuator_trntype, strict=True)
-            if int(kind) in joints
-        }
+        on_what, motors = self.mujoco.mjtTrn, zip(m.actuator_trnid, m.actuator_trntype, strict=True)
+        at_joints = (on_what.mjTRN_JOINT, on_what.mjTRN_JOINTINPARENT)
+        driven = {int(on[0]) for on, kind in motors if int(kind) in at_joints}
         leader, own = sorted(shares, key=lambda joint: joint not in driven)
-        names = self._name("JOINT", own), self._name("JOINT", leader)
+        names = self._joint(own), self._joint(leader)
         if self._follows_already(*names):
             return False
         known.append(Follower(*names, -shares[leader] / shares[own], length / shares[own]))
@@ -493,7 +444,7 @@ class _Terms:
     def _follow(self, first: int, second: int, data: Array) -> None:
         """Take that Y − y₀ = p(x − x₀), y₀ and x₀ at the file's own pose."""
         own, leader = self._name("JOINT", first), self._name("JOINT", second)
-        if self._follows_already(own, leader):
+        if self._follows_already(self._joint(first), self._joint(second)):
             self._leave(
                 f"<equality>: the constraint <joint> of {own} and {leader}, as {own} follows a "
                 f"joint already, or is followed by {leader},"
@@ -505,16 +456,20 @@ class _Terms:
         coefficients[: len(polynomial.coef)] = polynomial.coef
         coefficients[0] += starts[0]
         if data[2:].any():
-            self.found.bent.setdefault(leader, {})[own] = coefficients.tolist()
+            known = next((part for part in self.found.bent if part.leader == leader), None)
+            if known is None:
+                known = Followers(leader, {})
+                self.found.bent.append(known)
+            known.joints[own] = coefficients.tolist()
         else:
-            self.found.followers.append(
-                Follower(own, leader, float(coefficients[1]), float(coefficients[0]))
-            )
+            numbers = float(coefficients[1]), float(coefficients[0])
+            self.found.followers.append(Follower(self._joint(first), self._joint(second), *numbers))
 
     def _follows_already(self, own: str, leader: str) -> bool:
         """Return whether a joint follows another one, or is followed by what it would follow."""
         leaders = {follower.joint: follower.leader for follower in self.found.followers}
-        leaders |= {joint: first for first, bent in self.found.bent.items() for joint in bent}
+        for part in self.found.bent:
+            leaders |= {f"{self.scope}::{j}": f"{self.scope}::{part.leader}" for j in part.joints}
         return own in leaders or leads_back(own, leader, leaders)
 
 

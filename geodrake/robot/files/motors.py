@@ -28,11 +28,7 @@ _REDUCTIONS = ("mechanicalReduction", "mechanical_reduction")
 
 
 def urdf_motors(elements: Sequence[Element], path: Path) -> tuple[Statement, ...]:
-    """What transmissions of a URDF state.
-
-    Raises:
-        ModelError: A number is none or zero, or a name is missing.
-    """
+    """What transmissions of a URDF state."""
     return tuple(part for e in elements for part in _transmission(e, path))
 
 
@@ -67,11 +63,7 @@ def _transmission(element: Element, path: Path) -> Iterator[Statement]:
 
 
 def mjcf_motors(root: Element, path: Path) -> tuple[Statement, ...]:
-    """What actuators of an MJCF file state: gears at joints, and fixed tendons.
-
-    Raises:
-        ModelError: Gears are those of default classes, or tendons do not determine joints.
-    """
+    """What actuators of an MJCF file state: gears at joints, and fixed tendons."""
     motors = [e for group in root.findall("actuator") for e in group]
     if any(e.get("gear") for default in root.iter("default") for e in default.iter()):
         raise ModelError(

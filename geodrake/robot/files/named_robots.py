@@ -40,9 +40,6 @@ def robot_file(path: Path, given: Given) -> RobotFile:
     Args:
         path: A model file; where there is none, a word without folder and suffix is a name.
         given: How it is to be read; its packages and arguments of xacro come before the robot's.
-
-    Raises:
-        ModelError: There is no robot of that name, or its files cannot be downloaded.
     """
     if not _is_name(path):
         return RobotFile(path, given)
@@ -70,11 +67,7 @@ def robot_file(path: Path, given: Given) -> RobotFile:
 
 
 def planned_download(path: Path) -> str:
-    """Return what `robot_file` is going to download, as a sentence; "" if nothing.
-
-    Raises:
-        ModelError: There is no robot of that name.
-    """
+    """Return what `robot_file` is going to download, as a sentence; "" if nothing."""
     if not _is_name(path):
         return ""
     module = _descriptions(path)[0]
@@ -93,11 +86,7 @@ def _is_name(path: Path) -> bool:
 
 
 def _descriptions(path: Path) -> list[str]:
-    """Return the names of a robot's URDF and then of its MJCF, or of the one that there is.
-
-    Raises:
-        ModelError: There is none, or robot_descriptions is not installed.
-    """
+    """Return the names of a robot's URDF and then of its MJCF, or of the one that there is."""
     gone = f"The model file {path} does not exist"
     try:
         package: Any = importlib.import_module("robot_descriptions")

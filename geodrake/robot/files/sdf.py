@@ -22,7 +22,7 @@ from geodrake.robot.files.values import (
     rotation,
     symmetric,
 )
-from geodrake.robot.files.xml_text import place_of
+from geodrake.robot.files.xml_text import wrong_at
 from geodrake.robot.stated import Spring
 
 _SPRING = ("stiffness", "reference")
@@ -35,21 +35,22 @@ class SdfText(ModelText):
     numeric = SDF_NUMBERS
 
     def _read(self) -> None:
-        includes = Includes(self.path, self.folders)
+        includes, terms = Includes(self.path, self.folders), self.terms
         includes.insert(self.root, self.path.parent)
         self.packages = includes.names
-        self.notes += includes.absent
-        self.left_out += includes.missing
-        self.left_out += unread(self.root, SDF_UNREAD, self.path)
+        terms.notes += includes.absent
+        terms.left_out += includes.missing
+        terms.left_out += unread(self.root, SDF_UNREAD, self.path)
         for link in self.root.iter("link"):
             inertial = link.find("inertial")
             if inertial is None or inertial.get("auto") != "true":
                 drop(link, "collision")
         drop(self.root, "visual", "sensor", "plugin", "drake:collision_filter_group")
-        for name, model in sdf_models(self.root, first=self.scope or ""):
+        models = list(sdf_models(self.root, first=self.scope or ""))
+        for name, model in models:
             self._take_balls(name, model)
         self._drop_loops()
-        for name, model in sdf_models(self.root, first=self.scope or ""):
+        for name, model in models:
             self._links |= {f"{name}::{e.get('name')}": e for e in model.findall("link")}
             for joint in model.findall("joint"):
                 self._take_mimic(name, joint)
@@ -65,29 +66,25 @@ class SdfText(ModelText):
 
     def _take_gravity(self) -> None:
         for stated in self.root.findall("world/gravity"):
-            if not (stated.text or "").strip():
-                continue
-            vector = numbers(stated.text or "", 3)
+            words = stated.text or ""
+            vector = numbers(words, 3)
             if not np.isfinite(vector).all():
-                raise ModelError(
-                    f"{place_of(stated)}: <gravity> has {(stated.text or '')[:50]!r} instead of "
-                    "three numbers.",
-                    advice="Correct the file there.",
-                    path=self.path,
-                )
-            self.gravity = vector
+                what = f"<gravity> has {words[:50]!r} instead of three numbers."
+                raise wrong_at(stated, self.path, what)
+            if words.strip():
+                self.terms.gravity = vector
         of_links = {name: link.findtext("gravity") for name, link in self._links.items()}
         self._take_weightless(
             [name for name, text in of_links.items() if text is not None and is_nothing(text)]
         )
 
     def _read_joint(self, name: str, joint: Element) -> None:
-        friction = joint.findtext("axis/dynamics/friction", "0")
-        self.friction[name] = numbers(friction, 1)[0]
+        self.terms.friction[name] = numbers(joint.findtext("axis/dynamics/friction", "0"), 1)[0]
         for dynamics in joint.iter("dynamics"):
             if dynamics is joint.find("axis/dynamics"):
                 stated = (dynamics.findtext(f"spring_{key}", "0") for key in _SPRING)
-                self.springs[name] = Spring.linear(*(float(numbers(t, 1)[0]) for t in stated))
+                numbers_of = (float(numbers(text, 1)[0]) for text in stated)
+                self.terms.springs[name] = Spring.linear(*numbers_of)
             drop(dynamics, *(f"spring_{key}" for key in _SPRING))
 
     def _inertia(self, link: Element) -> Array | None:

@@ -27,10 +27,6 @@ def edited(data: bytes, path: Path, root: Element) -> bytes:
     """Return the bytes of a file with what was changed in its elements.
 
     Those are attributes, texts and new elements before or after all others; none may be missing.
-
-    Raises:
-        ModelError: What was changed stands in an entity, or the encoding of the file is not one of
-            single bytes or UTF-8.
     """
     if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in data[:4]:
         raise ModelError(

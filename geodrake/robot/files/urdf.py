@@ -7,7 +7,6 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import URDF_NUMBERS
@@ -22,7 +21,7 @@ from geodrake.robot.files.values import (
     rotation,
     symmetric,
 )
-from geodrake.robot.files.xml_text import place_of
+from geodrake.robot.files.xml_text import wrong_at
 from geodrake.robot.stated import Spring
 from geodrake.robot.transmission.statements import Statement
 
@@ -34,52 +33,53 @@ class UrdfText(ModelText):
     numeric = URDF_NUMBERS
 
     def _read(self) -> None:
-        self.left_out += unread(self.root, URDF_UNREAD, self.path)
-        gazebo = [e for e in self.root.findall("gazebo") if e.get("reference")]
-        drop(self.root, "visual", "collision", "gazebo", "material", "drake:collision_filter_group")
-        self._transmissions = [deepcopy(e) for e in self.root.iter("transmission")]
-        for transmission in self.root.findall("transmission"):
+        root, terms = self.root, self.terms
+        terms.left_out += unread(root, URDF_UNREAD, self.path)
+        gazebo = [e for e in root.findall("gazebo") if e.get("reference")]
+        drop(root, "visual", "collision", "gazebo", "material", "drake:collision_filter_group")
+        self._transmissions = [deepcopy(e) for e in root.iter("transmission")]
+        for transmission in root.findall("transmission"):
             # Only Drake's own rotor inertia and gear ratio matter; joints state their efforts.
             if not any(element.tag.startswith("drake:") for element in transmission.iter()):
-                self.root.remove(transmission)
+                root.remove(transmission)
             for kind in transmission.findall("type"):
                 if not (kind.text or "").strip():  # which would end Drake, and the process with it
                     transmission.remove(kind)
-        scope = self.scope or self.root.get("name") or self.path.stem
-        self._take_balls(scope, self.root)
+        scope = self.scope or root.get("name") or self.path.stem
+        self._take_balls(scope, root)
         self._drop_loops()
-        self.root.set("name", self.root.get("name") or scope)
-        self._links = {f"{scope}::{e.get('name')}": e for e in self.root.findall("link")}
-        self._take_gazebo(scope, gazebo)
-        for joint in [*self.root.findall("joint"), *self.root.findall("drake:joint")]:
+        root.set("name", root.get("name") or scope)
+        self._links = {f"{scope}::{e.get('name')}": e for e in root.findall("link")}
+        joints = [*root.findall("joint"), *root.findall("drake:joint")]
+        every = {e.get("name") for tag in ("joint", "drake:joint") for e in root.iter(tag)}
+        self._take_gazebo(scope, gazebo, every)
+        for joint in joints:
             name = f"{scope}::{joint.get('name')}"
             self._take_mimic(scope, joint)
-            self.friction[name] = number(joint, "dynamics", "friction")
-            self.effort[name] = number(joint, "limit", "effort")
-            if (limit := joint.find("limit")) is not None and self.effort[name] == 0.0:
+            terms.friction[name] = number(joint, "dynamics", "friction")
+            terms.effort[name] = number(joint, "limit", "effort")
+            if (limit := joint.find("limit")) is not None and terms.effort[name] == 0.0:
                 limit.attrib.pop("effort", None)  # with 0, Drake ignores the rotor, too
 
-    def _take_gazebo(self, scope: str, elements: list[Element]) -> None:
-        """Take springs of joints, and links without gravity.
-
-        Raises:
-            ModelError: A spring's number is invalid.
-        """
+    def _take_gazebo(self, scope: str, elements: list[Element], joints: set[str | None]) -> None:
+        """Take springs of joints, and links without gravity."""
         off = list[str]()
-        joints = {e.get("name") for tag in ("joint", "drake:joint") for e in self.root.iter(tag)}
         for element in elements:
             name = f"{scope}::{element.get('reference')}"
             stated = element.findtext("springStiffness", "")
             if element.get("reference") in joints and stated.strip():
-                numbers_of = ("springStiffness", "springReference")
-                self.springs[name] = Spring.linear(
-                    *(self._of_spring(element, t) for t in numbers_of)
+                tags = ("springStiffness", "springReference")
+                self.terms.springs[name] = Spring.linear(
+                    *(self._of_spring(element, t) for t in tags)
                 )
             elif not is_nothing(stated):
-                self.left_out.append(
-                    f"{place_of(element) or self.path}: <springStiffness> {stated.strip()[:50]} of "
-                    f"{element.get('reference')}, which is no joint, is left out."
+                said = wrong_at(
+                    element,
+                    self.path,
+                    f"<springStiffness> {stated.strip()[:50]} of {element.get('reference')}, which "
+                    "is no joint, is left out.",
                 )
+                self.terms.left_out.append(said.problem)
             falls = [is_nothing(each.text or "") for each in element.findall("gravity")]
             falls += [not is_nothing(each.text or "") for each in element.findall("turnGravityOff")]
             if any(falls) and name in self._links:
@@ -90,12 +90,8 @@ class UrdfText(ModelText):
         stated = element.findtext(tag, "0")
         value = float(numbers(stated, 1)[0])
         if not np.isfinite(value):
-            raise ModelError(
-                f"{place_of(element) or self.path}: <{tag}> has {stated.strip()[:50]!r} instead of "
-                "a number.",
-                advice="Correct the file there.",
-                path=self.path,
-            )
+            words = stated.strip()[:50]
+            raise wrong_at(element, self.path, f"<{tag}> has {words!r} instead of a number.")
         return value
 
     def motors(self) -> tuple[Statement, ...]:

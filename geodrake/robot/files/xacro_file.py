@@ -41,15 +41,11 @@ _ENDS: Mapping[int, str] = {
 
 def is_xacro(path: Path) -> bool:
     """Return whether a model file has elements of xacro."""
-    return _has_elements(_read(path))
+    return _has_elements(read_regular(path, "model file", ModelError, largest=LARGEST_FILE))
 
 
 def _has_elements(data: bytes) -> bool:
     return _TAG.search(_COMMENT.sub(b"", data)) is not None
-
-
-def _read(path: Path) -> bytes:
-    return read_regular(path, "model file", ModelError, largest=LARGEST_FILE)
 
 
 def read_expanded(path: Path, given: Given) -> bytes:
@@ -60,12 +56,8 @@ def read_expanded(path: Path, given: Given) -> bytes:
 
     Args:
         given: Arguments of xacro, folders of packages, and whether any expression is evaluated.
-
-    Raises:
-        ModelError: It cannot be read; the package xacro is not installed, or cannot expand it; or
-            it asks for more than a file may that nobody trusts.
     """
-    data = _read(path)
+    data = read_regular(path, "model file", ModelError, largest=LARGEST_FILE)
     if not _has_elements(data):
         return data
     begin = _checksum([data.decode("latin-1"), dict(given.xacro)])

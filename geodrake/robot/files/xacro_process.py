@@ -12,18 +12,21 @@ asks for what it needs by lines of JSON, `[kind, value]`, to which each answer i
     ["failed", words]   anything else
 
 Its arguments are folders of packages. The first line that it reads is `[path, arguments, trusted]`.
+
+Expressions are Python's, without its builtins but those that xacro gives. Whoever reaches a class
+or a frame by the attributes of a value reaches all of Python, so the names of such are refused.
 """
 
 from __future__ import annotations
 
+import ast
 import importlib
 import io
 import json
 import resource
-import runpy
 import signal
 import sys
-from pathlib import Path
+import types
 from types import SimpleNamespace
 from typing import Any
 
@@ -34,6 +37,22 @@ WALL_SECONDS = 20 * CPU_SECONDS
 MEMORY = 2_000_000_000
 """Bytes."""
 
+_INNER = (
+    types.AsyncGeneratorType,
+    types.CodeType,
+    types.CoroutineType,
+    types.FrameType,
+    types.GeneratorType,
+    types.TracebackType,
+)
+_REFUSED = {name for kind in _INNER for name in dir(kind) if "_" in name} | {"mro"}
+_REFUSED |= {"format", "format_map"}  # which reach the attributes of values
+_WITHHELD = ("type", "vars")  # which give classes, and what they are made of
+
+
+class RefusedError(BaseException):
+    """An expression asks for more than values; no Exception, as xacro catches and wraps those."""
+
 
 def expand() -> None:
     """Expand the file that the first line names."""
@@ -42,7 +61,6 @@ def expand() -> None:
     xacro = importlib.import_module("xacro")
     for needed in ("xacro.substitution_args", "xml.dom.expatbuilder", "yaml"):
         importlib.import_module(needed)  # later, no file can be opened
-    rules = runpy.run_path(str(Path(__file__).with_name("xacro_expressions.py")))
     path, arguments, trusted = json.loads(sys.stdin.readline())
 
     def tell(kind: str, value: Any) -> None:
@@ -57,13 +75,14 @@ def expand() -> None:
         _give_up(CPU_SECONDS * (10 if trusted else 1))
         _serve_files(xacro, ask)
         if not trusted:
-            _limit_expressions(xacro, rules)
+            limit_expressions(xacro)
         document = xacro.process_file(path, mappings=arguments)
         tell("done", document.toxml(encoding="utf-8").decode())
-    except rules["RefusedError"] as error:
+    except RefusedError as error:
         tell("refused", str(error))
     except Exception as error:
-        tell("failed", _words(error) + _place(xacro, path))
+        files = [file for file in xacro.filestack or () if file != path]
+        tell("failed", _words(error) + (f" (in {files[-1]})" if files else ""))
 
 
 def _give_up(seconds: int) -> None:
@@ -101,25 +120,32 @@ def _serve_files(xacro: Any, ask: Any) -> None:
     own._eval_find = own._eval_dict["find"] = lambda package: ask("find", package)
 
 
-def _limit_expressions(xacro: Any, rules: dict[str, Any]) -> None:
-    """Have xacro evaluate expressions within bounds."""
+def limit_expressions(xacro: Any) -> None:
+    """Have xacro evaluate expressions of values alone."""
     if not hasattr(xacro, "safe_eval"):
         raise ImportError("the package xacro is older than 2.1: pip install -U xacro")
-    functions_of = rules["functions_of"]
-    python = xacro._global_symbols["python"]
-    rules["withhold"](python)
-    known = functions_of(xacro._global_symbols)
+    evaluated, python = xacro.safe_eval, xacro._global_symbols["python"]
 
-    def evaluated(text: str, names: Any, functions: list[Any]) -> Any:
-        kinds = xacro.NameSpace, xacro.YamlDictWrapper
-        return rules["Expressions"](names, functions, *kinds).evaluate(text)
+    def withheld(name: str) -> Any:
+        def refuse(*_: Any, **__: Any) -> None:
+            raise RefusedError(f"{name} is asked for")
 
-    def of_substitution(text: str, _: Any, names: Any) -> Any:
-        own = functions_of(names._functions)
-        return evaluated(text, rules["NamesWithin"](names, python), known + own)
+        return refuse
 
-    xacro.safe_eval = lambda text, names: evaluated(text, names, known)
-    xacro.substitution_args.eval = of_substitution
+    python.update({name: withheld(name) for name in _WITHHELD})
+    xacro.safe_eval = lambda text, names: evaluated(_checked(text), names)
+    xacro.substitution_args.eval = lambda text, _, names: evaluated(
+        _checked(text), dict(python), names
+    )
+
+
+def _checked(text: str) -> str:
+    """Return an expression, or refuse one that asks for names of what Python is made of."""
+    for node in ast.walk(ast.parse(text.strip(), "<expression>", mode="eval")):
+        name, attribute = getattr(node, "id", ""), getattr(node, "attr", "")
+        if name.startswith("__") or attribute.startswith("_") or attribute in _REFUSED:
+            raise RefusedError(f"{name or attribute} is asked for in '{text}'")
+    return text
 
 
 def _words(error: Exception) -> str:
@@ -132,12 +158,6 @@ def _words(error: Exception) -> str:
     if isinstance(inner, RecursionError):
         return "its macros or files hold themselves, or each other too deeply"
     return str(error) or type(inner).__name__
-
-
-def _place(xacro: Any, path: str) -> str:
-    """Say which included file is at fault."""
-    files = [file for file in xacro.filestack or () if file != path]
-    return f" (in {files[-1]})" if files else ""
 
 
 if __name__ == "__main__":

@@ -38,6 +38,13 @@ def place_of(element: Element) -> str:
     return f"{element.path}, line {element.line}" if isinstance(element, LocatedElement) else ""
 
 
+def wrong_at(element: Element, path: Path, what: str) -> ModelError:
+    """Return an error with the place of an element, in a file, and what is wrong there."""
+    return ModelError(
+        f"{place_of(element) or path}: {what}", advice="Correct the file there.", path=path
+    )
+
+
 def parse_xml(path: Path) -> Element:
     """Return the root element of a file."""
     data = read_regular(path, "model file", ModelError, largest=LARGEST_FILE)
@@ -45,22 +52,23 @@ def parse_xml(path: Path) -> Element:
 
 
 def parse_xml_bytes(data: bytes, path: Path) -> Element:
-    """Return the root element of what is, or will be, in a file.
-
-    Raises:
-        ModelError: It is not XML, or nested or built beyond all bounds.
-    """
+    """Return the root element of what is, or will be, in a file."""
     # Without namespaces, unlike ElementTree.parse: Drake wants its prefix `drake:` kept as it is,
     # and many files use prefixes that they do not declare.
     try:
-        root = _Reader(path).root_of(data)
+        root = _read(data, path)
     except (expat.ExpatError, ValueError, LookupError) as error:  # the last two of encodings
         raise ModelError(
             f"{path} is not a robot description: it is not valid XML ({error}).",
             advice=SUPPORTED_FORMATS,
             path=path,
         ) from error
-    for prefix in _drake_prefixes(root):
+    prefixes = [  # that a program gave to Drake's namespace when it wrote the file
+        key.removeprefix("xmlns:")
+        for key, value in root.attrib.items()
+        if key.startswith("xmlns:") and key != "xmlns:drake" and "drake.mit.edu" in value
+    ]
+    for prefix in prefixes:
         for element in root.iter():
             element.tag = element.tag.replace(f"{prefix}:", "drake:")
             for key in [key for key in element.attrib if key.startswith(f"{prefix}:")]:
@@ -68,64 +76,50 @@ def parse_xml_bytes(data: bytes, path: Path) -> Element:
     return root
 
 
-def _drake_prefixes(root: Element) -> list[str]:
-    """Other prefixes that a program gave to Drake's namespace when it wrote the file."""
-    return [
-        key.removeprefix("xmlns:")
-        for key, value in root.attrib.items()
-        if key.startswith("xmlns:") and key != "xmlns:drake" and "drake.mit.edu" in value
-    ]
+def _read(data: bytes, path: Path) -> Element:
+    """Return the root of elements that know their places, as long as they stay within bounds."""
+    parser, depth, count = expat.ParserCreate(), 0, 0
 
+    def element(tag: str, attributes: dict[str, str]) -> Element:
+        made = LocatedElement(tag, attributes)
+        made.path, made.line = path, parser.CurrentLineNumber
+        made.start = parser.CurrentByteIndex
+        return made
 
-class _Reader:
-    """Builds the elements of one file, as long as they stay within bounds."""
+    builder = TreeBuilder(element_factory=element)
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.depth, self.count = path, 0, 0
-        self.parser = expat.ParserCreate()
-        self.builder = TreeBuilder(element_factory=self._element)
-        self.parser.StartElementHandler = self._start
-        self.parser.EndElementHandler = self._end
-        self.parser.CharacterDataHandler = self.builder.data
-
-    def root_of(self, data: bytes) -> Element:
-        self.parser.Parse(data, True)
-        return self.builder.close()
-
-    def _element(self, tag: str, attributes: dict[str, str]) -> Element:
-        element = LocatedElement(tag, attributes)
-        element.path, element.line = self.path, self.parser.CurrentLineNumber
-        element.start = self.parser.CurrentByteIndex
-        return element
-
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        self.depth += 1
-        self.count += 1
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth, count
+        depth, count = depth + 1, count + 1
         for what, number, most in (
-            ("elements within each other", self.depth, _DEEPEST),
-            ("elements", self.count, _MOST_ELEMENTS),
+            ("elements within each other", depth, _DEEPEST),
+            ("elements", count, _MOST_ELEMENTS),
             (f"attributes in <{tag[:50]}>", len(attributes), _MOST_ATTRIBUTES),
         ):
             if number > most:
                 raise ModelError(
-                    f"{self.path}, line {self.parser.CurrentLineNumber}: there are more than "
-                    f"{most} {what}.",
+                    f"{path}, line {parser.CurrentLineNumber}: there are more than {most} {what}.",
                     advice="Check how the file was written.",
-                    path=self.path,
+                    path=path,
                 )
-        self.builder.start(tag, attributes)
+        builder.start(tag, attributes)
 
-    def _end(self, tag: str) -> None:
-        self.depth -= 1
-        element = self.builder.end(tag)
-        if isinstance(element, LocatedElement):
-            element.end = self.parser.CurrentByteIndex
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        ended = builder.end(tag)
+        if isinstance(ended, LocatedElement):
+            ended.end = parser.CurrentByteIndex
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler = builder.data
+    parser.Parse(data, True)
+    return builder.close()
 
 
 def numbered_text(root: Element) -> tuple[str, list[str]]:
     """Return a description as text, and for each of its lines where that was read (`place_of`)."""
-    lines: list[str] = []
-    places: list[str] = []
+    lines, places = list[str](), list[str]()
     for line, element in _lines(root):
         lines.append(line)
         places.append(place_of(element) or (places[-1] if places else ""))

@@ -9,11 +9,16 @@ becomes the regressor Y_q of what is measured, with all gyroscopic and inertial 
 rotors. Friction and inertia *on the actuator's side* are effects in q, q̇, q̈ as they stand.
 """
 
-from geodrake.robot.transmission.base import Transmission
+from geodrake.robot.transmission.base import (
+    FunctionTransmission,
+    InSequence,
+    LinearTransmission,
+    SideBySide,
+    Transmission,
+    gears,
+    rolling_joint,
+)
 from geodrake.robot.transmission.drive import Drive
-from geodrake.robot.transmission.function import FunctionTransmission
-from geodrake.robot.transmission.linear import LinearTransmission
-from geodrake.robot.transmission.parts import InSequence, SideBySide, gears, rolling_joint
 from geodrake.robot.transmission.scalar import (
     Cylinder,
     FourBar,

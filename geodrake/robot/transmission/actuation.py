@@ -3,6 +3,10 @@
 Joints that a drive moves give their places to its actuators, the i-th joint to the i-th actuator,
 or a joint to the actuator of its name where all have such; other joints are their own actuators, a
 floating base among them.
+
+Limits of joints are limits of their actuators: boxes within which every joint keeps its own. Joints
+that each follow one actuator have exact ones. Where several actuators move a joint together, the
+box is one inside its limits, in which every actuator may go as far in proportion.
 """
 
 from __future__ import annotations
@@ -25,8 +29,8 @@ Indices = NDArray[np.intp]
 
 _STEP = 1e-4  # rad or m
 
-_Seat = tuple[int, int]  # number of a drive, and of its actuator
-_KEPT = -1, -1  # where no drive is
+_FAR = 10.0  # rad or m, up to where limits are looked for where the map has none
+_POINTS = 4001
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,37 +75,34 @@ class Actuation:
 
         Args:
             positions: Velocity of a joint of one degree of freedom -> where its position is.
-
-        Raises:
-            ModelError: A drive names a joint that is none of one degree of freedom, two of them
-                name the same, or an actuator has the name of a joint that moves by itself.
         """
         by_name = {joints[at]: at for at in positions}
         _check(drives, by_name)
-        seats: dict[int, _Seat | None] = dict.fromkeys(range(len(joints)), _KEPT)
-        for number, drive in enumerate(drives):
-            own = [by_name[joint] for joint in drive.joints]
-            seats |= dict.fromkeys(own, None)  # of joints that have no actuator of their own
-            seats |= {at: (number, i) for i, at in enumerate(seated_at(drive, own))}
-        names = [
-            joints[at] if seat is _KEPT else drives[seat[0]].actuators[seat[1]]
-            for at, seat in seats.items()
-            if seat is not None
-        ]
-        velocity_at = {position: at for at, position in positions.items()}
-        of_positions = {  # positions of joints of several degrees are none of a drive
-            place: seats[velocity_at[place]] if place in velocity_at else _KEPT
-            for place in range(num_positions)
-        }
-        (kept_v, at_v), (kept_q, at_q) = _seated(seats), _seated(of_positions)
+        moved = [[by_name[joint] for joint in drive.joints] for drive in drives]
+        seated = [seated_at(drive, own) for drive, own in zip(drives, moved, strict=True)]
+        names, gone, driven = dict(enumerate(joints)), set[int](), set[int]()
+        for drive, own, seats in zip(drives, moved, seated, strict=True):
+            names |= dict(zip(seats, drive.actuators, strict=True))
+            gone |= set(own).difference(seats)  # joints that have no actuator of their own
+            driven |= set(own)
+        at_position = {place: at for at, place in positions.items()}
+        in_v = [at for at in range(len(joints)) if at not in gone]
+        in_q = [place for place in range(num_positions) if at_position.get(place) not in gone]
+        of_v, of_q = ({at: k for k, at in enumerate(each)} for each in (in_v, in_q))
+        kept_v = [(k, at) for k, at in enumerate(in_v) if at not in driven]
+        kept_q = [(k, at) for k, at in enumerate(in_q) if at_position.get(at) not in driven]
         places = []
-        for number, drive in enumerate(drives):
-            keys = [(number, i) for i in range(len(drive.actuators))]
-            joint_v = [by_name[joint] for joint in drive.joints]
-            joint_q = [positions[at] for at in joint_v]
-            indices = [at_q[key] for key in keys], [at_v[key] for key in keys], joint_q, joint_v
+        for drive, own, seats in zip(drives, moved, seated, strict=True):
+            own_q, joint_q = ([positions[at] for at in each] for each in (seats, own))
+            indices = [of_q[at] for at in own_q], [of_v[at] for at in seats], joint_q, own
             places.append(Places(drive, *(np.array(x, np.intp) for x in indices)))
-        return cls(tuple(names), tuple(places), kept_q, kept_v, (num_positions, len(joints)))
+        return cls(
+            tuple(names[at] for at in in_v),
+            tuple(places),
+            np.array(kept_q, np.intp).reshape(-1, 2).T,
+            np.array(kept_v, np.intp).reshape(-1, 2).T,
+            (num_positions, len(joints)),
+        )
 
     @property
     def num_positions(self) -> int:
@@ -144,12 +145,7 @@ class Actuation:
         return self._jacobian(q)
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
-        """J̇ (N, nv of the tree, nv).
-
-        Args:
-            q: (N, nq) positions.
-            v: (N, nv) velocities.
-        """
+        """J̇ (N, nv of the tree, nv)."""
         rate = np.zeros((len(q), self.sizes[1], self.num_velocities))
         for place in self.places:
             block = np.ix_(np.arange(len(q)), place.joint_v, place.actuator_v)
@@ -161,10 +157,6 @@ class Actuation:
         """∂(J̇ v)/∂q (N, nv of the tree, nv), by differences of J̇ along v.
 
         J̇ v has all v twice, so that its slope is the rate of J̇ itself.
-
-        Args:
-            q: (N, nq) positions.
-            v: (N, nv) velocities.
         """
         if self.constant is not None:
             return np.zeros((len(q), self.sizes[1], self.num_velocities))
@@ -176,12 +168,7 @@ class Actuation:
         return np.asarray((ahead - behind) / (2.0 * _STEP) * speed[:, :, None])
 
     def bend(self, q: Array, products: Array) -> Array:
-        """(N, nq) Σ_ij ∂J_ij/∂q_l P_ij: how a weighted sum of J changes with the positions.
-
-        Args:
-            q: (N, nq) positions.
-            products: (N, nv of the tree, nv) weights P.
-        """
+        """(N, nq) Σ_ij ∂J_ij/∂q_l P_ij of weights P (N, nv of the tree, nv), at q (N, nq)."""
         found = np.zeros_like(q)
         for place in self.places:
             for at_q, at_v in zip(place.actuator_q, place.actuator_v, strict=True):
@@ -197,13 +184,7 @@ class Actuation:
         return np.concatenate([place.actuator_v for place in self.places])
 
     def tree_samples(self, q: Array, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
-        """Positions, velocities and accelerations of the tree, and J, along a motion (N, ·).
-
-        Args:
-            q: (N, nq) positions.
-            v: (N, nv) velocities.
-            vd: (N, nv) accelerations.
-        """
+        """Positions, velocities and accelerations of the tree, and J, along a motion (N, ·)."""
         if self.constant is not None:
             J = self.jacobian(q)
             samples = self.tree_positions(q), times(J, v), times(J, vd)
@@ -220,13 +201,7 @@ class Actuation:
         return theta, rates, accelerations, J
 
     def all_samples(self, q: Array, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
-        """`tree_samples` with joints beyond the tree, which close loops; see `behind`.
-
-        Args:
-            q: (N, nq) positions.
-            v: (N, nv) velocities.
-            vd: (N, nv) accelerations.
-        """
+        """`tree_samples` with joints beyond the tree, which close loops; see `behind`."""
         theta, rates, accelerations, J = self.tree_samples(q, v, vd)
         for place, loop in self._loops:
             at, own = list(loop.cut), place.actuator_v
@@ -255,11 +230,7 @@ class Actuation:
         return q
 
     def nearest(self, theta: Array) -> Array:
-        """(N, nq) positions of the robot whose joints are nearest to those of the tree (N, ·).
-
-        Raises:
-            ArgumentError: Ratios change with the position, and no positions of actuators fit.
-        """
+        """(N, nq) positions of the robot whose joints are nearest to those of the tree (N, ·)."""
         q = np.zeros((len(theta), self.num_positions))
         own, tree = self.kept_q
         q[:, own] = theta[:, tree]
@@ -274,12 +245,7 @@ class Actuation:
         return q
 
     def robot_gradient(self, q: Array, gradient: Array) -> Array:
-        """(N, nq) gradient with the robot's positions q (N, nq), of that with the tree's.
-
-        Args:
-            q: (N, nq) positions.
-            gradient: (N, nq of the tree) gradient.
-        """
+        """(N, nq) gradient with the robot's positions q, of that with the tree's (N, ·)."""
         found = np.zeros_like(q)
         own, tree = self.kept_q
         found[:, own] = gradient[:, tree]
@@ -331,10 +297,6 @@ class Actuation:
                 found[place.actuator_v[i]] += float(weight(row[i])) * values[at]
         return found, lost
 
-    def stands_at(self, velocity: int) -> int | None:
-        """Which velocity of the robot has the place of one of the tree; None for none."""
-        return self._standing.get(velocity)
-
     @cached_property
     def behind(self) -> dict[str, tuple[int, int]]:
         """Joint of a drive that is no actuator -> its position and velocity in the tree's.
@@ -354,7 +316,8 @@ class Actuation:
         return tree | {name: (first + k, second + k) for k, name in enumerate(beyond)}
 
     @cached_property
-    def _standing(self) -> dict[int, int]:
+    def standing(self) -> dict[int, int]:
+        """Velocity of the tree -> that of the robot in its place."""
         found = dict(zip(self.kept_v[1].tolist(), self.kept_v[0].tolist(), strict=True))
         for place in self.places:
             own = seated_at(place.drive, place.joint_v.tolist())
@@ -400,14 +363,6 @@ def seated_at(drive: Drive, joints: Sequence[int]) -> list[int]:
     return sorted(joints)[: len(drive.actuators)]
 
 
-def _seated(seats: Mapping[int, _Seat | None]) -> tuple[Indices, dict[_Seat, int]]:
-    """Where in the robot, and in the tree, what is kept stands (2, ·); and where actuators do."""
-    places = {at: number for number, at in enumerate(a for a, s in seats.items() if s is not None)}
-    kept = [(number, at) for at, number in places.items() if seats[at] is _KEPT]
-    found = {seat: places[at] for at, seat in seats.items() if seat is not None}
-    return np.array(kept, np.intp).reshape(-1, 2).T, found
-
-
 def _check(drives: Sequence[Drive], by_name: Mapping[str, int]) -> None:
     """Refuses names that do not fit, of joints and actuators."""
     joints = [joint for drive in drives for joint in drive.joints]
@@ -444,3 +399,135 @@ def middle(low: Array, high: Array) -> Array:
     """
     bounded = np.isfinite(low) & np.isfinite(high)
     return np.asarray(0.5 * (np.where(bounded, low, 0.0) + np.where(bounded, high, 0.0)))
+
+
+def actuator_positions_between(
+    actuation: Actuation, lower: Array, upper: Array
+) -> tuple[Array, Array]:
+    """Least and greatest positions (nq,) of a robot, of those (nq of the tree,) of its joints."""
+    low, high = np.full((2, actuation.num_positions), np.nan)
+    own, tree = actuation.kept_q
+    low[own], high[own] = lower[tree], upper[tree]
+    for place in actuation.places:
+        at, ends = place.actuator_q, (lower[place.joint_q], upper[place.joint_q])
+        low[at], high[at] = _positions(place.drive, *ends)
+    return low, high
+
+
+def actuator_rates(actuation: Actuation, limits: Array, within: tuple[Array, Array]) -> Array:
+    """Largest speeds or accelerations (nv,) of a robot, of those (nv of the tree,) of its joints.
+
+    `within` are its least and greatest positions (nq,).
+    """
+    return _each(actuation, limits, within, lambda J, most: _box(np.abs(J).max(axis=0), most))
+
+
+def actuator_effort_limits(
+    actuation: Actuation, limits: Array, within: tuple[Array, Array]
+) -> Array:
+    """Largest efforts (nv,) of a robot's actuators, of those of its joints; see `actuator_rates`.
+
+    Free joints of a closed loop have their own: a motor at another joint adds to what is possible.
+
+    Args:
+        limits: (nv of the tree,) those of the joints.
+        within: Least and greatest positions (nq,) of the robot.
+    """
+    found = _each(actuation, limits, within, _efforts)
+    for place in actuation.places:
+        if place.drive.is_loop:
+            found[place.actuator_v] = limits[seated_at(place.drive, place.joint_v.tolist())]
+    return found
+
+
+def _each(
+    actuation: Actuation,
+    limits: Array,
+    within: tuple[Array, Array],
+    of: Callable[[Array, Array], Array],
+) -> Array:
+    """Limits (nv,) of a robot, of those (nv of the tree,) of its joints.
+
+    `of` makes those (n,) of a drive's actuators of its J (N, k, n) where they may be, and of the
+    limits (k,) of its joints.
+    """
+    found = np.full(actuation.num_velocities, np.inf)
+    own, tree = actuation.kept_v
+    found[own] = limits[tree]
+    for place in actuation.places:
+        found[place.actuator_v] = of(_jacobians(place, within), limits[place.joint_v])
+    return found
+
+
+def _efforts(J: Array, most: Array) -> Array:
+    """Largest efforts (n,) of actuators, of J (N, k, n) and the largest (k,) of joints."""
+    if J.shape[1] == J.shape[2] > 1:
+        return _box(np.abs(np.linalg.inv(J)).max(axis=0).T, most)
+    J, shares = np.abs(J), np.full(J.shape, np.inf)
+    np.multiply(J, most[:, None], out=shares, where=J > 0.0)
+    return np.asarray(shares.min(axis=(0, 1)))
+
+
+def _jacobians(place: Places, within: tuple[Array, Array]) -> Array:
+    """J (N, k, n) where the actuators may be: once, if it is constant."""
+    if (J := place.drive.map.constant_jacobian) is not None:
+        return J[None]
+    low, high = (ends[place.actuator_q] for ends in within)
+    few = len(low) == 1
+    return place.drive.map.jacobian(_grid(low, high) if few else middle(low, high)[None])
+
+
+def _positions(drive: Drive, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Least and greatest positions (n,) of the actuators."""
+    low, high = (ends.copy() for ends in drive.limits)
+    J = drive.map.constant_jacobian
+    if J is None:
+        return _of_curve(drive, lower, upper) if len(low) == 1 else (low, high)
+    shift = drive.map.joint_positions(np.zeros((1, len(low))))[0]
+    lower, upper = lower - shift, upper - shift
+    if (np.count_nonzero(J, axis=1) <= 1).all():
+        for row, ends in zip(J, zip(lower, upper, strict=True), strict=True):
+            for i in np.flatnonzero(row):
+                first, last = sorted(np.array(ends) / row[i])
+                low[i], high[i] = max(low[i], first), min(high[i], last)
+        return low, high
+    finite = np.isfinite(lower) & np.isfinite(upper)
+    center_of = middle(np.where(finite, lower, np.nan), np.where(finite, upper, np.nan))
+    center = np.linalg.pinv(J) @ center_of
+    off = np.abs(J @ center - center_of)
+    room = np.where(finite, np.maximum(0.5 * (upper - lower) - off, 0.0), np.inf)
+    half = _box(np.abs(J), room)
+    return np.maximum(low, center - half), np.minimum(high, center + half)
+
+
+def _box(A: Array, most: Array) -> Array:
+    """The box (n,) x ≥ 0 with A x ≤ most (k,), A ≥ 0: what each may be alone, by one share."""
+    ratios = np.divide(most[:, None], A, out=np.full(A.shape, np.inf), where=A > 0.0)
+    alone = ratios.min(axis=0, initial=np.inf)
+    rows = np.isfinite(most) & (A[:, np.isfinite(alone)] > 0.0).any(axis=1)
+    needed = A[rows] @ np.where(np.isfinite(alone), alone, 0.0)
+    share = (most[rows] / np.where(needed > 0.0, needed, 1.0))[needed > 0.0].min(initial=1.0)
+    return np.asarray(np.where(np.isfinite(alone), share * alone, np.inf))
+
+
+def _of_curve(drive: Drive, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """The interval around the middle of one actuator's range in which all joints keep limits."""
+    low, high = drive.limits
+    grid = _grid(low, high)
+    theta = drive.map.joint_positions(grid)
+    inside = np.asarray(((theta >= lower) & (theta <= upper)).all(axis=1))
+    if not inside.any():
+        return low, high
+    there = np.flatnonzero(inside)
+    start = int(there[np.argmin(np.abs(grid[there, 0] - middle(low, high)[0]))])
+    outside = np.flatnonzero(~inside)
+    before, after = outside[outside < start], outside[outside > start]
+    first = low if not len(before) else grid[before[-1] + 1]
+    last = high if not len(after) else grid[after[0] - 1]
+    return first, last
+
+
+def _grid(low: Array, high: Array) -> Array:
+    """(N, 1) positions through the range of one actuator, its ends left out."""
+    ends = max(float(low[0]), -_FAR), min(float(high[0]), _FAR)
+    return np.linspace(*ends, _POINTS + 2)[1:-1, None]

@@ -1,13 +1,18 @@
-"""Base of the transmissions."""
+"""Transmissions, those of constant ratios, and combinations of them."""
 
 from __future__ import annotations
 
 import abc
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 
-from geodrake.boundary.arguments import Sizes, instance, real_array
+from geodrake.boundary.arguments import Sizes, instance, instances, number, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
@@ -22,13 +27,18 @@ class Transmission(abc.ABC):
 
     @property
     @abc.abstractmethod
-    def num_actuators(self) -> int:
-        """Number n of actuator coordinates q."""
+    def shape(self) -> tuple[int, int]:
+        """Numbers (k, n) of joint positions θ and of actuator coordinates q."""
 
     @property
-    @abc.abstractmethod
     def num_joints(self) -> int:
         """Number k of joint positions θ."""
+        return self.shape[0]
+
+    @property
+    def num_actuators(self) -> int:
+        """Number n of actuator coordinates q."""
+        return self.shape[1]
 
     @abc.abstractmethod
     def joint_positions(self, q: Array) -> Array:
@@ -79,10 +89,6 @@ class Transmission(abc.ABC):
         Args:
             motion: (N, k) positions, velocities and accelerations of the joints.
             start: (n,) or (N, n) actuator positions near the solution, for maps with several.
-
-        Raises:
-            ArgumentError: No actuator position reaches the joints' positions, or the transmission
-                is singular there.
         """
         theta, w, wd = self._motion(motion, self.num_joints)
         q = self.actuator_positions(theta, start=start)
@@ -92,26 +98,17 @@ class Transmission(abc.ABC):
         return Motion(q, v, vd, motion.time)
 
     def actuator_efforts(self, q: ArrayLike, efforts: ArrayLike) -> Array:
-        """τ_q = Jᵀ τ_θ (N, n), of the joints' efforts (N, k), N·m or N, at q (N, n).
-
-        Raises:
-            ArgumentError: The shapes do not fit.
-        """
+        """τ_q = Jᵀ τ_θ (N, n), of the joints' efforts (N, k), N·m or N, at q (N, n)."""
         sizes: Sizes = {}
-        q = self._checked(q, "q", self.num_actuators, sizes)
-        efforts = self._checked(efforts, "efforts", self.num_joints, sizes)
+        q = self._q(q, sizes)
+        efforts = real_array(efforts, "efforts", ("N", self.num_joints), sizes)
         return times(np.swapaxes(self.jacobian(q), 1, 2), efforts)
 
     def joint_efforts(self, q: ArrayLike, efforts: ArrayLike) -> Array:
-        """τ_θ = J⁻ᵀ τ_q (N, k), of the actuators' efforts (N, n), N·m or N, at q (N, n).
-
-        Raises:
-            ArgumentError: There are more joints than actuators, so that their efforts are not
-                determined, or the transmission is singular.
-        """
+        """τ_θ = J⁻ᵀ τ_q (N, k), of the actuators' efforts (N, n), N·m or N, at q (N, n)."""
         sizes: Sizes = {}
-        q = self._checked(q, "q", self.num_actuators, sizes)
-        efforts = self._checked(efforts, "efforts", self.num_actuators, sizes)
+        q = self._q(q, sizes)
+        efforts = real_array(efforts, "efforts", ("N", self.num_actuators), sizes)
         if self.num_joints != self.num_actuators:
             raise ArgumentError(
                 f"{self.num_actuators} efforts of actuators do not determine those of "
@@ -124,29 +121,23 @@ class Transmission(abc.ABC):
         return np.asarray(solved[:, :, 0], float)
 
     def regressor(self, q: ArrayLike, regressor: ArrayLike) -> Array:
-        """Y_q = Jᵀ Y_θ (N, n, p), of the tree's regressor (N, k, p) at `joint_motion`'s samples.
-
-        Raises:
-            ArgumentError: The shapes do not fit.
-        """
+        """Y_q = Jᵀ Y_θ (N, n, p), of the tree's regressor (N, k, p) at `joint_motion`'s samples."""
         sizes: Sizes = {}
-        q = self._checked(q, "q", self.num_actuators, sizes)
+        q = self._q(q, sizes)
         rows = real_array(regressor, "regressor", ("N", self.num_joints, "p"), sizes)
         return np.swapaxes(self.jacobian(q), 1, 2) @ rows
 
-    def _checked(
-        self, values: ArrayLike, name: str, width: int, sizes: Sizes | None = None
-    ) -> Array:
-        """Values (N, width) of all actuators or joints."""
-        return real_array(values, name, ("N", width), sizes)
+    def _q(self, q: ArrayLike, sizes: Sizes | None = None) -> Array:
+        """Checked coordinates (N, n) of the actuators."""
+        return real_array(q, "q", ("N", self.num_actuators), sizes)
 
     def _motion(self, motion: Motion, width: int) -> tuple[Array, Array, Array]:
         """Positions, velocities and accelerations (N, width)."""
         instance(motion, "motion", Motion)
         sizes: Sizes = {}
         q, v, vd = (
-            self._checked(values, f"motion.{name}", width, sizes)
-            for name, values in (("q", motion.q), ("v", motion.v), ("vd", motion.vd))
+            real_array(getattr(motion, name), f"motion.{name}", ("N", width), sizes)
+            for name in ("q", "v", "vd")
         )
         return q, v, vd
 
@@ -163,9 +154,6 @@ class Transmission(abc.ABC):
         """Return q (N, n) with T(q) = θ (N, k), by Gauss-Newton on all samples together.
 
         A start (n,) or (N, n) near the solution chooses one of several.
-
-        Raises:
-            ArgumentError: No actuator position reaches the joints' positions.
         """
         theta = real_array(theta, "theta", ("N", self.num_joints))
         q, wanted = real_array(start, "start"), (len(theta), self.num_actuators)
@@ -191,3 +179,290 @@ class Transmission(abc.ABC):
 def times(matrices: Array, vectors: Array) -> Array:
     """Products (N, m) of matrices (N, m, n) and vectors (N, n)."""
     return np.einsum("nij,nj->ni", matrices, vectors)
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionTransmission(Transmission):
+    """θ = T(q) by functions of one's own: linkages, cams, cables around rolling surfaces.
+
+    Attributes:
+        size: Numbers (k, n) of joint positions and actuator coordinates.
+        position: T, from (N, n) to (N, k).
+        derivative: J, from (N, n) to (N, k, n).
+        derivative_rate: J̇, from q and q̇ (N, n) to (N, k, n); by differences of J if None.
+    """
+
+    size: tuple[int, int]
+    position: Callable[[Array], Array]
+    derivative: Callable[[Array], Array]
+    derivative_rate: Callable[[Array, Array], Array] | None = None
+
+    def __post_init__(self) -> None:
+        k, n = real_array(self.size, "size", (2,)).tolist()
+        object.__setattr__(self, "size", (int(k), int(n)))
+        if self.size != (k, n) or not 0 < n <= k:
+            raise ArgumentError(
+                f"size must be numbers (k, n) of joints and actuators, 0 < n ≤ k; it is {(k, n)}."
+            )
+        for name in ("position", "derivative", "derivative_rate"):
+            given = getattr(self, name)
+            if not (callable(given) or (given is None and name == "derivative_rate")):
+                raise ArgumentError(f"{name} must be a function; it is {given!r}.")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """The size."""
+        return self.size
+
+    def joint_positions(self, q: Array) -> Array:
+        """θ = T(q)."""
+        q = self._q(q)
+        return real_array(self.position(q), "what position gives", (len(q), self.num_joints))
+
+    def jacobian(self, q: Array) -> Array:
+        """J(q)."""
+        q = self._q(q)
+        return real_array(self.derivative(q), "what derivative gives", (len(q), *self.size))
+
+    def jacobian_rate(self, q: Array, v: Array) -> Array:
+        """J̇(q, q̇)."""
+        sizes: Sizes = {}
+        q, v = self._q(q, sizes), real_array(v, "v", ("N", self.num_actuators), sizes)
+        if self.derivative_rate is None:
+            return super().jacobian_rate(q, v)
+        rate = self.derivative_rate(q, v)
+        return real_array(rate, "what derivative_rate gives", (len(q), *self.size))
+
+
+@dataclass(frozen=True, eq=False)
+class LinearTransmission(Transmission, Short):
+    """θ = J q + θ₀ with a constant J, of `of` or `from_ratios`: gears, belts, coupled wrists.
+
+    Attributes:
+        matrix: (k, n) J.
+        offset: (k,) θ₀, rad or m.
+
+    Raises:
+        ArgumentError: The shapes do not fit, a value is not finite, or some actuator moves nothing
+            of its own.
+    """
+
+    matrix: Array
+    offset: Array
+
+    def __post_init__(self) -> None:
+        sizes: Sizes = {}
+        J = real_array(self.matrix, "matrix", ("k", "n"), sizes)
+        object.__setattr__(self, "matrix", J)
+        object.__setattr__(self, "offset", real_array(self.offset, "offset", ("k",), sizes))
+        if (rank := np.linalg.matrix_rank(J) if J.size else 0) < J.shape[1]:
+            raise ArgumentError(
+                f"matrix must be of rank n = {J.shape[1]}; its rank is {rank}.",
+                advice="Leave out actuators that move nothing that others do not.",
+            )
+
+    @classmethod
+    def of(cls, matrix: ArrayLike, offset: ArrayLike = 0.0) -> LinearTransmission:
+        """Make it of J (k, n) and θ₀ (k,) or one number for all, rad or m."""
+        J, shift = real_array(matrix, "matrix", ("k", "n")), real_array(offset, "offset")
+        return cls(J, np.full(len(J), shift) if shift.ndim == 0 else shift)
+
+    @classmethod
+    def from_ratios(
+        cls,
+        joints: Sequence[str],
+        actuators: Sequence[str],
+        ratios: Mapping[str, Mapping[str, float]],
+    ) -> LinearTransmission:
+        """By name: `{"knee": {"knee": 1.0}, "knee_rotor": {"knee": 10.6}}`.
+
+        Args:
+            joints: Names of the tree's k velocities, such as `geodrake.robot.joint_names(plant)`.
+            ratios: Joint -> actuator -> how far the joint turns when the actuator turns by one.
+                Joints that are not named do not move.
+        """
+        joints, actuators = instances(joints, "joints", str), instances(actuators, "actuators", str)
+        J = np.zeros((len(joints), len(actuators)))
+        for joint, terms in instance(ratios, "ratios", Mapping).items():
+            for actuator, ratio in instance(terms, f"ratios[{joint!r}]", Mapping).items():
+                for name, known in ((joint, joints), (actuator, actuators)):
+                    if name not in known:
+                        raise ArgumentError(f"There is no {name!r} among {', '.join(known)}.")
+                place = joints.index(joint), actuators.index(actuator)
+                J[place] = number(ratio, f"ratios[{joint!r}][{actuator!r}]")
+        return cls.of(J)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """That of J."""
+        return self.matrix.shape[0], self.matrix.shape[1]
+
+    @property
+    def constant_jacobian(self) -> Array:
+        """J."""
+        return self.matrix
+
+    def joint_positions(self, q: Array) -> Array:
+        """θ = J q + θ₀."""
+        return self._q(q) @ self.matrix.T + self.offset
+
+    def jacobian(self, q: Array) -> Array:
+        """J, the same for all samples."""
+        return np.broadcast_to(self.matrix, (len(self._q(q)), *self.shape))
+
+    def jacobian_rate(self, q: Array, v: Array) -> Array:
+        """Zero."""
+        sizes: Sizes = {}
+        real_array(v, "v", ("N", self.num_actuators), sizes)
+        return np.zeros((len(self._q(q, sizes)), *self.shape))
+
+
+def gears(ratios: ArrayLike) -> LinearTransmission:
+    """Joints θ_i = q_i / N_i of motors that turn N_i times as fast; a negative N_i reverses.
+
+    Args:
+        ratios: (n,) gear ratios N, motor turns for one of the joint.
+
+    Raises:
+        ArgumentError: A ratio is zero or not finite.
+    """
+    N = real_array(ratios, "ratios", ("n",))
+    if not N.all():
+        raise ArgumentError(f"Gear ratios must not be zero; got {N.tolist()}.")
+    return LinearTransmission.of(np.diag(1.0 / N))
+
+
+def rolling_joint(share: float = 0.5) -> LinearTransmission:
+    """Two parallel joints that one coordinate turns: θ = (s q, (1 − s) q).
+
+    Two bodies that roll on each other, with the radii r₁ and r₂ around the axes of the tree, turn
+    by angles in the ratio r₂ : r₁; with equal ones, by half each.
+
+    Args:
+        share: s = r₂ / (r₁ + r₂) of the first joint, between 0 and 1.
+
+    Raises:
+        ArgumentError: The share is out of its range.
+    """
+    number(share, "share", lower=0.0, upper=1.0)
+    return LinearTransmission.of([[share], [1.0 - share]])
+
+
+@dataclass(frozen=True)
+class SideBySide(Transmission):
+    """Several transmissions that do not share actuators or joints, in their order."""
+
+    parts: tuple[Transmission, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parts", instances(self.parts, "parts", Transmission))
+        if not self.parts:
+            raise ArgumentError("A transmission has at least one part.")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Sums over the parts."""
+        return sum(p.num_joints for p in self.parts), sum(p.num_actuators for p in self.parts)
+
+    @property
+    def constant_jacobian(self) -> Array | None:
+        """The parts' Jacobians as blocks, where all are constant."""
+        given = [p.constant_jacobian for p in self.parts if p.constant_jacobian is not None]
+        return np.asarray(block_diag(*given)) if len(given) == len(self.parts) else None
+
+    def joint_positions(self, q: Array) -> Array:
+        """The parts' positions, one after another."""
+        inputs = zip(self.parts, self._split(q), strict=True)
+        return np.hstack([part.joint_positions(x) for part, x in inputs])
+
+    def jacobian(self, q: Array) -> Array:
+        """The parts' Jacobians as blocks."""
+        inputs = zip(self.parts, self._split(q), strict=True)
+        return self._blocks([part.jacobian(x) for part, x in inputs])
+
+    def jacobian_rate(self, q: Array, v: Array) -> Array:
+        """The parts' rates as blocks."""
+        inputs = zip(self.parts, self._split(q), self._split(v), strict=True)
+        return self._blocks([part.jacobian_rate(x, xd) for part, x, xd in inputs])
+
+    def inside(self, q: Array) -> Array:
+        """The parts' own."""
+        inputs = zip(self.parts, self._split(q), strict=True)
+        return np.hstack([part.inside(x) for part, x in inputs])
+
+    def _split(self, q: Array) -> list[Array]:
+        ends = np.cumsum([part.num_actuators for part in self.parts])
+        return np.split(q, ends[:-1], axis=1)
+
+    def _blocks(self, blocks: Sequence[Array]) -> Array:
+        full = np.zeros((len(blocks[0]), *self.shape))
+        row = column = 0
+        for block in blocks:
+            _, k, n = block.shape
+            full[:, row : row + k, column : column + n] = block
+            row, column = row + k, column + n
+        return full
+
+
+@dataclass(frozen=True)
+class InSequence(Transmission):
+    """One transmission after another, from the actuators to the joints: θ = T_last(…T_first(q)).
+
+    Attributes:
+        stages: The transmissions, the actuators' one first.
+    """
+
+    stages: tuple[Transmission, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stages", instances(self.stages, "stages", Transmission))
+        if not self.stages:
+            raise ArgumentError("A transmission has at least one stage.")
+        for inner, outer in pairwise(self.stages):
+            if inner.num_joints != outer.num_actuators:
+                raise ArgumentError(
+                    f"A stage gives {inner.num_joints} positions, but the next one takes "
+                    f"{outer.num_actuators}."
+                )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Joints of the last stage, and actuators of the first."""
+        return self.stages[-1].num_joints, self.stages[0].num_actuators
+
+    def inside(self, q: Array) -> Array:
+        """Where the first stage is known."""
+        return self.stages[0].inside(q)
+
+    @property
+    def constant_jacobian(self) -> Array | None:
+        """The product of the stages' Jacobians, where all are constant."""
+        product: Array = np.eye(self.num_actuators)
+        for stage in self.stages:
+            if (J := stage.constant_jacobian) is None:
+                return None
+            product = J @ product
+        return product
+
+    def joint_positions(self, q: Array) -> Array:
+        """The stages' maps in turn."""
+        for stage in self.stages:
+            q = stage.joint_positions(q)
+        return q
+
+    def jacobian(self, q: Array) -> Array:
+        """The product of the stages' Jacobians."""
+        J = self.stages[0].jacobian(q)
+        for inner, outer in pairwise(self.stages):
+            q = inner.joint_positions(q)
+            J = outer.jacobian(q) @ J
+        return J
+
+    def jacobian_rate(self, q: Array, v: Array) -> Array:
+        """J̇ = J̇₂ J₁ + J₂ J̇₁, stage by stage."""
+        J, rate = self.stages[0].jacobian(q), self.stages[0].jacobian_rate(q, v)
+        for inner, outer in pairwise(self.stages):
+            v, q = times(inner.jacobian(q), v), inner.joint_positions(q)
+            J2 = outer.jacobian(q)
+            J, rate = J2 @ J, outer.jacobian_rate(q, v) @ J + J2 @ rate
+        return rate

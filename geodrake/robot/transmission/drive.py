@@ -27,9 +27,6 @@ class Drive(Short):
             None for each as the joint in whose place it stands.
         range: Positions (n,) of the actuators between which the map holds, rad or m.
         statement: What it was made of, which is saved; None for one of functions of your own.
-
-    Raises:
-        ArgumentError: Names are there twice, or are not as many as the map has places.
     """
 
     actuators: tuple[str, ...]
@@ -68,11 +65,7 @@ class Drive(Short):
 
     @classmethod
     def of(cls, statement: Statement) -> Drive:
-        """The drive that a part of a transmission file states.
-
-        Raises:
-            ArgumentError: Its numbers make no transmission.
-        """
+        """The drive that a part of a transmission file states."""
         range_, slides = statement.range(), statement.slides()
         return cls(
             statement.actuator_names(),

@@ -60,14 +60,9 @@ class LoopTransmission(Transmission, Short):
         return tuple(self.joints[at] for at in self.free)
 
     @property
-    def num_actuators(self) -> int:
-        """Number n of free joints."""
-        return len(self.free)
-
-    @property
-    def num_joints(self) -> int:
-        """Number of joints that it moves in the tree."""
-        return len(self.shown)
+    def shape(self) -> tuple[int, int]:
+        """Numbers of joints that it moves in the tree, and of free ones."""
+        return len(self.shown), len(self.free)
 
     def solved(self, q: Array) -> tuple[Array, Array, Array]:
         """Positions (N, k) of all joints, G (N, k, n), and the share of the way there (N,).
@@ -93,18 +88,18 @@ class LoopTransmission(Transmission, Short):
             q: (N, n) positions of the free joints.
             v: (N, n) their velocities.
         """
-        theta, G = self._closed(self._checked(q, "q", self.num_actuators))
+        theta, G = self._closed(self._q(q))
         rate = np.zeros_like(G)
         calc_loop_rates(self.records, theta, G, contiguous(v), rate)
         return theta, G, rate
 
     def joint_positions(self, q: Array) -> Array:
         """θ = T(q), by Newton's method."""
-        return self._closed(self._checked(q, "q", self.num_actuators))[0][:, self.shown]
+        return self._closed(self._q(q))[0][:, self.shown]
 
     def jacobian(self, q: Array) -> Array:
         """J = G."""
-        return self._closed(self._checked(q, "q", self.num_actuators))[1][:, self.shown]
+        return self._closed(self._q(q))[1][:, self.shown]
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
         """J̇ = Ġ.
@@ -150,11 +145,7 @@ class LoopTransmission(Transmission, Short):
         return ends[0], ends[1]
 
     def _closed(self, q: Array) -> tuple[Array, Array]:
-        """Positions and G.
-
-        Raises:
-            ArgumentError: The loop does not close at some q.
-        """
+        """Positions and G."""
         theta, G, reached = self.solved(q)
         if (open_ := reached < 1.0).any():
             at = int(np.argmax(open_))

@@ -29,14 +29,9 @@ class ScalarTransmission(Transmission):
     """θ = f(q) of one actuator and one joint."""
 
     @property
-    def num_actuators(self) -> int:
-        """One."""
-        return 1
-
-    @property
-    def num_joints(self) -> int:
-        """One."""
-        return 1
+    def shape(self) -> tuple[int, int]:
+        """One, and one."""
+        return 1, 1
 
     @abc.abstractmethod
     def derivative(self, q: Array, order: int) -> Array:
@@ -49,11 +44,11 @@ class ScalarTransmission(Transmission):
 
     def joint_positions(self, q: Array) -> Array:
         """θ = f(q)."""
-        return self.derivative(self._checked(q, "q", 1)[:, 0], 0)[:, None]
+        return self.derivative(self._q(q)[:, 0], 0)[:, None]
 
     def jacobian(self, q: Array) -> Array:
         """J = f′(q)."""
-        return self.derivative(self._checked(q, "q", 1)[:, 0], 1)[:, None, None]
+        return self.derivative(self._q(q)[:, 0], 1)[:, None, None]
 
     def inside(self, q: Array) -> Array:
         """Positions moved to where f is known, a little off its ends."""
@@ -65,7 +60,7 @@ class ScalarTransmission(Transmission):
 
     def jacobian_rate(self, q: Array, v: Array) -> Array:
         """J̇ = f″(q) q̇, of q and q̇ (N, 1)."""
-        q, v = self._checked(q, "q", 1)[:, 0], self._checked(v, "v", 1)[:, 0]
+        q, v = self._q(q)[:, 0], real_array(v, "v", ("N", 1))[:, 0]
         rate = self.derivative(q, 2) * v
         return rate[:, None, None]
 
@@ -76,9 +71,6 @@ class PolynomialTransmission(ScalarTransmission, Short):
 
     Attributes:
         coefficients: (m,) c, the constant first.
-
-    Raises:
-        ArgumentError: A coefficient is not finite, or the joint never moves.
     """
 
     coefficients: Array
@@ -101,9 +93,6 @@ class TableTransmission(ScalarTransmission, Short):
     Attributes:
         actuator_points: (m,) q, increasing.
         joint_points: (m,) θ at these.
-
-    Raises:
-        ArgumentError: There are fewer than three pairs, or q does not increase.
     """
 
     actuator_points: Array
@@ -147,9 +136,6 @@ class FourBar(ScalarTransmission):
         crank_angle: Angle of the crank where q = 0, rad.
         rocker_angle: Angle of the rocker where θ = 0, rad.
         crossed: Whether coupler and ground link cross: the other way to put the bars together.
-
-    Raises:
-        ArgumentError: A length is not positive.
     """
 
     ground: float
@@ -247,9 +233,6 @@ class Cylinder(ScalarTransmission):
         length: L where q = 0, m.
         angle: γ where θ = 0, rad, between 0 and π.
         reversed: Whether θ falls as the cylinder grows.
-
-    Raises:
-        ArgumentError: A length is not positive, or the angle is out of its range.
     """
 
     base: float

@@ -14,9 +14,13 @@ import numpy as np
 
 from geodrake.boundary.yaml_schema import Schema
 from geodrake.errors import ArgumentError
-from geodrake.robot.transmission.base import Transmission
-from geodrake.robot.transmission.linear import LinearTransmission
-from geodrake.robot.transmission.parts import InSequence, SideBySide, rolling_joint
+from geodrake.robot.transmission.base import (
+    InSequence,
+    LinearTransmission,
+    SideBySide,
+    Transmission,
+    rolling_joint,
+)
 from geodrake.robot.transmission.scalar import (
     Cylinder,
     FourBar,
@@ -43,11 +47,7 @@ class Statement(Schema):
         raise NotImplementedError
 
     def transmission(self) -> Transmission:
-        """Return θ = T(q).
-
-        Raises:
-            ArgumentError: The numbers make none.
-        """
+        """Return θ = T(q)."""
         raise NotImplementedError
 
     def slides(self) -> bool | None:
