@@ -20,12 +20,17 @@ def cholesky(matrices: Array, ridge: float = RIDGE) -> Array:
     except np.linalg.LinAlgError:
         factors = np.array(np.nan)
     if not np.isfinite(factors).all():
-        raise IdentificationError(
-            "Some parameters have neither data nor a prior that hold them: the normal matrix of a "
-            "fit is not positive definite.",
-            advice="Give logs with more motion, or the model file instead of a saved model.",
-        )
+        raise not_held()
     return np.asarray(factors)
+
+
+def not_held() -> IdentificationError:
+    """Return the error of a fit whose normal matrix is not positive definite."""
+    return IdentificationError(
+        "Some parameters have neither data nor a prior that hold them: the normal matrix of a "
+        "fit is not positive definite.",
+        advice="Give logs with more motion, or the model file instead of a saved model.",
+    )
 
 
 def scaled_cholesky(matrices: Array, ridge: float = RIDGE) -> tuple[Array, Array]:

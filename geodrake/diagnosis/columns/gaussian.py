@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.compiling import compiled, contiguous
 from geodrake.diagnosis.columns.design import JointDesign
 from geodrake.identification.logs.criteria import LEAST_NOISE
-from geodrake.identification.normal_equations import scaled_cholesky, solved
+from geodrake.identification.normal_equations import not_held, scaled_cholesky
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -26,44 +27,22 @@ _FURTHEST = 0.7  # logarithm of a gain's error: farther, sizes of efforts are ot
 _RIDGE = 1e-12
 
 
+@dataclass(frozen=True, eq=False)
 class JointEquations:
     """Equations of one joint in some parameters, the last of which may be its gain's error ε."""
 
-    def __init__(
-        self, design: JointDesign, at: Indices, local: Indices, effort: Array, known: Array
-    ) -> None:
-        self.design, self.at = design, at  # the parameters
-        # Columns of X of all but ε, and weights of columns for efforts g s and for known payloads.
-        self._local, self._effort, self._known = local, effort, known
-        self._gram = np.empty((len(at), len(at)))
-        self._gram[: len(local), : len(local)] = design.gram[local[:, None], local]
-        self.power = float(effort @ design.gram @ effort)  # sum of the squared efforts
-
-    def _needed(self, x: Array) -> tuple[Array, float]:
-        """Weights of the columns for what is needed with parameters (p,), and ε."""
-        weights, own = self._known.copy(), x[self.at]
-        weights[self._local] = own[: len(self._local)]
-        return weights, float(own[-1]) if len(own) > len(self._local) else 0.0
+    design: JointDesign
+    at: Indices  # the parameters
+    local: Indices  # columns of X of all but ε
+    effort: Array  # weights of the columns for the efforts g s
+    known: Array  # weights of the columns for known payloads
 
     def needed(self, x: Array) -> tuple[Array, Array]:
         """Return (K,) efforts that are needed with parameters (p,), and those of the log (K,)."""
-        weights, error = self._needed(x)
-        return np.exp(error) * (self.design.X @ weights), self.design.X @ self._effort
-
-    def normal(self, x: Array) -> tuple[Array, Array, float]:
-        """Return the normal matrix, the moments and the squared efforts near parameters (p,).
-
-        To first order, the sum of squared errors with parameters z is zᵀ H z − 2 bᵀ z + c.
-        """
-        m, (weights, error) = len(self._local), self._needed(x)
-        target = self._effort * np.exp(-error) - self._known + error * weights
-        column = self.design.gram @ np.column_stack([target, weights])
-        moments, scale = column[self._local, 0], np.exp(2.0 * error)
-        if len(self.at) > m:
-            self._gram[m, :m] = self._gram[:m, m] = column[self._local, 1]
-            self._gram[m, m] = weights @ column[:, 1]
-            moments = np.append(moments, weights @ column[:, 0])
-        return scale * self._gram, scale * moments, float(scale * (target @ column[:, 0]))
+        weights, own, m = self.known.copy(), x[self.at], len(self.local)
+        weights[self.local] = own[:m]
+        gain = np.exp(own[-1]) if len(own) > m else 1.0
+        return gain * (self.design.X @ weights), self.design.X @ self.effort
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,40 +71,114 @@ def most_probable(
     """
     mean, information, lower = prior
     count = np.array([len(joint.design.rows) for joint in joints], float)
-    power = np.array([joint.power for joint in joints]) / count
+    power = np.array([joint.effort @ joint.design.gram @ joint.effort for joint in joints]) / count
     least = power * LEAST_NOISE**2 + 1e-300
     mse = np.clip(_HOPED**2 * power if mse is None else mse, least, np.maximum(power, least))
-    pull, held, x = information @ mean, np.zeros(len(mean), bool), start
-    for _ in range(_ROUNDS):
-        H, b, squares = information.copy(), pull.copy(), [joint.normal(x) for joint in joints]
-        for joint, (A, moments, _), weight in zip(
-            joints, squares, worth / count / mse, strict=True
-        ):
-            H[joint.at[:, None], joint.at] += weight * A
-            b[joint.at] += weight * moments
-        x = _bounded(H, b, lower, held)
-        held = np.where(held, H @ x >= b, x < lower)
-        x = np.maximum(x, lower)
-        x[gains] = np.clip(x[gains], -_FURTHEST, _FURTHEST)
-        left = [
-            own @ A @ own - 2.0 * moments @ own + c
-            for own, (A, moments, c) in zip([x[j.at] for j in joints], squares, strict=True)
-        ]
-        before, mse = mse, np.maximum(np.array(left) / count, least)
-        if np.abs(np.log(mse / before)).max() < _SETTLED:
-            break
+    width = max(len(joint.effort) for joint in joints)
+    grams, sides = np.zeros((len(joints), width, width)), np.zeros((len(joints), 2, width))
+    places = np.full((len(joints), 2, width + 1), -1)
+    for k, joint in enumerate(joints):
+        m = len(joint.effort)
+        grams[k, :m, :m] = joint.design.gram
+        sides[k, :, :m] = joint.effort, joint.known
+        places[k, 0, : len(joint.at)], places[k, 1, : len(joint.local)] = joint.at, joint.local
+    bounds = contiguous(information), contiguous(information @ mean), contiguous(lower)
+    weights = contiguous(worth / count), count, least
+    try:
+        x, mse, H = calc_most_probable(grams, sides, places, weights, bounds, gains, start, mse)
+    except np.linalg.LinAlgError as error:
+        raise not_held() from error
     far, determinants = x - mean, [_log_determinant(A) for A in (information, H)]
     score = determinants[0] - determinants[1] - far @ information @ far
     return JointFit(x, mse, float(score))
 
 
-def _bounded(A: Array, b: Array, lower: Array, held: NDArray[np.bool_]) -> Array:
+@compiled
+def calc_most_probable(
+    grams: Array,  # (J, M, M) normal matrices of all columns
+    sides: Array,  # (J, 2, M) weights of the columns for efforts, and for known payloads
+    places: Indices,  # (J, 2, M + 1) parameters, and the columns of all but ε; −1 where none is
+    samples: tuple[Array, Array, Array],  # (J,) worth of a row, rows, least squared error
+    prior: tuple[Array, Array, Array],  # information, its product with the mean, lower bounds
+    gains: Indices,
+    start: Array,
+    mse: Array,
+) -> tuple[Array, Array, Array]:
+    """Return the parameters (p,), mean squared errors (J,), and the normal matrix (p, p).
+
+    To first order near x, the sum of squared errors of a joint is zᵀ A z − 2 bᵀ z + c.
+    """
+    (worth, rows, least), (information, pull, lower) = samples, prior
+    n, size = len(grams), places.shape[2]
+    x, held, H = start.copy(), np.zeros(len(start), np.bool_), information.copy()
+    A, b, c = np.zeros((n, size, size)), np.zeros((n, size)), np.zeros(n)
+    for _ in range(_ROUNDS):
+        H, right = information.copy(), pull.copy()
+        for j in range(n):
+            m, p = np.sum(places[j, 1] >= 0), np.sum(places[j, 0] >= 0)
+            at, columns = places[j, 0, :p], places[j, 1, :m]
+            weights = sides[j, 1].copy()
+            weights[columns] = x[at[:m]]
+            error = x[at[m]] if p > m else 0.0
+            target = sides[j, 0] * np.exp(-error) - sides[j, 1] + error * weights
+            of_target, of_weights = grams[j] @ target, grams[j] @ weights
+            scale = np.exp(2.0 * error)
+            for i in range(m):
+                for k in range(m):
+                    A[j, i, k] = scale * grams[j, columns[i], columns[k]]
+                b[j, i] = scale * of_target[columns[i]]
+                if p > m:
+                    A[j, i, m] = A[j, m, i] = scale * of_weights[columns[i]]
+            if p > m:
+                A[j, m, m], b[j, m] = scale * (weights @ of_weights), scale * (weights @ of_target)
+            c[j] = scale * (target @ of_target)
+            share = worth[j] / mse[j]
+            for i in range(p):
+                right[at[i]] += share * b[j, i]
+                for k in range(p):
+                    H[at[i], at[k]] += share * A[j, i, k]
+        x = calc_bounded(H, right, lower, held)
+        slope = H @ x
+        for i in range(len(x)):
+            held[i] = slope[i] >= right[i] if held[i] else x[i] < lower[i]
+            x[i] = max(x[i], lower[i])
+        for i in gains:
+            x[i] = min(max(x[i], -_FURTHEST), _FURTHEST)
+        change = 0.0
+        for j in range(n):
+            p = np.sum(places[j, 0] >= 0)
+            own = x[places[j, 0, :p]]
+            left = own @ (A[j, :p, :p] @ own) - 2.0 * (b[j, :p] @ own) + c[j]
+            found = max(left / rows[j], least[j])
+            change = max(change, abs(np.log(found / mse[j])))
+            mse[j] = found
+        if change < _SETTLED:
+            break
+    return x, mse, H
+
+
+@compiled
+def calc_bounded(A: Array, b: Array, lower: Array, held: NDArray[np.bool_]) -> Array:
     """Solve a positive definite system, some of the unknowns at their lower bounds."""
-    x, free = np.where(held, lower, 0.0), ~held
-    if held.any():
-        A, b = A[np.ix_(free, free)], b[free] - A[np.ix_(free, held)] @ x[held]
-    factor, scale = scaled_cholesky(A, _RIDGE)
-    x[free] = scale * solved(factor, scale * b)
+    x, free = np.where(held, lower, 0.0), np.flatnonzero(~held)
+    scale = np.array([A[i, i] ** -0.5 for i in free])
+    scaled, right = np.empty((len(free), len(free))), np.empty(len(free))
+    for row, i in enumerate(free):
+        right[row] = b[i]
+        for k in np.flatnonzero(held):
+            right[row] -= A[i, k] * x[k]
+        right[row] *= scale[row]
+        for column, k in enumerate(free):
+            scaled[row, column] = A[i, k] * scale[row] * scale[column]
+        scaled[row, row] += _RIDGE
+    factor = np.linalg.cholesky(scaled)
+    for i in range(len(free)):  # forward, then backward
+        right[i] = (right[i] - factor[i, :i] @ right[:i]) / factor[i, i]
+    for i in range(len(free) - 1, -1, -1):
+        right[i] /= factor[i, i]
+        for k in range(i):
+            right[k] -= factor[i, k] * right[i]
+    x[free] = scale * right
     return x
 
 

@@ -146,9 +146,10 @@ class Dataset(Short):
 
     def passive_shares(self, columns: Indices) -> Array:
         """Return (nv, p) `passive_inertia` in global columns (p,), zeros where one is −1."""
+        if self.passive_inertia is None:
+            return np.zeros((len(self.joints), len(columns)))
         shares = np.zeros((len(self.joints), self._width + 1))
-        if self.passive_inertia is not None:
-            shares[:, : self.passive_inertia.shape[1]] = self.passive_inertia
+        shares[:, : self.passive_inertia.shape[1]] = self.passive_inertia
         return shares[:, columns]
 
     def inertias(self, columns: Indices, x: Array) -> Array:
@@ -195,7 +196,7 @@ class Dataset(Short):
         """(nv, p) whether a column can be nonzero at a joint."""
         return np.array([data.local(np.arange(self._width)) >= 0 for data in self.data])
 
-    @property
+    @cached_property
     def _width(self) -> int:
         """Number p of global columns."""
         own = sum(len(effect.parameters) for effect in self.effects if not is_payload(effect))
