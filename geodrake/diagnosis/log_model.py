@@ -151,24 +151,27 @@ class LogModel:
             self.mean[at] = term.mean
             self.prior_scores[at[0]] = term.log_information - term.prior_distance
             self.owner[at], self.positive[at[term.positive]] = k, True
-        self.grams, self.places, self._loads = [], [], list[Array]()
+        # Of each joint the normal matrix of its columns, efforts and load, and zeros for what it is
+        # not; and where in it every column of the model stands.
+        widest = max(joint.factors.shape[2] for joint in data.data) + 2
+        self.grams = np.zeros((nv, widest, widest))
+        self.places, self._loads = np.full((nv, len(columns)), -1), list[Array]()
         for j, joint in enumerate(data.data):
             gram = joint.grams.sum(axis=0)
             bodies = joint.local(np.arange(self._bodies))
             load = np.zeros(len(gram))
             load[bodies[bodies >= 0]] = self.unknowns.mean[: self._bodies][bodies >= 0]
             self._loads.append(load[: len(joint.columns)])
-            wider = np.zeros((len(gram) + 2,) * 2)  # the joint's load, and zeros for what it is not
-            wider[:-2, :-2] = gram
-            wider[-2, :-2] = wider[:-2, -2] = gram @ load
-            wider[-2, -2] = load @ gram @ load
-            places = np.where(columns >= 0, joint.local(np.maximum(columns, 0)), -1)
-            places[len(self.unknowns.columns) + j] = len(gram)
-            self.grams.append(wider)
-            self.places.append(places)
-        self.efforts = [len(joint.columns) for joint in data.data]
-        first = [np.ix_(*(places[: self.first_term],) * 2) for places in self.places]
-        self._base = np.array([gram[at] for gram, at in zip(self.grams, first, strict=True)])
+            n = len(gram)
+            self.grams[j, :n, :n] = gram
+            self.grams[j, n, :n] = self.grams[j, :n, n] = gram @ load
+            self.grams[j, n, n] = load @ gram @ load
+            known = columns >= 0
+            self.places[j, known] = joint.local(columns[known])
+            self.places[j, len(self.unknowns.columns) + j] = n
+        common = self.places[:, : self.first_term]
+        self._base = self._gathered(common, common)
+        self._ends = np.array([len(joint.columns) for joint in data.data])
         self.mean[: len(self.unknowns.columns)] = self.unknowns.mean
         gains = np.maximum(data.gain_uncertainty, 1e-6) ** -2.0
         unsure = [
@@ -296,10 +299,10 @@ class LogModel:
         """Return the fit with a prior Λ (n, n) and log |Λ|, without regard to bounds."""
         prior, logarithm = known
         own = [self.at[term] for term in choice.terms]
-        columns = np.concatenate([np.arange(self.first_term), *own])
-        grams, moments, powers = self.normal(columns, choice.delay)
+        columns, rows = np.concatenate([np.arange(self.first_term), *own]), self.rows
+        grams, (moments, powers) = self.normal(columns), self.moments(columns, choice.delay)
         mean = self.mean[columns]
-        pull, rows = prior @ mean, self.rows
+        pull = prior @ mean
         inertias, inertia = self._inertias[:, columns], np.ones(len(rows))
         passive = inertias.any(axis=1)
         if variance is None:
@@ -381,23 +384,29 @@ class LogModel:
                 total += 2.0 * np.log(max(float(share), 0.5 / len(_DRAWS)))
         return total
 
-    def normal(self, columns: Indices, delay: Delay) -> tuple[Array, Array, Array]:
-        """Return AᵀA (nv, n, n), Aᵀb (nv, n) and bᵀb (nv,) of each joint."""
+    def efforts(self, delay: Delay) -> Indices:
+        """Return (nv,) where the efforts of each joint, later by a delay, stand in its matrix."""
+        return np.asarray(self._ends + np.array(delay))
+
+    def normal(self, columns: Indices) -> Array:
+        """Return AᵀA (nv, n, n) of each joint."""
         n, first = len(columns), self.first_term  # which all explanations have in common
-        grams = np.empty((len(self.rows), n, n))
+        at, grams = self.places[:, columns], np.empty((len(self.rows), n, n))
         grams[:, :first, :first] = self._base
-        for j, (gram, places) in enumerate(zip(self.grams, self.places, strict=True)):
-            at = places[columns]
-            grams[j, first:] = gram[at[first:, None], at]
-            grams[j, :first, first:] = grams[j, first:, :first].T
-        return grams, *self.moments(columns, delay)
+        grams[:, first:] = self._gathered(at[:, first:], at)
+        grams[:, :first, first:] = np.swapaxes(grams[:, first:, :first], 1, 2)
+        return grams
+
+    def _gathered(self, left: Indices, right: Indices) -> Array:
+        """Return blocks (nv, l, r) of the normal matrices at places (nv, l) and (nv, r)."""
+        joints = np.arange(len(self.rows))[:, None, None]
+        return self.grams[joints, left[:, :, None], right[:, None]]
 
     def moments(self, columns: Indices, delay: Delay) -> tuple[Array, Array]:
         """Return Aᵀb (nv, n) and bᵀb (nv,) of each joint."""
-        efforts = [e + late for e, late in zip(self.efforts, delay, strict=True)]
-        parts = [*zip(self.grams, efforts, self.places, strict=True)]
-        moments = np.array([gram[effort, places[columns]] for gram, effort, places in parts])
-        return moments, np.array([gram[effort, effort] for gram, effort, _ in parts])
+        joints, efforts = np.arange(len(self.rows)), self.efforts(delay)
+        moments = self.grams[joints[:, None], efforts[:, None], self.places[:, columns]]
+        return moments, self.grams[joints, efforts, efforts]
 
     def shares(self, fit: Fit) -> Array:
         """Return (nv,) how many independent samples each row of a fit's residuals is worth."""
@@ -418,7 +427,7 @@ class LogModel:
         data, delay = self.dataset.data[joint], fit.choice.delay[joint]
         x, load = np.zeros(len(self.grams[joint])), self._loads[joint]
         np.add.at(x, self.places[joint][fit.columns], fit.x)
-        own = x[: len(load)] + x[-2] * load
+        own = x[: len(load)] + x[data.factors.shape[2]] * load
         return [rows.b[:, delay] - rows.A @ own for blocks in data.rows for rows in blocks]
 
     def gain_moments(self, fit: Fit) -> Array:

@@ -35,12 +35,13 @@ class Neighbourhood:
         self._model, self.fit = model, fit
         size = len(model.mean)
         gram, right = np.zeros((size, size)), np.zeros(size)
+        efforts = model.efforts(fit.choice.delay)
         joints = zip(model.grams, model.places, fit.weights, strict=True)
         for j, (own, places, weight) in enumerate(joints):
             at = np.flatnonzero(places >= 0)
             local = places[at]
             gram[np.ix_(at, at)] += weight * own[np.ix_(local, local)]
-            right[at] += weight * own[model.efforts[j] + fit.choice.delay[j], local]
+            right[at] += weight * own[efforts[j], local]
         columns = fit.columns
         self._inverse = np.linalg.inv(fit.hessian)
         self._turned = self._inverse @ gram[columns]
@@ -57,7 +58,7 @@ class Neighbourhood:
         if count < 2:
             return []
         every = [model.moments(columns, (k,) * len(was)) for k in range(count)]
-        grams, own, _ = model.normal(columns, was)
+        grams, (own, _) = model.normal(columns), model.moments(columns, was)
         samples = fit.weights * np.maximum(fit.variance, model.floor) * model.rows
         now, found = fit.variance * model.rows, list[tuple[Delay, float]]()
         for moved in (joints, *([j] for j in joints)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg.lapack import dpotrs
 
+from geodrake.compiling import compiled
 from geodrake.errors import IdentificationError
 from geodrake.inertia import Array
 
@@ -40,6 +41,29 @@ def scaled_cholesky(matrices: Array, ridge: float = RIDGE) -> tuple[Array, Array
     """
     scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
     return cholesky(matrices * scale[..., :, None] * scale[..., None, :], ridge), scale
+
+
+@compiled
+def calc_solution(A: Array, b: Array, ridge: float) -> tuple[Array, float]:
+    """Return the solution (n,) of A x = b, scaled and ridged as above, and log |A|."""
+    n = len(b)
+    scale, x, scaled = np.empty(n), np.empty(n), np.empty((n, n))
+    for i in range(n):
+        scale[i] = A[i, i] ** -0.5
+    for i in range(n):
+        x[i] = scale[i] * b[i]
+        for k in range(n):
+            scaled[i, k] = A[i, k] * scale[i] * scale[k]
+        scaled[i, i] += ridge
+    factor, logarithm = np.ascontiguousarray(np.linalg.cholesky(scaled)), 0.0
+    for i in range(n):
+        x[i] = (x[i] - factor[i, :i] @ x[:i]) / factor[i, i]
+        logarithm += 2.0 * np.log(factor[i, i] / scale[i])
+    for i in range(n - 1, -1, -1):
+        x[i] /= factor[i, i]
+        for k in range(i):
+            x[k] -= factor[i, k] * x[i]
+    return scale * x, logarithm
 
 
 def solved(factor: Array, right: Array) -> Array:

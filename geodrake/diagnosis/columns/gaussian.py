@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from geodrake.compiling import compiled, contiguous
 from geodrake.diagnosis.columns.design import JointDesign
 from geodrake.identification.logs.criteria import LEAST_NOISE
-from geodrake.identification.normal_equations import not_held, scaled_cholesky
+from geodrake.identification.normal_equations import calc_solution, not_held
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -85,29 +85,30 @@ def most_probable(
     bounds = contiguous(information), contiguous(information @ mean), contiguous(lower)
     weights = contiguous(worth / count), count, least
     try:
-        x, mse, H = calc_most_probable(grams, sides, places, weights, bounds, gains, start, mse)
+        x, mse, H = calc_most_probable((grams, sides, places), weights, bounds, gains, (start, mse))
     except np.linalg.LinAlgError as error:
         raise not_held() from error
-    far, determinants = x - mean, [_log_determinant(A) for A in (information, H)]
-    score = determinants[0] - determinants[1] - far @ information @ far
+    far, zero = x - mean, np.zeros_like(x)
+    prior_known, known = (calc_solution(A, zero, _RIDGE)[1] for A in (bounds[0], H))
+    score = prior_known - known - far @ information @ far
     return JointFit(x, mse, float(score))
 
 
 @compiled
 def calc_most_probable(
-    grams: Array,  # (J, M, M) normal matrices of all columns
-    sides: Array,  # (J, 2, M) weights of the columns for efforts, and for known payloads
-    places: Indices,  # (J, 2, M + 1) parameters, and the columns of all but ε; −1 where none is
+    joints: tuple[Array, Array, Indices],
     samples: tuple[Array, Array, Array],  # (J,) worth of a row, rows, least squared error
     prior: tuple[Array, Array, Array],  # information, its product with the mean, lower bounds
     gains: Indices,
-    start: Array,
-    mse: Array,
+    first: tuple[Array, Array],  # parameters (p,), and mean squared errors (J,)
 ) -> tuple[Array, Array, Array]:
     """Return the parameters (p,), mean squared errors (J,), and the normal matrix (p, p).
 
+    Joints have normal matrices (J, M, M) of all columns, weights (J, 2, M) of these for efforts and
+    for known payloads, and (J, 2, M + 1) parameters and columns of all but ε, −1 where none is.
     To first order near x, the sum of squared errors of a joint is zᵀ A z − 2 bᵀ z + c.
     """
+    (grams, sides, places), (start, mse) = joints, first
     (worth, rows, least), (information, pull, lower) = samples, prior
     n, size = len(grams), places.shape[2]
     x, held, H = start.copy(), np.zeros(len(start), np.bool_), information.copy()
@@ -161,27 +162,11 @@ def calc_most_probable(
 def calc_bounded(A: Array, b: Array, lower: Array, held: NDArray[np.bool_]) -> Array:
     """Solve a positive definite system, some of the unknowns at their lower bounds."""
     x, free = np.where(held, lower, 0.0), np.flatnonzero(~held)
-    scale = np.array([A[i, i] ** -0.5 for i in free])
-    scaled, right = np.empty((len(free), len(free))), np.empty(len(free))
+    inner, right = np.empty((len(free), len(free))), b[free]
     for row, i in enumerate(free):
-        right[row] = b[i]
         for k in np.flatnonzero(held):
             right[row] -= A[i, k] * x[k]
-        right[row] *= scale[row]
         for column, k in enumerate(free):
-            scaled[row, column] = A[i, k] * scale[row] * scale[column]
-        scaled[row, row] += _RIDGE
-    factor = np.linalg.cholesky(scaled)
-    for i in range(len(free)):  # forward, then backward
-        right[i] = (right[i] - factor[i, :i] @ right[:i]) / factor[i, i]
-    for i in range(len(free) - 1, -1, -1):
-        right[i] /= factor[i, i]
-        for k in range(i):
-            right[k] -= factor[i, k] * right[i]
-    x[free] = scale * right
+            inner[row, column] = A[i, k]
+    x[free] = calc_solution(inner, right, _RIDGE)[0]
     return x
-
-
-def _log_determinant(A: Array) -> float:
-    factor, scale = scaled_cholesky(A, _RIDGE)
-    return float(2.0 * (np.log(np.diag(factor)).sum() - np.log(scale).sum()))
