@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.log_model import Choice, Delay, Fit
+from geodrake.diagnosis.log_model import Choice, Fit
 from geodrake.diagnosis.posterior import Certainty, Posterior, nrms_of
 from geodrake.diagnosis.results import Verdict
 from geodrake.diagnosis.search import Found
 from geodrake.diagnosis.terms import Term
 from geodrake.diagnosis.unknown_efforts import UnknownFunction
-from geodrake.effects import Role
+from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table
 from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN
+from geodrake.identification.logs.dataset import is_payload
 from geodrake.identification.logs.hypothesis import HeldOut, Hypothesis
 from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.inertia import pullback_metric
@@ -34,11 +35,23 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """What one step adds: effects of one name, a delay, or bodies that are wrong."""
+    """What one step adds: effects of one name, a delay, other bodies or values than the file's."""
 
     name: str
     terms: tuple[Term, ...]  # its terms; none for a delay, and for bodies that all move a little
     certainty: Certainty
+    changed: tuple[Effect, ...] = ()  # effects of the file whose values are wrong
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Return its effects."""
+        return (*(t.effect for t in self.terms if t.effect is not None), *self.changed)
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Return the joints and bodies of its terms and effects."""
+        where = [*(term.where for term in self.terms), *(e.where for e in self.changed)]
+        return tuple(dict.fromkeys(place for each in where for place in each))
 
 
 def believed(found: Found) -> tuple[Found, Posterior]:
@@ -77,8 +90,13 @@ def without(found: Found, gone: Sequence[Term]) -> Found:
     kept = tuple(term for term in fit.terms if term not in gone)
     if not gone or not model.are_compatible(kept):
         return found
-    choice = model.choice(kept, fit.choice.width, fit.choice.delay)
-    return replace(found, fit=model.unbounded(choice, model.shares(fit), fit.variance))
+    return _refitted(found, model.choice(fit.choice, kept))
+
+
+def _refitted(found: Found, choice: Choice) -> Found:
+    """Return what was found with another explanation in its place."""
+    model, was = found.model, found.fit
+    return replace(found, fit=model.unbounded(choice, model.shares(was), was.variance))
 
 
 def named(found: Found) -> tuple[Found, list[Finding], list[str]]:
@@ -99,6 +117,7 @@ def findings_of(found: Found, posterior: Posterior | None = None) -> list[Findin
     for term in found.fit.terms:
         groups.setdefault(term.key if term.is_whole else term.name, []).append(term)
     findings = [Finding(t[0].name, tuple(t), posterior.of_terms(t)) for t in groups.values()]
+    findings += changed_values(found, posterior)
     if found.fit.choice.delay != found.model.on_time:
         findings.append(Finding(DELAY, (), posterior.of_delay()))
     width, least, wrong = found.fit.choice.width, found.model.widths[0], found.model.beliefs.wrong
@@ -106,6 +125,20 @@ def findings_of(found: Found, posterior: Posterior | None = None) -> list[Findin
     if INERTIA not in groups and width > least and far:
         findings.append(Finding(INERTIA, (), posterior.of_bodies()))
     return findings
+
+
+def changed_values(found: Found, posterior: Posterior) -> Iterator[Finding]:
+    """Find effects that the model file states with values that are wrong."""
+    model, kinds = found.model.model, dict[str, list[Effect]]()
+    if model.information is None:
+        for effect in found.model.unknowns.effects:
+            if not is_payload(effect) and effect not in found.fit.choice.held:
+                kinds.setdefault(effect.name, []).append(effect)
+    for name, effects in kinds.items():
+        certainty = posterior.of_values(tuple(effects))
+        if certainty.probability > 0.5:
+            wrong = [e for e in effects if posterior.of_values((e,)).probability > 0.5]
+            yield Finding(name, (), certainty, tuple(wrong or effects))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +154,8 @@ def staged(found: Found, findings: Sequence[Finding]) -> tuple[Hypothesis, list[
     """Return the model before the first step, and findings in the order of their gains."""
     model, moved = found.model, any(f.name == INERTIA and not f.terms for f in findings)
     width = model.widths[0] if moved else found.fit.choice.width
-    at = _fitted(found, (), width, model.on_time)
+    held = (*found.fit.choice.held, *(effect for f in findings for effect in f.changed))
+    at = _fitted(found, Choice((), width, model.on_time, held))
     start, stages, left = model.validated(at), list[StagedFinding](), [*findings]
     while left:
         tried = [(each, _with(found, at.choice, each)) for each in left]
@@ -136,11 +170,14 @@ def _with(found: Found, was: Choice, finding: Finding) -> Fit:
     end = found.fit.choice
     width = end.width if finding.name == INERTIA and not finding.terms else was.width
     delay = end.delay if finding.name == DELAY else was.delay
-    return _fitted(found, (*was.terms, *finding.terms), width, delay)
+    terms = (*was.terms, *finding.terms)
+    held = tuple(effect for effect in was.held if effect not in finding.changed)
+    choice = found.model.choice(was, terms, width=width, delay=delay, held=held)
+    return _fitted(found, choice)
 
 
-def _fitted(found: Found, terms: Sequence[Term], width: float, delay: Delay) -> Fit:
-    choice, shares = found.model.choice(terms, width, delay), found.model.shares(found.fit)
+def _fitted(found: Found, choice: Choice) -> Fit:
+    shares = found.model.shares(found.fit)
     # Beside what is missing still, something may be negative.
     return found.model.fit(choice, shares) or found.model.unbounded(choice, shares)
 
@@ -167,13 +204,16 @@ def without_finding(
 
     Where none is left, bodies that come closer to the logs than those of the file are one.
     """
-    model, was, kept = found.model, found.fit, _left(found, findings, gone)
+    was, kept = found.fit.choice, _left(found, findings, gone)
+    held = (*was.held, *gone.changed)
+    if gone.changed:  # these go back to what the file says
+        found = _refitted(found, replace(was, held=held))
     if gone.name == INERTIA and not gone.terms:  # bodies go back to the file
-        choice = model.choice(was.terms, model.widths[0], was.choice.delay)
-        found = replace(found, fit=model.unbounded(choice, model.shares(was), was.variance))
+        found = _refitted(found, replace(was, width=found.model.widths[0]))
     if kept:
         return replace(found, fit=staged(found, kept)[1][-1].fit), kept
     found = replace(found, fit=found.start)
+    found = _refitted(found, replace(found.start.choice, held=held)) if held else found
     return found, [] if gone.name == INERTIA else findings_of(found)
 
 
@@ -228,7 +268,7 @@ def unknown_probability(found: Found, finding: Finding, errors: Sequence[ErrorTa
 def felt(found: Found, finding: Finding) -> NDArray[np.bool_]:
     """Return (nv,) which joints feel a finding; all if it is no effect."""
     data = found.model.dataset
-    known = [data.felt(term.effect) for term in finding.terms if term.effect is not None]
+    known = [data.felt(effect) for effect in finding.effects]
     return np.logical_or.reduce(known) if known else np.ones(len(data.joints), bool)
 
 
@@ -278,10 +318,9 @@ def where_of(found: Found, finding: Finding, phi: Array) -> tuple[str, ...]:
         return tuple(moved_bodies(found.case, phi, finding))
     if finding.name == DELAY:
         return late_joints(found)
-    places = dict.fromkeys(place for term in finding.terms for place in term.where)
     model = found.case.model
     order = {name: i for i, name in enumerate((*model.joints, *model.bodies))}
-    return tuple(sorted(places, key=lambda place: order.get(place, 0)))
+    return tuple(sorted(finding.places, key=lambda place: order.get(place, 0)))
 
 
 def late_joints(found: Found) -> tuple[str, ...]:

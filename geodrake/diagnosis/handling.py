@@ -133,7 +133,7 @@ def _beside(model: LogModel, fit: Fit) -> Fit:
         likely = term.effect is not None and term.effect.complexity == 0
         if likely and model.are_compatible((*terms, term)):
             terms = (*terms, term)
-    choice = model.choice(terms, model.widths[-1], fit.choice.delay)
+    choice = model.choice(fit.choice, terms, width=model.widths[-1])
     return model.unbounded(choice, model.shares(fit))
 
 

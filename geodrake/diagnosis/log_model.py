@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +59,7 @@ _SIMPLER = 0.5
 _FREE, _WIDTHS = 0.01, 20  # to hold the inertias, as a search may do, does not make them known
 _USUAL_SHARE = 0.3
 _MOST_PINNED, _PINNED = 4, 1e15
+_HELD = 1e8  # over the prior information of parameters, that of those that stay as they are
 _PSEUDO = pseudo_inertia_basis()
 _DRAWS = np.random.default_rng(0).normal(size=(200, PARAMETERS_PER_BODY))
 
@@ -69,11 +71,12 @@ class Choice:
     terms: Terms  # the terms, in the order of their columns
     width: float  # width of the prior of all bodies, as a geometric distance
     delay: Delay  # (nv,) index of the delay of each joint
+    held: tuple[Effect, ...] = ()  # effects of the model, whose parameters stay as they are
 
     @property
-    def key(self) -> tuple[frozenset[Term], float, Delay]:
+    def key(self) -> tuple[frozenset[Term], float, Delay, tuple[Effect, ...]]:
         """Return what distinguishes it from other explanations."""
-        return frozenset(self.terms), self.width, self.delay
+        return frozenset(self.terms), self.width, self.delay, self.held
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,6 +200,10 @@ class LogModel:
         own = np.arange(p, first)
         information[own, own] = self._nuisances
         logarithm = -2.0 * self._bodies * np.log(choice.width)
+        for effect in choice.held:
+            at = np.arange(p)[self.unknowns.span(effect)]
+            logarithm += len(at) * float(np.log1p(_HELD))
+            information[at, at] *= 1.0 + _HELD
         for term, span in spans.items():
             information[span, span] = term.information
             logarithm += term.log_information
@@ -239,9 +246,10 @@ class LogModel:
 
     # Fits.
 
-    def choice(self, terms: Iterable[Term], width: float, delay: Delay) -> Choice:
-        """Return an explanation, its terms in the order of their columns."""
-        return Choice(tuple(sorted(terms, key=self._order.__getitem__)), width, delay)
+    def choice(self, was: Choice, terms: Iterable[Term], **changed: Any) -> Choice:
+        """Return an explanation with other terms, in the order of their columns."""
+        terms = tuple(sorted(terms, key=self._order.__getitem__))
+        return replace(was, terms=terms, **changed)
 
     def alike(self, terms: Terms, moved: Mapping[Effect, Effect] | None = None) -> list[Term]:
         """Return the terms that stand for those of another model, effects moved, as far as any.
@@ -355,7 +363,7 @@ class LogModel:
                 continue
             rest = [other for other in fit.terms if other is not term]
             same = [other for other in self.terms if other.effect == term.effect]
-            choices = [self.choice([*rest, other], width, fit.choice.delay) for other in same]
+            choices = [self.choice(fit.choice, [*rest, other], width=width) for other in same]
             scores = np.array([self.unbounded(c, shares, fit.variance).score for c in choices])
             weights = np.exp(0.5 * (scores - scores.max()))
             weights /= weights.sum()
@@ -367,7 +375,7 @@ class LogModel:
 
     def refitted(self, fit: Fit) -> Fit:
         """Fit another model's terms to the columns of this one, without regard to bounds."""
-        choice = self.choice(self.alike(fit.terms), fit.choice.width, fit.choice.delay)
+        choice = self.choice(fit.choice, self.alike(fit.terms))
         return self.unbounded(choice, np.full(len(self.rows), _USUAL_SHARE), fit.variance)
 
     def _physical(self, choice: Choice, x: Array, hessian: Array) -> float:
@@ -466,6 +474,9 @@ class LogModel:
     def unknowns_of(self, choice: Choice) -> Unknowns:
         """Return the unknowns of an explanation with their prior, without nuisances."""
         unknowns = self.unknowns.loosened(choice.width / self._spread, self._bodies)
+        for effect in choice.held:
+            known = np.diag(np.diag(unknowns.information)[unknowns.span(effect)]) * (1.0 + _HELD)
+            unknowns = unknowns.released(effect, known, unknowns.mean[unknowns.span(effect)])
         wrong = [term for term in choice.terms if term.effect is None]
         if wrong:
             covariance = np.linalg.inv(unknowns.information)  # effects may go with bodies

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -55,7 +55,7 @@ def neighbours(
         found += [choice, *_other_widths(model, choice)]
     was, base = fit.choice, finder.base
     for delay, gain in finder.around.delays():
-        late = Choice(was.terms, was.width, delay)
+        late = replace(was, delay=delay)
         if gain + base - model.odds_against(late) > _HOPE:
             found.append(late)
     return found
@@ -69,7 +69,7 @@ def additions(model: LogModel, fit: Fit) -> list[Fit]:
 
 def _other_widths(model: LogModel, choice: Choice) -> list[Choice]:
     others = [width for width in model.widths if width != choice.width]
-    return [Choice(choice.terms, width, choice.delay) for width in others]
+    return [replace(choice, width=width) for width in others]
 
 
 class _Finder:
@@ -99,8 +99,7 @@ class _Finder:
         yield from self._kinds_replaced()
 
     def _choice(self, terms: Iterable[Term]) -> Choice:
-        was = self.fit.choice
-        return self.model.choice(terms, was.width, was.delay)
+        return self.model.choice(self.fit.choice, terms)
 
     def _move(self, terms: Iterable[Term], gain: float, come: Terms = ()) -> Move:
         """Return a move by its gain without prior odds."""

@@ -43,8 +43,7 @@ def left_out_notes(findings: Sequence[Finding], steps: Sequence[Step]) -> list[s
     told, notes = {step.effect for step in steps}, []
     for finding in findings:
         if finding.name not in told:
-            places = dict.fromkeys(place for term in finding.terms for place in term.where)
-            where = f" at {', '.join(places)}" if places else ""
+            where = f" at {', '.join(finding.places)}" if finding.places else ""
             notes.append(
                 f"{finding.name}{where} was found and is no step: it takes too little of the "
                 "held-out error away"

@@ -160,13 +160,13 @@ class Search:
         best = dict[tuple[str, ...], Fit]()
         for place, terms in chosen.items():
             choices = [
-                model.choice((term,), width, was.choice.delay) for term in terms for width in known
+                model.choice(was.choice, (term,), width=width) for term in terms for width in known
             ]
             best[place] = self._best(choices, was)
         if single:
             return max(best.values(), key=lambda fit: fit.score)
         together = tuple(fit.terms[0] for fit in best.values())
-        return self._best([model.choice(together, w, was.choice.delay) for w in known], was)
+        return self._best([model.choice(was.choice, together, width=w) for w in known], was)
 
     def _latest(self, was: Fit, places: Places | None) -> Fit:
         """Return the best delay of all efforts, or of those of each of some joints."""
@@ -213,8 +213,7 @@ class Search:
         kept = [term for term in was.terms if not is_short(self.case, term.effect)]
         if len(kept) == len(was.terms):
             return was
-        choice = model.choice(kept, was.choice.width, was.choice.delay)
-        return model.unbounded(choice, model.shares(was), was.variance)
+        return model.unbounded(model.choice(was.choice, kept), model.shares(was), was.variance)
 
     def _start(self) -> Fit:
         """Return the model with nothing new, its bodies as near to the file as the logs say."""
@@ -273,7 +272,7 @@ class Search:
         delay = (0,) * len(self._on_time) if retimed else was.choice.delay
         shares = np.full(len(self.model.rows), _FORCED_SHARE)
         for kept in (terms, [term for term in terms if not len(term.positive)]):
-            choice = self.model.choice(kept, was.choice.width, delay)
+            choice = self.model.choice(was.choice, kept, delay=delay)
             fit = self.model.fit(choice, shares, was.variance)
             if fit is not None:
                 break

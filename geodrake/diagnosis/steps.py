@@ -155,8 +155,7 @@ def _systematic(found: Found, finding: Finding, fit: ModelFit) -> Values:
 
 
 def _fitted_of(finding: Finding, fit: ModelFit) -> list[FittedEffect]:
-    effects = {term.effect for term in finding.terms}
-    return [fitted for fitted in fit.model.effects if fitted.effect in effects]
+    return [fitted for fitted in fit.model.effects if fitted.effect in finding.effects]
 
 
 def _reported(fitted: FittedEffect) -> tuple[dict[str, float], dict[str, float]]:

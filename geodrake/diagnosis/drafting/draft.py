@@ -161,7 +161,7 @@ def _where_fewest_joints_err(found: Found) -> tuple[Found, Hypothesis]:
     """
     model, was, kinds = found.model, found.fit.choice, []
     for width in dict.fromkeys((was.width, model.widths[0])):
-        choice = Choice(was.terms, width, was.delay)
+        choice = replace(was, width=width)
         fit = model.unbounded(choice, model.shares(found.fit), found.fit.variance)
         kinds.append((replace(found, fit=fit), model.validated(fit)))
     return min(kinds, key=lambda kind: len(_erring(kind[1])))
@@ -218,10 +218,10 @@ def _without_needless(model: LogModel, fit: Fit) -> Fit:
     for term in fit.terms:
         if not isinstance(term.effect, Formula):
             was = fit.choice
-            less = Choice(tuple(t for t in fit.terms if t is not term), was.width, was.delay)
+            less = replace(was, terms=tuple(t for t in fit.terms if t is not term))
             fit = _better(model, fit, less) if model.are_compatible(less.terms) else fit
     for width in model.widths:
-        fit = _better(model, fit, Choice(fit.terms, width, fit.choice.delay))
+        fit = _better(model, fit, replace(fit.choice, width=width))
     return fit
 
 
@@ -281,7 +281,7 @@ def _correlates(found: Found, joint: str) -> list[Correlate]:
     before, shares = float(hypothesis.held_out.sse[:, j].sum()), model.shares(fit)
     told = list[tuple[float, FormulaTerm]]()
     for each, term in best.values():
-        choice = model.choice((*fit.terms, each), was.width, was.delay)
+        choice = model.choice(was, (*fit.terms, each))
         other = model.validated(model.unbounded(choice, shares, fit.variance))
         told.append((1.0 - float(other.held_out.sse[:, j].sum()) / before, term))
     told.sort(key=lambda each: -each[0])
