@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from geodrake.diagnosis.moves import additions
 from geodrake.diagnosis.posterior import nrms_of
 from geodrake.diagnosis.results import Candidate, Diagnosis
 from geodrake.diagnosis.search import Found, searched
+from geodrake.diagnosis.terms import told
 from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
@@ -88,7 +90,8 @@ def _candidates(
     held_out = (start.held_out, first.validated.held_out, stages[-1].validated.held_out)
     errors = [error_table(data, each) for each in held_out]
     known = 1.0 - unknown_probability(found, finding, errors)
-    bare = found.model.bare(found.model.shares(first.fit))
+    held = tuple(effect for stage in stages for effect in stage.finding.changed)
+    bare = found.model.bare(found.model.shares(first.fit), held)
     candidates = [
         Candidate(
             finding.name,
@@ -105,12 +108,16 @@ def _candidates(
         for r in certainty.rivals
     ]
     seen = {candidate.effect for candidate in candidates}
-    for fit in additions(found.model, bare):
-        name = " + ".join(dict.fromkeys(term.name for term in fit.terms))
+    tried = [(*told(fit.terms), fit) for fit in additions(found.model, bare)]
+    for each in (stage.finding for stage in stages if stage.finding.changed):
+        others = tuple(effect for effect in held if effect not in each.changed)
+        choice = replace(bare.choice, held=others)
+        fit = found.model.unbounded(choice, found.model.shares(first.fit), bare.variance)
+        tried.append((each.name, each.places, fit))
+    for name, places, fit in sorted(tried, key=lambda each: -each[2].score):
         gain = fit.score - bare.score
         if name not in seen and gain > 0.0:
             seen.add(name)
-            places = tuple(dict.fromkeys(p for term in fit.terms for p in term.where))
             chance = float(np.exp(-0.5 * min(gain, 1400.0)))
             nrms = nrms_of(found.model, fit)
             candidates.append(Candidate(name, places, before, nrms, gain, chance, tied=False))

@@ -20,7 +20,7 @@ from geodrake.diagnosis.findings import (
     verdict_of,
     without_finding,
 )
-from geodrake.diagnosis.notes import left_out_notes, notes_of
+from geodrake.diagnosis.notes import changed_notes, left_out_notes, notes_of
 from geodrake.diagnosis.results import Explanation, Step
 from geodrake.diagnosis.search import Found, searched
 from geodrake.diagnosis.search_progress import Progress
@@ -125,7 +125,7 @@ def explained(
     bodies = changed_bodies(model, fit) if steps else ()
     said = [*([_STOPPED] if found.is_stopped else []), *case.notes, *notes]
     if steps:
-        said += notes_of(found, case, fit, bodies)
+        said += [*changed_notes(case.model, steps), *notes_of(found, case, fit, bodies)]
     said += left_out_notes(findings, steps)
     explanation = Explanation(
         verdict_of(after.errors, bool(steps), left=largest_residual(found)),

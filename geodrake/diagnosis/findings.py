@@ -13,7 +13,7 @@ from geodrake.diagnosis.log_model import Choice, Fit
 from geodrake.diagnosis.posterior import Certainty, Posterior, nrms_of
 from geodrake.diagnosis.results import Verdict
 from geodrake.diagnosis.search import Found
-from geodrake.diagnosis.terms import Term
+from geodrake.diagnosis.terms import Term, told
 from geodrake.diagnosis.unknown_efforts import UnknownFunction
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
@@ -50,8 +50,8 @@ class Finding:
     @property
     def places(self) -> tuple[str, ...]:
         """Return the joints and bodies of its terms and effects."""
-        where = [*(term.where for term in self.terms), *(e.where for e in self.changed)]
-        return tuple(dict.fromkeys(place for each in where for place in each))
+        changed = (place for effect in self.changed for place in effect.where)
+        return tuple(dict.fromkeys((*told(self.terms)[1], *changed)))
 
 
 def believed(found: Found) -> tuple[Found, Posterior]:

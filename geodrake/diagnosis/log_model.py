@@ -32,6 +32,7 @@ from geodrake.diagnosis.terms import (
 )
 from geodrake.diagnosis.unknown_efforts import UnresolvedReversal
 from geodrake.effects.base import Effect
+from geodrake.effects.episode import Episode
 from geodrake.identification.logs.criteria import LEAST_NOISE, NOISE_MARGIN, SPREAD
 from geodrake.identification.logs.dataset import LEAST_INERTIA, Dataset, is_payload
 from geodrake.identification.logs.hypothesis import (
@@ -120,7 +121,10 @@ class LogModel:
             if not is_payload(effect)  # it may have been put down, or changed
             for kind in (type(effect), *effect.contains)
         )
-        known = {effect for effect in self.unknowns.effects if not is_payload(effect)}
+        # What a file states is in doubt as it is; what was fitted to logs may be another by now.
+        lasts = [e for e in self.unknowns.effects if e.expandable or isinstance(e, Episode)]
+        known = {*lasts} if model.information is not None else {*self.unknowns.effects}
+        known -= {effect for effect in known if is_payload(effect)}
         self.terms = terms_of(model, dataset, [e for e in effects if e not in known], beliefs)
         self.compatibility = Compatibility(self.terms, keys)
         self._other_odds = dict[tuple[float, Delay], float]()
@@ -296,9 +300,9 @@ class LogModel:
         """Fit as `fit` does, whatever is negative."""
         return self._solved(choice, shares, variance, self._prior(choice))
 
-    def bare(self, shares: Array) -> Fit:
+    def bare(self, shares: Array, held: tuple[Effect, ...] = ()) -> Fit:
         """Fit nothing new, with bodies as near to those of the model as the logs say."""
-        fits = [self.unbounded(Choice((), w, self.on_time), shares) for w in self.widths]
+        fits = [self.unbounded(Choice((), w, self.on_time, held), shares) for w in self.widths]
         return max(fits, key=lambda fit: fit.score)
 
     def _solved(

@@ -51,6 +51,21 @@ def left_out_notes(findings: Sequence[Finding], steps: Sequence[Step]) -> list[s
     return notes
 
 
+def changed_notes(model: RobotModel, steps: Sequence[Step]) -> list[str]:
+    """Describe what a model said of effects that it has and whose values are others."""
+    notes = list[str]()
+    for step in steps:
+        known = [f for f in model.effects if f.effect.name == step.effect]
+        was = [f for f in known if f.effect.place in step.parameters and len(f.parameters)]
+        told = [
+            f"{f.effect.place} {' and '.join(f'{value:.3g}' for value in f.parameters)}"
+            for f in was
+        ]
+        if told and was[0].effect.role is not Role.BODY:
+            notes.append(f"the model has {step.effect}, with other values: {', '.join(told)}")
+    return notes
+
+
 def _companions(found: Unknowns, fit: ModelFit) -> list[str]:
     """Describe what was fitted along without being a step."""
     added = [f for f in fit.model.effects if f.effect not in found.effects and len(f.parameters)]

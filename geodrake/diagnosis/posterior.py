@@ -15,7 +15,7 @@ from scipy.special import expit
 
 from geodrake.diagnosis.log_model import Fit, LogModel
 from geodrake.diagnosis.moves import neighbours
-from geodrake.diagnosis.terms import Key, Term
+from geodrake.diagnosis.terms import Key, Term, told
 from geodrake.effects import Effect
 
 Array = NDArray[np.float64]
@@ -94,9 +94,7 @@ class Posterior:
         for fit, weight, there in zip(self._fits, self._weights.tolist(), has, strict=True):
             instead = [term for term in fit.terms if term.key not in own]
             if instead and not there:
-                name = " + ".join(dict.fromkeys(term.name for term in instead))
-                where = tuple(dict.fromkeys(place for term in instead for place in term.where))
-                groups.setdefault((name, where), []).append((weight, fit))
+                groups.setdefault(told(instead), []).append((weight, fit))
             elif not there:
                 chance += weight
         sums = {key: sum(weight for weight, _ in group) for key, group in groups.items()}

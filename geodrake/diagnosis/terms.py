@@ -51,6 +51,7 @@ class Term:
     says: frozenset[Key]  # names and places of what it contains, itself included
     # Sets of such keys, one of which must be there already; none for most.
     needs: tuple[frozenset[Key], ...] = ()
+    is_own: bool = False  # whether the model has the effect, whose values may be others by now
 
     def __repr__(self) -> str:
         return f"{self.name}@{'+'.join(self.where)}"
@@ -106,36 +107,33 @@ def terms_of(
     places: dict[type[Effect], set[tuple[str, ...]]] = {}
     for effect in effects:
         places.setdefault(type(effect), set()).add(effect.where)
-    sizes, terms = _column_sizes(dataset), list[Term]()
+    sizes, terms, own = _column_sizes(dataset), list[Term](), {f.effect for f in model.effects}
     load = dataset.payload * np.array([1.0, *(_REACH for _ in range(3)), *(_REACH**2,) * 6])
     loads = [mass * load for mass in beliefs.payloads]
     carried = [(each, pullback_information(each[None], beliefs.load)) for each in loads]
     changed = [(0.0 * each, pullback_information(each[None], 1.0)) for each in loads]
     for effect in effects:
         name, columns = effect.name, dataset.effect_columns(effect)
-        odds = float(len(places[type(effect)]))
+        odds, is_own = float(len(places[type(effect)])), effect in own
         if body := is_body(effect):
             held_by = places[type(effect)]
             usual = sum(where[0] in model.last_bodies for where in held_by)
             last = effect.where[0] in model.last_bodies
-            held = any(fitted.effect == effect for fitted in model.effects)
-            positive = [] if held else [0]  # what is held may have been put down
             priors = (
-                changed if held else carried if last else [carried[max(len(carried) + _USUAL, 0)]]
+                changed if is_own else carried if last else [carried[max(len(carried) + _USUAL, 0)]]
             )
             odds = len(priors) * (usual + (len(held_by) - usual) / beliefs.inner)
             odds *= 1.0 if last else beliefs.inner
         else:
             priors = [(np.zeros(len(columns)), _slab(effect, sizes[columns], beliefs))]
-            positive = [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
-        first, again = _prices(effect, odds, beliefs, body=body)
+            odds *= beliefs.fitted if is_own else 1.0
+        bounded = [0] if body else [k for k, p in enumerate(effect.parameters) if p.lower == 0.0]
+        least = np.array([] if is_own else bounded, np.intp)  # what a model has may have shrunk
+        prices = _prices(effect, odds, beliefs, body=body)
         says = frozenset(key_of(effect, kind) for kind in (None, *effect.contains))
         needs = tuple(frozenset((e.name, effect.where) for e in bases) for bases in effect.refines)
-        least = np.array(positive, np.intp)
-        terms += [
-            Term(name, effect.where, effect, columns, *prior, first, again, least, says, needs)
-            for prior in priors
-        ]
+        what = name, effect.where, effect, columns
+        terms += [Term(*what, *prior, *prices, least, says, needs, is_own) for prior in priors]
     return (*terms, *_wrong_bodies(model, dataset, beliefs))
 
 
@@ -192,6 +190,12 @@ def _column_sizes(dataset: Dataset) -> Array:
 Terms = tuple[Term, ...]
 
 
+def told(terms: Iterable[Term]) -> tuple[str, tuple[str, ...]]:
+    """Return the names of terms, joined by " + ", and their places, each once."""
+    names, places = [t.name for t in terms], [place for t in terms for place in t.where]
+    return " + ".join(dict.fromkeys(names)), tuple(dict.fromkeys(places))
+
+
 Ways = list[list[int]]
 """Sets of what is needed, one of which must be there: each as terms that say it, as bits."""
 
@@ -222,7 +226,7 @@ class Compatibility:
             against |= reduce(or_, (at[key] for key in term.contains), 0)
             against |= bodies[term.where] if term.is_body else 0
             against |= reduce(or_, (self._bit[o] for o in episodes if _is_alike(term, o)), 0)
-            self._against[term] = -1 if term.key in known else against
+            self._against[term] = -1 if term.key in known and not term.is_own else against
             if term.needs:
                 self._needs[term] = [[says[key] for key in way - known] for way in term.needs]
 

@@ -42,7 +42,7 @@ def with_terms(found, *names, width=None):
     model, was = found.model, found.fit
     known = {term.name: term for term in model.terms if term.where == ("elbow",)}
     width = was.choice.width if width is None else width
-    choice = model.choice([known[name] for name in names], width, was.choice.delay)
+    choice = model.choice(was.choice, [known[name] for name in names], width=width)
     return replace(found, fit=model.unbounded(choice, model.shares(was), was.variance))
 
 
@@ -74,7 +74,7 @@ def test_bodies_that_are_no_finding_stay_at_the_file(found):
 def test_bodies_are_the_finding_where_nothing_else_is_left(found):
     """They come closer to the logs than those of the file, and that is never silent."""
     model, was = found.model, found.fit
-    widest = model.choice((), model.widths[-1], was.choice.delay)
+    widest = model.choice(was.choice, (), width=model.widths[-1])
     wide = model.unbounded(widest, model.shares(was), was.variance)
     whole = replace(with_terms(found, "coulomb_friction"), start=wide)
     findings = findings_of(whole)
@@ -118,7 +118,7 @@ def test_every_payload_is_a_finding_of_its_own(found):
     model, was = found.model, found.fit
     bodies = {term.where: term for term in model.terms if term.is_whole}
     assert len(bodies) == 2
-    choice = model.choice(bodies.values(), was.choice.width, was.choice.delay)
+    choice = model.choice(was.choice, bodies.values())
     fit = model.unbounded(choice, model.shares(was), was.variance)
     payloads = [f for f in findings_of(replace(found, fit=fit)) if f.name == "payload"]
     assert sorted(f.terms[0].where for f in payloads) == sorted(bodies)
@@ -157,7 +157,7 @@ def test_what_is_believed_of_a_payload_is_a_mixture(found):
     """Of the masses that it may have, by how probable each is."""
     model, was = found.model, found.fit
     same = [term for term in model.terms if term.is_whole and term.where == ("lower_link",)]
-    choice = model.choice(same[:1], was.choice.width, was.choice.delay)
+    choice = model.choice(was.choice, same[:1])
     fit = model.unbounded(choice, model.shares(was), was.variance)
     ((effect, mean, information),) = model.likely_loads(fit, was.choice.width)
     masses, deviation = [term.mean[0] for term in same], np.linalg.inv(information)[0, 0] ** 0.5

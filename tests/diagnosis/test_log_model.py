@@ -88,7 +88,7 @@ def settled(model, *effects):
     assert len(terms) == len(effects)
     fit = None
     for _ in range(10):
-        choice = model.choice(terms, WIDTH, (0, 0))
+        choice = model.choice(Choice((), WIDTH, (0, 0)), terms)
         fit = model.unbounded(choice, SHARES, None if fit is None else fit.variance)
     return fit
 
@@ -175,7 +175,7 @@ def test_what_cannot_be_negative_is_refused_below_zero(dry, is_possible):
     model = random_problem(dry=dry)[0]
     (term,) = [term for term in model.terms if term.effect == RUBBING]
     fit = settled(model)
-    choice = model.choice((term,), WIDTH, (0, 0))
+    choice = Choice((term,), WIDTH, (0, 0))
     assert (model.fit(choice, SHARES) is not None) == is_possible
     assert np.isfinite(Neighbourhood(model, fit).gains([(term,)])).all() == is_possible
 
@@ -241,7 +241,11 @@ def test_probabilities_add_up_and_the_most_probable_is_adopted(hidden):
     sets = [tuple(t for t in end.terms if t is not gone) for gone in end.terms]
     sets += [(*end.terms, term) for term in model.terms if term not in end.terms]
     width, delay = end.choice.width, end.choice.delay
-    choices = [model.choice(terms, width, delay) for terms in sets if model.are_compatible(terms)]
+    choices = [
+        model.choice(Choice((), width, delay), terms)
+        for terms in sets
+        if model.are_compatible(terms)
+    ]
     choices += [Choice(end.terms, other, delay) for other in model.widths if other != width]
     fits = [model.fit(choice, model.shares(end), end.variance) for choice in choices]
     gains = [gain_of(model, end, fit) for fit in fits if fit is not None]
