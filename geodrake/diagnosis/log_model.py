@@ -26,6 +26,7 @@ from geodrake.diagnosis.terms import (
     Compatibility,
     Term,
     Terms,
+    is_expandable,
     key_of,
     odds_against,
     terms_of,
@@ -122,7 +123,7 @@ class LogModel:
             for kind in (type(effect), *effect.contains)
         )
         # What a file states is in doubt as it is; what was fitted to logs may be another by now.
-        lasts = [e for e in self.unknowns.effects if e.expandable or isinstance(e, Episode)]
+        lasts = [e for e in self.unknowns.effects if is_expandable(e) or isinstance(e, Episode)]
         known = {*lasts} if model.information is not None else {*self.unknowns.effects}
         known -= {effect for effect in known if is_payload(effect)}
         self.terms = terms_of(model, dataset, [e for e in effects if e not in known], beliefs)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.log_model import Choice, Fit, LogModel
-from geodrake.diagnosis.terms import Term
+from geodrake.diagnosis.terms import Term, is_expandable
 from geodrake.effects import FittedEffect
 from geodrake.effects.base import Effect
 from geodrake.effects.body_motion import RobotBodies
@@ -138,11 +138,7 @@ def _finer(effect: Effect, grid: Sequence[Effect], share: float) -> list[Effect]
 
 def expansions(case: Case, model: LogModel, fit: Fit) -> dict[Effect, Effect]:
     """Return the effects whose columns are slopes, moved to the fitted point, by effect."""
-    slopes = {
-        t.effect: t
-        for t in fit.terms
-        if t.effect is not None and type(t.effect).expanded_about is not Effect.expanded_about
-    }
+    slopes = {t.effect: t for t in fit.terms if t.effect is not None and is_expandable(t.effect)}
     if not slopes:
         return {}
     tree = case.model.tree

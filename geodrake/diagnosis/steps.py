@@ -143,9 +143,8 @@ def _systematic(found: Found, finding: Finding, fit: ModelFit) -> Values:
         if effect.role is not Role.SCALE:
             gains = _factor(found.model.gain_moments(found.fit))
             shifts.append(gains @ fit.gain_shifts[:, span])
-        if isinstance(
-            effect, Damping
-        ):  # friction takes what is not known of the damping of a joint's servo
+        # Friction takes what is not known of the damping of a joint's servo.
+        if isinstance(effect, Damping):
             signal = signal_of(found.case.model.effort_signals, effect.where[0])
             shifts.append(np.array([[0.0 if signal is None else signal.damping_deviation]]))
         if any(each.any() for each in shifts):

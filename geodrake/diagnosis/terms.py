@@ -94,6 +94,11 @@ class Term:
         return self.says - {self.key}
 
 
+def is_expandable(effect: Effect) -> bool:
+    """Return whether the columns of an effect are slopes about a point that may be moved."""
+    return type(effect).expanded_about is not Effect.expanded_about
+
+
 def key_of(effect: Effect, kind: type[Effect] | None = None) -> Key:
     """Return the key of an effect, or of one of another kind at its place."""
     log = [str(effect.window[3])] if isinstance(effect, Episode) else []
