@@ -15,8 +15,7 @@ from geodrake.cli.session import check_logs, own_effects
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
-from geodrake.control.export_proof.export import export_with_proof
-from geodrake.control.export_proof.writing import check_folder, write_files
+from geodrake.control.export_proof.export import check_folder, export_with_proof, write_files
 from geodrake.logs.files import parts_of, read_log
 from geodrake.model.exporting.formats import export_format
 from geodrake.model.logged_joints import model_of_logs, reading_for

@@ -16,7 +16,6 @@ from geodrake.control.rollout import Rollout, RolloutFit, command_rollout, fit_r
 from geodrake.control.systems import (
     AdaptiveComputedTorqueController,
     BregmanProjectionEstimator,
-    DcMotor,
     DelayedEffort,
     EffectForce,
     FixedGains,
@@ -34,7 +33,6 @@ __all__ = [
     "AdaptiveLoop",
     "BregmanProjectionEstimator",
     "ControlModel",
-    "DcMotor",
     "DelayedEffort",
     "EffectForce",
     "FilteredRegressor",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,6 @@ from pydrake.systems.framework import (
     Context,
     Diagram,
     DiagramBuilder,
-    InputPort,
     OutputPort,
     System,
 )
@@ -80,13 +79,13 @@ class AdaptiveLoop:
         return self.robot
 
     def context(self, diagram: Diagram) -> Context:
-        """A default Context of the finished diagram, with the robot at the start of the motion."""
+        """Return a default Context of the diagram, with the robot at the start of the motion."""
         context = diagram.CreateDefaultContext()
         self.set_start(context)
         return context
 
     def set_start(self, root: Context) -> None:
-        """Puts the robot where its motion starts, and nothing else."""
+        """Put the robot where its motion starts, and nothing else."""
         robot, joints = self._robot, self.controller.control.joints
         source = self.desired_state.get_system()
         desired = self.desired_state.Eval(source.GetMyContextFromRoot(root))
@@ -95,10 +94,7 @@ class AdaptiveLoop:
             self.effect_force.deflect(root)
 
     def simulated(self, diagram: Diagram, duration: float) -> tuple[Array, dict[str, Array]]:
-        """Simulates from the start of the motion.
-
-        Args:
-            duration: For how long, s.
+        """Simulate some seconds from the start of the motion.
 
         Returns:
             Times (N,), and what was logged (N, ·) by name.
@@ -109,7 +105,7 @@ class AdaptiveLoop:
         return self.logged(simulator.get_context())
 
     def logged(self, context: Context) -> tuple[Array, dict[str, Array]]:
-        """Times (N,) and what was logged until now (N, ·), from the Context of the diagram.
+        """Return times (N,) and what was logged until now (N, ·), by the Context of the diagram.
 
         Raises:
             ArgumentError: Nothing is logged.
@@ -134,7 +130,7 @@ def add_adaptive_loop(
     log_period: float | None = None,
     sensor: System | None = None,
 ) -> AdaptiveLoop:
-    """Makes a robot follow a motion under an adaptive controller.
+    """Make a robot follow a motion under an adaptive controller.
 
     Args:
         builder: Where the plant is and the rest goes.
@@ -153,9 +149,16 @@ def add_adaptive_loop(
         ArgumentError: Robot, controller and motion do not fit together, only some joints have an
             actuator, or the base of the robot leans otherwise than that of the controller's model.
     """
-    _check(builder, controller, motion, log_period)
+    instance(builder, "builder", DiagramBuilder)
+    if log_period is not None:
+        positive(log_period, "log_period")  # a negative one would end the process
+    joints = instance(controller, "controller", AdaptiveController).control.joints
+    instance(motion, "motion", Trajectory)
+    if motion.rows() != len(joints) or motion.cols() != 1:
+        raise ArgumentError(
+            f"The motion has {motion.rows()} positions; the controller knows {len(joints)} joints."
+        )
     instance(effects, "effects", Sequence)
-    joints = controller.control.joints
     robot: RobotInstance | None = None
     if isinstance(plant, RobotPorts):
         ports = _given_ports(plant, joints, effects)
@@ -164,42 +167,52 @@ def add_adaptive_loop(
         check_base(robot, controller)
         ports = robot.ports(builder, joints)
     builder.AddSystem(controller)
-    desired, acceleration = _track(builder, ports, controller, motion)
+    desired, acceleration = (
+        builder.AddSystem(source).get_output_port()
+        for source in (TrajectorySource(motion, 1), TrajectorySource(motion.MakeDerivative(2)))
+    )
     actuation, state, force = controller.GetOutputPort("actuation"), ports.state, None
+    sources = {"desired_state": desired, "desired_acceleration": acceleration, "effort": actuation}
+    if ports.acceleration is not None:
+        sources["acceleration"] = ports.acceleration
+    elif controller.HasInputPort("acceleration"):
+        raise ArgumentError(
+            "The controller needs accelerations, which the robot's ports do not have.",
+            advice="Adapt by PredictionError(…, alone=True), which needs none.",
+        )
+    for name, source in sources.items():  # efforts are measured exactly
+        if controller.HasInputPort(name):
+            builder.Connect(source, controller.GetInputPort(name))
+    builder.Connect(actuation, ports.effort)
     if effects and robot is not None:
         force = EffectForce.AddToBuilder(builder, robot, effects, sign_width=sign_width)
-        _scatter(builder, actuation, robot.to_plant(joints), force.GetInputPort("applied_effort"))
-        if force.soft_joints:
-            state = force.state_port(builder, joints)
+        gain = builder.AddSystem(MatrixGain(robot.to_plant(joints)))
+        builder.Connect(actuation, gain.get_input_port())
+        builder.Connect(gain.get_output_port(), force.GetInputPort("applied_effort"))
+        state = force.state_port(builder, joints) if force.soft_joints else state
     measured = state
     if sensor is not None:
         builder.AddSystem(instance(sensor, "sensor", System))
         builder.Connect(measured, sensor.get_input_port())
         measured = sensor.get_output_port()
     builder.Connect(measured, controller.GetInputPort("estimated_state"))
+    parameters = controller.GetOutputPort("parameters")
     named = {
         "state": state,
         "desired_state": desired,
         "actuation": actuation,
-        "parameters": controller.GetOutputPort("parameters"),
+        "parameters": parameters,
     }
-    logs = {} if log_period is None else _logs(builder, controller, named, log_period)
-    return AdaptiveLoop(
-        robot,
-        controller,
-        force,
-        state,
-        measured,
-        desired,
-        acceleration,
-        actuation,
-        named["parameters"],
-        logs,
-    )
+    if controller.HasOutputPort("lyapunov"):
+        named["lyapunov"] = controller.GetOutputPort("lyapunov")
+    period = log_period or 0.0
+    logs = {n: LogVectorOutput(p, builder, period) for n, p in named.items() if log_period}
+    ends = state, measured, desired, acceleration, actuation, parameters
+    return AdaptiveLoop(robot, controller, force, *ends, logs)
 
 
 def check_base(robot: RobotInstance, controller: AdaptiveController) -> None:
-    """Checks that a robot is the controller's, and that its base leans as that of its model.
+    """Check that a robot is the controller's, and that its base leans as that of its model.
 
     A controller whose model has an effect of the whole robot may know by it that the base leans,
     and is believed.
@@ -236,65 +249,3 @@ def _given_ports(
             advice="Leave effects out, or give a RobotInstance of the plant.",
         )
     return ports
-
-
-def _track(
-    builder: DiagramBuilder,
-    ports: RobotPorts,
-    controller: AdaptiveController,
-    motion: Trajectory,
-) -> tuple[OutputPort, OutputPort]:
-    """Connects a controller's efforts and what it is to follow: desired state, acceleration."""
-    desired = builder.AddSystem(TrajectorySource(motion, 1)).get_output_port()
-    acceleration = builder.AddSystem(TrajectorySource(motion.MakeDerivative(2))).get_output_port()
-    builder.Connect(desired, controller.GetInputPort("desired_state"))
-    builder.Connect(acceleration, controller.GetInputPort("desired_acceleration"))
-    builder.Connect(controller.GetOutputPort("actuation"), ports.effort)
-    if controller.HasInputPort("acceleration"):
-        if ports.acceleration is None:
-            raise ArgumentError(
-                "The controller needs accelerations, which the robot's ports do not have.",
-                advice="Adapt by PredictionError(…, alone=True), which needs none.",
-            )
-        builder.Connect(ports.acceleration, controller.GetInputPort("acceleration"))
-    if controller.HasInputPort("effort"):  # measured exactly
-        builder.Connect(controller.GetOutputPort("actuation"), controller.GetInputPort("effort"))
-    return desired, acceleration
-
-
-def _logs(
-    builder: DiagramBuilder,
-    controller: AdaptiveController,
-    ports: Mapping[str, OutputPort],
-    period: float,
-) -> dict[str, VectorLogSink]:
-    logged = dict(ports)
-    if controller.HasOutputPort("lyapunov"):
-        logged["lyapunov"] = controller.GetOutputPort("lyapunov")
-    return {name: LogVectorOutput(port, builder, period) for name, port in logged.items()}
-
-
-def _scatter(builder: DiagramBuilder, effort: OutputPort, to_plant: Array, port: InputPort) -> None:
-    """Connects efforts of a robot to a port for those of the whole plant."""
-    if not np.array_equal(to_plant, np.eye(len(to_plant))):
-        gain = builder.AddSystem(MatrixGain(to_plant))
-        builder.Connect(effort, gain.get_input_port())
-        effort = gain.get_output_port()
-    builder.Connect(effort, port)
-
-
-def _check(
-    builder: DiagramBuilder,
-    controller: AdaptiveController,
-    motion: Trajectory,
-    log_period: float | None,
-) -> None:
-    instance(builder, "builder", DiagramBuilder)
-    if log_period is not None:
-        positive(log_period, "log_period")  # a negative one would end the process
-    joints = instance(controller, "controller", AdaptiveController).control.joints
-    instance(motion, "motion", Trajectory)
-    if motion.rows() != len(joints) or motion.cols() != 1:
-        raise ArgumentError(
-            f"The motion has {motion.rows()} positions; the controller knows {len(joints)} joints."
-        )

@@ -31,10 +31,7 @@ ARRAYS = frozenset({"load", "loadtxt"})
 DOOR = {"boundary/input_files.py": {"open", "fdopen"}}
 
 CHECKED = {
-    "control/export_proof/engines/drake_engine.py": {"AddModels"},
-    "control/export_proof/engines/mujoco_engine.py": {"from_xml_path"},
-    "control/export_proof/engines/python_engine.py": {"run_path"},
-    "control/scenes/building.py": {"ProcessModelDirectives"},
+    "control/export_proof/engines.py": {"AddModels", "from_xml_path", "run_path"},
     "effects/user_effects.py": {"exec_module"},
     "excitation/collision_geometry.py": {"AddModels"},
     "logs/files/formats.py": {"read_text"},

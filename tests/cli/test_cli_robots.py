@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from geodrake.cli.app import app
 from geodrake.control.rollout import roll_out
-from geodrake.effects import FittedEffect, RotorInertia
+from geodrake.effects import FittedEffect, Hysteresis, RotorInertia
 from geodrake.errors import ModelError
 from geodrake.logs import JointLog, Motion, read_log, write_log
 from geodrake.model import load_model
@@ -166,5 +166,8 @@ def test_a_rollout_moves_the_fingers_together(robot):
     rollout = roll_out(model, [log], most=3, horizon=0.3)
     assert rollout.broken == 0 and rollout.relative < 1e-2
     rotor = FittedEffect(RotorInertia("left"), np.array([0.1]))
-    with pytest.raises(ModelError, match=r"'right' follows 'left'.*--lock left=VALUE"):
-        roll_out(replace(model, effects=(rotor,)), [log], most=1)
+    slower = roll_out(replace(model, effects=(rotor,)), [log], most=1, bandwidth=8.0)
+    assert slower.broken == 0 and slower.relative > 10 * rollout.relative
+    bristles = FittedEffect(Hysteresis("left", 0.1), np.array([0.1]))
+    with pytest.raises(ModelError, match=r"hysteresis of left cannot be simulated where joints"):
+        roll_out(replace(model, effects=(bristles,)), [log], most=1, bandwidth=8.0)

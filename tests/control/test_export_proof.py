@@ -12,6 +12,7 @@ from pydrake.systems.primitives import Adder, ConstantVectorSource
 
 from geodrake.control import EffectForce
 from geodrake.control.export_proof import export_to
+from geodrake.control.export_proof.engines import MujocoEngine
 from geodrake.control.export_proof.reference import STEP, Start, roll_out_all
 from geodrake.control.export_proof.samples import random_motion
 from geodrake.effects import (
@@ -29,6 +30,10 @@ from geodrake.model.exporting.held import held_by
 from geodrake.model.saved_model import load_model
 from geodrake.robot.plant import position_limits, set_inertial_parameters, velocity_limits
 
+MJCF = """<mujoco><worldbody><body name="one"><joint name="shoulder" axis="0 1 0"/>
+  <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+  <body name="two"><joint name="elbow" axis="0 1 0"/>
+    <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></body></worldbody></mujoco>"""
 MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
 
 CHAIN = """<robot name="chain"><link name="base"/>{links}</robot>"""
@@ -101,7 +106,9 @@ def test_every_effect_is_held_or_named(chain):
     motion = random_motion(chain)[:300]
     for effect in instances():
         model = replace(chain, effects=(with_value(effect),))
-        for form in (form for form in FORMATS.values() if form.name not in ("python", "cpp")):
+        for form in (
+            form for form in FORMATS.values() if form.name not in ("python", "cpp", "ros2")
+        ):
             found = held_by(model, form.holding(model), [motion])
             more = {"effort_delay"} if form.name in ("isaac", "mjcf") else set()
             less = {"gravity_tilt"} if form.name in ("urdf", "sdf", "isaac") else set()
@@ -157,3 +164,15 @@ def test_a_function_in_python_is_the_model(chain, tmp_path):
     (difference,) = proven.proof.differences
     assert difference.is_rounding and difference.compared == 1.0
     assert [path.name for path in (tmp_path / "there").iterdir()] == ["chain_effort.py"]
+
+
+def test_what_mujoco_warns_of_is_no_file(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "two.xml"
+    file.write_text(MJCF, encoding="utf-8")
+    engine = MujocoEngine(file, load_model(MODEL))
+    engine.roll_out(np.zeros(2), np.zeros(2), np.full((3, 2), 1e30), 1e-3)
+    (said,) = engine.messages
+    assert "The simulation is unstable" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["two.xml"]
+    assert capfd.readouterr().err == ""

@@ -17,8 +17,9 @@ from geodrake.control.rollout import fit_rollouts
 from geodrake.control.rollout.fit_rollouts import better_model, held_out
 from geodrake.control.rollout.motion_search import blinds
 from geodrake.control.rollout.near_motion import NearMotion
+from geodrake.control.rollout.passages import chosen_passages
 from geodrake.control.rollout.rollout_values import rollout_values
-from geodrake.control.rollout.simulations import Simulations, chosen_passages
+from geodrake.control.rollout.simulation import simulations
 from geodrake.errors import LogError, ModelError
 from geodrake.identification.logs.case import open_case
 from geodrake.logs.files import write_log
@@ -106,7 +107,7 @@ def near_motion(model, log, most=2):
     """Windows of a log, and how they are simulated near their motion."""
     case = open_case(model, [log], candidates=False)
     passages = chosen_passages(case, 0.4, most)
-    simulation = Simulations(case, passages)(log.name)
+    simulation = simulations(case, passages)(log.name)
     for passage in passages:
         near, soft = NearMotion.of(simulation, passage), simulation.law.soft
         yield passage, simulation, near, soft.couplings(simulation.law.mu)

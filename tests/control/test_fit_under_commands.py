@@ -30,17 +30,18 @@ from geodrake.control.rollout import (
     fit_rollouts,
     simulation,
 )
-from geodrake.control.rollout.acting import acting_in
+from geodrake.control.rollout.acting import Acting
 from geodrake.control.rollout.fit_rollouts import better_model
 from geodrake.control.rollout.motion_search import MotionSearch, SearchWindow
 from geodrake.control.rollout.near_motion import NearMotion
+from geodrake.control.rollout.passages import chosen_passages
 from geodrake.control.rollout.rollout_values import (
     forces_at_motors,
     rollout_values,
     values_at,
     with_values,
 )
-from geodrake.control.rollout.simulations import Simulations, chosen_passages
+from geodrake.control.rollout.simulation import simulations
 from geodrake.diagnosis import explain
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import open_case
@@ -81,7 +82,7 @@ def departures(case, compliance, horizon, most):
     model = with_values(case.model, values, new, new)
     passages = chosen_passages(case, horizon, most)
     case = dataclasses.replace(case, model=model)
-    made = Simulations(case, passages, commands=True)(case.asked.logs[0].name)
+    made = simulations(case, passages, commands=True)(case.asked.logs[0].name)
     couplings = made.law.soft.couplings(made.law.mu)
     for passage in passages:
         near, along = NearMotion.of(made, passage), made.acting.along(passage)
@@ -132,7 +133,7 @@ def test_slopes_with_integrals_are_differences(pendulum):
     log = followed(0, servo, seconds=1.5)
     case = open_case(servoed(pendulum, 2.0, servo), [log], candidates=False, bandwidth=12.0)
     (passage,) = chosen_passages(case, 0.2, 1)
-    made = Simulations(case, [passage], commands=True)("followed0")
+    made = simulations(case, [passage], commands=True)("followed0")
     near, law = NearMotion.of(made, passage), made.law
     couplings = law.soft.couplings(law.mu)
     plain, slopes = near.departure(case.model.effects, couplings, slopes=True)
@@ -243,8 +244,8 @@ def test_moved_servos_are_those_of_a_model_that_states_them(pendulum):
     (passage,) = chosen_passages(case, 0.2, 1)
     ways = []
     for each, steps in ((case, x), (dataclasses.replace(case, model=moved), 0.0 * x)):
-        made = Simulations(each, [passage], commands=True)(log.name)
-        acting = partial(acting_in, log=each.asked.logs[0], commands=True)
+        made = simulations(each, [passage], commands=True)(log.name)
+        acting = partial(Acting, log=each.asked.logs[0], commands=True)
         near = NearMotion.of(made, passage, forces_at_motors(each.model, values))
         window = SearchWindow(made.law, near, passage, acting, np.zeros(1))
         free = rollout_values(each.model, commands=True)

@@ -25,7 +25,6 @@ from geodrake.control.adaptation import (
     PartialLaw,
     adapted_parameters,
     natural_adaptation,
-    prediction_covector,
 )
 from geodrake.control.online_estimation import FilteredRegressor
 from geodrake.control.systems import (
@@ -108,8 +107,8 @@ def test_a_step_is_by_the_sum_of_both_covectors():
         Y, u = filtered.rows(memory)
         wrong = Y @ p - u
         believed = np.sign(wrong) * np.maximum(np.abs(wrong) - [0.01, 0.02], 0.0)
-        b = prediction_covector(Y, p, Y @ p - believed, weight=[0.3, 0.2])
         W = np.diag([0.3, 0.2])
+        b = Y.T @ W @ believed
         pulls = MANIFOLD.inverse_metric_times(p, Y)
         b = b / (1.0 + STEP * np.trace(W @ (pulls @ Y.T)) / 0.7) + sample.covector(qd - v)
         held, p = sample.effort(p), natural(0.7).step(p, b, STEP)
@@ -126,7 +125,7 @@ def test_a_step_is_by_the_sum_of_both_covectors():
 def test_rows_are_remembered():
     """Against sums over all samples so far, each of which fades with time."""
     error = PredictionError([0.3, 0.2], 30.0, [0.01, 0.02], alone=True, memory=0.5)
-    prediction = Prediction.of(error, CONTROL, STEP)
+    prediction = Prediction(error, CONTROL, STEP)
     filtered = FilteredRegressor(CONTROL, STEP, 30.0, held_effort=True)
     memory, own, W = prediction.start(), filtered.start(), np.diag([0.3, 0.2])
     rng, law, past = np.random.default_rng(0), natural(0.7), []

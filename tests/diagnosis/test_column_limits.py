@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from geodrake import load_model
-from geodrake.control.motors import MotorConstants, motor_torque, steady_current
 from geodrake.diagnosis import (
     ColumnFinding,
     check_columns,
@@ -45,14 +44,10 @@ class TestLimit:
         """Of which no more than 24 V acts, as the law of direct-current motors has it."""
         rng = np.random.default_rng(0)
         kt, ke, resistance, ratio, most = 0.05, 0.04, 0.8, 30.0, 24.0
-        one = np.ones(200)
-        constants = MotorConstants(
-            *(value * one for value in (kt, ke, resistance, ratio, 0.0, most, np.inf))
-        )
         v, voltage = rng.uniform(-15.0, 15.0, 200), rng.uniform(-60.0, 60.0, 200)
-        free = replace(constants, voltage_limit=np.inf * one)
         asked, given = (
-            motor_torque(own, steady_current(own, voltage, v)) for own in (free, constants)
+            ratio * kt * (np.clip(voltage, -own, own) - ratio * ke * v) / resistance
+            for own in (np.inf, most)
         )
         limit = MotorLimit(ratio * kt * most / resistance, most / (ratio * ke))
         np.testing.assert_allclose(limit.given(asked, v), given, atol=1e-9)

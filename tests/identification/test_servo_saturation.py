@@ -6,7 +6,12 @@ from scipy.integrate import solve_ivp
 from servo_logs import PENDULUM, TRUTH, servo_log
 
 from geodrake import load_model
-from geodrake.control.motors import ServoError, ServoGains, integral_rate, servo_effort
+from geodrake.control.systems.position_servo import (
+    ServoError,
+    ServoGains,
+    integral_rate,
+    servo_effort,
+)
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.servo_fit import JointMotions, fit_servo, motions_of

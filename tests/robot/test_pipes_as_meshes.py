@@ -6,8 +6,6 @@ import os
 import pytest
 
 from geodrake import load_model
-from geodrake.control.scenes.building import build_scene
-from geodrake.control.scenes.scenario import load_scenario
 from geodrake.errors import ModelError
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.robot.files.given import Given
@@ -88,16 +86,3 @@ def test_materials_and_images_of_meshes_are_files(tmp_path):
     )
     with pytest.raises(ModelError, match=r"a\.png is a pipe"):
         check_mesh(scene)
-
-
-@pytest.mark.parametrize("place", ["r.urdf", "m.obj"])
-def test_a_pipe_that_a_scenario_leads_to_is_told(tmp_path, place):
-    (tmp_path / "r.urdf").write_text(URDF.format(kind="collision", place="m.obj"))
-    (tmp_path / place).unlink(missing_ok=True)
-    os.mkfifo(tmp_path / place)
-    scenario = tmp_path / "scene.yaml"
-    scenario.write_text(
-        f"s:\n  directives:\n  - add_model: {{name: r, file: 'file://{tmp_path}/r.urdf'}}\n"
-    )
-    with pytest.raises(ModelError, match="is a pipe"):
-        build_scene(scenario=load_scenario(scenario))

@@ -19,12 +19,6 @@ from geodrake.control.adaptation.constraints import (
     mass_limits,
     parameter_limits,
 )
-from geodrake.control.adaptation.covectors import (
-    computed_torque_covector,
-    error_weight,
-    prediction_covector,
-    tracking_energy,
-)
 from geodrake.control.adaptation.flat import ConstantMetric
 from geodrake.control.adaptation.law import (
     AdaptationLaw,
@@ -49,8 +43,6 @@ __all__ = [
     "adapted_parameters",
     "body_limits",
     "center_of_mass_box",
-    "computed_torque_covector",
-    "error_weight",
     "euclidean_adaptation",
     "inside_ellipsoid",
     "intersection",
@@ -58,7 +50,5 @@ __all__ = [
     "natural_adaptation",
     "parameter_limits",
     "parameter_manifold",
-    "prediction_covector",
     "pullback_adaptation",
-    "tracking_energy",
 ]

@@ -24,11 +24,11 @@ class ConvexSet(abc.ABC):
 
     @abc.abstractmethod
     def values(self, p: Array) -> Array:
-        """c(p) (k,)."""
+        """Return c(p) (k,)."""
 
     @abc.abstractmethod
     def gradients(self, p: Array) -> Array:
-        """∇c(p) (k, n), one row for each c; any subgradient where there is no gradient."""
+        """Return ∇c(p) (k, n), one row for each c; any subgradient where there is no gradient."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +49,11 @@ class FunctionSet(ConvexSet):
                 raise ArgumentError(f"{name} must be a function; it is {given!r}.")
 
     def values(self, p: Array) -> Array:
-        """c(p) (k,)."""
+        """Return c(p) (k,)."""
         return np.atleast_1d(np.asarray(self.function(p), float))
 
     def gradients(self, p: Array) -> Array:
-        """∇c(p) (k, n)."""
+        """Return ∇c(p) (k, n)."""
         return np.atleast_2d(np.asarray(self.gradient(p), float))
 
 
@@ -75,24 +75,22 @@ class LinearSet(ConvexSet):
         return G, np.concatenate([self.polyhedron.upper[above], -self.polyhedron.lower[below]])
 
     def values(self, p: Array) -> Array:
-        """How far each limit is exceeded (k,)."""
+        """Return how far each limit is exceeded (k,)."""
         G, g = self._rows
         return np.asarray(G @ p - g)
 
     def gradients(self, p: Array) -> Array:
-        """Outward normals (k, n)."""
+        """Return outward normals (k, n)."""
         return self._rows[0]
 
 
 def body_limits(
     size: int, body: int, rows: ArrayLike, *, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf
 ) -> Polyhedron:
-    """Limits on linear functions of one body's parameters: lower ≤ rows φ ≤ upper.
+    """Return limits on linear functions of one body's parameters: lower ≤ rows φ ≤ upper.
 
     Args:
-        rows: (k, 10) or (10,) coefficients.
-        lower: (k,) or one least value.
-        upper: (k,) or one greatest value.
+        rows: (k, 10) or (10,) coefficients; limits are (k,) or one.
 
     Raises:
         ArgumentError: There is no such body, or shapes do not fit.
@@ -109,12 +107,7 @@ def body_limits(
 
 
 def mass_limits(size: int, body: int, lower: float, upper: float) -> Polyhedron:
-    """The mass of a body between two values, kg.
-
-    Args:
-        lower: Least mass, kg; −inf for none.
-        upper: Greatest mass, kg; inf for none.
-    """
+    """Return limits on the mass of a body, kg; −inf and inf for none."""
     limits = {
         "lower": number(lower, "lower", finite=False),
         "upper": number(upper, "upper", finite=False),
@@ -123,7 +116,7 @@ def mass_limits(size: int, body: int, lower: float, upper: float) -> Polyhedron:
 
 
 def center_of_mass_box(size: int, body: int, lower: ArrayLike, upper: ArrayLike) -> Polyhedron:
-    """The centre of mass p_BoBcm_B of a body between two corners (3,), m: m l ≤ h ≤ m u.
+    """Return limits on the centre of mass p_BoBcm_B of a body, in a box: m l ≤ h ≤ m u.
 
     Args:
         lower: (3,) lower corner l in B, m.
@@ -142,7 +135,7 @@ def center_of_mass_box(size: int, body: int, lower: ArrayLike, upper: ArrayLike)
 
 
 def inside_ellipsoid(size: int, body: int, quadric: ArrayLike) -> Polyhedron:
-    """The mass of a body inside of an ellipsoid as far as its second moments show: tr(P Q) ≥ 0.
+    """Return what keeps a body in an ellipsoid, as far as second moments show: tr(P Q) ≥ 0.
 
     Args:
         quadric: (4, 4) Q with [x;1]ᵀ Q [x;1] ≥ 0 inside ([Lee2019] Eq. (3.5.46)).
@@ -155,12 +148,7 @@ def inside_ellipsoid(size: int, body: int, quadric: ArrayLike) -> Polyhedron:
 def parameter_limits(
     size: int, indices: Sequence[int], lower: ArrayLike, upper: ArrayLike
 ) -> Polyhedron:
-    """Single parameters, such as friction coefficients, between two values each.
-
-    Args:
-        indices: (k,) which parameters.
-        lower: (k,) or one least value.
-        upper: (k,) or one greatest value.
+    """Return limits on single parameters, such as friction coefficients, (k,) or one of each.
 
     Raises:
         ArgumentError: There is no such parameter, or shapes do not fit.
@@ -171,7 +159,7 @@ def parameter_limits(
 
 
 def intersection(*polyhedra: Polyhedron) -> Polyhedron:
-    """The points that are in all polyhedra.
+    """Return the points that are in all polyhedra.
 
     Raises:
         ArgumentError: There are none, or they are of different numbers of parameters.
@@ -189,6 +177,6 @@ def intersection(*polyhedra: Polyhedron) -> Polyhedron:
 
 
 def _of_rows(limits: ArrayLike, count: int) -> Array:
-    """Limits (k,) from one for all rows, or one for each; Polyhedron tells of a wrong shape."""
+    """Return limits (k,) from one for all rows, or one each; Polyhedron tells of a wrong shape."""
     limits = real_array(limits, "limits", finite=False)
     return np.full(count, limits) if limits.ndim == 0 else limits

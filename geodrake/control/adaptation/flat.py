@@ -45,12 +45,9 @@ class ConstantMetric(Manifold, Short):
 
     @classmethod
     def of(cls, manifold: Manifold, x: ArrayLike) -> ConstantMetric:
-        """The metric of another manifold at one of its points x (n,), used everywhere.
+        """Return the metric of another manifold at one of its points x (n,), used everywhere.
 
         The inverse comes from the manifold too, so that it is as precise as there.
-
-        Args:
-            x: (n,) one of its points.
         """
         x = real_array(x, "x", (instance(manifold, "manifold", Manifold).dimension,))
         inverse = manifold.inverse_metric_times(x, np.eye(manifold.dimension))
@@ -62,35 +59,35 @@ class ConstantMetric(Manifold, Short):
         return len(self.matrix)
 
     def calc_contains(self, x: Array) -> NDArray[np.bool_]:
-        """Whether x is finite (...)."""
+        """Return whether x is finite (...)."""
         return np.asarray(np.isfinite(x).all(-1))
 
     def calc_barrier(self, x: Array) -> Array:
-        """½ xᵀ Γ x."""
+        """Return ½ xᵀ Γ x."""
         return np.asarray(0.5 * (x * (x @ self.matrix)).sum(-1))
 
     def calc_gradient(self, x: Array) -> Array:
-        """Γ x, (..., n)."""
+        """Return Γ x, (..., n)."""
         return np.asarray(x @ self.matrix)
 
     def calc_metric(self, x: Array) -> Array:
-        """Γ, (..., n, n)."""
+        """Return Γ, (..., n, n)."""
         return np.broadcast_to(self.matrix, (*np.shape(x)[:-1], *self.matrix.shape)).copy()
 
     def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
-        """Γ⁻¹ b, whatever x is."""
+        """Return Γ⁻¹ b, whatever x is."""
         return np.asarray(b @ self.inverse)
 
     def calc_divergence(self, x: Array, y: Array) -> Array:
-        """½ (x − y)ᵀ Γ (x − y)."""
+        """Return ½ (x − y)ᵀ Γ (x − y)."""
         return self.calc_barrier(x - y)
 
     def calc_longest_step(self, x: Array, v: Array) -> Array:
-        """Infinite."""
+        """Return infinity."""
         return np.full(np.broadcast_shapes(np.shape(x), np.shape(v))[:-1], np.inf)
 
     def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
-        """The straight line x + t Γ⁻¹ b."""
+        """Return the straight line x + t Γ⁻¹ b."""
         v = self.calc_inverse_metric_times(x, b)
         start, slope = float(np.vdot(b, x)), float(np.vdot(b, v))
         return MirrorLine(
@@ -98,5 +95,5 @@ class ConstantMetric(Manifold, Short):
         )
 
     def calc_retract(self, x: Array, v: Array) -> Array:
-        """The straight line x + v."""
+        """Return x + v."""
         return x + v

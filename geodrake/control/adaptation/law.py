@@ -63,44 +63,23 @@ class UpdateLaw(abc.ABC):
         return bool(np.isfinite(estimate).all()) and self.calc_contains(estimate)
 
     def reach(self, parameters: ArrayLike, rows: ArrayLike) -> float:
-        """Return the rate, 1/s, that no error Y p̃ exceeds as it drives the law, b = Yᵀ Y p̃.
+        """Return a rate, 1/s, that no error Y p̃ exceeds as it drives the law, b = Yᵀ Y p̃.
 
-        Args:
-            parameters: (n,) estimate p̂.
-            rows: (k, n) regressor Y.
-
-        Returns:
-            Such a rate; zero from a law that does not know one.
+        Rows Y are (k, n). It is zero for a law that does not know one.
         """
         p, rows = self._inside(parameters, rows, "rows", "k")
         return self.calc_reach(p, rows)
 
     def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
-        """Return the rate of the estimate (n,), for a continuous integrator.
-
-        Args:
-            parameters: (n,) estimate p̂.
-            b: (n,) covector, such as Yᵀ r.
-        """
+        """Return the rate (n,) of an estimate (n,) under a covector b (n,), such as Yᵀ r."""
         return self.calc_rate(*self._inside(parameters, b, "b"))
 
     def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
-        """Return the estimate (n,) after b has acted for dt seconds.
-
-        Args:
-            parameters: (n,) estimate.
-            b: (n,) covector that drives the law, constant for the step.
-            dt: Length of the step, s.
-        """
+        """Return the estimate (n,) after b (n,) has acted for dt seconds."""
         return self.calc_step(*self._inside(parameters, b, "b"), number(dt, "dt"))
 
     def parameter_error(self, truth: ArrayLike, parameters: ArrayLike) -> Array:
-        """Return V_p, what a Lyapunov function has for the error of estimates (..., n).
-
-        Args:
-            truth: (n,) true parameters.
-            parameters: (..., n) estimates.
-        """
+        """Return V_p, what a Lyapunov function has for the error of estimates (..., n)."""
         sizes: Sizes = {}
         truth = real_array(truth, "truth", self._shape, sizes)
         estimates = real_array(parameters, "parameters", ("...", *self._shape), sizes)
@@ -246,7 +225,6 @@ def natural_adaptation(
 
     Args:
         manifold: Such as `parameter_manifold(model)`.
-        gamma: γ.
         integrator: As in `AdaptationLaw`.
     """
     return AdaptationLaw(manifold, gamma, integrator)
@@ -258,7 +236,6 @@ def pullback_adaptation(manifold: Manifold, at: ArrayLike, gamma: float = 1.0) -
     Args:
         manifold: The manifold whose metric is taken.
         at: (n,) the initial estimate p̂₀, inside of the manifold.
-        gamma: γ.
     """
     n = instance(manifold, "manifold", Manifold).dimension
     at = real_array(at, "at", (n,))
@@ -274,10 +251,6 @@ def euclidean_adaptation(dimension: int, gamma: float = 1.0) -> AdaptationLaw:
     """Return the law with the gain Γ = γ 𝟙, [Lee2019] Eq. (5.4.48).
 
     Units matter, and nothing keeps the estimate physical.
-
-    Args:
-        dimension: Number n of parameters.
-        gamma: γ of the gain Γ = γ 𝟙.
     """
     identity = np.eye(integer(dimension, "dimension", lower=1, upper=_MOST))
     return AdaptationLaw(ConstantMetric(identity, identity), gamma)

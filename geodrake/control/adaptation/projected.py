@@ -95,7 +95,7 @@ class ProjectedLaw(UpdateLaw):
         return _separate(self.law.manifold, self._set.polyhedron)
 
     def calc_rate(self, parameters: Array, b: Array) -> Array:
-        """The rate of the law, made tangent to the limits that bind ([Lee2019] Eq. (5.4.57))."""
+        """Return the rate of the law, tangent to limits that bind ([Lee2019] Eq. (5.4.57))."""
         p = parameters
         v = self.law.calc_rate(p, b)
         values, normals = self._set.values(p), self._set.gradients(p)
@@ -189,7 +189,7 @@ class _LimitedPart:
 
 
 def _separate(manifold: Manifold, polyhedron: Polyhedron) -> tuple[_LimitedPart, ...]:
-    """Splits a projection on a product where no limit ties two factors together."""
+    """Split a projection on a product where no limit ties two factors together."""
     rows = np.arange(len(polyhedron.matrix))
     if not isinstance(manifold, Product):
         manifold = Product((manifold,))
@@ -215,7 +215,7 @@ def _separate(manifold: Manifold, polyhedron: Polyhedron) -> tuple[_LimitedPart,
 
 
 def _project_by_cuts(manifold: Manifold, p: Array, convex: ConvexSet) -> Array:
-    """Projects onto half-spaces around a convex set, with new ones where the last point is outside.
+    """Project onto half-spaces around a convex set, with new ones where the last point is outside.
 
     A half-space that touches c at y, c(y) + ∇c(y)ᵀ (x − y) ≤ 0, holds the whole set, so every
     projection is at least as near to p as the one onto the set, and the last one is inside of it.
@@ -242,7 +242,7 @@ def _project_by_cuts(manifold: Manifold, p: Array, convex: ConvexSet) -> Array:
 
 
 def _least_push(G: Array, a_v: Array) -> Array:
-    """λ ≥ 0 (k,) of least ½ λᵀ G λ − λᵀ a_v, with G the products of unit normals."""
+    """Return λ ≥ 0 (k,) of least ½ λᵀ G λ − λᵀ a_v, with G the products of unit normals."""
     if len(a_v) == 1:
         return np.maximum(a_v, 0.0) / G[0]
     # G = Sᵀ S, and S may be singular where normals depend on each other.

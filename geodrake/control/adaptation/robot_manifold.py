@@ -82,11 +82,7 @@ def adapted_parameters(model: RobotModel, names: Sequence[str]) -> NDArray[np.bo
 
 
 def _check_names(model: RobotModel, bodies: set[str], effects: set[str]) -> None:
-    """Checks that what is no effect is a body.
-
-    Raises:
-        ArgumentError: Something is neither.
-    """
+    """Check that what is no effect is a body."""
     if unknown := bodies - set(model.bodies):
         raise ArgumentError(
             f"There is no {', '.join(sorted(map(str, unknown)))} in the robot.",

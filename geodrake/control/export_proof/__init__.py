@@ -1,6 +1,5 @@
 """Exports tried in simulators: what they hold, what they lack, and what that costs."""
 
-from geodrake.control.export_proof.export import ProvenExport
-from geodrake.control.export_proof.writing import export_to
+from geodrake.control.export_proof.export import ProvenExport, export_to
 
 __all__ = ["ProvenExport", "export_to"]

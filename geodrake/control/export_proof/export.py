@@ -1,17 +1,19 @@
-"""An export with its proof: files, what they hold, and how simulators that load them do."""
+"""An export with its proof: what its files hold and lack, and how simulators of them do."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from geodrake.boundary.arguments import number
-from geodrake.control.export_proof.costs import Cost, Costs, costs_of
-from geodrake.control.export_proof.lost_integral import lost_integrals
+import numpy as np
+
+from geodrake.boundary.arguments import file_path, instances, number, positive, typed
+from geodrake.boundary.whole_files import Content, made_folder, write_together
 from geodrake.control.export_proof.proof import Proof, prove
-from geodrake.control.export_proof.refusals import check_format
 from geodrake.control.export_proof.samples import (
     compared,
     logged_motions,
@@ -19,9 +21,21 @@ from geodrake.control.export_proof.samples import (
     random_motion,
     random_starts,
 )
-from geodrake.identification.logs.case import open_case
-from geodrake.logs.motion import JointLog
-from geodrake.model.exporting.held import Exported, ExportFormat, held_by, reasons
+from geodrake.control.rollout import case_rollout
+from geodrake.control.rollout.acting import told_joints
+from geodrake.errors import LogError, ModelError, OutputError
+from geodrake.identification.logs.case import Case, open_case, reopen
+from geodrake.identification.logs.compare import comparison
+from geodrake.logs.motion import JointLog, Motion
+from geodrake.model.exporting.formats import export_format
+from geodrake.model.exporting.held import (
+    Exported,
+    ExportFormat,
+    HeldModel,
+    Lost,
+    held_by,
+    reasons,
+)
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import servos_of
 
@@ -34,7 +48,40 @@ _IN_DRAKE = (
     "them would count twice"
 )
 
+_WINDOWS = 6  # of rollouts without the integrals of servos
+
 Progress = Callable[[str], object]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """An effect that an export lacks, and what that costs.
+
+    Attributes:
+        lost: The effect, and what stands in its place.
+        nrms: nrms with it approximated or left out, and all else as it is; None without logs.
+    """
+
+    lost: Lost
+    nrms: float | None
+
+
+@dataclass(frozen=True)
+class Costs:
+    """Errors of a model and of its export on logs.
+
+    Attributes:
+        whole: nrms of the whole model.
+        held: nrms of what the export holds.
+        effects: What each effect costs that the export lacks, alone; the largest first.
+        ignored: nrms of what the export holds less what the simulator does not act upon; None
+            where it acts upon all.
+    """
+
+    whole: float
+    held: float
+    effects: tuple[Cost, ...]
+    ignored: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +103,48 @@ class ProvenExport:
     costs: Costs | None
     proof: Proof
     notes: tuple[str, ...]
+
+
+@typed
+def export_to(
+    to: str,
+    model: RobotModel,
+    folder: str | Path,
+    logs: Sequence[JointLog | str | Path] = (),
+    *,
+    force: bool = False,
+    bandwidth: float | None = None,
+) -> ProvenExport:
+    """Write a model for a simulator, and prove it: loaded again, and compared with the model.
+
+    Args:
+        to: Name of the format: urdf, sdf, mjcf, drake, isaac, python, cpp or ros2.
+        model: The model.
+        folder: Where the files go; made if it is not there.
+        logs: Logs, or their files, on whose motion what the format lacks is fitted, and the error
+            that it costs is measured; without any, random motion within the limits of the robot
+            serves.
+        force: Replace files that are there.
+        bandwidth: Bandwidth of the filter of the logs, Hz; by default that of the model's fit.
+
+    Returns:
+        The files, what they hold and lack, and how far simulators that load them are off.
+
+    Raises:
+        ArgumentError: There is no such format.
+        ModelError: The model's own file cannot take the numbers, or the robot has joints that
+            the format does not have.
+        LogError: A log cannot be used.
+        OutputError: A file is there already, or cannot be written.
+    """
+    form, folder = export_format(to), file_path(folder)
+    logs = instances(logs, "logs", (JointLog, str, Path))
+    if bandwidth is not None:
+        positive(bandwidth, "bandwidth")
+    check_folder(model, form, folder, (), force=force)
+    found = export_with_proof(model, form, folder, logs, bandwidth=bandwidth)
+    write_files(found, folder)
+    return found
 
 
 def export_with_proof(
@@ -125,3 +214,137 @@ def export_with_proof(
     if "drake" in form.engines and (proof.ignored or held.lost):
         notes.append(_IN_DRAKE)
     return ProvenExport(form, exported, held.model, lacks, costs, proof, tuple(notes))
+
+
+def check_folder(
+    model: RobotModel, form: ExportFormat, folder: Path, inputs: Iterable[Path], *, force: bool
+) -> None:
+    """Refuse a folder in which the files cannot be written, before the long work.
+
+    Raises:
+        OutputError: It is no folder, or has such files already.
+        ModelError: The model's file cannot take what is to be written.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(
+            f"Cannot export to {folder}: it is there and is no folder.",
+            advice="Name a folder.",
+            path=folder,
+        )
+    check_format(model, form)
+    taken = {os.path.realpath(path) for path in (*inputs, model.path)}
+    for name in form.write(model, HeldModel(model, ()), folder).files:
+        path = folder / name
+        if os.path.realpath(path) in taken:
+            raise OutputError(
+                f"Cannot write {path}: it is an input of this command.",
+                advice="Choose another folder.",
+                path=path,
+            )
+        if path.exists() and not force:
+            raise OutputError(
+                f"Cannot write {path}: it is there already.",
+                advice="Choose another folder, or give --force to replace it.",
+                path=path,
+            )
+
+
+def write_files(
+    found: ProvenExport, folder: Path, beside: Mapping[Path, Content] | None = None
+) -> list[Path]:
+    """Write all files or none; a folder that is made for them stays only with them.
+
+    Returns:
+        The files of the export.
+
+    Raises:
+        OutputError: One cannot be written.
+    """
+    files: dict[Path, Content] = {folder / name: d for name, d in found.exported.files.items()}
+    with ExitStack() as stack:
+        for parent in sorted({folder, *(path.parent for path in files)}):
+            stack.enter_context(made_folder(parent))
+        write_together({**files, **(beside or {})})
+    return [*files]
+
+
+def check_format(model: RobotModel, form: ExportFormat) -> None:
+    """Refuse a format that has no place for what the model has.
+
+    Raises:
+        ModelError: It has no closed loops, or efforts and friction at joints, and the model at
+            actuators.
+    """
+    if loops := [", ".join(drive.joints) for drive in model.transmission if drive.is_loop]:
+        raise ModelError(
+            f"The format {form.name} cannot have a closed loop, and the model has one of "
+            f"{loops[0]}.",
+            advice="Export the inertias alone into the model's file: geodrake identify --export.",
+        )
+    if model.transmission and not form.at_actuators:
+        actuators = ", ".join(name for drive in model.transmission for name in drive.actuators)
+        raise ModelError(
+            f"The format {form.name} has efforts and friction at joints, and the model at "
+            f"{actuators}, behind a transmission.",
+            advice="Export to python or cpp, or the inertias alone: geodrake identify --export.",
+        )
+
+
+def costs_of(
+    case: Case,
+    held: HeldModel,
+    form: ExportFormat,
+    motions: Sequence[Motion],
+    ignored: Sequence[str],
+) -> Costs:
+    """Return the errors with and without what an export lacks.
+
+    Args:
+        motions: Motion of the logs, on which effects are approximated.
+        ignored: Names of effects upon which the simulator does not act.
+    """
+    holds = form.holding(case.model)
+
+    def nrms(model: RobotModel) -> float:
+        return comparison(reopen(case, model)).errors.nrms
+
+    def without(name: str) -> RobotModel:
+        return held_by(case.model, holds, motions, keep=lambda other: other.name != name).model
+
+    acting = tuple(f for f in held.model.effects if f.effect.name not in ignored)
+    acted = replace(held.model, effects=acting)
+    found = [Cost(lost, nrms(without(lost.effect))) for lost in held.lost]
+    return Costs(
+        whole=comparison(case).errors.nrms,
+        held=nrms(held.model),
+        effects=tuple(sorted(found, key=lambda cost: -(cost.nrms or 0.0))),
+        ignored=nrms(acted) if len(acting) < len(held.model.effects) else None,
+    )
+
+
+def lost_integrals(model: RobotModel, form: ExportFormat, case: Case | None) -> tuple[str, ...]:
+    """Return a note on servos whose integral an export does not hold; none if it holds all.
+
+    It says what a robot departs by without integrals and with them, where logs have commands.
+    """
+    joints = [servo.joint for servo in servos_of(model) if servo and servo.integral]
+    if not joints or not form.servos:
+        return ()
+    words = f"servos of {form.name} have no integral, such as that of {', '.join(joints)}"
+    at = [model.joints.index(joint) for joint in joints]
+    if case is not None and any(told_joints(case.model, log)[at].any() for log in case.asked.logs):
+        signals = tuple(replace(s, integral=0.0) for s in case.model.effort_signals)
+        models = replace(case.model, effort_signals=signals), case.model
+        try:
+            shares = [
+                case_rollout(replace(case, model=each), most=_WINDOWS, commands=True).relative
+                for each in models
+            ]
+        except (LogError, ModelError):  # logs that are too short, or a robot that is not simulated
+            shares = [np.nan]
+        if np.isfinite(shares).all():
+            words += (
+                f": under the commands of the logs the robot departs by {100 * shares[0]:.2g} % of "
+                f"its motion without it, and by {100 * shares[1]:.2g} % with it"
+            )
+    return (f"{words}; PositionServo in a Drake diagram has it",)

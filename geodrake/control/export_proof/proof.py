@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geodrake.control.export_proof.engines import engine
-from geodrake.control.export_proof.engines.base import Engine
+from geodrake.control.export_proof.engines import Engine, engine
 from geodrake.control.export_proof.reference import (
     STEP,
     Start,
@@ -20,11 +17,10 @@ from geodrake.control.export_proof.reference import (
     without,
 )
 from geodrake.errors import ModelError
+from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
 
 ROUNDING = 1e-6
 """Difference, rad or m, or relative to the values compared, up to which an export is exact."""
@@ -94,7 +90,8 @@ def prove(
         except ModelError as error:
             notes.append(f"the export was not tried: {error.problem}")
             continue
-        names = _named(held, loaded)
+        kinds = (f.effect.name for f in held.effects if isinstance(f.effect, loaded.ignores))
+        names = tuple(dict.fromkeys(kinds))
         ignored = names if ignored is None else ignored
         found = [_of_efforts(held, loaded, motion, names)]
         try:
@@ -109,12 +106,6 @@ def prove(
     return Proof(tuple(differences), ignored or (), tuple(notes))
 
 
-def _named(held: RobotModel, loaded: Engine) -> tuple[str, ...]:
-    """Names of effects that a simulator does not act upon."""
-    names = (f.effect.name for f in held.effects if isinstance(f.effect, loaded.ignores))
-    return tuple(dict.fromkeys(names))
-
-
 def _of_efforts(
     held: RobotModel, loaded: Engine, motion: Motion, names: tuple[str, ...]
 ) -> Difference:
@@ -122,11 +113,8 @@ def _of_efforts(
     ours = model.effort(motion)
     q = motion.q[:, position_order(held)]
     theirs, meant = loaded.effort(q, motion.v, motion.vd)
-    off = np.where(meant, np.abs(theirs - ours), 0.0)
-    share = float(meant.mean())
-    return Difference(
-        loaded.name, "effort", **_largest(off, ours, held), compared=share, without=names
-    )
+    off, share = np.where(meant, np.abs(theirs - ours), 0.0), float(meant.mean())
+    return Difference(loaded.name, "effort", *_largest(off, ours, held), share, names)
 
 
 def _of_rollouts(
@@ -146,16 +134,10 @@ def _of_rollouts(
     moved = (ours - ours[:, :1]).reshape(off.shape)
     dry = (f.effect.name for f in held.effects if isinstance(f.effect, DryFriction))
     names = tuple(dict.fromkeys([*names, *dry]))
-    return Difference(
-        loaded.name, "position", **_largest(off, moved, held), compared=1.0, without=names
-    )
+    return Difference(loaded.name, "position", *_largest(off, moved, held), 1.0, names)
 
 
-def _largest(off: Array, values: Array, model: RobotModel) -> dict[str, Any]:
-    """The largest of differences (N, nv) of some values, and its joint."""
+def _largest(off: Array, values: Array, model: RobotModel) -> tuple[float, str, float]:
+    """Return the largest of differences (N, nv) of some values, its joint, and RMS values there."""
     worst = int(off.max(0).argmax())
-    return {
-        "largest": float(off.max()),
-        "joint": model.joints[worst],
-        "typical": float(np.sqrt(np.mean(values[:, worst] ** 2))),
-    }
+    return float(off.max()), model.joints[worst], float(np.sqrt(np.mean(values[:, worst] ** 2)))

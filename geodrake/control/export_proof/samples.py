@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.control.export_proof.reference import STEP, Start, position_order
+from geodrake.inertia import Array
 from geodrake.logs.motion import MEMORY, Motion, Trajectory
 from geodrake.logs.smoothing import Segment, Stretch
 from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
 
 HORIZON = 0.2
 """Length of a rollout, s."""
@@ -28,7 +26,7 @@ _LARGEST, _FASTEST = np.pi, 2.0  # rad or m, and per s
 
 
 def logged_motions(model: RobotModel, trajectories: Sequence[Trajectory]) -> list[Motion]:
-    """Passages of logs, spread evenly."""
+    """Choose passages of logs, spread evenly."""
     stretches = [s for trajectory in trajectories for s in trajectory.segments]
     began = [t.began for t in trajectories for _ in t.segments]
     passages = [
@@ -56,7 +54,7 @@ def _motion(model: RobotModel, stretch: Stretch, start: int, began: float) -> Mo
 
 
 def random_motion(model: RobotModel, seed: int = 0) -> Motion:
-    """A smooth motion at random, within the limits of the robot."""
+    """Return a smooth motion at random, within the limits of the robot."""
     rng, nv = np.random.default_rng(seed), len(model.joints)
     order = position_order(model)
     low, high = (limits[order] for limits in model.position_limits)
@@ -74,14 +72,14 @@ def random_motion(model: RobotModel, seed: int = 0) -> Motion:
 
 
 def compared(motions: Sequence[Motion]) -> Motion:
-    """Samples of motions, spread evenly, at which efforts are compared."""
+    """Choose samples of motions, spread evenly, at which efforts are compared."""
     q, v, vd = (np.concatenate([getattr(m, name) for m in motions]) for name in ("q", "v", "vd"))
     every = max(1, len(v) // _COMPARED)
     return Motion(q[::every], v[::every], vd[::every])
 
 
 def logged_starts(held: RobotModel, trajectories: Sequence[Trajectory]) -> list[Start]:
-    """Starts of rollouts in logs, under the logged efforts less dry friction."""
+    """Return starts of rollouts in logs, under the logged efforts less dry friction."""
     stretches = [s for trajectory in trajectories for s in trajectory.segments]
     longest = sorted(stretches, key=len, reverse=True)[:_STARTS]
     shares = (np.arange(_STARTS) + 0.5) / _STARTS
@@ -107,7 +105,7 @@ def _logged_start(held: RobotModel, part: Segment) -> Start:
 
 
 def random_starts(held: RobotModel, motion: Motion) -> list[Start]:
-    """Starts of rollouts along a motion, under efforts about those that hold the posture there."""
+    """Return starts of rollouts along a motion, under efforts about those of its postures."""
     every, order = len(motion.v) // _STARTS, position_order(held)
     q, v = motion.q[::every], motion.v[::every]
     effort = held.effort(Motion(q, np.zeros_like(v), np.zeros_like(v)))

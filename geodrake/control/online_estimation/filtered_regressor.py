@@ -12,7 +12,7 @@ from geodrake.boundary.arguments import integer, positive
 from geodrake.compiling import compiled, contiguous
 from geodrake.control.regressor import ControlModel
 from geodrake.control.regressor.control_model import ControlSample, checked_control
-from geodrake.errors import GeodrakeError
+from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import Array
 
 _MOST_FILTERS = 100
@@ -53,6 +53,18 @@ class FilteredRegressor:
         positive(self.bandwidth, "bandwidth")
         integer(self.order, "order", lower=1, upper=_MOST_FILTERS)
 
+    def check_robot(self, control: ControlModel) -> None:
+        """Check that the filter is one for a robot.
+
+        Raises:
+            ArgumentError: It was made with another `ControlModel`.
+        """
+        if self.control is not control:
+            raise ArgumentError(
+                "The filter was made with another ControlModel.",
+                advice="Make FilteredRegressor and system with the same one.",
+            )
+
     @property
     def shape(self) -> tuple[int, int]:
         """Shape (nv, p) of the regressor."""
@@ -74,7 +86,7 @@ class FilteredRegressor:
         return float(-np.expm1(-self.bandwidth * self.period))
 
     def start(self) -> Array:
-        """The memory before the first sample."""
+        """Return the memory before the first sample."""
         return np.zeros(self.size)
 
     def advanced(
@@ -87,7 +99,7 @@ class FilteredRegressor:
         sample: ControlSample | None = None,
         repeated: bool = False,
     ) -> Array:
-        """The memory after one more sample; whatever is not finite ends an interval.
+        """Return the memory after one more sample; whatever is not finite ends an interval.
 
         Args:
             memory: (size,) of the last sample, not changed.
@@ -121,20 +133,20 @@ class FilteredRegressor:
         return after
 
     def skipped(self, memory: Array) -> Array:
-        """The memory after a sample that is missing."""
+        """Return the memory after a sample that is missing."""
         after = memory.copy()
         after[0] = 0.0
         return after
 
     def rows(self, memory: Array) -> tuple[Array, Array]:
-        """Filtered regressor Y (nv, p) and efforts (nv,), N·m or N: Y p = effort."""
+        """Return the filtered regressor Y (nv, p) and efforts (nv,), N·m or N: Y p = effort."""
         last = memory[1:].reshape(self.order + 1, -1)[self.order - 1]
         return last[: self._entries].reshape(self.shape), last[self._entries :]
 
 
 @compiled
 def calc_ends(both: Array, effort: Array, period: float, held: bool) -> Array:
-    """What a sample adds to the interval that it ends, and takes off the one it begins: (2, ·).
+    """Return what a sample adds to the interval that it ends, and takes off the next one: (2, ·).
 
     Args:
         both: (2, nv p) Y_p and Y_c.
@@ -155,7 +167,7 @@ def calc_ends(both: Array, effort: Array, period: float, held: bool) -> Array:
 
 @compiled
 def calc_filtered(ends: Array, periods: float, share: float, stack: Array) -> None:
-    """Passes the rows of an interval through all filters, and begins the next one.
+    """Pass the rows of an interval through all filters, and begin the next one.
 
     The interval's rows are [now] − [before], with the filters linear in both.
 
@@ -175,5 +187,5 @@ def calc_filtered(ends: Array, periods: float, share: float, stack: Array) -> No
 
 
 def _finite(x: Array) -> bool:
-    """Whether all of x are numbers, and not absurdly large ones: by their sum of squares."""
+    """Return whether all of x are numbers, and not absurdly large: by their sum of squares."""
     return isfinite(np.vdot(x, x))

@@ -120,7 +120,7 @@ class SampleUpdate(Short):
     def updated(
         self, p: Array, Y: Array, effort: Array, dt: float, *, earlier: Rows | None = None
     ) -> UpdatedEstimate:
-        """The estimate after a sample; the one before if something is not finite.
+        """Return the estimate after a sample; the one before if something is not finite.
 
         Args:
             p: (n,) estimate inside of the manifold.
@@ -144,7 +144,7 @@ class SampleUpdate(Short):
         return UpdatedEstimate(moved, error) if self.manifold.calc_contains(moved) else stays
 
     def _toward(self, p: Array, rows: Rows, earlier: Rows | None) -> SlabProjection:
-        """Where a sample takes an estimate, together with an earlier one if they agree."""
+        """Return where a sample takes an estimate, together with an earlier one if they agree."""
         (Y, effort), epsilon = rows, np.broadcast_to(self._tolerances, len(rows[1]))
         if earlier is not None:
             Y, effort = np.concatenate((Y, earlier[0])), np.concatenate((effort, earlier[1]))
@@ -158,7 +158,7 @@ class SampleUpdate(Short):
         return self._toward(p, rows, None) if earlier is not None else found._replace(point=p)
 
     def _forgotten(self, p: Array, dt: float) -> Array:
-        """The point of which ∇h is nearer to that of the prior, by the share of a time step."""
+        """Return the point whose ∇h is nearer to that of the prior, by the share of a time step."""
         gradient = self.manifold.calc_gradient(p)
         gradient -= expm1(-self.forgetting * dt) * (self._prior_gradient - gradient)
         return self.manifold.calc_point_of_gradient(gradient, p)

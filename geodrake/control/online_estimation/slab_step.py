@@ -24,7 +24,7 @@ def slab_step(
     *,
     relaxation: float = 1.0,
 ) -> Array:
-    """One step of Newton's method toward the slabs |Y p − effort| ≤ ε that an estimate is outside.
+    """Take one step of Newton's method toward the slabs |Y p − effort| ≤ ε that p is outside of.
 
     The Bregman projection onto them, [Lee2019] Eq. (2.2.11), is the y with ∇h(y) = ∇h(p) − Yᵀ λ for
     multipliers λ of the rows that bind: a handful of unknowns, however many parameters there are.
@@ -34,9 +34,7 @@ def slab_step(
 
     Args:
         p: (n,) estimate inside of the manifold.
-        Y: (k, n) rows.
-        effort: (k,) their values.
-        tolerance: (k,) ε > 0 of each.
+        Y: (k, n) rows, with (k,) efforts and tolerances ε > 0.
         relaxation: Share of the step that is made, in (0, 1]: less follows noise less.
 
     Returns:
@@ -58,14 +56,11 @@ def slab_step(
 
 @compiled
 def calc_multipliers(products: Array, error: Array) -> Array:
-    """Newton's multipliers (k,) of rows outside of their slabs; none pulls a row further out.
+    """Return Newton's multipliers (k,) of rows outside of their slabs; none pulls a row farther.
 
     They are those of the first step of a projection (`slab_kernels`), with a share of each row's
-    squared length added to it. Rows of any length do no harm.
-
-    Args:
-        products: (k, k) inner products of the rows, overwritten.
-        error: (k,) how far each is outside of its slab.
+    squared length added to it. Rows of any length do no harm. Inner products (k, k) of the rows
+    are overwritten; errors (k,) are how far each is outside of its slab.
     """
     for i in range(len(error)):
         products[i, i] = products[i, i] * (1.0 + _SHARING) + _NOTHING

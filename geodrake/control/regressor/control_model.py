@@ -62,7 +62,7 @@ class ControlModel:
         sign_width: ArrayLike = 1e-2,
         measured_friction: bool = False,
     ) -> ControlModel:
-        """Reads a robot model once.
+        """Read a robot model once.
 
         Args:
             model: The robot. Delays of efforts are not part of the regressor; friction that has a
@@ -117,21 +117,22 @@ class ControlModel:
         return self._all_single
 
     def phi(self, parameters: Array) -> Array:
-        """(nb, 10) inertial parameters of a parameter vector (p,)."""
+        """Return inertial parameters (nb, 10) of a parameter vector (p,)."""
         return parameters[: self.num_inertial].reshape(-1, PARAMETERS_PER_BODY)
 
     def effect_parameters(self, effect: int) -> slice:
-        """Where the parameters of one of `effects` are in the parameter vector."""
+        """Return where the parameters of one of `effects` are in the vector."""
         counts = [len(e.parameters) for e in self.effects[: effect + 1]]
         return slice(self.num_inertial + sum(counts[:-1]), self.num_inertial + sum(counts))
 
     def at(
         self, q: Array, qd: Array, v: Array, a: Array, *, load_phi: Array | None = None
     ) -> ControlSample:
-        """The Slotine–Li regressor Y(q, q̇, v, a) at one sample, ready to be multiplied.
+        """Return the Slotine–Li regressor Y(q, q̇, v, a) at one sample, ready to be multiplied.
 
         Y p = M(q) a + C(q, q̇) v − τ_g(q) + effects at v and a, with Ṁ − 2 C skew symmetric. With
-        v = q̇ and a = v̇ it is the regressor of inverse dynamics and of computed torque.
+        v = q̇ and a = v̇ it is the regressor of inverse dynamics and of computed torque. Values are
+        not checked: whatever is not finite comes out as such.
 
         Args:
             q: (nq,) positions in Drake's order.
@@ -141,14 +142,12 @@ class ControlModel:
             load_phi: (nb, 10) inertial parameters behind the load of load-dependent friction; those
                 of the robot model with its payloads if None, so that the columns do not depend on
                 the estimate. For the same reason a scale of efforts is one of the model's efforts.
-
-        Values are not checked: whatever is not finite comes out as such.
         """
         return ControlSample(self, RigidSample.at(self.tree, q, qd, v, a), (q, qd, v, a), load_phi)
 
 
 def checked_control(control: ControlModel) -> ControlModel:
-    """A robot as a controller sees it: a `ControlModel`, or what gives regressors as one does.
+    """Return a `ControlModel`, or what gives regressors as one does.
 
     Raises:
         ArgumentError: It is something else.
@@ -208,15 +207,15 @@ class ControlSample:
         return self._scaled(Y)
 
     def effort(self, parameters: Array) -> Array:
-        """Y p (nv,), N·m or N, for parameters p (p,)."""
+        """Return Y p (nv,), N·m or N, for parameters p (p,)."""
         return self.regressor @ parameters
 
     def covector(self, r: Array) -> Array:
-        """Yᵀ r (p,) for r (nv,), the b of [Lee2019] Eq. (5.4.46)."""
+        """Return Yᵀ r (p,) for r (nv,), the b of [Lee2019] Eq. (5.4.46)."""
         return r @ self.regressor
 
     def mass_matrix(self, parameters: Array) -> Array:
-        """M (nv, nv) of parameters (p,): with payloads, rotor inertias and the like.
+        """Return M (nv, nv) of parameters (p,): with payloads, rotor inertias and the like.
 
         Left out are body effects of your own that have inertia, and what is in proportion to other
         efforts: load-dependent friction and scales.
@@ -259,7 +258,7 @@ class ControlSample:
         return np.array([self._scaled(part) for part in both]) if self.model._scales else both
 
     def _scaled(self, regressor: Array) -> Array:
-        """A regressor (nv, p), whose columns of scales are now the efforts of the robot model."""
+        """Return a regressor (nv, p) whose columns of scales are efforts of the model."""
         if self.model._scales:
             others = self.model.prior.copy()
             others[[column for _, column in self.model._scales]] = 0.0
@@ -276,7 +275,7 @@ class ControlSample:
         return self.model._columns.at(motion, self._seen(None))
 
     def _joints(self, a: Array, v: Array) -> JointMotion:
-        """Motion of all joints, each field (nv,), at accelerations a and velocities v."""
+        """Return the motion of all joints, each field (nv,), at accelerations and velocities."""
         model, q = self.model, self._motion[0]
         load = np.zeros(len(v))
         if "load" in model._columns.depends_on:
@@ -288,11 +287,9 @@ class ControlSample:
         return JointMotion(q_joint, v, a, load, model._direction(v))
 
     def _seen(self, regressor: Array | None) -> Seen:
-        """What effects of several joints or of bodies see at one sample.
+        """Return what effects of several joints or of bodies see at one sample.
 
-        Args:
-            regressor: (nv, 10·nb) inertial regressor of which bodies have their columns; that of
-                Y, formed when asked for, if None.
+        Bodies have columns of an inertial regressor (nv, 10·nb); of Y, formed when needed, if None.
         """
         model = self.model
 

@@ -59,13 +59,9 @@ class RigidSample:
 
     @classmethod
     def at(cls, tree: RobotTree, q: Array, qd: Array, v: Array, a: Array) -> RigidSample:
-        """The bodies at positions q (nq,), velocities q̇ and v (nv,), and accelerations a (nv,).
+        """Return the bodies at positions q (nq,), velocities q̇ and v, and accelerations a (nv,).
 
-        Args:
-            q: (nq,) positions in Drake's order.
-            qd: (nv,) velocities q̇.
-            v: (nv,) velocities that take the place of one q̇ in products of two.
-            a: (nv,) accelerations.
+        The velocities v take the place of one q̇ in products of two.
         """
         # (Copies: compiled code knows contiguous arrays that it may write to.)
         motion = (np.array(q, float, ndmin=2), np.array(qd, float, ndmin=2))
@@ -78,28 +74,22 @@ class RigidSample:
         return cls(tree.joint_tree, (at.tree_positions(motion[0]), *moved), (J, rate))
 
     def effort(self, phi: Array) -> Array:
-        """Y φ (nv,) for φ (nb, 10), in a number of operations that grows with nb, not nb nv."""
+        """Return Y φ (nv,) for φ (nb, 10), in operations that grow with nb, not nb nv."""
         effort = np.zeros_like(self.motion[1])
         calc_inverse_dynamics(self.tree.records, self.motion, np.array(phi, float), effort)
         return self._at_actuators(effort[0])
 
     def regressor(self, columns: int) -> Array:
-        """Y (nv, columns).
-
-        Args:
-            columns: 10 nb or more, of which those beyond are zero.
-        """
+        """Return Y (nv, columns); columns beyond 10 nb are zero."""
         Y = np.zeros((1, self.motion[1].shape[1], columns))
         put_regressor(self.tree, self.motion, Y)
         return self._at_actuators(Y[0])
 
     def momentum_regressors(self, columns: int) -> Array:
-        """Regressors (2, nv, columns) of M q̇ = Σ Jᵀ G V and of Cᵀ q̇ + τ_g = Σ J̇ᵀ G V + τ_g.
+        """Return regressors (2, nv, columns) of M q̇ = Σ Jᵀ G V and Cᵀ q̇ + τ_g = Σ J̇ᵀ G V + τ_g.
 
-        Behind a transmission d/dt (Jᵀ p) has J̇ᵀ p as well, which the second one takes in.
-
-        Args:
-            columns: 10 nb or more, of which those beyond are zero.
+        Behind a transmission d/dt (Jᵀ p) has J̇ᵀ p as well, which the second one takes in. Columns
+        beyond 10 nb are zero.
         """
         q, qd, _, _ = self.motion
         both = np.zeros((2, 1, qd.shape[1], columns))
@@ -110,7 +100,7 @@ class RigidSample:
         return np.stack([J.T @ momentum, J.T @ drift + rate.T @ momentum])
 
     def mass_matrix(self, phi: Array) -> Array:
-        """M (nv, nv) for φ (nb, 10): the efforts of unit accelerations less those of none."""
+        """Return M (nv, nv) for φ (nb, 10): efforts of unit accelerations less those of none."""
         q, qd, _, _ = self.motion
         nv = qd.shape[1]
         still, accelerations = np.zeros((nv + 1, nv)), np.eye(nv + 1, nv)
@@ -122,7 +112,7 @@ class RigidSample:
         return np.asarray(M if self.jacobian is None else self.jacobian[0].T @ M @ self.jacobian[0])
 
     def _at_actuators(self, rows: Array) -> Array:
-        """Jᵀ times rows (nv of the tree, ...)."""
+        """Return Jᵀ times rows (nv of the tree, ...)."""
         return np.asarray(rows if self.jacobian is None else self.jacobian[0].T @ rows)
 
 
@@ -130,14 +120,10 @@ class RigidSample:
 def calc_momentum_regressors(
     tree: TreeRecords, samples: Samples, momentum: Array, drift: Array
 ) -> None:
-    """Adds regressors (N, nv, 10 nb) of M q̇ and of Cᵀ q̇ + τ_g to zeros.
+    """Add regressors (N, nv, 10 nb) of M q̇ and of Cᵀ q̇ + τ_g to zeros.
 
     The second has the rates at which the motion of the bodies inboard of a joint changes its
     subspace, seen from a point at rest.
-
-    Args:
-        momentum: (N, nv, 10 nb) zeros, then the first.
-        drift: (N, nv, 10 nb) zeros, then the second.
     """
     mobilizers, dofs = tree
     q, qd, _, _ = samples
@@ -190,7 +176,7 @@ def calc_momentum_regressors(
 def add_momentum(
     along: tuple[Vector, Vector], velocity: tuple[Vector, Vector], out: Array, first: int
 ) -> None:
-    """Adds the ten factors of φ in the momentum that a body has along a motion (s, t).
+    """Add the ten factors of φ in the momentum that a body has along a motion (s, t).
 
     Its momentum is m v + ω × h, and I ω + h × v about Bo; out is a row, in which the first of the
     factors has a place.

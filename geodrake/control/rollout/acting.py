@@ -2,32 +2,33 @@
 
 from __future__ import annotations
 
-import abc
-from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
-from pydrake.systems.primitives import MatrixGain, TrajectorySource
+from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from geodrake.control.motors import ServoError, ServoGains, servo_effort
 from geodrake.control.rollout.passages import Passage
-from geodrake.control.systems.position_servo import PositionServo
+from geodrake.control.systems.position_servo import (
+    PositionServo,
+    ServoError,
+    ServoGains,
+    servo_effort,
+)
+from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import command_delays, servo_gains, servos_of
 from geodrake.model.signal_efforts import integral_effort
 
-Array = NDArray[np.float64]
-
 _APART = 1e-9  # s, between instants of a trajectory
-_INPUTS = ("commanded_position", "commanded_velocity", "feedforward")
+_COMMANDS = ("commanded_position", "commanded_velocity")
 
 
-@dataclass(frozen=True, eq=False)
-class EffortAlong:
+class EffortAlong(NamedTuple):
     """What acts along a measured motion, and what servos add where motors are elsewhere.
 
     Attributes:
@@ -43,112 +44,75 @@ class EffortAlong:
     begun: Array
 
 
-class Acting(abc.ABC):
-    """What acts on the joints of a model while a passage of a log is simulated."""
-
-    @abc.abstractmethod
-    def add(self, builder: DiagramBuilder, state: OutputPort) -> OutputPort:
-        """Adds the systems that make the efforts.
-
-        Args:
-            builder: The builder of the simulation.
-            state: Positions and velocities (2n) as they are measured, in the model's order.
-
-        Returns:
-            The efforts (n), N·m or N.
-        """
-
-    @abc.abstractmethod
-    def begin(self, passage: Passage) -> None:
-        """Has a passage act, in the time since its log began."""
-
-    @abc.abstractmethod
-    def along(self, passage: Passage) -> EffortAlong:
-        """What acts in a passage whose motors move as they were measured."""
-
-    def remember(self, passage: Passage, root: Context) -> None:
-        """Sets what acts to the state in which a passage begins; most have none."""
-        del passage, root
-
-
-class LoggedEffort(Acting):
-    """The efforts of a log."""
-
-    def __init__(self, count: int) -> None:
-        self._source = TrajectorySource(PiecewisePolynomial(np.zeros(count)))
-
-    def add(self, builder: DiagramBuilder, state: OutputPort) -> OutputPort:
-        """See `Acting`."""
-        del state
-        self._source = builder.AddSystem(self._source)
-        return self._source.get_output_port()
-
-    def begin(self, passage: Passage) -> None:
-        """See `Acting`."""
-        effort = np.asarray(passage.segment.effort)
-        self._source.UpdateTrajectory(_lines(passage.time, effort))
-
-    def along(self, passage: Passage) -> EffortAlong:
-        """See `Acting`."""
-        effort = np.asarray(passage.segment.effort)
-        behind, none = np.zeros_like(effort), np.zeros(effort.shape[1])
-        return EffortAlong(effort, behind, ServoGains(none, none, none, none + np.inf, none), none)
-
-
-class ServoedCommand(Acting):
-    """The commands of a log, through the servos of a model; at other joints the log's efforts.
+class Acting:
+    """The efforts of a log, and in their place servos at joints that follow its commands.
 
     Commands and their rates are straight lines between the log's samples.
 
     Raises:
-        ModelError: The model has no servos, or joints of several degrees of freedom.
+        ModelError: Commands are to be followed by joints of several degrees of freedom.
     """
 
-    def __init__(self, model: RobotModel, log: JointLog) -> None:
-        *gains, limit = servo_gains(model)
-        self._log, self._delays = log, command_delays(model)
-        self._servos, self._told = servos_of(model), told_joints(model, log)
-        kp, kd, self._ki = (np.where(self._told, gain, 0.0) for gain in gains)
-        limits = np.where(self._told, limit, np.inf)
-        self._gains = ServoGains(kp, kd, self._ki, limits, np.zeros(len(kp)))
+    def __init__(self, model: RobotModel, log: JointLog, *, commands: bool) -> None:
+        count = len(model.joints)
+        self._log, self._servos, self._delays = log, servos_of(model), command_delays(model)
+        self._told = told_joints(model, log) if commands else np.zeros(count, bool)
+        self._servoed = bool(self._told.any())
+        gains = servo_gains(model) if self._servoed else np.zeros((4, count))
+        kp, kd, self._ki = (np.where(self._told, gain, 0.0) for gain in gains[:3])
+        limits = np.where(self._told, gains[3], np.inf)
+        self._gains = ServoGains(kp, kd, self._ki, limits, np.zeros(count))
 
     def add(self, builder: DiagramBuilder, state: OutputPort) -> OutputPort:
-        """See `Acting`."""
-        gains = self._gains
+        """Add the systems that make the efforts (n), N·m or N, and return their output.
+
+        Args:
+            state: Positions and velocities (2n) as they are measured, in the model's order.
+        """
+        zero, gains = PiecewisePolynomial(np.zeros(len(self._told))), self._gains
+        names = ("feedforward", *(_COMMANDS if self._servoed else ()))
+        self._sources = {name: builder.AddSystem(TrajectorySource(zero)) for name in names}
+        if not self._servoed:
+            return self._sources["feedforward"].get_output_port()
         servo = PositionServo(gains.kp, kd=gains.kd, ki=gains.ki, limit=gains.limit)
         self._servo = builder.AddSystem(servo)
-        builder.Connect(state, self._servo.GetInputPort("estimated_state"))
-        zero = PiecewisePolynomial(np.zeros(len(self._ki)))
-        self._sources = [builder.AddSystem(TrajectorySource(zero)) for _ in _INPUTS]
-        for name, source in zip(_INPUTS, self._sources, strict=True):
-            builder.Connect(source.get_output_port(), self._servo.GetInputPort(name))
-        return self._servo.get_output_port()
+        builder.Connect(state, servo.GetInputPort("estimated_state"))
+        for name, source in self._sources.items():
+            builder.Connect(source.get_output_port(), servo.GetInputPort(name))
+        return servo.get_output_port()
 
     def begin(self, passage: Passage) -> None:
-        """See `Acting`."""
-        for source, course in zip(self._sources, self._courses(passage), strict=True):
-            source.UpdateTrajectory(course)
+        """Have a passage act, in the time since its log began."""
+        courses = {"feedforward": (passage.time, self._beside(passage))}
+        if self._servoed:
+            time = self._bends(passage)
+            own = zip(_COMMANDS, self._commands(passage, time), strict=True)
+            courses |= {name: (time, values) for name, values in own}
+        for name, (time, values) in courses.items():
+            lines = PiecewisePolynomial.FirstOrderHold(time, values.T)
+            self._sources[name].UpdateTrajectory(lines)
+
+    def remember(self, passage: Passage, root: Context) -> None:
+        """Set integrals to what they have grown to in the log, by its efforts."""
+        if self._ki.any():
+            context = self._servo.GetMyMutableContextFromRoot(root)
+            context.SetContinuousState(self._begun(passage))
 
     def along(self, passage: Passage) -> EffortAlong:
-        """See `Acting`."""
+        """Return what acts in a passage whose motors move as they were measured."""
         segment, beside = passage.segment, self._beside(passage)
+        if not self._servoed:
+            none = np.zeros(len(self._ki))
+            return EffortAlong(beside, np.zeros_like(beside), self._gains, none)
         command, rate = self._commands(passage, passage.time)
         behind = np.where(self._told, command - segment.position, 0.0)
         error = ServoError(behind, rate - segment.velocity, np.zeros_like(behind), beside)
-        unlimited = replace(self._gains, limit=np.full(len(self._ki), np.inf))
+        unlimited = self._gains._replace(limit=np.full(len(self._ki), np.inf))
         effort = servo_effort(unlimited, error)
         return EffortAlong(effort, behind, self._gains, self._begun(passage))
 
-    def remember(self, passage: Passage, root: Context) -> None:
-        """Integrals are what they have grown to in the log, by its efforts."""
-        if not self._ki.any():
-            return
-        context = self._servo.GetMyMutableContextFromRoot(root)
-        state = context.get_mutable_continuous_state_vector()
-        state.SetFromVector(self._begun(passage))
-
     def _begun(self, passage: Passage) -> Array:
-        """(n,) integrals when a passage begins, rad·s or m·s; 0 of servos without one."""
+        """Return the integrals (n,) when a passage begins, rad·s or m·s."""
         begun, instants = np.zeros(len(self._ki)), self._log.time - passage.began
         known = np.isfinite(instants)
         for j, effort in self._integrals.items():
@@ -161,19 +125,12 @@ class ServoedCommand(Acting):
         servos = {j: self._servos[j] for j in np.flatnonzero(self._ki).tolist()}
         return {j: integral_effort(self._log, j, servo) for j, servo in servos.items() if servo}
 
-    def _courses(self, passage: Passage) -> tuple[PiecewisePolynomial, ...]:
-        """Late commands, their rates, and efforts beside the servos, in the order of inputs."""
-        time = self._bends(passage)
-        command, rate = self._commands(passage, time)
-        beside = self._beside(passage)
-        return _lines(time, command), _lines(time, rate), _lines(passage.time, beside)
-
     def _beside(self, passage: Passage) -> Array:
-        """(K, n) efforts of joints without a servo."""
+        """Return the efforts (K, n) of joints without a servo."""
         return np.where(self._told, 0.0, np.asarray(passage.segment.effort))
 
     def _bends(self, passage: Passage) -> Array:
-        """(K,) instants of a passage at which late commands bend, with its first and its last."""
+        """Return the instants (K,) at which late commands bend, and both ends of the passage."""
         first, last = passage.time[0], passage.time[-1]
         bends = [np.array([first, last])]
         for late, _, _ in self._late(passage).values():
@@ -182,14 +139,14 @@ class ServoedCommand(Acting):
         return time[np.append(np.diff(time) > _APART, True)]
 
     def _commands(self, passage: Passage, time: Array) -> tuple[Array, Array]:
-        """Late commands and their rates (K, n) at instants (K,) of a passage."""
+        """Return late commands and their rates (K, n) at instants (K,) of a passage."""
         commands, rates = np.zeros((2, len(time), len(self._told)))
         for j, (late, column, rate) in self._late(passage).items():
             commands[:, j], rates[:, j] = np.interp(time, late, column), np.interp(time, late, rate)
         return commands, rates
 
     def _late(self, passage: Passage) -> dict[int, tuple[Array, Array, Array]]:
-        """Of each joint that is told: instants when commands act, commands, and their rates."""
+        """Joint that is told -> instants when commands act, commands, and their rates."""
         whole, command, found = self._log.time - passage.began, self._log.command, {}
         for j in np.flatnonzero(self._told).tolist():
             column = np.empty(0) if command is None else command[:, j]
@@ -200,38 +157,9 @@ class ServoedCommand(Acting):
         return found
 
 
-def acting_in(model: RobotModel, log: JointLog, *, commands: bool) -> Acting:
-    """What acts in a log.
-
-    Args:
-        commands: Whether servos follow the commands of the log, where it has any.
-    """
-    if commands and told_joints(model, log).any():
-        return ServoedCommand(model, log)
-    return LoggedEffort(len(model.joints))
-
-
 def told_joints(model: RobotModel, log: JointLog) -> NDArray[np.bool_]:
     """(n,) whether each joint has a servo, and a command in a log."""
     if log.command is None:
         return np.zeros(len(model.joints), bool)
     known = (np.isfinite(log.command) & np.isfinite(log.time)[:, None]).any(axis=0)
     return np.array([servo is not None for servo in servos_of(model)]) & known
-
-
-def picked(builder: DiagramBuilder, port: OutputPort, places: NDArray[np.intp]) -> OutputPort:
-    """Some elements of an output.
-
-    Args:
-        places: Which elements, in which order.
-    """
-    if np.array_equal(places, np.arange(port.size())):
-        return port
-    gain = builder.AddSystem(MatrixGain(np.eye(port.size())[places]))
-    builder.Connect(port, gain.get_input_port())
-    return gain.get_output_port()
-
-
-def _lines(time: Array, values: Array) -> PiecewisePolynomial:
-    """Straight lines through values (K, n) at instants (K,)."""
-    return PiecewisePolynomial.FirstOrderHold(time, values.T)

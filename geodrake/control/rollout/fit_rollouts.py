@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance
-from geodrake.control.rollout.acting import acting_in
-from geodrake.control.rollout.fit_results import FittedValue, RolloutFit
+from geodrake.control.rollout.acting import Acting
 from geodrake.control.rollout.motion_search import (
     MotionSearch,
     SearchWindow,
@@ -25,8 +24,8 @@ from geodrake.control.rollout.motion_search import (
     blinds,
 )
 from geodrake.control.rollout.near_motion import NearMotion
-from geodrake.control.rollout.passages import Passage
-from geodrake.control.rollout.results import Rollout
+from geodrake.control.rollout.passages import Passage, chosen_passages
+from geodrake.control.rollout.results import FittedValue, Rollout, RolloutFit
 from geodrake.control.rollout.roll_out import (
     HORIZON,
     MOST_WINDOWS,
@@ -42,16 +41,15 @@ from geodrake.control.rollout.rollout_values import (
     values_at,
     with_values,
 )
-from geodrake.control.rollout.simulation import Simulation
-from geodrake.control.rollout.simulations import Simulations, chosen_passages
+from geodrake.control.rollout.simulation import simulations
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import Case, checked_logs, open_case
 from geodrake.identification.logs.criteria import TIE
 from geodrake.identification.logs.evidence import tie_probability
+from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _BROKEN = 1e3  # rad or m, by which a simulation departs that broke off
@@ -110,9 +108,14 @@ def fit_rollouts(
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
     passages = chosen_passages(case, horizon, most)
     tested = held_out([passage.log for passage in passages])
-    simulated = partial(case_rollout, horizon=horizon, most=most, commands=commands)
-    before = simulated(case, progress=_named("before", progress))
-    usable = _usable(before)
+
+    def simulated(model: RobotModel, name: str) -> Rollout:
+        of = replace(case, model=model)
+        told = progress and (lambda words, share: progress(f"{name}: {words}", share))
+        return case_rollout(of, horizon=horizon, most=most, commands=commands, progress=told)
+
+    before = simulated(case.model, "before")
+    usable = np.array([bool(np.isfinite(window.simulated).all()) for window in before.windows])
     fitted, seen = np.flatnonzero(usable & ~tested), np.flatnonzero(usable & tested)
     if min(len(fitted), len(seen)) < _FEWEST:
         raise LogError(
@@ -126,22 +129,18 @@ def fit_rollouts(
     x, deviations = MotionSearch(case.model, values, [windows[k] for k in fitted]).fit()
     found, deviations = values_at(values, x), changes_at(values, x) * deviations
     better = better_model(case.model, values, found, deviations)
-    after = simulated(replace(case, model=better), progress=_named("after", progress))
+    after = simulated(better, "after")
     departures = [after.windows[k].simulated - passages[k].logged for k in seen]
     chance = _chance(MotionSearch(case.model, values, [windows[k] for k in seen]), x, departures)
-    taken = chance <= TIE and not _departs_more(before, after, tested)
-    return RolloutFit(
-        better if taken else case.model,
-        tuple(
-            FittedValue(v.effect, v.joint, v.name, v.value, *now)
-            for v, *now in zip(values, found.tolist(), deviations.tolist(), strict=True)
-        ),
-        before,
-        after,
-        tuple(tested.tolist()),
-        chance,
-        taken,
+    held = [rollout.part(tested.tolist()) for rollout in (before, after)]
+    departs_more = held[1].relative > held[0].relative or held[1].broken > held[0].broken
+    taken = chance <= TIE and not departs_more
+    told = tuple(
+        FittedValue(v.effect, v.joint, v.name, v.value, *now)
+        for v, *now in zip(values, found.tolist(), deviations.tolist(), strict=True)
     )
+    model = better if taken else case.model
+    return RolloutFit(model, told, before, after, tuple(tested.tolist()), chance, taken)
 
 
 def held_out(logs: Sequence[str]) -> Mask:
@@ -160,19 +159,16 @@ def _windows(
     case: Case, passages: Sequence[Passage], before: Rollout, free: Sequence[tuple[int, int]]
 ) -> list[SearchWindow]:
     """All windows, ready to be simulated with other soft joints."""
-    simulations, found = Simulations(case, passages, commands=before.commands), []
+    made, found = simulations(case, passages, commands=before.commands), []
     acting = {
-        log.name: lru_cache(maxsize=1)(partial(acting_in, log=log, commands=before.commands))
+        log.name: lru_cache(maxsize=1)(partial(Acting, log=log, commands=before.commands))
         for log in case.asked.logs
     }
     for passage, window in zip(passages, before.windows, strict=True):
-        simulation = simulations(passage.log)
-        if isinstance(simulation, Simulation):  # as it is wherever joints are soft
-            near = NearMotion.of(simulation, passage, free)
-            departure = window.simulated - passage.logged
-            found.append(
-                SearchWindow(simulation.law, near, passage, acting[passage.log], departure)
-            )
+        simulation = made(passage.log)
+        near = NearMotion.of(simulation, passage, free)
+        departure = window.simulated - passage.logged
+        found.append(SearchWindow(simulation.law, near, passage, acting[passage.log], departure))
     return found
 
 
@@ -204,11 +200,6 @@ def better_model(
     return replace(better, information=information)
 
 
-def _usable(rollout: Rollout) -> Mask:
-    """(W,) windows that were simulated to their end."""
-    return np.array([bool(np.isfinite(window.simulated).all()) for window in rollout.windows])
-
-
 def _chance(search: MotionSearch, x: Array, after: Sequence[Array]) -> float:
     """Chance that held-out windows are truly predicted no better than before.
 
@@ -236,16 +227,3 @@ def _chance(search: MotionSearch, x: Array, after: Sequence[Array]) -> float:
     if not losses[1].sum() < losses[0].sum():
         return 1.0
     return tie_probability(losses[1], losses[0])
-
-
-def _departs_more(before: Rollout, after: Rollout, tested: Mask) -> bool:
-    """Return whether the held-out windows depart by a larger share of the motion than before."""
-    parts = [rollout.part(tested.tolist()) for rollout in (before, after)]
-    return bool(parts[1].relative > parts[0].relative) or parts[1].broken > parts[0].broken
-
-
-def _named(name: str, progress: Progress | None) -> Progress | None:
-    """Return a progress that says what is simulated."""
-    if progress is None:
-        return None
-    return lambda words, share: progress(f"{name}: {words}", share)

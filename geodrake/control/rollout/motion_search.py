@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from geodrake.control.rollout.acting import Acting
@@ -26,10 +25,9 @@ from geodrake.control.rollout.rollout_values import (
     values_at,
     with_values,
 )
+from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.simulation.force_law import ForceLaw
-
-Array = NDArray[np.float64]
 
 _TRIED = np.log([0.1, 0.2, 0.4, 0.7, 1.4, 2.5, 5.0, 10.0])  # steps of one value alone, at first
 _STEP = 0.02  # of a step, for slopes

@@ -23,19 +23,24 @@ from numpy.typing import NDArray
 
 from geodrake.compiling import compiled, contiguous
 from geodrake.control.rollout.acting import EffortAlong
-from geodrake.control.rollout.loose_links import AT_START, first_lag, motion_before, thrown
 from geodrake.control.rollout.passages import Passage
-from geodrake.control.rollout.simulation import Simulation
+from geodrake.control.rollout.simulation import (
+    AT_START,
+    Simulation,
+    first_lag,
+    motion_before,
+    thrown,
+)
 from geodrake.effects import FittedEffect, RobotMotion, Role
 from geodrake.effects.robot_motion import log_number
+from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.simulation.force_law import ForceLaw
 from geodrake.model.simulation.soft_joints import Coupling, SoftJoints
 
-Array = NDArray[np.float64]
 _Held = tuple[NDArray[np.intp], NDArray[np.intp], Array]  # links, motors, what couples them
-_Driven = tuple[Array, Array, NDArray[np.intp], Array]  # as `NearServos.numbers`
+_Driven = tuple[Array, Array, NDArray[np.intp], Array]  # efforts, behind, motors, gains
 
 _STEP = 2.5e-4  # s, of a simulation at most
 _MOVED = 1e-4  # rad or m, by which positions change for slopes of effects
@@ -64,11 +69,7 @@ class NearServos:
     def of(
         cls, law: ForceLaw, along: EffortAlong, motors: NDArray[np.intp]
     ) -> tuple[NearServos, Array]:
-        """Servos, and efforts (N, nv) at joints without any.
-
-        Args:
-            motors: (nv,) where in y the motor of each joint is.
-        """
+        """Return the servos, and efforts (N, nv) at joints without any."""
         kp, kd, ki, limit = along.gains.kp, along.gains.kd, along.gains.ki, along.gains.limit
         effort = law.applied(along.effort.T, law.mu).T
         gains = np.stack([law.applied(gain, law.mu) for gain in (kp, kd, ki, limit)], axis=1)
@@ -81,11 +82,6 @@ class NearServos:
             along.begun[some],
         )
         return servos, np.where(some, 0.0, effort)
-
-    @property
-    def numbers(self) -> _Driven:
-        """Efforts, what servos are behind, places and gains."""
-        return self.effort, self.behind, self.motors, self.gains
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +104,7 @@ class MotorForce:
     slopes: Array
 
     def change(self, effects: Sequence[FittedEffect]) -> float:
-        """By how much it is another one."""
+        """Return by how much it is another one."""
         return float(effects[self.at].parameters[self.index]) - self.parameter
 
 
@@ -153,7 +149,7 @@ class NearMotion:
         passage: Passage,
         free: Sequence[tuple[int, int]] = (),
     ) -> NearMotion:
-        """A passage of a log.
+        """Prepare a passage of a log.
 
         Args:
             free: Effects of the model at motors of one joint, and which of their parameters are to
@@ -197,7 +193,7 @@ class NearMotion:
     def under(
         self, law: ForceLaw, along: EffortAlong, effects: Sequence[FittedEffect]
     ) -> NearMotion:
-        """The same passage under other servos of the same joints, and other forces at motors."""
+        """Return the passage under other servos of the same joints, and other forces at motors."""
         servos, rest = NearServos.of(law, along, self.motors)[0], self.rest.copy()
         stiffness, damping, inertia = (
             whole.copy() for whole in (self.stiffness, self.damping, self.inertia)
@@ -212,7 +208,7 @@ class NearMotion:
         )
 
     def soft_joints(self, soft: SoftJoints, effects: Sequence[FittedEffect]) -> SoftJoints:
-        """The soft joints with other inertias of their motors, by which springs are damped."""
+        """Return the soft joints with other inertias of their motors, which damp springs."""
         inertia, places = soft.motor_inertia.copy(), self.motors[soft.velocities]
         for force in self.forces:
             inertia[places == force.place] += force.change(effects) * force.slopes[2].mean()
@@ -225,7 +221,7 @@ class NearMotion:
         *,
         slopes: bool = False,
     ) -> tuple[Array, Array]:
-        """(N, nv) simulated − measured positions of the motors, rad or m, and slopes (N, nv, k).
+        """Return simulated − measured positions (N, nv) of motors, rad or m, and slopes (N, nv, k).
 
         Args:
             effects: All effects, for where links in dead bands begin.
@@ -243,16 +239,17 @@ class NearMotion:
         held = np.array([[c.stiffness, c.play, c.damping, c.ramp] for c in couplings])
         out = np.empty((len(self.rest), s, start.shape[1]))
         steps = max(1, int(np.ceil(self.period / _STEP)))
-        equations = self.rest, self.inertia, self.damping, self.stiffness
+        equations, servos = (self.rest, self.inertia, self.damping, self.stiffness), self.servos
         soft = self.soft, self.motors[self.soft], held
-        calc_near_motion(equations, (self.period, steps), (soft, self.servos.numbers), start, out)
+        driven = servos.effort, servos.behind, servos.motors, servos.gains
+        calc_near_motion(equations, (self.period, steps), (soft, driven), start, out)
         found = out[:, self.motors]
         return found[..., 0], found[..., 1:]
 
     def _start(
         self, effects: Sequence[FittedEffect], couplings: Sequence[Coupling]
     ) -> tuple[Array, Array]:
-        """Lags (m,) when the passage begins, and their rates."""
+        """Return lags (m,) when the passage begins, and their rates."""
         lags = np.zeros_like(self.load)
         for _ in range(_LAG_ITERATIONS):
             torques = self.load - self.give_way * lags
@@ -264,7 +261,7 @@ class NearMotion:
 
 
 def _seen(simulation: Simulation, passage: Passage) -> RobotMotion:
-    """The measured motion as the effects of a model see it."""
+    """Return the measured motion as the effects of a model see it."""
     model, segment = simulation.model, passage.segment
     motion = Motion(
         model.positions(segment.position),
@@ -281,7 +278,7 @@ def _seen(simulation: Simulation, passage: Passage) -> RobotMotion:
 
 
 def _effort(model: RobotModel, seen: RobotMotion, *, at_motor: bool) -> Array:
-    """(N, nv) effort of effects at motors, or at bodies; without scales and soft joints."""
+    """Return efforts (N, nv) of effects at motors, or at bodies; without scales and springs."""
     effort = np.zeros_like(seen.v)
     for fitted in model.effects:
         effect = fitted.effect
@@ -293,7 +290,7 @@ def _effort(model: RobotModel, seen: RobotMotion, *, at_motor: bool) -> Array:
 def _motor_force(
     model: RobotModel, seen: RobotMotion, motors: NDArray[np.intp], at: int, index: int
 ) -> MotorForce:
-    """What a parameter makes; see `NearMotion.of`."""
+    """Return what a parameter makes; see `NearMotion.of`."""
     fitted = model.effects[at]
     j = model.joints.index(fitted.effect.where[0])
     one = replace(fitted, parameters=np.eye(len(fitted.parameters))[index])
@@ -309,7 +306,7 @@ def _motor_force(
 
 
 def _at_motors(model: RobotModel, seen: RobotMotion) -> tuple[Array, tuple[Array, Array, Array]]:
-    """(N, nv) effort of effects at motors, and its slopes with each joint's own q, v and v̇."""
+    """Return efforts (N, nv) of effects at motors, and slopes with each joint's q, v and v̇."""
     sizes = {"q": np.full(len(model.joints), _MOVED), "v": seen.sign_width + 1e-9}
     sizes["vd"] = np.ones(len(model.joints))
     slopes = []
@@ -330,7 +327,7 @@ def calc_near_motion(
     start: Array,
     out: Array,
 ) -> None:
-    """Writes how far links and motors are from the measured motion, by the midpoint rule.
+    """Write how far links and motors are from the measured motion, by the midpoint rule.
 
     Couplings and servos are linear within a step. Beside the motion, changes of it are followed.
 

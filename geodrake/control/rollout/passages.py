@@ -6,16 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.effects.sensors import delayed_by
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.reduce import peak_speeds
+from geodrake.inertia import Array
 from geodrake.logs.motion import MEMORY
 from geodrake.logs.smoothing import Segment, Stretch
-
-Array = NDArray[np.float64]
 
 _MOVING = 0.05  # share of the peak speeds that the mean speed of a passage must have
 
@@ -54,11 +52,11 @@ class Passage:
         return self.stretch[max(0, self.start - MEMORY) : self.start].position
 
 
-def moving_passages(case: Case, seconds: float) -> list[Passage]:
-    """Passages of a length, one after another, in which the robot of a case moves.
+def chosen_passages(case: Case, horizon: float, most: int) -> list[Passage]:
+    """Choose passages of a length, spread evenly over all in which the robot of a case moves.
 
     Args:
-        seconds: Length of each passage, s.
+        horizon: Length of each passage, s.
 
     Raises:
         LogError: There is none.
@@ -69,20 +67,22 @@ def moving_passages(case: Case, seconds: float) -> list[Passage]:
         Passage(trajectory.name, trajectory.began, segment, stretch, start)
         for trajectory in case.trajectories
         for stretch in trajectory.segments
-        for start, segment in _moving(stretch, seconds, peak, case.model.delays)
+        for start, segment in _moving(stretch, horizon, peak, case.model.delays)
     ]
     if not found:
         raise LogError(
-            f"In no log does the robot move for {seconds:g} s without a gap.",
+            f"In no log does the robot move for {horizon:g} s without a gap.",
             advice="Give a shorter horizon, or a longer log.",
         )
-    return found
+    count = min(most, len(found))
+    chosen = np.unique(np.linspace(0, len(found) - 1, count).round().astype(int))
+    return [found[k] for k in chosen.tolist()]
 
 
 def _moving(
     stretch: Stretch, seconds: float, peak: Array, delays: Array
 ) -> Iterator[tuple[int, Segment]]:
-    """First samples of the passages of a stretch, and the passages."""
+    """Yield the passages of a stretch, one after another, with the numbers of first samples."""
     count = round(seconds / stretch.period) + 1
     if count < 2:
         raise ArgumentError(

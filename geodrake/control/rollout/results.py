@@ -1,16 +1,16 @@
-"""What a rollout finds."""
+"""What a rollout, and a fit of rollouts, finds."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short, Shown
-
-Array = NDArray[np.float64]
+from geodrake.inertia import Array
+from geodrake.model.effort_signal import COMMAND, SERVO
+from geodrake.model.robot_model import RobotModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,40 +81,26 @@ class Rollout(Shown):
         windows: Sequence[Window],
         horizon: float,
         notes: tuple[str, ...] = (),
+        commands: bool = False,
     ) -> Rollout:
-        """With the departures of joints that windows have.
-
-        Args:
-            horizon: Length of the windows, s.
-            notes: What was done to the logs, noticed about the model, and assumed.
-        """
+        """Return a rollout with the departures that the windows of the named joints have."""
         departures = [np.nan_to_num(w.departure, nan=np.inf) for w in windows]
         squares = np.array([np.mean(np.square(d), 0) for d in departures])
         moved = np.array([np.mean(np.square(w.measured - w.measured[0]), 0) for w in windows])
-        joints = []
-        for j, joint in enumerate(names):
-            worst = windows[int(np.argmax(squares[:, j]))]
-            joints.append(
-                JointDeparture(
-                    joint,
-                    float(np.sqrt(squares[:, j].mean())),
-                    float(np.sqrt(moved[:, j].mean())),
-                    (worst.log, float(worst.time[0])),
-                )
-            )
+        rms, moves = np.sqrt(squares.mean(0)).tolist(), np.sqrt(moved.mean(0)).tolist()
+        worst = [windows[k] for k in squares.argmax(0)]
+        joints = tuple(
+            JointDeparture(name, departs, moves, (most.log, float(most.time[0])))
+            for name, departs, moves, most in zip(names, rms, moves, worst, strict=True)
+        )
         broken = sum(bool(np.isnan(w.simulated).any()) for w in windows)
-        return cls(tuple(joints), tuple(windows), horizon, broken, notes)
+        return cls(joints, tuple(windows), horizon, broken, notes, commands)
 
     def part(self, chosen: Sequence[bool]) -> Rollout:
-        """Some of the windows alone.
-
-        Args:
-            chosen: (W,) which.
-        """
+        """Return the rollout of some of the W windows alone."""
         windows = [w for w, taken in zip(self.windows, chosen, strict=True) if taken]
         names = [joint.joint for joint in self.joints]
-        found = Rollout.of(names, windows, self.horizon, self.notes)
-        return replace(found, commands=self.commands)
+        return Rollout.of(names, windows, self.horizon, self.notes, self.commands)
 
     @property
     def under(self) -> str:
@@ -125,3 +111,76 @@ class Rollout(Shown):
     def relative(self) -> float:
         """Root mean square over joints of departure over motion."""
         return float(np.sqrt(np.mean([joint.relative**2 for joint in self.joints])))
+
+
+@dataclass(frozen=True)
+class FittedValue(Short):
+    """A value of an effect, or of a servo, that rollouts were fitted by.
+
+    Attributes:
+        effect: Name of the effect; "servo".
+        name: Name of the value; of a servo as in `EffortSignal`.
+        before: The model's value, where the fit began, SI.
+        deviation: Its standard deviation, for what else the model has.
+    """
+
+    effect: str
+    joint: str
+    name: str
+    before: float
+    after: float
+    deviation: float
+
+
+@dataclass(frozen=True, eq=False)
+class RolloutFit(Shown):
+    """What a model's soft joints, their play, servos and motors are by its simulated motion.
+
+    `before` and `after` say what they are under: logged efforts, or logged commands.
+
+    Attributes:
+        model: The model with what was fitted, or as it was if that was not taken.
+        before: The rollout of the model as it was, over all windows.
+        after: That with what was fitted, taken or not.
+        tested: Which windows the fit did not see.
+        chance: Chance that it is truly no better in those.
+        taken: Whether it predicts those better, by more than chance.
+    """
+
+    model: RobotModel
+    values: tuple[FittedValue, ...]
+    before: Rollout
+    after: Rollout
+    tested: tuple[bool, ...]
+    chance: float
+    taken: bool
+
+    @property
+    def held_out(self) -> tuple[Rollout, Rollout]:
+        """Before and after, over the windows that the fit did not see."""
+        return self.before.part(self.tested), self.after.part(self.tested)
+
+    @property
+    def fitted(self) -> tuple[Rollout, Rollout]:
+        """Before and after, over the windows that it saw."""
+        seen = [not tested for tested in self.tested]
+        return self.before.part(seen), self.after.part(seen)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the logs, noticed about the model, and assumed in the simulation.
+
+        Servos of joints that were not fitted are taken for what they were found to be.
+        """
+        fitted = {value.joint for value in self.values if value.effect == SERVO}
+        unsure = [
+            signal.joint
+            for signal in self.model.effort_signals
+            if signal.kind == COMMAND
+            and (signal.deviation or signal.damping_deviation or signal.integral_deviation)
+            and signal.joint not in fitted
+        ]
+        if not (unsure and self.after.commands):
+            return self.after.notes
+        words = "soft joints and play make up for what they are off by"
+        return (*self.after.notes, f"servos of {', '.join(unsure)} are not known exactly: {words}")

@@ -10,8 +10,9 @@ import numpy as np
 
 from geodrake.boundary.arguments import function, instance, instances, integer, real_array, typed
 from geodrake.control.rollout.acting import told_joints
+from geodrake.control.rollout.passages import chosen_passages
 from geodrake.control.rollout.results import Rollout, Window
-from geodrake.control.rollout.simulations import Simulations, chosen_passages
+from geodrake.control.rollout.simulation import simulations
 from geodrake.effects import Role
 from geodrake.effects.lookup import effect_of
 from geodrake.errors import ArgumentError, LogError
@@ -48,6 +49,8 @@ def roll_out(
     Hidden states, such as the bend of bristles, start as the measured motion before the window
     leaves them. Soft joints and play are motors and links with a spring or a dead band between
     them; what was measured is the motors', and links start where their measured load has them.
+    Where joints follow others, or are behind a transmission, efforts are those of leaders and
+    actuators (`DrivenPlant`).
 
     Args:
         model: The model.
@@ -61,7 +64,8 @@ def roll_out(
     Raises:
         ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
         LogError: A log cannot be used, or none moves for as long as a window.
-        ModelError: Joints follow others, and an effect depends on accelerations or loads.
+        ModelError: Joints follow others or are behind a transmission, and the model has soft joints
+            or effects with hidden states.
     """
     check_windows(horizon, most, progress)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
@@ -98,7 +102,7 @@ def command_rollout(
         ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
         LogError: A log cannot be used, or none moves for as long as a window, or has commands of
             servos.
-        ModelError: Joints follow others, and an effect depends on accelerations or loads.
+        ModelError: As for `roll_out`.
     """
     check_windows(horizon, most, progress)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
@@ -112,7 +116,7 @@ def commanded_motions(
     *,
     between: Sequence[RobotModel] = (),
 ) -> tuple[Rollout, ...] | None:
-    """How far a robot departs from its motion under the commands of logs, before and after a fit.
+    """Compare the motion of a robot under the commands of logs, before and after a fit.
 
     Args:
         between: Models on the way, as after the steps of an explanation.
@@ -128,11 +132,12 @@ def commanded_motions(
     case = open_case(after, logs, candidates=False)
     if not any(told_joints(case.model, log).any() for log in case.asked.logs):
         return None
-    found = []
-    for each in models:
-        same = replace(each, effort_signals=after.effort_signals, bandwidths=after.bandwidths)
-        found.append(case_rollout(replace(case, model=same), most=_COMPARED, commands=True))
-    return (*found, case_rollout(case, most=_COMPARED, commands=True))
+    same = (
+        replace(each, effort_signals=after.effort_signals, bandwidths=after.bandwidths)
+        for each in models
+    )
+    cases = [*(replace(case, model=each) for each in same), case]
+    return tuple(case_rollout(each, most=_COMPARED, commands=True) for each in cases)
 
 
 @typed
@@ -144,25 +149,19 @@ def case_rollout(
     commands: bool = False,
     progress: Progress | None = None,
 ) -> Rollout:
-    """Return the rollout of the model of a case, whose logs are prepared.
+    """Return the rollout of the model of a case, whose logs are prepared; see `roll_out`.
 
     Args:
-        horizon: Length of a window, s.
         commands: Whether servos close the loop, as in `command_rollout`.
-        progress: Called with each window: its log, and the share that is done.
-
-    Raises:
-        LogError: No log moves for as long as a window, or none has commands of servos.
-        ModelError: Joints follow others, and an effect depends on accelerations or loads.
     """
-    model, logs = case.model, {log.name: log for log in case.asked.logs}
-    if commands and not any(told_joints(model, log).any() for log in logs.values()):
+    model, logs = case.model, case.asked.logs
+    if commands and not any(told_joints(model, log).any() for log in logs):
         raise LogError(
             "No log has the commands of a servo that the model knows.",
             advice="Roll out under efforts, or give logs with columns <joint>.command.",
         )
     chosen = chosen_passages(case, horizon, most)
-    simulation = Simulations(case, chosen, commands=commands)
+    simulation = simulations(case, chosen, commands=commands)
     windows, notes = list[Window](), dict.fromkeys(_unheard(case) if commands else ())
     for done, passage in enumerate(chosen):
         log, segment = passage.log, passage.segment
@@ -171,8 +170,7 @@ def case_rollout(
         simulated = simulation(log).positions(passage)
         windows.append(Window(log, segment.time, segment.position, simulated))
         notes |= dict.fromkeys(simulation(log).notes)
-    found = Rollout.of(model.joints, windows, horizon, (*case.notes, *notes))
-    return replace(found, commands=commands)
+    return Rollout.of(model.joints, windows, horizon, (*case.notes, *notes), commands)
 
 
 def _unheard(case: Case) -> list[str]:
@@ -187,11 +185,7 @@ def _unheard(case: Case) -> list[str]:
 
 
 def check_windows(horizon: float, most: int, progress: Progress | None) -> None:
-    """Refuses windows that cannot be.
-
-    Args:
-        horizon: Length of a window, s.
-        progress: What is called with each.
+    """Refuse windows that cannot be.
 
     Raises:
         ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.

@@ -6,16 +6,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.effects import FittedEffect, Role
 from geodrake.effects.deflection import DeflectionEffect, Give
 from geodrake.errors import ModelError
+from geodrake.inertia import Array
 from geodrake.model.effort_signal import SERVO, EffortSignal
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import servos_of
-
-Array = NDArray[np.float64]
 
 _FARTHEST = 30.0  # times what a value begins with
 _BESIDE = ("damping", "integral")  # of a servo, known beside its gain

@@ -1,82 +1,73 @@
-"""The simulation behind rollouts: a Drake diagram of a model under efforts or commands."""
+"""The simulations behind rollouts: Drake diagrams of a model under efforts or commands."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator, SimulatorStatus
-from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, OutputPort
-from pydrake.systems.primitives import Adder, MatrixGain
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 
-from geodrake.control.rollout.acting import Acting, picked
-from geodrake.control.rollout.following import FollowingEffort
-from geodrake.control.rollout.loose_links import AT_START, first_lag, motion_before, thrown
+from geodrake.control.rollout.acting import Acting
 from geodrake.control.rollout.passages import Passage
-from geodrake.control.systems import EffectForce
-from geodrake.errors import ModelError
+from geodrake.effects import FittedEffect, RobotMotion
+from geodrake.effects.deflection import DeflectionEffect
+from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.reduce import peak_speeds
+from geodrake.inertia import Array
 from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
+from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.simulation.driven_robot import DrivenPlant
+from geodrake.model.simulation.effect_force import EffectForce
 from geodrake.model.simulation.force_law import ForceLaw
 from geodrake.model.simulation.robot_in_diagram import FORCES
 from geodrake.robot.plant import load_plant, set_inertial_parameters
+from geodrake.robot.robot_instance import add_generalized_force, selected
 
-Array = NDArray[np.float64]
+AT_START = 9
+"""Samples of the rate at which soft joints bend when a passage begins."""
 
 LARGEST_STEP = 5e-3  # of the integrator, s
 _ACCURACY = 1e-3
 _STEPS, _TIMES = 60_000, 20  # that a rollout may take in all, and times those without a care
-FASTEST = 1e6  # peak speeds of the log, beyond which no robot is simulated any more
+_FASTEST = 1e6  # peak speeds of the log, beyond which no robot is simulated any more
 _STIFF = 4e3  # rate of decay from which on an implicit integrator is the faster one, 1/s
+_SIGN_WIDTH = 5e-3  # share of a joint's peak speed below which dry friction fades
+_BEFORE = 0.5  # s before a passage, from which on links are followed through dead bands
+_CHANGE = 1e-6  # of velocities, for rates of decay
 
 
-def allowed_steps(passages: Sequence[Passage]) -> Iterator[int]:
-    """One item for each step that the simulation of passages may take, all of them together.
-
-    A robot that flies apart, as under efforts in other units, takes ever smaller steps. Models
-    that lacked all friction took up to 18 times the steps of calm ones on public logs (UR10e), and
-    256 times in the demo, some 74,000 for its twelve windows.
-    """
-    calm = sum(
-        max(len(passage.time), (passage.time[-1] - passage.time[0]) / LARGEST_STEP)
-        for passage in passages
-    )
-    return iter(range(_STEPS + round(_TIMES * calm)))
-
-
-def positions_along(
-    simulator: Simulator,
-    time: Array,
-    positions: Callable[[], Array],
-    *,
-    decay: float,
-    limit: Callable[[Context], EventStatus],
-) -> Array:
-    """(K, nv) positions of a simulation at times; NaN from where it ends or cannot go on.
+def simulations(
+    case: Case, passages: Sequence[Passage], *, commands: bool = False
+) -> Callable[[str], Simulation]:
+    """Return what gives the simulation of the model of a case in a log, made when first asked for.
 
     Args:
-        time: (K,) s.
-        positions: Those (nv,) that the simulation has just now.
-        decay: The fastest rate, 1/s, at which velocities decay; it decides on the integrator.
+        passages: What is to be simulated, which may take so many steps all together. A robot that
+            flies apart, as under efforts in other units, takes ever smaller ones. Models that
+            lacked all friction took up to 18 times the steps of calm ones on public logs (UR10e),
+            and 256 times in the demo, some 74,000 for its twelve windows.
+        commands: Whether servos close the loop.
     """
-    ResetIntegratorFromFlags(
-        simulator, "radau3" if decay > _STIFF else "runge_kutta3", LARGEST_STEP
-    )
-    simulator.get_mutable_integrator().set_target_accuracy(_ACCURACY)
-    simulator.Initialize()
-    simulator.set_monitor(limit)
-    found = np.full((len(time), len(positions())), np.nan)
-    for k, instant in enumerate(time):
-        try:
-            status = simulator.AdvanceTo(instant)
-        except RuntimeError:  # the integrator gives up: the robot flies apart
-            break
-        if status.reason() != SimulatorStatus.ReturnReason.kReachedBoundaryTime:
-            break
-        found[k] = positions()
-    return found
+    logs = {log.name: log for log in case.asked.logs}
+    prepared = {trajectory.name: trajectory for trajectory in case.trajectories}
+    fastest = np.maximum(peak_speeds(case.trajectories), 1e-3)
+    sign_width = case.model.sign_widths(_SIGN_WIDTH * fastest)
+    calm = sum(max(len(p.time), (p.time[-1] - p.time[0]) / LARGEST_STEP) for p in passages)
+    steps = iter(range(_STEPS + round(_TIMES * calm)))
+
+    @cache
+    def made(log: str) -> Simulation:
+        loaded, warmth = carrying(case.model, prepared[log].payloads), prepared[log].temperatures
+        acting = Acting(loaded, logs[log], commands=commands)
+        return Simulation(
+            loaded, sign_width, log, warmth, acting=acting, fastest=fastest, steps=steps
+        )
+
+    return made
 
 
 class Simulation:
@@ -86,6 +77,10 @@ class Simulation:
         sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
         fastest: (nv,) peak speeds of the measured motion, rad/s or m/s.
         steps: One item for each step of the integrator that is left.
+
+    Raises:
+        ModelError: The model has effects with hidden states or soft joints, and joints that follow
+            others or are behind a transmission.
     """
 
     def __init__(
@@ -100,61 +95,37 @@ class Simulation:
         steps: Iterator[int],
     ) -> None:
         self.model, self.sign_width, self.temperatures = model, sign_width, temperatures
-        self.acting = acting
-        self._fastest, self._steps = fastest, steps
-        builder = DiagramBuilder()
+        self.acting, self._fastest, self._steps = acting, fastest, steps
+        builder, phi, nv = DiagramBuilder(), model.total_phi, len(model.joints)
         loaded = load_plant(model.path, floating=model.floating, held=model.held, given=model.given)
-        self._plant = builder.AddSystem(loaded.plant)
+        self._plant = plant = builder.AddSystem(loaded.plant)
+        places = model.positions(np.arange(nv, dtype=float)[None])[0]
+        self._order = np.argsort(places)  # where the position of each velocity stands
+        own = np.concatenate([self._order, len(places) + np.arange(nv)])
+        driving = model.driving(sign_width, log, temperatures)
+        self._driving = None if driving is None else driving.in_plant(plant)
+        if self._driving is not None:
+            driven = builder.AddSystem(DrivenPlant(self._driving))
+            driven.close_loop(builder)
+            state = selected(builder, driven.GetOutputPort("state"), own)
+            builder.Connect(acting.add(builder, state), driven.GetInputPort("effort"))
+            self._diagram, self._soft = builder.Build(), False
+            return
         effects = [fitted for fitted in model.effects if fitted.effect.role in FORCES]
-        self._force = builder.AddSystem(
+        self._force = force = builder.AddSystem(
             EffectForce(
-                self._plant,
-                effects,
-                sign_width=self._whole(sign_width, 1.0),
-                phi=model.total_phi,
-                log=log,
-                temperatures=temperatures,
+                plant, effects, sign_width=sign_width, phi=phi, log=log, temperatures=temperatures
             )
         )
-        _check_followers(model, implicit=self._force.implicit)
-        # Where the position of each velocity stands.
-        places = model.positions(np.arange(len(model.joints), dtype=float)[None])[0]
-        self._order = model.coordinates.own_positions[np.argsort(places)]
-        nv = self._plant.num_velocities()
-        effort = self._whole_effort(builder, acting.add(builder, self._measured_state(builder)))
-        total = builder.AddSystem(Adder(2, nv))
-        builder.Connect(self._plant.get_state_output_port(), self._force.GetInputPort("state"))
-        builder.Connect(effort, self._force.GetInputPort("applied_effort"))
-        builder.Connect(effort, total.get_input_port(0))
-        builder.Connect(self._force.GetOutputPort("generalized_force"), total.get_input_port(1))
-        moving = total.get_output_port()
-        if model.followers:
-            following = builder.AddSystem(FollowingEffort(model))
-            builder.Connect(self._plant.get_state_output_port(), following.GetInputPort("state"))
-            builder.Connect(moving, following.GetInputPort("effort"))
-            moving = following.get_output_port()
-        builder.Connect(moving, self._plant.get_applied_generalized_force_input_port())
+        self._soft = bool(force.soft_joints)
+        state = plant.get_state_output_port()
+        measured = force.GetOutputPort("motor_state") if self._soft else state
+        effort = acting.add(builder, selected(builder, measured, own))
+        builder.Connect(state, force.GetInputPort("state"))
+        builder.Connect(effort, force.GetInputPort("applied_effort"))
+        for each in (effort, force.GetOutputPort("generalized_force")):
+            add_generalized_force(builder, plant, each)
         self._diagram = builder.Build()
-
-    def _measured_state(self, builder: DiagramBuilder) -> OutputPort:
-        """Positions and velocities (2 nv) of the motors, in the model's order."""
-        soft = self._force.soft_joints
-        port = (
-            self._force.GetOutputPort("motor_state")
-            if soft
-            else self._plant.get_state_output_port()
-        )
-        own = self._plant.num_positions() + self.model.coordinates.own_velocities
-        return picked(builder, port, np.concatenate([self._order, own]))
-
-    def _whole_effort(self, builder: DiagramBuilder, effort: OutputPort) -> OutputPort:
-        """Efforts (nv of the plant), of those of the model."""
-        to_plant = self._whole(np.eye(effort.size())).T
-        if np.array_equal(to_plant, np.eye(effort.size())):
-            return effort
-        gain = builder.AddSystem(MatrixGain(to_plant))
-        builder.Connect(effort, gain.get_input_port())
-        return gain.get_output_port()
 
     @property
     def law(self) -> ForceLaw:
@@ -164,96 +135,108 @@ class Simulation:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was assumed."""
-        return self._force.notes
+        return () if self._driving is not None else self._force.notes
 
     def positions(self, passage: Passage) -> Array:
-        """(K, nv) positions from a passage's first state on, under what acts in it.
+        """Return positions (K, nv) from a passage's first state on, under what acts in it.
 
         From where a joint is a million times as fast as it was measured, or no steps of the
         integrator are left, they are NaN.
         """
-        segment, time = passage.segment, passage.time
+        time = passage.time
         self.acting.begin(passage)
         simulator = Simulator(self._diagram)
         root = simulator.get_mutable_context()
         root.SetTime(time[0])
         self.acting.remember(passage, root)
+        decay = self._start(passage, root)
+        scheme = "radau3" if decay > _STIFF else "runge_kutta3"
+        ResetIntegratorFromFlags(simulator, scheme, LARGEST_STEP)
+        simulator.get_mutable_integrator().set_target_accuracy(_ACCURACY)
+        simulator.Initialize()
+        simulator.set_monitor(self._limit)
+        found = np.full((len(time), len(self._order)), np.nan)
+        for k, instant in enumerate(time):
+            try:
+                status = simulator.AdvanceTo(instant)
+            except RuntimeError:  # the integrator gives up: the robot flies apart
+                break
+            if status.reason() != SimulatorStatus.ReturnReason.kReachedBoundaryTime:
+                break
+            found[k] = self._measured(root)[self._order]
+        return found
+
+    def _start(self, passage: Passage, root: Context) -> float:
+        """Put the robot where a passage begins, and return how fast velocities decay there, 1/s."""
+        segment, plant = passage.segment, self._plant
+        context = plant.GetMyMutableContextFromRoot(root)
+        set_inertial_parameters(plant, context, self.model.total_phi)
+        q = np.array(self.model.positions(segment.position[:1])[0])
+        v = np.array(segment.velocity[0])
+        if self._driving is not None:
+            state = self._driving.plant_state(q, v)
+            plant.SetPositionsAndVelocities(context, np.concatenate(state))
+            M, _ = self._driving.mass_and_drift(q, 0.0 * v, root.get_time())
+            rates = np.vstack([_CHANGE * np.eye(len(v)), np.zeros(len(v))])
+            places = np.repeat(q[None], len(rates), axis=0)
+            needed = self._driving.needed(places, rates, 0.0 * rates, root.get_time())
+            return _fastest_decay(np.linalg.solve(M, (needed[:-1] - needed[-1]).T))
         self._remember(passage, root)
-        context = self._plant.GetMyMutableContextFromRoot(root)
-        set_inertial_parameters(self._plant, context, self.model.total_phi)
-        ways = self.model.coordinates
-        q = ways.plant_positions(self.model.positions(segment.position[:1]))[0]
-        v = ways.plant_velocities(segment.velocity[:1])[0]
-        if self._force.soft_joints:
+        if self._soft:
             self._deflect(passage, root, (q, v))
-        self._plant.SetPositions(context, q)
+        plant.SetPositions(context, q)
         decay = self._decay(root)
-        self._plant.SetVelocities(context, v)
-        return positions_along(
-            simulator,
-            time,
-            lambda: self._measured(root)[self._order],
-            decay=decay,
-            limit=self._limit,
-        )
+        plant.SetVelocities(context, v)
+        return decay
 
     def _measured(self, root: Context) -> Array:
-        """Positions (nq,) of the motors."""
-        if not self._force.soft_joints:
-            return self._plant.GetPositions(self._plant.GetMyContextFromRoot(root))
-        state = self._force.GetOutputPort("motor_state").Eval(
-            self._force.GetMyContextFromRoot(root)
-        )
-        return state[: self._plant.num_positions()]
+        """Return positions (nq,) of the model: of the motors where joints are soft."""
+        if self._soft:
+            own = self._force.GetMyContextFromRoot(root)
+            state = self._force.GetOutputPort("motor_state").Eval(own)
+            return state[: self._plant.num_positions()]
+        context = self._plant.GetMyContextFromRoot(root)
+        if self._driving is not None:
+            return self._driving.model_state(self._plant.GetPositionsAndVelocities(context))[0]
+        return self._plant.GetPositions(context)
 
     def _deflect(self, passage: Passage, root: Context, start: tuple[Array, Array]) -> None:
-        """Puts links where their load has them, and has their motors move as was measured.
+        """Put links where their load has them, and have their motors move as was measured.
 
         Args:
             root: Context of the diagram; that of the effects is changed.
             start: (nq,) positions and (nv,) velocities of the motors, which become those of links.
         """
-        first, ways, soft = (
-            passage.segment[:AT_START],
-            self.model.coordinates,
-            self._force.law.soft,
-        )
-        context = self._force.GetMyMutableContextFromRoot(root)
-        motion = (
-            ways.plant_positions(self.model.positions(first.position)),
-            ways.plant_velocities(first.velocity),
-            ways.plant_velocities(first.acceleration),
-        )
-        lags = np.array([self._force.lags(context, *each) for each in zip(*motion, strict=True)])
-        plays = np.array([each.play for each in self._force.couplings(context)])
-        lag, rate = first_lag(lags, plays, first.time, lambda: self._thrown(passage))
+        first, soft, force = passage.segment[:AT_START], self.law.soft, self._force
+        context = force.GetMyMutableContextFromRoot(root)
+        motion = self.model.positions(first.position), first.velocity, first.acceleration
+        lags = np.array([force.lags(context, *each) for each in zip(*motion, strict=True)])
+        plays = np.array([each.play for each in force.couplings(context)])
+
+        def loose() -> tuple[Array, Array]:
+            seen = motion_before(self.model, passage, self.sign_width)
+            return thrown(self.model.effects, seen, force.soft_joints)
+
+        lag, rate = first_lag(lags, plays, first.time, loose)
         q, v = start
-        self._force.set_motors(context, lag, v[soft.velocities])
+        force.set_motors(context, lag, v[soft.velocities])
         q[soft.positions] -= lag
         v[soft.velocities] -= rate
 
-    def _thrown(self, passage: Passage) -> tuple[Array, Array]:
-        seen = motion_before(self.model, passage, self.sign_width)
-        return thrown(self.model.effects, seen, self._force.soft_joints)
-
-    def _whole(self, values: Array, at_followers: float = 0.0) -> Array:
-        """Values (..., nv of the plant), of those (..., nv) of the model."""
-        shape = *values.shape[:-1], self.model.plant.num_velocities()
-        whole = np.full(shape, at_followers)
-        whole[..., self.model.coordinates.own_velocities] = values
-        return whole
-
     def _limit(self, root: Context) -> EventStatus:
-        """Ends a simulation that has no steps left, or whose robot is too fast for any."""
-        velocity = self._plant.GetVelocities(self._plant.GetMyContextFromRoot(root))
-        velocity = velocity[self.model.coordinates.own_velocities]
-        inside = bool((np.abs(velocity) < FASTEST * self._fastest).all())
+        """End a simulation that has no steps left, or whose robot is too fast for any."""
+        context = self._plant.GetMyContextFromRoot(root)
+        velocity = self._plant.GetVelocities(context)
+        if self._driving is not None:
+            state = self._plant.GetPositionsAndVelocities(context)
+            velocity = self._driving.model_state(state)[1]
+        inside = bool((np.abs(velocity) < _FASTEST * self._fastest).all())
         if inside and next(self._steps, None) is not None:
             return EventStatus.DidNothing()
         return EventStatus.ReachedTermination(self._diagram, "beyond all reason")
 
     def _remember(self, passage: Passage, root: Context) -> None:
-        """Leaves the hidden states of effects as the measured motion before a passage does."""
+        """Leave the hidden states of effects as the measured motion before a passage does."""
         effects = [effect for effect in self._force.effects if effect.state_count]
         if not effects:
             return
@@ -273,30 +256,70 @@ class Simulation:
         self._force.set_hidden_states(self._force.GetMyMutableContextFromRoot(root), states)
 
     def _decay(self, root: Context) -> float:
-        """The fastest rate, 1/s, at which velocities near rest decay by friction."""
-        ways, nv, m = self.model.coordinates, len(self.model.joints), len(self._force.soft_joints)
+        """Return the fastest rate, 1/s, at which velocities near rest decay by friction."""
+        nv, m = len(self.model.joints), len(self._force.soft_joints)
         context = self._plant.GetMyMutableContextFromRoot(root)
         motors = self._force.GetMyMutableContextFromRoot(root)
         port = self._plant.get_generalized_acceleration_output_port()
         own = motors.get_continuous_state_vector().CopyToVector()
         slopes = []
-        for change in 1e-6 * np.vstack([np.zeros(nv + m), np.eye(nv + m)]):
-            self._plant.SetVelocities(context, ways.plant_velocities(change[None, :nv])[0])
+        for change in _CHANGE * np.vstack([np.zeros(nv + m), np.eye(nv + m)]):
+            self._plant.SetVelocities(context, change[:nv])
             motors.SetContinuousState(np.concatenate([own[: len(own) - m], change[nv:]]))
             rates = self._force.EvalTimeDerivatives(motors).CopyToVector()[len(own) - m :]
-            slopes.append(np.concatenate([port.Eval(context)[ways.own_velocities], rates]))
+            slopes.append(np.concatenate([port.Eval(context), rates]))
         motors.SetContinuousState(own)
-        slope = (np.array(slopes[1:]) - slopes[0]).T / 1e-6
-        return float(np.abs(np.linalg.eigvals(slope)).max())
+        return _fastest_decay((np.array(slopes[1:]) - slopes[0]).T)
 
 
-def _check_followers(model: RobotModel, *, implicit: bool) -> None:
-    """Refuses effects that ask for accelerations, which a plant knows without followers only."""
-    for joint, (leader, _) in model.led.items() if implicit else ():
-        raise ModelError(
-            f"Joint {joint!r} follows {leader!r}, and the model has effects of accelerations or "
-            "loads, or soft joints: they cannot be simulated together.",
-            advice=f"Hold {leader!r} where it stands: --lock {leader}=VALUE, or "
-            "geodrake.model.holding.",
-            joint=joint,
-        )
+def _fastest_decay(slope: Array) -> float:
+    """Return the fastest rate, 1/s, of rates that change by (n, n) with small velocities."""
+    return float(np.abs(np.linalg.eigvals(slope / _CHANGE)).max())
+
+
+# Where links of soft joints are when a passage begins, and how they move: springs bend as their
+# load has them, and in dead bands links are as the motion before leaves them.
+
+
+def first_lag(
+    lags: Array, plays: Array, time: Array, loose: Callable[[], tuple[Array, Array]]
+) -> tuple[Array, Array]:
+    """Return lags (m,) of links behind their motors, and their rates, when a passage begins.
+
+    Args:
+        lags: (K, m) those that loads make at the first samples, rad or m.
+        plays: (m,) half widths of dead bands, rad or m.
+        time: (K,) instants of these samples, s.
+        loose: Gives lags in dead bands, and their rates; called only if there are any.
+    """
+    bends = lags - np.clip(lags, -plays, plays)
+    degree = min(2, len(lags) - 1)
+    slope = np.polyfit(time - time[0], bends, degree)
+    lag, rate = lags[0], slope[-2] if degree else np.zeros(len(plays))
+    if plays.any():
+        inside, rates = loose()
+        lag, rate = np.where(plays, bends[0] + inside, lag), np.where(plays, rates, rate)
+    return lag, rate
+
+
+def motion_before(model: RobotModel, passage: Passage, sign_width: Array) -> RobotMotion:
+    """Return the measured motion before a passage, up to its second sample, as effects see it."""
+    first = max(0, passage.start - round(_BEFORE / passage.stretch.period))
+    known = passage.stretch[first : passage.start + 2]
+    positions, time = model.positions(known.position), known.time - passage.began
+    motion = Motion(positions, known.velocity, known.acceleration, time)
+    return model.motion(motion, sign_width=sign_width)
+
+
+def thrown(
+    effects: Sequence[FittedEffect], seen: RobotMotion, joints: Sequence[str]
+) -> tuple[Array, Array]:
+    """Return lags (m,) in dead bands, and their rates, at the last sample but one of a motion."""
+    lag, rate = np.zeros((2, len(joints)))
+    for fitted in effects:
+        effect = fitted.effect
+        if isinstance(effect, DeflectionEffect) and effect.give(fitted.parameters).play:
+            found, share = effect.deflection(seen), float(fitted.parameters[0])
+            lag[joints.index(effect.joint)] += share * found.lag[-2]
+            rate[joints.index(effect.joint)] += share * found.rate[-2]
+    return lag, rate

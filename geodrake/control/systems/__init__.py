@@ -7,7 +7,6 @@ from geodrake.control.systems.adaptive_computed_torque_controller import (
 )
 from geodrake.control.systems.adaptive_controller import AdaptiveController
 from geodrake.control.systems.bregman_projection_estimator import BregmanProjectionEstimator
-from geodrake.control.systems.dc_motor import DcMotor
 from geodrake.control.systems.log_source import LogSource
 from geodrake.control.systems.model_residual import ModelResidual
 from geodrake.control.systems.passivity_based_adaptive_controller import (
@@ -26,7 +25,6 @@ __all__ = [
     "AdaptiveComputedTorqueController",
     "AdaptiveController",
     "BregmanProjectionEstimator",
-    "DcMotor",
     "DelayedEffort",
     "EffectForce",
     "FixedGains",

@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.systems.framework import BasicVector, Context, InputPort
+from scipy.linalg import solve_continuous_lyapunov
 
-from geodrake.control.adaptation import UpdateLaw, error_weight
-from geodrake.control.adaptation.covectors import calc_computed_torque_covector
+from geodrake.boundary.arguments import one_or_each
+from geodrake.control.adaptation import UpdateLaw
 from geodrake.control.regressor import ControlModel
 from geodrake.control.regressor.control_model import checked_control
-from geodrake.control.systems.adaptive_controller import AdaptiveController
-from geodrake.control.systems.control_result import ControlResult
+from geodrake.control.systems.adaptive_controller import AdaptiveController, ControlResult
 from geodrake.control.systems.prediction_error import PredictionError
-from geodrake.control.systems.requirements import checked_gains
 from geodrake.control.systems.safeguards import Safeguards, Seen
 from geodrake.inertia import Array
 from geodrake.model.simulation.scalar_system import differenced
@@ -72,7 +71,7 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         safeguards: Safeguards | None = None,
         prediction: PredictionError | None = None,
     ) -> None:
-        """Constructs the system.
+        """Construct the system.
 
         Args:
             law: How the estimate moves; None for a controller that does not adapt.
@@ -88,7 +87,7 @@ class AdaptiveComputedTorqueController(AdaptiveController):
                 not fit.
         """
         nv = len(checked_control(control).joints)
-        poles = checked_gains(rate, nv, "rates")
+        poles = one_or_each(rate, "rates", nv, strict=True)
         self._weight = np.zeros(0), np.zeros((0, 0))  # of the error, and of which poles it is
         super().__init__(
             control,
@@ -105,7 +104,7 @@ class AdaptiveComputedTorqueController(AdaptiveController):
             self._measured_port = self.DeclareVectorInputPort("acceleration", BasicVector(nv))
 
     def set_gains(self, context: Context, rate: ArrayLike) -> None:
-        """Changes the gains in a Context.
+        """Change the gains in a Context.
 
         Args:
             rate: λ of both poles of each joint's error, 1/s; one for all joints or (nv,).
@@ -113,13 +112,15 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         Raises:
             ArgumentError: They are not positive.
         """
-        self._set_gains(context, checked_gains(rate, self._nv, "rates"))
+        self._set_gains(context, one_or_each(rate, "rates", self._nv, strict=True))
 
     def _weight_at(self, poles: Array) -> Array:
-        """P (2 nv, 2 nv)."""
+        """Return P (2 nv, 2 nv) with Aᵀ P + P A = −𝟙, [Lee2019] Eq. (5.2.8)."""
         if not np.array_equal(self._weight[0], poles):
-            P = error_weight(poles**2, 2.0 * poles, np.eye(2 * self._nv))
-            self._weight = poles.copy(), P
+            one, zero = np.eye(self._nv), np.zeros((self._nv, self._nv))
+            A = np.block([[zero, one], [-np.diag(poles**2), -np.diag(2.0 * poles)]])
+            P = solve_continuous_lyapunov(A.T, -np.eye(len(A)))
+            self._weight = poles.copy(), 0.5 * (P + P.T)
         return self._weight[1]
 
     def _result_at(self, p: Array, seen: Seen, gains: Array) -> ControlResult:
@@ -137,8 +138,8 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         if not np.isfinite(acceleration).all():
             return None
         sample = self.control.at(seen.q, seen.qd, seen.qd, acceleration)
-        P = self._weight_at(self._gains(context))
-        return calc_computed_torque_covector(sample.regressor, sample.mass_matrix(p), P, e)
+        pulled = self._weight_at(self._gains(context))[self._nv :] @ e  # Bᵀ P e
+        return np.asarray(np.linalg.solve(sample.mass_matrix(p), pulled) @ sample.regressor)
 
     def _tracking_energy(self, truth: Array, seen: Seen, gains: Array) -> float:
         if self._measured_port is None:

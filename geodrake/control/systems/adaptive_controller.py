@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,18 +20,21 @@ from pydrake.systems.framework import (
     ValueProducer,
 )
 
-from geodrake.boundary.arguments import instance, positive
+from geodrake.boundary.arguments import instance, number, positive
 from geodrake.control.adaptation import UpdateLaw
 from geodrake.control.adaptation.plausible import limited
 from geodrake.control.regressor import ControlModel
-from geodrake.control.systems.control_result import ControlResult
+from geodrake.control.regressor.control_model import ControlSample
 from geodrake.control.systems.prediction_error import Prediction, PredictionError
-from geodrake.control.systems.requirements import (
+from geodrake.control.systems.safeguards import (
+    SUSPECT,
+    Safeguards,
+    Seen,
+    Watch,
     checked_estimate,
-    checked_time_step,
     require_single_joints,
+    usable,
 )
-from geodrake.control.systems.safeguards import SUSPECT, Safeguards, Seen, Watch, usable
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_context
@@ -38,6 +43,24 @@ _PARAMETERS, _ACTUATION, _WATCH, _BEFORE = 0, 1, 2, 3
 _GAINS, _GAMMA = 0, 1  # numeric parameters
 _BRAKING = 0.5  # of the limits of efforts, what is left for braking beside gravity and the like
 _QUIETLY = np.errstate(all="ignore")  # what is not finite is looked for and replaced
+
+
+@dataclass(frozen=True, eq=False)
+class ControlResult:
+    """What a controller makes of one sample.
+
+    Attributes:
+        effort: (nv,) effort to be applied.
+        sample: The robot as the effort has it.
+        covector: Gives the covector b (p,) for the update law, or None; None where adaptation
+            waits. Only this may read other ports than those of what was seen.
+        limited: Whether efforts would have been beyond their limits.
+    """
+
+    effort: Array
+    sample: ControlSample
+    covector: Callable[[Context], Array | None] | None
+    limited: bool = False
 
 
 class AdaptiveController(LeafSystem):
@@ -100,12 +123,7 @@ class AdaptiveController(LeafSystem):
         prediction: PredictionError | None,
         gains: Array,
     ) -> None:
-        """Declares what all adaptive controllers have; their gains are numeric parameters.
-
-        Raises:
-            ArgumentError: The robot has joints of several degrees of freedom, or an argument does
-                not fit.
-        """
+        """Declare what all adaptive controllers have; their gains are numeric parameters."""
         LeafSystem.__init__(self, converter=self._converter)
         require_single_joints(control)
         safeguards = Safeguards() if safeguards is None else safeguards
@@ -113,11 +131,11 @@ class AdaptiveController(LeafSystem):
         self.control, self.law = control, law
         self._nv = nv = len(control.joints)
         self._size = len(control.prior)
-        self._time_step = checked_time_step(time_step)
+        self._time_step = number(time_step, "time_step", lower=0.0)
         self._prediction: Prediction | None = None
         if prediction is not None:
             instance(prediction, "prediction", PredictionError)
-            self._prediction = Prediction.of(prediction, control, time_step)
+            self._prediction = Prediction(prediction, control, time_step)
         if law is not None:
             instance(law, "law", UpdateLaw)
         self.DeclareNumericParameter(BasicVector(gains))
@@ -138,11 +156,8 @@ class AdaptiveController(LeafSystem):
         self._acceleration_port = self.DeclareVectorInputPort(
             "desired_acceleration", BasicVector(nv)
         )
-        self._inputs = {
-            self._state_port.ticket(),
-            self._desired_port.ticket(),
-            self._acceleration_port.ticket(),
-        }
+        inputs = self._state_port, self._desired_port, self._acceleration_port
+        self._inputs = {port.ticket() for port in inputs}
         if time_step > 0:
             self._declare_discrete(start)
         else:
@@ -187,7 +202,7 @@ class AdaptiveController(LeafSystem):
 
     @abc.abstractmethod
     def _tracking_energy(self, truth: Array, seen: Seen, gains: Array) -> float:
-        """V_t."""
+        """Return V_t."""
 
     @property
     def _alone(self) -> bool:
@@ -211,10 +226,7 @@ class AdaptiveController(LeafSystem):
         return np.array(context.get_continuous_state_vector().CopyToVector())
 
     def set_parameters(self, context: Context, parameters: ArrayLike | None) -> None:
-        """Puts an estimate (p,) into a Context.
-
-        Args:
-            parameters: (p,) estimate, in the order of `ControlModel.prior`, or None for that.
+        """Put an estimate (p,), ordered as `ControlModel.prior`, or None for that, into a Context.
 
         Raises:
             ArgumentError: It is not in the manifold of the law, or has the wrong length.
@@ -228,10 +240,7 @@ class AdaptiveController(LeafSystem):
             context.SetContinuousState(p)
 
     def set_gamma(self, context: Context, gamma: float) -> None:
-        """Changes γ of the law in a Context: adaptation is as fast as γ⁻¹.
-
-        Args:
-            gamma: γ > 0.
+        """Change γ > 0 of the law in a Context: adaptation is as fast as γ⁻¹.
 
         Raises:
             ArgumentError: It is not positive, or there is no law with a γ.
@@ -294,18 +303,10 @@ class AdaptiveController(LeafSystem):
         )
         return ControlResult(applied, result.sample, None if waits else result.covector, limited)
 
-    def _watched(self, context: Context) -> Array:
-        """Return the memory of the watch, (4 nv + 4,)."""
-        return np.asarray(context.get_discrete_state(_WATCH).value())
-
-    def _held(self, context: Context) -> Array:
-        """Return the actuation (nv,) since the last update."""
-        return np.asarray(context.get_discrete_state(_ACTUATION).value())
-
     @_QUIETLY
     def _update(self, context: Context, state: DiscreteValues) -> None:
         p = context.get_discrete_state(_PARAMETERS).value()
-        seen, memory = self._look(context, self._watched(context))
+        seen, memory = self._look(context, context.get_discrete_state(_WATCH).value())
         result = self._controlled(p, seen, self._gains(context))
         stopped = memory[-2] == 0.0  # by a contradiction
         if result is not None:
@@ -355,7 +356,8 @@ class AdaptiveController(LeafSystem):
         if not (seen.trusted or seen.repeated) or result is None:
             return prediction.skipped(memory)
         # (Efforts at their limits are known as well, so prediction need not wait for them.)
-        effort = self._effort_port.Eval(context) if prediction.measured else self._held(context)
+        held = context.get_discrete_state(_ACTUATION).value()
+        effort = self._effort_port.Eval(context) if prediction.measured else held
         p = context.get_discrete_state(_PARAMETERS).value()
         return prediction.advanced(memory, p, seen, effort, result.sample)
 
@@ -366,12 +368,7 @@ class AdaptiveController(LeafSystem):
         value.set_value(self._controlled(p, seen, self._gains(context)))
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        """The rate of the update law.
-
-        Args:
-            context: Context of this system; the estimate is its state.
-            derivatives: Receives the (p,) rate of the estimate, per second.
-        """
+        """Rates (p,) of the estimate by the update law, per second; see `LeafSystem`."""
         if self._time_step > 0:  # no continuous state
             return
         p = context.get_continuous_state_vector().CopyToVector()

@@ -13,12 +13,13 @@ from geodrake.boundary.arguments import instance, integer, number, positive
 from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate
 from geodrake.control.online_estimation.sample_update import Rows
 from geodrake.control.regressor import ControlModel
-from geodrake.control.systems.requirements import (
+from geodrake.control.systems.safeguards import (
+    Safeguards,
+    Watch,
     checked_estimate,
-    require_same_robot,
     require_single_joints,
+    usable,
 )
-from geodrake.control.systems.safeguards import Safeguards, Watch, usable
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_context
@@ -43,12 +44,12 @@ class _Remembered:
     count: int = 0
 
     def turn(self, number: int, kept: int) -> Rows | None:
-        """One of the first `kept` samples, turn by turn; None if there are none."""
+        """Return one of the first `kept` samples, turn by turn; None if there are none."""
         kept = min(kept, self.kept, _SLOTS)
         return (self.regressors[number % kept], self.efforts[number % kept]) if kept else None
 
     def put(self, rows: Rows, count: int) -> None:
-        """In place of the oldest one."""
+        """Put rows in the place of the oldest ones."""
         slot = self.kept % _SLOTS
         self.regressors[slot], self.efforts[slot] = rows
         self.kept, self.count = self.kept + 1, count
@@ -98,7 +99,7 @@ class BregmanProjectionEstimator(LeafSystem):
         stale_time: float = 0.05,
         update_every: int = 1,
     ) -> None:
-        """Constructs the system.
+        """Construct the system.
 
         Args:
             filtered: The filter, its period the time step; one of 20 1/s if None.
@@ -128,7 +129,7 @@ class BregmanProjectionEstimator(LeafSystem):
                 f"{np.shape(update.tolerance)}."
             )
         filtered = FilteredRegressor(control, time_step) if filtered is None else filtered
-        require_same_robot(control, filtered)
+        instance(filtered, "filtered", FilteredRegressor).check_robot(control)
         if filtered.period != time_step:
             raise ArgumentError(
                 f"The filter is one for {filtered.period} s; the time step is {time_step} s."
@@ -143,13 +144,7 @@ class BregmanProjectionEstimator(LeafSystem):
         self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(nv))
         self._estimate, self._memory, self._seen, self._residual, self._error = (
             self.DeclareDiscreteState(value)
-            for value in (
-                start,
-                filtered.start(),
-                self._watch.start(),
-                np.zeros(nv),
-                np.array([np.inf]),
-            )
+            for value in (start, filtered.start(), self._watch.start(), np.zeros(nv), [np.inf])
         )
         # (Not discrete state, all of which Drake copies at every update.)
         samples = _Remembered(np.zeros((_SLOTS, *filtered.shape)), np.zeros((_SLOTS, nv)))
@@ -169,10 +164,7 @@ class BregmanProjectionEstimator(LeafSystem):
         return np.array(context.get_discrete_state(self._estimate).value())
 
     def set_parameters(self, context: Context, parameters: ArrayLike | None) -> None:
-        """Puts an estimate (p,) into a Context.
-
-        Args:
-            parameters: (p,) estimate, in the order of `ControlModel.prior`, or None for that.
+        """Put an estimate (p,), ordered as `ControlModel.prior`, or None for that, into a Context.
 
         Raises:
             ArgumentError: It is not in the manifold of the update, or has the wrong length.
@@ -212,7 +204,7 @@ class BregmanProjectionEstimator(LeafSystem):
             state.set_value(self._error, [following.error])
 
     def _remember(self, context: Context, state: State) -> None:
-        """Puts the last sample into memory, if there is a new one."""
+        """Put the last sample into memory, if there is a new one."""
         samples: _Remembered = state.get_mutable_abstract_state(self._samples).get_mutable_value()
         count = int(context.get_discrete_state(self._count).value()[0])
         rows = self._filter.rows(context.get_discrete_state(self._memory).value())

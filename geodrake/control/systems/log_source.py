@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
@@ -45,7 +46,7 @@ class LogSource(LeafSystem):
         *,
         largest_gap: float | None = None,
     ) -> None:
-        """Constructs the system.
+        """Construct the system.
 
         Args:
             log: The log. If it has no velocities, they are differences of its positions.
@@ -74,30 +75,22 @@ class LogSource(LeafSystem):
             velocity = np.gradient(position, self._time, axis=0)
         else:
             velocity = log.velocity[stamped]
-        n = len(log.joints)
-        for name, values in (
-            ("state", np.hstack([position, velocity])),
-            ("position", position),
-            ("velocity", velocity),
-            ("effort", effort),
-        ):
+        ports = {"position": position, "velocity": velocity, "effort": effort}
+        ports = {"state": np.hstack([position, velocity]), **ports}
+        for name, values in ports.items():
             last = values[-1].copy()
             if name in ("state", "velocity"):
-                last[-n:] = 0.0
-            self.DeclareVectorOutputPort(
-                name, BasicVector(values.shape[1]), self._player(values, last), {self.time_ticket()}
-            )
+                last[-len(log.joints) :] = 0.0
+            calc, known = partial(self._calc, values, last), {self.time_ticket()}
+            self.DeclareVectorOutputPort(name, BasicVector(len(last)), calc, known)
 
     @property
     def duration(self) -> float:
         """Time from the first sample to the last, s."""
         return float(self._time[-1])
 
-    def _player(self, values: Array, last: Array) -> Callable[[Context, BasicVector], None]:
-        def calc(context: Context, output: BasicVector) -> None:
-            output.SetFromVector(self._at(context.get_time(), values, last))
-
-        return calc
+    def _calc(self, values: Array, last: Array, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._at(context.get_time(), values, last))
 
     def _at(self, t: float, values: Array, last: Array) -> Array:
         if t > self._stamps[-1]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
+from geodrake.boundary.arguments import instance
 from geodrake.control.online_estimation import FilteredRegressor
 from geodrake.control.regressor import ControlModel
-from geodrake.control.systems.requirements import require_same_robot, require_single_joints
+from geodrake.control.systems.safeguards import require_single_joints
 from geodrake.errors import GeodrakeError
 from geodrake.inertia import Array
 from geodrake.model.simulation.scalar_system import differenced
@@ -43,7 +44,7 @@ class ModelResidual(LeafSystem):
     """
 
     def __init__(self, control: ControlModel, *, filtered: FilteredRegressor | None = None) -> None:
-        """Constructs the system.
+        """Construct the system.
 
         Raises:
             ArgumentError: The robot has joints of several degrees of freedom, or the filter is one
@@ -52,7 +53,7 @@ class ModelResidual(LeafSystem):
         LeafSystem.__init__(self, converter=self._converter)
         require_single_joints(control)
         if filtered is not None:
-            require_same_robot(control, filtered)
+            instance(filtered, "filtered", FilteredRegressor).check_robot(control)
         self.control, self._filter = control, filtered
         self._nv = nv = len(control.joints)
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
@@ -63,12 +64,12 @@ class ModelResidual(LeafSystem):
             "parameters", BasicVector(len(control.prior))
         )
         if filtered is None:
-            self.DeclareVectorOutputPort(
-                "residual", BasicVector(nv), self._calc_residual, {self.all_input_ports_ticket()}
-            )
-            self.DeclareVectorOutputPort(
-                "valid", BasicVector(1), self._calc_valid, {self.all_input_ports_ticket()}
-            )
+            known = {self.all_input_ports_ticket()}
+            for name, size, calc in (
+                ("residual", nv, self._calc_residual),
+                ("valid", 1, self._calc_valid),
+            ):
+                self.DeclareVectorOutputPort(name, BasicVector(size), calc, known)
             return
         self._memory, self._residual, self._valid = (
             self.DeclareDiscreteState(value)
@@ -84,7 +85,7 @@ class ModelResidual(LeafSystem):
         return self.control.prior
 
     def _error(self, context: Context) -> Array | None:
-        """Measured − predicted effort (nv,); None where it is not known."""
+        """Return measured − predicted effort (nv,); None where it is not known."""
         x, effort = self._state_port.Eval(context), self._effort_port.Eval(context)
         q, qd, qdd = x[: self._nv], x[self._nv :], self._acceleration_port.Eval(context)
         try:
@@ -106,12 +107,8 @@ class ModelResidual(LeafSystem):
             return
         x, effort = self._state_port.Eval(context), self._effort_port.Eval(context)
         with np.errstate(all="ignore"):
-            memory = self._filter.advanced(
-                context.get_discrete_state(self._memory).value(),
-                x[: self._nv],
-                x[self._nv :],
-                effort,
-            )
+            memory = context.get_discrete_state(self._memory).value()
+            memory = self._filter.advanced(memory, x[: self._nv], x[self._nv :], effort)
             Y, measured = self._filter.rows(memory)
             error = measured - Y @ self._parameters(context)
         state.set_value(self._memory, memory)

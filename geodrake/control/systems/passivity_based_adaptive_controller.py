@@ -8,16 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.systems.framework import Context
 
-from geodrake.boundary.arguments import positive, real_array
+from geodrake.boundary.arguments import one_or_each, positive, real_array
 from geodrake.boundary.showing import Short
 from geodrake.control.adaptation import UpdateLaw
-from geodrake.control.adaptation.covectors import calc_tracking_energy
 from geodrake.control.regressor import ControlModel
 from geodrake.control.regressor.control_model import checked_control
-from geodrake.control.systems.adaptive_controller import AdaptiveController
-from geodrake.control.systems.control_result import ControlResult
+from geodrake.control.systems.adaptive_controller import AdaptiveController, ControlResult
 from geodrake.control.systems.prediction_error import PredictionError
-from geodrake.control.systems.requirements import checked_gains
 from geodrake.control.systems.safeguards import Safeguards, Seen
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
@@ -104,7 +101,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         safeguards: Safeguards | None = None,
         prediction: PredictionError | None = None,
     ) -> None:
-        """Constructs the system.
+        """Construct the system.
 
         Args:
             law: How the estimate moves; None for a controller that does not adapt.
@@ -132,7 +129,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         )
 
     def set_gains(self, context: Context, gains: VaryingGains | FixedGains) -> None:
-        """Changes the gains in a Context.
+        """Change the gains in a Context.
 
         Raises:
             ArgumentError: They are of the other kind, or not as many as the joints.
@@ -147,7 +144,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         self._set_gains(context, vector)
 
     def _error(self, seen: Seen, rate: Array) -> tuple[Array, Array, Array]:
-        """v, a and r, each (nv,)."""
+        """Return v, a and r, each (nv,)."""
         v = seen.v_d - rate * (seen.q - seen.q_d)
         return v, seen.a_d - rate * (seen.qd - seen.v_d), seen.qd - v
 
@@ -165,14 +162,15 @@ class PassivityBasedAdaptiveController(AdaptiveController):
     def _tracking_energy(self, truth: Array, seen: Seen, gains: Array) -> float:
         r = self._error(seen, gains[: self._nv])[2]
         sample = self.control.at(seen.q, seen.qd, seen.qd, np.zeros(self._nv))
-        return calc_tracking_energy(sample.mass_matrix(truth), r)
+        return float(0.5 * r @ sample.mass_matrix(truth) @ r)  # [Lee2019] Eq. (5.2.14)
 
 
 def _gain_vector(gains: VaryingGains | FixedGains, nv: int) -> Array:
-    """Rates Λ and, where gains are fixed, damping K: (nv,) or (2 nv,)."""
+    """Return rates Λ and, where gains are fixed, damping K: (nv,) or (2 nv,)."""
     if not isinstance(gains, VaryingGains | FixedGains):
         raise ArgumentError(f"Expected VaryingGains or FixedGains; got {gains!r}.")
-    rate = checked_gains(gains.rate, nv, "rates")
+    rate = one_or_each(gains.rate, "rates", nv, strict=True)
     if isinstance(gains, VaryingGains):
         return rate
-    return np.concatenate([rate, checked_gains(gains.damping, nv, "damping gains")])
+    damping = one_or_each(gains.damping, "damping gains", nv, strict=True)
+    return np.concatenate([rate, damping])

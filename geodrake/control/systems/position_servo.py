@@ -1,12 +1,14 @@
-"""Servos that hold positions that they are told."""
+"""Servos that hold positions that they are told, and their law."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from contextlib import nullcontext
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydrake.symbolic import Expression
 from pydrake.systems.framework import (
     Context,
     ContinuousState,
@@ -15,41 +17,96 @@ from pydrake.systems.framework import (
     OutputPort,
 )
 
-from geodrake.boundary.arguments import instance, one_or_each
-from geodrake.control.motors import ServoError, ServoGains, integral_rate, servo_effort
-from geodrake.control.systems.joint_system import JointSystem, count_of
+from geodrake.boundary.arguments import instance, one_or_each, real_array
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_context
-from geodrake.model.formulas.evaluation import Scalars
+from geodrake.model.formulas.evaluation import Scalars, evaluated
+from geodrake.model.formulas.symbols import Symbols
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import command_delays, servo_gains
 from geodrake.model.simulation.robot_in_diagram import RobotInDiagram, late
-from geodrake.model.simulation.scalar_system import add_scalar_types
+from geodrake.model.simulation.scalar_system import ScalarSystem, add_scalar_types
 
-_GAINS = ("kp", "kd", "ki", "limit", "dead_band")
-_Law = Callable[[ServoGains, ServoError], Scalars]
-_STRICT, _INFINITE = ("limit",), ("limit",)  # gains that cannot be zero, and that may be infinite
+
+class ServoGains(NamedTuple):
+    """Gains of servos, all (n,).
+
+    Attributes:
+        kp: Effort per error of position, N·m/rad or N/m.
+        kd: Effort per error of velocity, N·m·s/rad or N·s/m.
+        ki: Effort per integral of the error of position, N·m/(rad·s) or N/(m·s).
+        limit: Largest effort, N·m or N; infinite for none.
+        dead_band: Error of position up to which a servo does nothing about it, rad or m.
+    """
+
+    kp: Scalars
+    kd: Scalars
+    ki: Scalars
+    limit: Scalars
+    dead_band: Scalars
+
+
+class ServoError(NamedTuple):
+    """What servos act upon, all (..., n).
+
+    Attributes:
+        position: Commanded less measured position, rad or m.
+        velocity: Commanded less measured velocity.
+        integral: Integral of the error of position beyond the dead band, rad·s or m·s.
+        feedforward: Effort that is added, N·m or N.
+    """
+
+    position: Scalars
+    velocity: Scalars
+    integral: Scalars
+    feedforward: Scalars
+
+
+def servo_effort(gains: ServoGains, error: ServoError) -> Scalars:
+    """Return the efforts (..., n) of servos, N·m or N.
+
+        τ = sat(kp e + kd ė + ki z + τ_ff),   e = dead(c − q),   ż = e,   ė = ċ − v
+
+    where dead takes the dead band off an error, and sat keeps the limit.
+    """
+    return np.maximum(np.minimum(_unlimited(gains, error), gains.limit), -gains.limit)
+
+
+def integral_rate(gains: ServoGains, error: ServoError) -> Scalars:
+    """Return the rates ż (..., n); 0 where the effort is at its limit and would go beyond."""
+    effort, e = _unlimited(gains, error), _beyond(error.position, gains.dead_band)
+    wound_up = np.logical_or(
+        np.logical_and(effort > gains.limit, e > 0.0),
+        np.logical_and(effort < -gains.limit, e < 0.0),
+    )
+    return np.where(wound_up, 0.0, e)
+
+
+def _unlimited(gains: ServoGains, error: ServoError) -> Scalars:
+    e = _beyond(error.position, gains.dead_band)
+    return gains.kp * e + gains.kd * error.velocity + gains.ki * error.integral + error.feedforward
+
+
+def _beyond(e: Scalars, band: Scalars) -> Scalars:
+    """Return errors less a dead band: e − b above b, e + b below −b, 0 between."""
+    return np.maximum(e - band, 0.0) + np.minimum(e + band, 0.0)
 
 
 def _checked(name: str, value: ArrayLike, count: int) -> Array:
-    """Gains (count,) of one name.
-
-    Raises:
-        ArgumentError: They are negative, a limit is zero, or they are not as many.
-    """
-    strict, finite = name in _STRICT, name not in _INFINITE
-    return one_or_each(value, name, count, strict=strict, finite=finite)
+    """Return gains (count,) of one name, which are at least 0; a limit is above, or infinite."""
+    return one_or_each(value, name, count, strict=name == "limit", finite=name != "limit")
 
 
-class _PositionServo(JointSystem):
-    """`PositionServo` of any scalar type."""
+class _PositionServo(ScalarSystem):
+    """`PositionServo` of any scalar type; its gains are numeric parameters."""
 
-    def _declare(self, gains: dict[str, Scalars], integral: bool, converter: Any) -> None:
+    def _declare(self, gains: ServoGains, integral: bool, converter: Any) -> None:
         self._begin(converter)
         self._initial, self._integral = gains, integral
-        self._declare_numbers(gains)
-        n = self._count
+        self._count = n = len(gains.kp)
+        for values in gains:
+            self.DeclareNumericParameter(self._vector(values))
         self._command_port = self.DeclareVectorInputPort("commanded_position", self._vector(n))
         self._rate_port = self.DeclareVectorInputPort("commanded_velocity", self._vector(n))
         self._state_port = self.DeclareVectorInputPort("estimated_state", self._vector(2 * n))
@@ -62,10 +119,12 @@ class _PositionServo(JointSystem):
 
     def gains(self, context: Context) -> ServoGains:
         """Return the gains in a Context."""
-        return ServoGains(**self._numbers(context))
+        groups = range(len(ServoGains._fields))
+        values = (context.get_numeric_parameter(i).CopyToVector() for i in groups)
+        return ServoGains(*map(np.asarray, values))
 
     def set_gains(self, context: Context, **gains: ArrayLike) -> None:
-        """Changes gains in a Context.
+        """Change gains in a Context.
 
         Args:
             **gains: Those of kp, kd, ki, limit and dead_band that change; one for all joints or
@@ -76,9 +135,10 @@ class _PositionServo(JointSystem):
                 was made without an integral.
         """
         check_context(self, context)
-        if unknown := [name for name in gains if name not in _GAINS]:
+        names = ServoGains._fields
+        if unknown := [name for name in gains if name not in names]:
             raise ArgumentError(
-                f"A servo has no {', '.join(unknown)}.", advice=f"It has {', '.join(_GAINS)}."
+                f"A servo has no {', '.join(unknown)}.", advice=f"It has {', '.join(names)}."
             )
         values = {name: _checked(name, value, self._count) for name, value in gains.items()}
         if not self._integral and values.get("ki", np.zeros(1)).any():
@@ -86,23 +146,19 @@ class _PositionServo(JointSystem):
                 "This servo was made without an integral.",
                 advice="Give its constructor a ki above zero.",
             )
-        self._set_numbers(context, values)
+        for name, own in values.items():
+            self._set(context.get_mutable_numeric_parameter(names.index(name)), own)
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        """Rates of the integrals; see `LeafSystem`.
-
-        Args:
-            derivatives: Receives the rates, rad or m.
-        """
+        """Rates of the integrals, rad or m; see `LeafSystem`."""
         if derivatives.size():
-            rates = self._law(integral_rate, context)
-            self._set(derivatives.get_mutable_vector(), rates)
+            self._set(derivatives.get_mutable_vector(), self._law(integral_rate, context))
 
     def _calc_actuation(self, context: Context, output: Any) -> None:
         self._set(output, self._law(servo_effort, context))
 
-    def _law(self, law: _Law, context: Context) -> Scalars:
-        n = self._count
+    def _law(self, law: Callable[[ServoGains, ServoError], Scalars], context: Context) -> Scalars:
+        n, count = self._count, len(ServoGains._fields)
         state, none = np.asarray(self._state_port.Eval(context)), np.zeros(n)
         rate, feedforward = (
             np.asarray(port.Eval(context)) if port.HasValue(context) else none
@@ -111,12 +167,19 @@ class _PositionServo(JointSystem):
         integral = context.get_continuous_state_vector().CopyToVector() if self._integral else none
         command = np.asarray(self._command_port.Eval(context))
         told = command, state[:n], rate, state[n:], np.asarray(integral), feedforward
+        inputs = (*self.gains(context), *told)
 
         def of_inputs(*values: Scalars) -> Scalars:
-            c, q, c_rate, v, *more = values[len(_GAINS) :]
-            return law(ServoGains(*values[: len(_GAINS)]), ServoError(c - q, c_rate - v, *more))
+            c, q, c_rate, v, *more = values[count:]
+            return law(ServoGains(*values[:count]), ServoError(c - q, c_rate - v, *more))
 
-        return self._apply(of_inputs, *self._numbers(context).values(), *told)
+        if self._of is float:
+            return of_inputs(*inputs)
+        named = {f"x{i}": values for i, values in enumerate(inputs)}
+        symbols = (Symbols.inputs(name, len(values)) for name, values in named.items())
+        # (Drake's symbols raise flags of floating point that say nothing.)
+        with np.errstate(invalid="ignore") if self._of is Expression else nullcontext():
+            return evaluated(of_inputs(*symbols), named, self._of)
 
 
 class PositionServo(_PositionServo, LeafSystem):
@@ -175,10 +238,11 @@ class PositionServo(_PositionServo, LeafSystem):
         dead_band: ArrayLike = 0.0,
         converter: Any = None,
     ) -> None:
-        count = count_of(kp, "kp")
-        given = dict(zip(_GAINS, (kp, kd, ki, limit, dead_band), strict=True))
-        gains = {name: _checked(name, value, count) for name, value in given.items()}
-        self._declare(gains, bool(gains["ki"].any()), converter)
+        kp = real_array(kp, "kp")
+        count = len(kp) if kp.ndim == 1 else len(real_array([kp], "kp", ("n",)))
+        named = zip(ServoGains._fields, (kp, kd, ki, limit, dead_band), strict=True)
+        gains = ServoGains(*(_checked(name, value, count) for name, value in named))
+        self._declare(gains, bool(gains.ki.any()), converter)
 
     def _construct_copy(self, other: _PositionServo, converter: Any = None) -> None:
         self._declare(other._initial, other._integral, converter)
@@ -203,7 +267,7 @@ class PositionServo(_PositionServo, LeafSystem):
         command: OutputPort,
         rate: OutputPort | None = None,
     ) -> PositionServo:
-        """Adds a model's servos, and connects them with the robot that they drive.
+        """Add a model's servos, and connect them with the robot that they drive.
 
         Commands are late by the servos' delays, exactly where they are straight lines between
         instants a sampling period apart: a millisecond, or the shortest delay.

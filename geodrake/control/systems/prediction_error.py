@@ -13,7 +13,6 @@ from geodrake.control.adaptation import UpdateLaw
 from geodrake.control.online_estimation import FilteredRegressor
 from geodrake.control.regressor import ControlModel
 from geodrake.control.regressor.control_model import ControlSample
-from geodrake.control.systems.requirements import checked_time_step
 from geodrake.control.systems.safeguards import Seen
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
@@ -78,49 +77,24 @@ class PredictionError(Short):
         number(self.memory, "memory", lower=0.0)
 
 
-@dataclass(frozen=True, eq=False)
 class Prediction:
-    """`PredictionError` of one controller.
+    """`PredictionError` of one controller, of a robot and a period of control, s.
 
-    Attributes:
-        weight: (nv,) W.
-        tolerance: (nv,) errors that are not believed.
-        measured: Whether efforts come in by a port.
-        alone: Whether the tracking error does not count.
-        memory: For how long rows are remembered, s.
+    Raises:
+        ArgumentError: There is no time step, or numbers are not as many as joints.
     """
 
-    filtered: FilteredRegressor
-    weight: Array
-    tolerance: Array
-    measured: bool
-    alone: bool
-    memory: float
-
-    @classmethod
-    def of(cls, error: PredictionError, control: ControlModel, time_step: float) -> Prediction:
-        """For a robot and a period of control.
-
-        Args:
-            time_step: Period of control, s.
-
-        Raises:
-            ArgumentError: There is no time step, or numbers are not as many as joints.
-        """
-        if checked_time_step(time_step) == 0:
+    def __init__(self, error: PredictionError, control: ControlModel, time_step: float) -> None:
+        if time_step == 0:
             raise ArgumentError(
                 "The filtered regressor needs a time step.",
                 advice="Give the controller one, or adapt by the tracking error alone.",
             )
         nv = len(control.joints)
-        return cls(
-            FilteredRegressor(control, time_step, error.bandwidth, held_effort=True),
-            one_or_each(error.weight, "weight", nv),
-            one_or_each(error.tolerance, "tolerance", nv),
-            error.measured,
-            error.alone,
-            error.memory,
-        )
+        self.filtered = FilteredRegressor(control, time_step, error.bandwidth, held_effort=True)
+        self.weight = one_or_each(error.weight, "weight", nv)
+        self.tolerance = one_or_each(error.tolerance, "tolerance", nv)
+        self.measured, self.alone, self.memory = error.measured, error.alone, error.memory
 
     def start(self) -> Array:
         """Return the memory before the first sample: of the filter, and then S and c (p, p + 1)."""
@@ -135,13 +109,7 @@ class Prediction:
     def advanced(
         self, memory: Array, p: Array, seen: Seen, effort: Array, sample: ControlSample
     ) -> Array:
-        """Return the memory after a sample.
-
-        Args:
-            memory: That of the last sample.
-            p: (p,) estimate.
-            effort: (nv,) efforts.
-        """
+        """Return the memory after a sample of efforts (nv,), at an estimate (p,)."""
         size = self.filtered.size
         now = self.filtered.advanced(
             memory[:size], seen.q, seen.qd, effort, sample=sample, repeated=seen.repeated
@@ -162,12 +130,7 @@ class Prediction:
         return Y, error - np.clip(error, -self.tolerance, self.tolerance)
 
     def covector(self, law: UpdateLaw, p: Array, memory: Array) -> Array:
-        """Y_fᵀ W (Y_f p̂ − u_f) + S p̂ − c (p,), shortened so that no step of the law overshoots.
-
-        Args:
-            p: (p,) estimate.
-            memory: That of the last sample.
-        """
+        """Return Y_fᵀ W (Y_f p̂ − u_f) + S p̂ − c (p,), so short that no step overshoots."""
         size = self.filtered.size
         Y, error = self._error(p, memory[:size])
         b, rows = (self.weight * error) @ Y, np.sqrt(self.weight)[:, None] * Y

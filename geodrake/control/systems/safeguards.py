@@ -1,4 +1,4 @@
-"""What an online system believes, and what it does when it cannot."""
+"""What an online system asks of its arguments, what it believes, and what it does if it cannot."""
 
 from __future__ import annotations
 
@@ -13,9 +13,13 @@ from pydrake.multibody.tree import JointActuatorIndex
 from geodrake.boundary.arguments import number, one_or_each, real_array
 from geodrake.boundary.showing import Short
 from geodrake.compiling import compiled, contiguous
+from geodrake.control.adaptation import UpdateLaw
+from geodrake.control.regressor import ControlModel
+from geodrake.control.regressor.control_model import checked_control
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_plant
+from geodrake.manifolds import Manifold
 
 _MOVING = 1e-4  # rad/s or m/s, speed above which two equal measurements are one
 _LARGEST = 1e6  # rad, m, rad/s or m/s, norm of a state that no robot has
@@ -116,11 +120,8 @@ class Seen:
         """Return the same, with a desired motion that approaches from afar as fast as it can stop.
 
         An error e = q − q_d is to fall with ė = −s(e), which is λ e near zero, and beyond that the
-        speed that a deceleration a brakes within the distance, √(2 a (|e| − a / 2 λ²)).
-
-        Args:
-            rate: (n,) λ, 1/s.
-            braking: (n,) a, rad/s² or m/s².
+        speed that a deceleration a brakes within the distance, √(2 a (|e| − a / 2 λ²)), with the
+        rate λ (n,), 1/s, and the braking a (n,), rad/s² or m/s².
         """
         e, ed, knee = self.q - self.q_d, self.qd - self.v_d, braking / rate**2
         if not (far := np.abs(e) > knee).any():
@@ -182,11 +183,8 @@ class Watch:
     ) -> tuple[Seen, Array]:
         """Return what to go by, and the memory after the sample.
 
-        Args:
-            memory: (4 n + 4,) of the last sample.
-            state: (2 n,) measured positions and velocities.
-            desired: (2 n,) desired positions and velocities.
-            acceleration: (n,) desired accelerations.
+        Measured and desired states are (2 n,), positions and then velocities; accelerations (n,)
+        are desired ones.
         """
         n, following = self.size, memory.copy()
         measured, new = self.measure(following, state)
@@ -222,12 +220,7 @@ class Watch:
 def calc_measured(
     state: Array, times: tuple[float, float, float], memory: Array
 ) -> tuple[bool, bool]:
-    """Kernel of `Watch.measure`.
-
-    Args:
-        state: (2 n,) measured positions and velocities.
-        memory: (4 n + 4,) of the last sample, then of this one.
-    """
+    """Kernel of `Watch.measure`; the memory (4 n + 4,) becomes that of this sample."""
     period, stale, most = times
     n = len(state) // 2
     drift, counts = memory[3 * n : 4 * n], memory[4 * n :]
@@ -261,3 +254,45 @@ def calc_measured(
 def usable(x: Array) -> bool:
     """Return whether all of x (n,) are numbers, and not absurdly large ones."""
     return math.isfinite(x @ x)
+
+
+def require_single_joints(control: ControlModel) -> None:
+    """Check that positions are as many as velocities, joint by joint.
+
+    Raises:
+        ArgumentError: They are not.
+    """
+    if not checked_control(control).single_joints:
+        raise ArgumentError(
+            "Controllers and estimators need joints of one degree of freedom each; this robot has "
+            "others.",
+            advice="Weld the base, or use geodrake.control.regressor from Python.",
+        )
+
+
+def checked_estimate(
+    control: ControlModel, domain: Manifold | UpdateLaw | None, parameters: ArrayLike | None
+) -> Array:
+    """Return a copy of parameters (p,) that an estimate can start from; the model's if None.
+
+    Args:
+        domain: The manifold where the estimate lives, or the law that moves it; None for neither.
+
+    Raises:
+        ArgumentError: They are not as many as the robot's, not finite or not in the domain.
+    """
+    given = control.prior if parameters is None else parameters
+    p = real_array(given, "parameters", control.prior.shape).copy()
+    if domain is None:
+        return p
+    if domain.dimension not in (None, len(p)):
+        raise ArgumentError(
+            f"The law moves {domain.dimension} parameters; the robot has {len(p)}.",
+            advice="Make manifold and ControlModel from the same RobotModel.",
+        )
+    if not domain.contains(p):
+        raise ArgumentError(
+            f"These parameters are not inside of the law's manifold: {p.tolist()}.",
+            advice="Start from a physical estimate, friction and the like above zero.",
+        )
+    return p

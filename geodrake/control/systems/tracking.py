@@ -21,7 +21,7 @@ def add_tracking_drives(
     *,
     controller_plant: MultibodyPlant,
 ) -> OutputPort:
-    """Adds what makes a plant follow a motion: feedforward by inverse dynamics, PD at the joints.
+    """Add what makes a plant follow a motion: feedforward by inverse dynamics, PD at the joints.
 
     The PD control is that of the plant's own actuators, which a discrete plant takes implicitly:
     its gains may be as stiff as those of real drives.

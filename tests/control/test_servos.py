@@ -1,4 +1,4 @@
-"""Servos and motors: against closed forms, MuJoCo's actuators, and exact integration by SciPy."""
+"""Servos: against closed forms, MuJoCo's actuators, and exact integration by SciPy."""
 
 from dataclasses import replace
 
@@ -9,25 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
 from pydrake.symbolic import Evaluate, MakeVectorContinuousVariable
-from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
+from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
-    ConstantVectorSource,
-    LinearSystem,
     LogVectorOutput,
     TrajectorySource,
 )
 from pydrake.trajectories import PiecewisePolynomial
 from scipy.integrate import solve_ivp
 
-from geodrake.control import DcMotor, PositionServo
-from geodrake.control.motors import (
-    MotorConstants,
-    ServoError,
-    ServoGains,
-    motor_torque,
-    servo_effort,
-)
+from geodrake.control import PositionServo
 from geodrake.effects import FittedEffect, RotorInertia, ViscousFriction
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.model import EffortSignal
@@ -41,23 +32,12 @@ GAINS = {
     "limit": [5.0, np.inf],
     "dead_band": [0.02, 0.0],
 }
-MOTOR = {
-    "torque_constant": [0.05, 0.08],
-    "resistance": [1.2, 0.7],
-    "gear_ratio": [30.0, 80.0],
-    "back_emf_constant": [0.05, 0.07],
-    "inductance": [0.0, 2e-3],
-    "voltage_limit": 24.0,
-    "current_limit": [15.0, np.inf],
-}
 SEEN = {
     "commanded_position": [0.3, -0.2],
     "commanded_velocity": [0.5, 0.1],
     "estimated_state": [0.1, 0.4, -0.3, 1.1],
     "feedforward": [0.2, -0.6],
-    "voltage": [9.0, -5.0],
 }
-SYSTEMS = {"servo": lambda: PositionServo(**GAINS), "motor": lambda: DcMotor(**MOTOR)}
 
 
 def seen(system, **inputs):
@@ -130,81 +110,6 @@ def test_mujoco_s_position_actuators(values, kp, kv, limit):
     servo.GetInputPort("estimated_state").FixValue(context, [q, v])
     found = servo.get_output_port().Eval(context)
     np.testing.assert_allclose(found, data.actuator_force, rtol=1e-12, atol=1e-12)
-
-
-has_motors = pytest.mark.skipif(
-    not hasattr(mujoco.mjtGain, "mjGAIN_DCMOTOR"), reason="this MuJoCo has no motors"
-)
-
-
-def dcmotor(inductance="", gear=30.0, load=""):
-    return mujoco.MjModel.from_xml_string(f"""<mujoco><option timestep="2e-6" gravity="0 0 0"/>
-      <worldbody><body><joint name="a" axis="0 1 0" {load}/><geom size="0.1"/></body></worldbody>
-      <actuator><dcmotor joint="a" motorconst="0.05 0.05" resistance="1.2" gear="{gear}"
-        {inductance}/></actuator></mujoco>""")
-
-
-@has_motors
-def test_mujoco_s_motor():
-    compiled = dcmotor()
-    data, motor = mujoco.MjData(compiled), DcMotor([0.05], 1.2, gear_ratio=30.0)
-    context = motor.CreateDefaultContext()
-    for voltage, v in ((12.0, 0.0), (12.0, 5.0), (-3.0, 9.0), (0.0, -2.0)):
-        data.ctrl[0], data.qvel[0] = voltage, v
-        mujoco.mj_forward(compiled, data)
-        motor.GetInputPort("voltage").FixValue(context, [voltage])
-        motor.GetInputPort("estimated_state").FixValue(context, [0.0, v])
-        found = motor.GetOutputPort("torque").Eval(context)
-        np.testing.assert_allclose(found, data.qfrc_actuator, rtol=1e-12, atol=1e-14)
-
-
-@has_motors
-def test_a_current_rises_as_mujoco_s_and_as_the_closed_form():
-    """A motor that is held: i = u/R (1 − e^(−R t / L))."""
-    compiled = dcmotor('inductance="0.003"', load='armature="1e12"')
-    data = mujoco.MjData(compiled)
-    data.ctrl[0], end = 6.0, 3e-3
-    while data.time < end - 1e-9:
-        mujoco.mj_step(compiled, data)
-    mujoco.mj_forward(compiled, data)
-    builder = DiagramBuilder()
-    motor = builder.AddSystem(DcMotor([0.05], 1.2, gear_ratio=30.0, inductance=0.003))
-    for name, values in (("voltage", [6.0]), ("estimated_state", [0.0, 0.0])):
-        source = builder.AddSystem(ConstantVectorSource(values))
-        builder.Connect(source.get_output_port(), motor.GetInputPort(name))
-    simulator = Simulator(builder.Build())
-    ResetIntegratorFromFlags(simulator, "runge_kutta3", 1e-3)
-    simulator.get_mutable_integrator().set_target_accuracy(1e-10)
-    simulator.AdvanceTo(end)
-    context = motor.GetMyContextFromRoot(simulator.get_context())
-    torque, current = (motor.GetOutputPort(name).Eval(context) for name in ("torque", "current"))
-    np.testing.assert_allclose(current, 5.0 * (1.0 - np.exp(-1.2)), rtol=1e-8)
-    np.testing.assert_allclose(torque, 30.0 * 0.05 * current)
-    np.testing.assert_allclose(torque, data.qfrc_actuator, rtol=2e-3)
-
-
-def test_a_flywheel_comes_up_to_the_speed_without_load():
-    """J v̇ = τ_stall (1 − v / v₀): v = v₀ (1 − e^(−t τ_stall / (J v₀)))."""
-    J, builder = 0.4, DiagramBuilder()
-    motor = builder.AddSystem(DcMotor([0.05], 1.2, gear_ratio=30.0, voltage_limit=24.0))
-    assert motor.no_load_speed == pytest.approx(24.0 / 1.5)
-    assert motor.stall_torque == pytest.approx(1.5 * 20.0)
-    voltage = builder.AddSystem(ConstantVectorSource([400.0]))  # as much as there is
-    builder.Connect(voltage.get_output_port(), motor.GetInputPort("voltage"))
-    plant = builder.AddSystem(_double_integrator(J))
-    builder.Connect(motor.GetOutputPort("torque"), plant.get_input_port())
-    builder.Connect(plant.get_output_port(), motor.GetInputPort("estimated_state"))
-    simulator = Simulator(builder.Build())
-    simulator.get_mutable_integrator().set_target_accuracy(1e-10)
-    simulator.AdvanceTo(0.2)
-    v0, torque = motor.no_load_speed[0], motor.stall_torque[0]
-    v = simulator.get_context().get_continuous_state_vector().CopyToVector()[-1]
-    assert v == pytest.approx(v0 * (1.0 - np.exp(-0.2 * torque / (J * v0))), rel=1e-8)
-
-
-def _double_integrator(J):
-    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0 / J]])
-    return LinearSystem(A, B, np.eye(2), np.zeros((2, 1)))
 
 
 def test_a_servo_moves_a_plant_as_the_differential_equation_says(arm):
@@ -294,9 +199,8 @@ def test_models_without_servos_have_none(arm):
         PositionServo.of(current)
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_clones_and_other_scalars_do_the_same(name):
-    system = SYSTEMS[name]()
+def test_clones_and_other_scalars_do_the_same():
+    system = PositionServo(**GAINS)
     context = seen(system)
     wanted = everything(system, context)
     clone = system.Clone()
@@ -308,9 +212,8 @@ def test_clones_and_other_scalars_do_the_same(name):
     np.testing.assert_allclose(Evaluate(symbolic, at).ravel(), wanted, rtol=1e-14)
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_slopes_are_those_of_differences(name):
-    system = SYSTEMS[name]()
+def test_slopes_are_those_of_differences():
+    system = PositionServo(**GAINS)
     other, x = system.ToAutoDiffXd(), np.array(SEEN["estimated_state"])
     plain = {
         key: scalars(values, AutoDiffXd) for key, values in SEEN.items() if key != "estimated_state"
@@ -328,57 +231,28 @@ def test_slopes_are_those_of_differences(name):
 
 
 def test_numbers_of_the_context():
-    servo, motor = PositionServo([1.0, 2.0]), DcMotor([0.1], 2.0, inductance=1e-3)
+    servo = PositionServo([1.0, 2.0])
     context = seen(servo)
     servo.set_gains(context, kp=[5.0, 6.0], limit=1.5)
     gains = servo.gains(context)
     np.testing.assert_array_equal([gains.kp, gains.limit], [[5.0, 6.0], [1.5, 1.5]])
-    context = motor.CreateDefaultContext()
-    motor.set_constants(context, resistance=3.0)
-    assert motor.constants(context).resistance == [3.0]
     with pytest.raises(ArgumentError, match="without an integral"):
         servo.set_gains(seen(servo), ki=1.0)
-    with pytest.raises(ArgumentError, match="inductance"):
-        motor.set_constants(context, inductance=0.0)
     with pytest.raises(ArgumentError, match="no stiffness"):
         servo.set_gains(seen(servo), stiffness=1.0)
-    with pytest.raises(ArgumentError, match="no turns"):
-        motor.set_constants(context, turns=1.0)
 
 
 @pytest.mark.parametrize(
-    ("make", "arguments"),
+    "gains",
     [
-        (PositionServo, {"kp": -1.0}),
-        (PositionServo, {"kp": [1.0, np.nan]}),
-        (PositionServo, {"kp": [1.0, 2.0], "kd": [1.0, 2.0, 3.0]}),
-        (PositionServo, {"kp": 1.0, "limit": 0.0}),
-        (PositionServo, {"kp": 1.0, "dead_band": np.inf}),
-        (DcMotor, {"torque_constant": 0.0, "resistance": 1.0}),
-        (DcMotor, {"torque_constant": 1.0, "resistance": -1.0}),
-        (DcMotor, {"torque_constant": [[1.0]], "resistance": 1.0}),
-        (DcMotor, {"torque_constant": 1.0, "resistance": 1.0, "current_limit": np.nan}),
+        {"kp": -1.0},
+        {"kp": [[1.0]]},
+        {"kp": [1.0, np.nan]},
+        {"kp": [1.0, 2.0], "kd": [1.0, 2.0, 3.0]},
+        {"kp": 1.0, "limit": 0.0},
+        {"kp": 1.0, "dead_band": np.inf},
     ],
 )
-def test_wrong_numbers_are_refused(make, arguments):
+def test_wrong_numbers_are_refused(gains):
     with pytest.raises(ArgumentError):
-        make(**arguments)
-
-
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda: servo_effort(np.inf, [None]), "gains must be a ServoGains; it is inf"),
-        (lambda: ServoGains("1", 0.0, 0.0, np.inf, 0.0), "kp must be"),
-        (lambda: ServoGains(np.nan, 0.0, 0.0, np.inf, 0.0), "kp must be numbers; it holds NaN"),
-        (
-            lambda: ServoError(np.zeros(2), np.zeros(3), 0.0, 0.0),
-            "velocity must be one number or 2",
-        ),
-        (lambda: motor_torque(MotorConstants(*np.ones((7, 2))), np.ones(3)), "current must be one"),
-        (lambda: motor_torque(None, np.ones(3)), "constants must be a MotorConstants"),
-    ],
-)
-def test_laws_say_which_argument_is_wrong(call, words):
-    with pytest.raises(ArgumentError, match=words):
-        call()
+        PositionServo(**gains)

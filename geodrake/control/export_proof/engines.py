@@ -1,0 +1,438 @@
+"""Simulators that load exported models by themselves, those that are installed.
+
+Packages of simulators that are optional are imported where they are needed.
+"""
+
+from __future__ import annotations
+
+import abc
+import platform
+import runpy
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import MultibodyForces
+from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from geodrake.boundary.input_files import read_regular
+from geodrake.control.export_proof.reference import Drives
+from geodrake.effects import Effect
+from geodrake.errors import ModelError
+from geodrake.inertia import Array
+from geodrake.model.exporting.joints import ExportedJoint, exported_joints
+from geodrake.model.file_terms import Damping, DryFriction, Rotor
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.files.packages import add_packages, named_packages
+from geodrake.robot.plant import free_roots, joint_names
+
+Mask = NDArray[np.bool_]
+
+
+class Engine(abc.ABC):
+    """A simulator with a robot that it read from a file.
+
+    Joints are those of the model, one position and one velocity each.
+
+    Attributes:
+        name: Name of the simulator and its version.
+        ignores: Effects that may be in the file, but which the simulator does not act upon.
+        messages: What it said about the file.
+        drives: Actuators of the file that efforts of rollouts pass through; None for none.
+    """
+
+    name: str
+    drives: Drives | None = None
+    messages: tuple[str, ...] = ()
+    ignores: ClassVar[tuple[type[Effect], ...]] = ()
+
+    @abc.abstractmethod
+    def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
+        """Return the effort that a motion needs.
+
+        Args:
+            q: (N, nv) positions, rad or m.
+            v: (N, nv) velocities.
+            vd: (N, nv) accelerations.
+
+        Returns:
+            (N, nv) efforts, N·m or N, and where they are meant to be those of the model.
+        """
+
+    def roll_out(self, q: Array, v: Array, effort: Array, step: float) -> Array | None:
+        """Roll out from a state, without dry friction: (K + 1, nv) positions; None if it cannot.
+
+        Actuators are told `Drives.controls` of the efforts.
+
+        Args:
+            q: (nv,) first positions, rad or m.
+            v: (nv,) first velocities.
+            effort: (K, nv) efforts, each held for a step, N·m or N.
+            step: Length of a step, s.
+        """
+        del q, v, effort, step
+        return None
+
+
+def order_of(model: RobotModel, place: Callable[[str], int], file: Path, name: str) -> list[int]:
+    """Return where a simulator has each joint of a model, by its place or a KeyError.
+
+    Raises:
+        ModelError: A joint is not there.
+    """
+    found = []
+    for joint in model.joints:
+        try:
+            index = place(joint)
+        except KeyError:
+            index = -1
+        if index < 0:
+            raise ModelError(f"{name} finds no joint {joint!r} in {file.name}.")
+        found.append(index)
+    return found
+
+
+class DrakeEngine(Engine):
+    """A plant, continuous in time; it does not act upon dry friction of its joints.
+
+    Args:
+        file: The exported file that is loaded first.
+        model: The model, for the names of its joints and the packages around its file.
+
+    Raises:
+        ModelError: Drake cannot read the file.
+    """
+
+    ignores: ClassVar[tuple[type[Effect], ...]] = (DryFriction,)
+
+    def __init__(self, file: Path, model: RobotModel) -> None:
+        self.name = f"Drake {version('drake')}"
+        builder = DiagramBuilder()
+        self._plant = builder.AddSystem(MultibodyPlant(time_step=0.0))
+        parser = Parser(self._plant)
+        text = read_regular(file, "model file", ModelError).decode(errors="replace")
+        parser.package_map().PopulateFromFolder(str(file.parent))
+        with drake_messages() as messages, drake_errors(file):
+            add_packages(parser.package_map(), model.path, named_packages(text))
+            parser.AddModels(str(file))
+            for body in free_roots(self._plant):
+                X_WB = self._plant.GetDefaultFloatingBaseBodyPose(body)
+                self._plant.WeldFrames(self._plant.world_frame(), body.body_frame(), X_WB)
+            self._plant.Finalize()
+            self._diagram = builder.Build()
+        said = (message.partition("\n")[0].rpartition("warning: ")[2] for message in messages)
+        self.messages = tuple(dict.fromkeys(said))
+        plant, names = self._plant, joint_names(self._plant)
+        self._at = order_of(
+            model, {name: k for k, name in enumerate(names)}.__getitem__, file, self.name
+        )
+        joints = (plant.get_joint(index) for index in plant.GetJointIndices())
+        starts = {j.velocity_start(): j.position_start() for j in joints if j.num_velocities() == 1}
+        self._positions = [starts[at] for at in self._at]
+        held = ((starts[k], model.held[n]) for k, n in enumerate(names) if n in model.held)
+        self._held = dict(held)
+
+    def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
+        """Inverse dynamics with damping, rotors, springs and gravity; see `Engine.effort`."""
+        plant = self._plant
+        context = plant.CreateDefaultContext()
+        forces = MultibodyForces(plant)
+        found = np.empty_like(v)
+        for k in range(len(v)):
+            self._set(context, q[k], v[k])
+            plant.CalcForceElementsContribution(context, forces)
+            found[k] = plant.CalcInverseDynamics(context, self._spread(vd[k]), forces)[self._at]
+        return found, np.full(v.shape, True)
+
+    def roll_out(self, q: Array, v: Array, effort: Array, step: float) -> Array | None:
+        """Positions by a fifth-order integrator, a step at a time; see `Engine.roll_out`."""
+        if self._held:
+            return None  # nothing holds these joints
+        simulator = Simulator(self._diagram)
+        ResetIntegratorFromFlags(simulator, "runge_kutta5", step)
+        integrator = simulator.get_mutable_integrator()
+        integrator.set_fixed_step_mode(True)
+        context = self._plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+        self._set(context, q, v)
+        port = self._plant.get_applied_generalized_force_input_port()
+        if self._plant.num_actuators():
+            self._plant.get_actuation_input_port().FixValue(
+                context, np.zeros(self._plant.num_actuators())
+            )
+        held = port.FixValue(context, self._spread(effort[0]))
+        simulator.Initialize()
+        found = [q]
+        for k, own in enumerate(effort):
+            held.GetMutableData().set_value(self._spread(own))
+            simulator.AdvanceTo((k + 1) * step)
+            found.append(self._plant.GetPositions(context)[self._positions])
+        return np.array(found)
+
+    def _set(self, context: object, q: Array, v: Array) -> None:
+        positions = np.zeros(self._plant.num_positions())
+        positions[self._positions] = q
+        positions[[*self._held]] = [*self._held.values()]
+        self._plant.SetPositions(context, positions)
+        self._plant.SetVelocities(context, self._spread(v))
+
+    def _spread(self, values: Array) -> Array:
+        """Return values of the model's joints as Drake has them."""
+        found = np.zeros(self._plant.num_velocities())
+        found[self._at] = values
+        return found
+
+
+_FULL = 1.0 - 1e-9  # share of dry friction from which on it counts as being there in full
+
+
+class MujocoEngine(Engine):
+    """A model of MuJoCo, whose joints feel no limits, contacts and closed loops.
+
+    Efforts of rollouts pass through the actuators of joints, where those are what the model has:
+    motors, or servos, late or not. At other joints they are applied as they are, and other
+    actuators are without force.
+
+    Raises:
+        ModelError: MuJoCo cannot read the file.
+    """
+
+    def __init__(self, file: Path, model: RobotModel) -> None:
+        self._mj = mujoco = import_module("mujoco")
+        self.name = f"MuJoCo {mujoco.__version__}"
+        try:
+            with self._warning_here():
+                self._model = mujoco.MjModel.from_xml_path(str(file))
+        except ValueError as error:
+            line = " ".join(str(error).split())[:300]
+            raise ModelError(f"MuJoCo cannot read {file.name}: {line}") from error
+        off = mujoco.mjtDisableBit
+        for bit in (
+            off.mjDSBL_CONTACT,
+            off.mjDSBL_LIMIT,
+            off.mjDSBL_EQUALITY,
+            off.mjDSBL_CLAMPCTRL,
+            off.mjDSBL_ACTUATION,  # but in rollouts
+        ):
+            self._model.opt.disableflags |= int(bit)
+        places = self._places()
+        self._at = order_of(model, places.__getitem__, file, self.name)
+        self._positions = [self._qpos(at) for at in self._at]
+        self._held = {places[n]: value for n, value in model.held.items() if n in places}
+        self._friction = self._model.dof_frictionloss[self._at].copy()
+        # Older versions have no delays, and one signal for each actuator.
+        count = self._model.nu
+        self._delays = getattr(self._model, "actuator_delay", np.zeros(count))
+        self._signals = getattr(self._model, "actuator_ctrladr", np.arange(count))
+        self._through = self._take_actuators(model)
+        through = zip(model.joints, self._at, strict=True)
+        self.drives = Drives.of(model, [joint for joint, at in through if at in self._through])
+
+    def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
+        """Inverse dynamics; where dry friction, a soft constraint, is not in full, it is masked."""
+        data, found = self._mj.MjData(self._model), np.empty_like(v)
+        meant = np.full(v.shape, True)
+        for at, value in self._held.items():
+            data.qpos[self._qpos(at)] = value
+        for k in range(len(v)):
+            data.qpos[self._positions], data.qvel[self._at], data.qacc[self._at] = q[k], v[k], vd[k]
+            with self._warning_here():
+                self._mj.mj_inverse(self._model, data)
+            found[k] = data.qfrc_inverse[self._at]
+            held = -np.sign(v[k]) * data.qfrc_constraint[self._at]
+            meant[k] = held >= _FULL * self._friction
+        return found, meant
+
+    def roll_out(self, q: Array, v: Array, effort: Array, step: float) -> Array | None:
+        """Positions by MuJoCo's Runge–Kutta integrator; see `Engine.roll_out`."""
+        if self._held:
+            return None  # nothing holds these joints
+        model, off = self._model, self._mj.mjtDisableBit
+        before = model.opt.timestep, model.opt.integrator, model.opt.disableflags
+        model.opt.timestep, model.opt.integrator = step, int(self._mj.mjtIntegrator.mjINT_RK4)
+        model.opt.disableflags |= int(off.mjDSBL_FRICTIONLOSS)
+        model.opt.disableflags &= ~int(off.mjDSBL_ACTUATION)
+        data = self._mj.MjData(model)
+        data.qpos[self._positions], data.qvel[self._at] = q, v
+        controls = effort if self.drives is None else self.drives.controls(q, effort)
+        self._start_history(data, controls[0])
+        found = [q]
+        for own in controls:
+            for at, value in zip(self._at, own.tolist(), strict=True):
+                if (actuator := self._through.get(at)) is None:
+                    data.qfrc_applied[at] = value
+                else:
+                    data.ctrl[self._signals[actuator]] = value
+            with self._warning_here():
+                self._mj.mj_step(model, data)
+            found.append(data.qpos[self._positions].copy())
+        model.opt.timestep, model.opt.integrator, model.opt.disableflags = before
+        return np.array(found)
+
+    @contextmanager
+    def _warning_here(self) -> Iterator[None]:
+        """Take MuJoCo's warnings, which it would print, and write into a file where it runs."""
+        before = self._mj.get_mju_user_warning()
+        self._mj.set_mju_user_warning(self._take_warning)
+        try:
+            yield
+        finally:
+            self._mj.set_mju_user_warning(before)
+
+    def _take_warning(self, words: str) -> None:
+        self.messages = tuple(dict.fromkeys((*self.messages, words.partition(" Time =")[0])))
+
+    def _start_history(self, data: Any, controls: Array) -> None:
+        """Have late actuators be told the first signals all the time before."""
+        for at, value in zip(self._at, controls.tolist(), strict=True):
+            actuator = self._through.get(at)
+            if actuator is not None and self._delays[actuator]:
+                count = int(self._model.actuator_history[actuator][0])
+                self._mj.mj_initCtrlHistory(
+                    self._model, data, actuator, None, np.full(count, value)
+                )
+
+    def _take_actuators(self, model: RobotModel) -> dict[int, int]:
+        """Return degree of freedom -> its actuator, like the model's; others do nothing."""
+        own, found = self._model, dict[int, int]()
+        joint_of = {int(own.jnt_dofadr[j]): j for j in range(own.njnt)}
+        kinds = (int(self._mj.mjtTrn.mjTRN_JOINT), int(self._mj.mjtTrn.mjTRN_JOINTINPARENT))
+        by_joint: dict[int, list[int]] = {}
+        for actuator in range(own.nu):
+            if own.actuator_trntype[actuator] in kinds:
+                by_joint.setdefault(int(own.actuator_trnid[actuator][0]), []).append(actuator)
+        wanted = exported_joints(model)
+        for joint, at in zip(model.joints, self._at, strict=True):
+            actuators = by_joint.get(joint_of[at], [])
+            if len(actuators) == 1 and self._is_like(actuators[0], wanted[joint]):
+                found[at] = actuators[0]
+        for actuator in set(range(own.nu)).difference(found.values()):
+            own.actuator_gainprm[actuator], own.actuator_biasprm[actuator] = 0.0, 0.0
+        own.actuator_forcelimited[:] = False
+        own.jnt_actfrclimited[:] = False
+        return found
+
+    def _is_like(self, actuator: int, wanted: ExportedJoint) -> bool:
+        """Return whether an actuator is told what the model's is told: an effort, or a position."""
+        own = self._model
+        plain = (
+            own.actuator_dyntype[actuator] == int(self._mj.mjtDyn.mjDYN_NONE)
+            and own.actuator_gaintype[actuator] == int(self._mj.mjtGain.mjGAIN_FIXED)
+            and own.actuator_gear[actuator][0] == 1.0
+        )
+        servo = own.actuator_biastype[actuator] == int(self._mj.mjtBias.mjBIAS_AFFINE)
+        unlike = not wanted.is_servo and own.actuator_gainprm[actuator][0] != 1.0
+        late = bool(self._delays[actuator]) == bool(wanted.delay)
+        return bool(plain and servo == wanted.is_servo and not unlike and late)
+
+    def _qpos(self, dof: int) -> int:
+        """Return where the position of a joint is, whose only velocity is there."""
+        joint = [int(each) for each in self._model.jnt_dofadr].index(dof)
+        return int(self._model.jnt_qposadr[joint])
+
+    def _places(self) -> dict[str, int]:
+        """Return joints of one degree of freedom by name, nameless ones as geodrake calls them."""
+        model, found = self._model, {}
+        single = (int(self._mj.mjtJoint.mjJNT_HINGE), int(self._mj.mjtJoint.mjJNT_SLIDE))
+        for j in range(model.njnt):
+            if model.jnt_type[j] in single:
+                body = int(model.jnt_bodyid[j])
+                own = model.body(body).name or f"body_{body - 1}"
+                name = model.joint(j).name or f"{own}_joint_{j - int(model.body_jntadr[body])}"
+                found[name] = int(model.jnt_dofadr[j])
+        return found
+
+
+class PinocchioEngine(Engine):
+    """A model of Pinocchio: the rigid bodies alone.
+
+    Raises:
+        ModelError: Pinocchio cannot read the file.
+    """
+
+    ignores: ClassVar[tuple[type[Effect], ...]] = (DryFriction, Rotor, Damping)
+
+    def __init__(self, file: Path, model: RobotModel) -> None:
+        self._pin = pinocchio = import_module("pinocchio")
+        self.name = f"Pinocchio {pinocchio.__version__}"
+        try:
+            self._model = pinocchio.buildModelFromUrdf(str(file))
+        except (ValueError, RuntimeError) as error:
+            line = " ".join(str(error).split())[:300]
+            raise ModelError(f"Pinocchio cannot read {file.name}: {line}") from error
+        for values in ("armature", "damping", "friction"):  # whether a version reads them or not
+            if hasattr(self._model, values):
+                getattr(self._model, values)[:] = 0.0
+        names = {name: k for k, name in enumerate(self._model.names)}
+        self._joints = order_of(model, names.__getitem__, file, self.name)
+        self._held = {names[n]: place for n, place in model.held.items() if n in names}
+
+    def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
+        """Inverse dynamics of the bodies; see `Engine.effort`."""
+        model = self._model
+        data, found = model.createData(), np.empty_like(v)
+        positions, velocities = self._pin.neutral(model), np.zeros(model.nv)
+        accelerations = np.zeros(model.nv)
+        at = [model.joints[joint].idx_v for joint in self._joints]
+        for joint, place in self._held.items():
+            positions[model.joints[joint].idx_q] = place
+        for k in range(len(v)):
+            for joint, angle in zip(self._joints, q[k], strict=True):
+                start = model.joints[joint].idx_q
+                if model.joints[joint].nq == 2:  # without limits
+                    positions[start : start + 2] = np.cos(angle), np.sin(angle)
+                else:
+                    positions[start] = angle
+            velocities[at], accelerations[at] = v[k], vd[k]
+            found[k] = self._pin.rnea(model, data, positions, velocities, accelerations)[at]
+        return found, np.full(v.shape, True)
+
+
+class PythonEngine(Engine):
+    """A module with a function effort(q, v, vd).
+
+    Raises:
+        ModelError: Its positions are others than those of single joints.
+    """
+
+    def __init__(self, file: Path, model: RobotModel) -> None:
+        self.name = f"Python {platform.python_version()}"
+        if model.tree.num_positions != len(model.joints):
+            raise ModelError(f"{file.name} has positions of a base or of joints of several degrees")
+        names = runpy.run_path(str(file))
+        self._effort = names["effort"]
+        places = {joint: k for k, joint in enumerate(names["JOINTS"])}
+        self._order = order_of(model, places.__getitem__, file, self.name)
+        self._positions = model.single_places[1]
+
+    def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
+        """The function's efforts; see `Engine.effort`."""
+        own = np.empty_like(q)
+        own[:, self._positions] = q
+        rows = zip(own.tolist(), v.tolist(), vd.tolist(), strict=True)
+        found = np.array([self._effort(*row) for row in rows])
+        return found[:, self._order], np.full(v.shape, True)
+
+
+_ENGINES: dict[str, tuple[str, type[Engine]]] = {
+    "drake": ("pydrake", DrakeEngine),
+    "mujoco": ("mujoco", MujocoEngine),
+    "pinocchio": ("pinocchio", PinocchioEngine),
+    "python": ("math", PythonEngine),
+}
+"""Name -> the package that it needs, and its class."""
+
+
+def engine(name: str) -> Callable[[Path, RobotModel], Engine] | None:
+    """Return what loads a file into a simulator; None if that is not installed."""
+    package, kind = _ENGINES[name]
+    return None if find_spec(package) is None else kind
