@@ -128,13 +128,6 @@ class TestDeclarations:
         assert {shape.name for shape in effect.shapes} <= set(fields)
 
 
-@pytest.mark.parametrize(
-    "role", [Role.SCALE, Role.DELAY, Role.BODY, Role.EPISODE, Role.INERTIA], ids=lambda r: r.name
-)
-def test_roles_that_one_effect_has(role):
-    assert effect_of(role) in [effect for effect in catalogue() if effect.role is role]
-
-
 def test_wrong_inertia_has_no_instance():
     with pytest.raises(ArgumentError, match="no effect beside the bodies"):
         effect_of(Role.INERTIA)()

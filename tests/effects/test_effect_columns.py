@@ -94,10 +94,6 @@ def test_users_effects_are_tried(effect, found):
     assert dependencies(effect, trial, len(JOINTS)) == found
 
 
-def test_without_trial_an_effect_depends_on_all_that_it_may_see():
-    assert dependencies(ByName("elbow"), None, len(JOINTS)) == {"q", "v", "vd", "load"}
-
-
 USERS = (Flywheel("elbow"), Flywheel("wrist"), ByName("elbow"), ByName("shoulder"), Weight("hand"))
 SETS = {"all": EVERY, "users": USERS, "both": (*EVERY, *USERS), "none": ()}
 

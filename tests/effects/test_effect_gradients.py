@@ -7,7 +7,7 @@ import pytest
 from effect_motions import instances, random_motion
 
 from geodrake import effects
-from geodrake.effects.gradient import difference_slopes, joint_gradient, sign_slope
+from geodrake.effects.gradient import sign_slope
 
 WIDTH = 0.7
 STEP = 1e-5
@@ -40,12 +40,6 @@ def with_gradient():
     return [e for e in instances() if e.gradient(motion, weights_of(e, motion)) is not None]
 
 
-def of_one_joint():
-    """The effects whose rows are made of the motion of one joint alone."""
-    joint_effects = [e for e in instances() if isinstance(e, effects.JointEffect)]
-    return [e for e in joint_effects if type(e).rows is effects.JointEffect.rows]
-
-
 @pytest.mark.parametrize("effect", with_gradient(), ids=lambda e: e.name)
 def test_every_effect(effect):
     motion = random_motion(width=WIDTH)
@@ -54,24 +48,6 @@ def test_every_effect(effect):
     for name in ("q", "v", "vd", "load"):
         expected = differences(effect, motion, weights, name)
         np.testing.assert_allclose(getattr(gradient, name), expected, atol=2e-8)
-
-
-@pytest.mark.parametrize("effect", of_one_joint(), ids=lambda e: e.name)
-def test_differences_agree_with_stated_slopes(effect):
-    motion = random_motion(width=WIDTH)
-    weights = weights_of(effect, motion)
-    exact = effect.gradient(motion, weights)
-    rough = joint_gradient(motion, effect.joint, effect.columns, None, weights)
-    for name in ("q", "v", "vd", "load"):
-        np.testing.assert_allclose(getattr(rough, name), getattr(exact, name), atol=1e-7)
-
-
-def test_payload_passes_its_weights_on():
-    motion, payload = random_motion(), effects.Payload("hand")
-    weights = weights_of(payload, motion)
-    gradient = payload.gradient(motion, weights)
-    np.testing.assert_array_equal(gradient.bodies["hand"], weights)
-    assert not any(getattr(gradient, name).any() for name in ("q", "v", "vd", "load"))
 
 
 def test_effects_without_slopes():
@@ -99,13 +75,6 @@ def test_effects_without_slopes():
             return {"elbow": motion.v[:, :1] ** 2}
 
     assert Drag("hand").gradient(motion, np.ones((20, 3, 1))) is None
-
-
-def test_joints_of_several_degrees_have_no_position():
-    motion = dataclasses.replace(random_motion(), q=np.full((20, 3), np.nan))
-    slopes = difference_slopes(lambda joint: [joint.v**2], motion.joint("elbow"))
-    np.testing.assert_array_equal(slopes[0]["q"], 0.0)
-    np.testing.assert_allclose(slopes[0]["v"], 2 * motion.v[:, 1], atol=1e-9)
 
 
 def test_sign_slope():

@@ -76,11 +76,6 @@ def series(seconds=4.0, period=0.004):
 class TestMemory:
     effect = Hysteresis("elbow", 0.2)
 
-    def test_needs_a_series(self):
-        motion = replace(series(), time=None)
-        columns = self.effect.regressor(PENDULUM.motion(motion, sign_width=0.01))[:, 1, 0]
-        np.testing.assert_array_equal(columns, np.tanh(motion.v[:, 1] / 0.01))
-
     def test_slices_remember(self):
         motion = series()
         whole = replace(motion, before=motion.q[:0])
@@ -225,20 +220,3 @@ class TestDiagnosis:
         ]
         other = effort_log(robot, seed, hidden, off=0.2, share=0.031)
         assert explain(again, [other.log]).steps == ()
-
-    @pytest.mark.parametrize(
-        ("robot", "size"),
-        [
-            ("double_pendulum", 0.1),
-            pytest.param("arm6", 3.0, marks=pytest.mark.thorough),
-        ],
-    )
-    @pytest.mark.thorough
-    def test_not_where_friction_forgets(self, robot, size):
-        def hidden(seen):
-            v = np.where(np.arange(seen.v.shape[1]) < 3, seen.v, 0.0)
-            return size * (v / np.sqrt(v**2 + 2.5e-5) + 2.0 / 3.0 * v)
-
-        model = load_model(MODELS / f"{robot}.urdf")
-        found = explain(model, [effort_log(robot, 5, hidden, off=0.2).log])
-        assert {step.effect for step in found.steps} == {"coulomb_friction", "viscous_friction"}

@@ -41,11 +41,6 @@ TWO_JOINTS = """<mujoco model="m"><worldbody><body name="arm">
     <geom type="box" size=".1 .1 .1"/></body>
 </body></worldbody></mujoco>"""
 
-DIRECTIVES = """directives:
-- add_model: {name: left, file: ROBOT}
-- add_model: {name: right, file: ROBOT}
-"""
-
 
 def fitted(effect, *parameters):
     return FittedEffect(effect, np.array(parameters))
@@ -167,11 +162,6 @@ def run():
 
 
 class TestMotion:
-    @pytest.mark.thorough
-    def test_needed_efforts_make_the_motion(self, run):
-        _, _, q, _, state, _ = run
-        assert np.abs(state[:, :6] - q).max() < 5e-3
-
     def test_a_delay_is_in_the_logged_effort_alone(self, run):
         _, time, _, needed, _, effort = run
         late = np.array([np.interp(time - 0.02, time, own) for own in needed.T]).T
@@ -260,22 +250,12 @@ class TestNaturalAttempts:
 
 
 class TestFiles:
-    def test_welded_links(self, tmp_path):
-        (tmp_path / "r.urdf").write_text(WELDED.replace("SHAPE", '<sphere radius="0.1"/>'))
-        self.has_its_inertias(tmp_path / "r.urdf")
-
-    def test_several_joints_of_one_body(self, tmp_path):
-        (tmp_path / "r.xml").write_text(TWO_JOINTS)
-        self.has_its_inertias(tmp_path / "r.xml")
-
-    def test_directives(self, tmp_path):
-        (tmp_path / "r.urdf").write_text(WELDED.replace("SHAPE", '<sphere radius="0.1"/>'))
-        path = (tmp_path / "r.urdf").as_uri()
-        (tmp_path / "two.dmd.yaml").write_text(DIRECTIVES.replace("ROBOT", path))
-        self.has_its_inertias(tmp_path / "two.dmd.yaml")
-
-    def has_its_inertias(self, path):
-        model = load_model(path)
+    @pytest.mark.parametrize("name", ["r.urdf", "r.xml"])
+    def test_the_plant_has_the_inertias(self, name, tmp_path):
+        """Of welded links, and of several joints of one body."""
+        sphere = WELDED.replace("SHAPE", '<sphere radius="0.1"/>')
+        (tmp_path / name).write_text(sphere if name == "r.urdf" else TWO_JOINTS)
+        model = load_model(tmp_path / name)
         model = replace(model, phi=1.3 * model.phi)
         plant = model.add_to_builder(DiagramBuilder(), time_step=1e-3).plant
         assert plant.time_step() == 1e-3
@@ -302,20 +282,6 @@ class TestFiles:
         (note,) = load_model(path).add_to_builder(DiagramBuilder(), scene_graph=True).notes
         assert note.startswith("meshes that are not shown: package://no/where.obj (")
 
-    def test_stl_meshes_are_shown(self, tmp_path):
-        triangle = "".join(f"vertex {v}\n" for v in ("0 0 0", "0.2 0 0", "0 0.3 0"))
-        (tmp_path / "tool.stl").write_text(f"solid\nfacet\n{triangle}endfacet\nendsolid")
-        path = tmp_path / "r.urdf"
-        path.write_text(WELDED.replace("SHAPE", '<mesh filename="tool.stl"/>'))
-        robot = load_model(path).add_to_builder(DiagramBuilder(), scene_graph=True)
-        inspector = robot.scene_graph.model_inspector()
-        (shown,) = inspector.GetAllGeometryIds()
-        assert robot.notes == ()
-        hull = inspector.GetShape(shown).GetConvexHull()
-        np.testing.assert_allclose(hull.vertex(0)[2], 0.0, atol=1e-12)
-        assert inspector.GetIllustrationProperties(shown) is not None
-        assert inspector.GetProximityProperties(shown) is None
-
 
 @pytest.mark.parametrize(
     ("options", "message"),
@@ -331,11 +297,8 @@ def test_wrong_options(options, message):
     model = with_effects(0.0)
     with pytest.raises(ArgumentError, match=message):
         model.add_to_builder(DiagramBuilder(), **options)
-
-
-def test_a_wrong_builder():
     with pytest.raises(ArgumentError, match="builder"):
-        load_model(DEMO).add_to_builder("builder")
+        model.add_to_builder("builder")
 
 
 def test_bodies_that_cannot_be(tmp_path):

@@ -20,7 +20,6 @@ from geodrake.errors import ModelError
 from geodrake.model import EffortSignal, holding, save_model
 from geodrake.model.exporting.formats import export_format
 from geodrake.model.exporting.held import held_by
-from geodrake.model.exporting.joints import samples_of
 from geodrake.model.logged_joints import reading_for
 from geodrake.model.saved_model import load_model
 from geodrake.robot.plant import load_plant
@@ -170,13 +169,6 @@ def test_defaults_of_actuators_would_change_what_is_added(tmp_path):
     classes = '<default><default class="mine"><motor gear="3"/></default></default>'
     path, _ = exported(servoed(loaded(tmp_path, classes)), tmp_path / "classes")
     assert mujoco.MjModel.from_xml_path(str(path)).nu == 2
-
-
-def test_samples_are_enough_for_the_delay():
-    for steps in (1, 2.5, 7, 20, 33.3):
-        for step in (1e-3, 2e-3, 0.7e-3):
-            assert (samples_of(steps * step, step) - 1) * step >= steps * step - 1e-12
-    assert samples_of(0.005, 0.001) == 6
 
 
 def test_delays_shorter_than_a_step_are_said(tmp_path):

@@ -220,15 +220,6 @@ def test_a_robot_goes_through_all_formats_and_back(tmp_path):
         np.testing.assert_allclose(model.effort(moved), ours, atol=1e-9)
 
 
-def test_springs_go_from_sdf_to_mjcf_and_back(tmp_path):
-    model = fitted(loaded(tmp_path, "sdf"), springs=True)
-    moved = motion(model)
-    in_mjcf = load_model(exported(model, "mjcf", tmp_path / "mjcf")[0])
-    again = load_model(exported(in_mjcf, "sdf", tmp_path / "again")[0])
-    np.testing.assert_allclose(in_mjcf.effort(moved), model.effort(moved), atol=1e-9)
-    np.testing.assert_allclose(again.effort(moved), model.effort(moved), atol=1e-9)
-
-
 def test_several_files_become_one(tmp_path):
     model = load_model(MODELS / "cheetah.dmd.yaml")
     path, _ = exported(model, "mjcf", tmp_path / "mjcf")
@@ -299,17 +290,6 @@ def test_comments_stay_and_meshes_lead_to_where_they_were(tmp_path):
         assert f"../../{kind}/own/meshes/one.stl" in text
 
 
-def test_a_gear_ratio_of_the_file_stays(tmp_path):
-    path, _ = exported(fitted(loaded(tmp_path, "urdf"), springs=False), "urdf", tmp_path / "out")
-    plant = MultibodyPlant(time_step=0.0)
-    Parser(plant).AddModels(str(path))
-    actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
-    found = {actuator.joint().name(): actuator for actuator in actuators}
-    assert found["b"].default_gear_ratio() == 10.0
-    assert found["b"].default_rotor_inertia() == pytest.approx(0.003)
-    assert found["a"].default_rotor_inertia() == pytest.approx(0.06)
-
-
 def test_a_rotor_counts_though_the_effort_limit_is_zero(tmp_path):
     (tmp_path / "own").mkdir()
     path = tmp_path / "own" / "arm.urdf"
@@ -369,15 +349,6 @@ def test_what_a_format_lacks_is_fitted_into_what_it_holds(missed, tmp_path):
             effects = [*held.model.effects]
             effects[k] = FittedEffect(each.effect, factor * each.parameters)
             assert error(replace(held.model, effects=tuple(effects))) > error(held.model)
-
-
-def test_friction_stays_positive(tmp_path):
-    model = loaded(tmp_path, "urdf")
-    a, _ = model.joints
-    assisting = FittedEffect(AsymmetricFriction(a), np.array([-5.0, -5.0, -5.0, -5.0]))
-    whole = replace(model, effects=(*model.effects, assisting))
-    held = held_by(whole, FORMATS["urdf"].holding(whole), [motion(whole)])
-    assert all((each.parameters >= 0).all() for each in held.model.effects)
 
 
 def test_what_nothing_resembles_is_left_out(tmp_path):

@@ -163,12 +163,6 @@ class TestXacro:
             load_model(robot, given=given)
 
 
-def test_a_description_in_comments_needs_no_xacro(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "xacro", None)
-    text = PENDULUM.read_text().replace("<link", '<!-- <xacro:part name="a"/> --><link', 1)
-    assert load_model(write(tmp_path / "r.urdf", text)).joints == ("shoulder", "elbow")
-
-
 def test_what_cannot_be_given_is_refused(tmp_path):
     with pytest.raises(ModelError, match="is no xacro file, so it takes no argument 'mass'"):
         load_model(PENDULUM, given=Given(xacro={"mass": "3"}))

@@ -72,13 +72,6 @@ def test_holding_at_zero_is_as_if_the_file_had_fixed_joints(tmp_path):
     np.testing.assert_allclose(held.phi, fixed.phi, rtol=1e-12, atol=1e-13)
 
 
-def test_sliding_joints_are_found_among_held_ones(tmp_path):
-    model = model_of(description(PANDA), tmp_path)
-    assert model.sliding_joints == ("panda_finger_joint1", "panda_finger_joint2")
-    held = holding(model, {"panda_joint2": 0.1, "panda_joint7": 0.2, "panda_finger_joint1": 0.0})
-    assert held.sliding_joints == ("panda_finger_joint2",)
-
-
 def fitted_arm(seed=1):
     """An arm with effects and payloads of its own, and what a fit would know of them."""
     model, rng = load_model(MODELS / "arm6.urdf"), np.random.default_rng(seed)
@@ -135,13 +128,6 @@ def test_what_acts_on_held_bodies_is_left_out_and_said():
     assert any(drag.effect.name in note for note in held.notes)
 
 
-def test_a_held_base_joint_takes_its_body_out_of_the_model():
-    model = load_model(MODELS / "double_pendulum.urdf")
-    held = holding(model, {"shoulder": 0.5})
-    assert held.joints == ("elbow",) and held.bodies == model.bodies[1:]
-    np.testing.assert_array_equal(held.phi, model.phi[1:])
-
-
 def test_a_saved_model_remembers_what_it_holds(tmp_path):
     model = fitted_arm()
     model = holding(model, {model.joints[5]: 0.4})
@@ -170,11 +156,6 @@ def test_joints_that_cannot_be_held_are_refused(held, words):
         load_model(path, lock=held)
     with pytest.raises(ModelError, match=words):
         holding(load_model(path), held)
-
-
-def test_what_is_held_is_not_held_again():
-    with pytest.raises(ModelError, match=r"held already, at 0.5"):
-        holding(load_model(MODELS / "double_pendulum.urdf", lock={"elbow": 0.5}), {"elbow": 0.0})
 
 
 SWAY = np.sin(np.arange(200))  # an effort that changes at rest

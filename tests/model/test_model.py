@@ -96,15 +96,6 @@ def test_effects_add_to_the_effort_needed(arm, motion):
     np.testing.assert_array_equal(model.delays, 0.004)
 
 
-def test_direction_is_smooth_where_it_is_not_known(arm):
-    v = np.zeros((3, 6))
-    v[:, 0] = -1e-3, 0.0, 1e-3
-    still = Motion(np.zeros((3, 6)), v, np.zeros((3, 6)))
-    model = replace(arm, effects=(fitted(CoulombFriction(arm.joints[0]), 5.0),))
-    friction = model.effort(still, sign_width=1e-3) - arm.effort(still)
-    np.testing.assert_allclose(friction[:, 0], 5.0 * np.tanh([-1.0, 0.0, 1.0]), atol=1e-12)
-
-
 def test_numbers_of_the_file_become_effects(tmp_path):
     text = (MODELS / "double_pendulum.urdf").read_text()
     shoulder = '<limit lower="-6.2832" upper="6.2832" effort="6" velocity="20"/>'
@@ -113,14 +104,6 @@ def test_numbers_of_the_file_become_effects(tmp_path):
     path.write_text(text)
     stated = {f.effect: f.parameters.tolist() for f in load_model(path).effects}
     assert stated == {ViscousFriction("shoulder"): [0.3], CoulombFriction("shoulder"): [0.2]}
-
-
-def test_pairs_follow_the_tree(arm):
-    assert arm.joint_pairs == tuple(zip(arm.joints, arm.joints[1:], strict=False))
-
-
-def test_last_bodies_carry_no_other(arm):
-    assert arm.last_bodies == (arm.bodies[-1],)
 
 
 def test_floating_base_has_no_single_positions():
@@ -138,13 +121,6 @@ def test_floating_base_needs_what_drake_says():
     n = len(model.joints)
     motion = Motion(q, rng.normal(size=(8, n)), rng.normal(size=(8, n)))
     np.testing.assert_allclose(model.effort(motion), drake_effort(model, motion), atol=1e-10)
-
-
-def test_position_order_is_drakes(arm):
-    by_joint = np.arange(12.0).reshape(2, 6)
-    np.testing.assert_array_equal(arm.positions(by_joint), by_joint)
-    for i, name in enumerate(arm.joints):
-        assert arm.plant.GetJointByName(name).velocity_start() == i
 
 
 def test_motion_with_a_load_that_is_known(arm, motion):

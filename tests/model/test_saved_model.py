@@ -1,6 +1,5 @@
 """Saved models: they come back as they were, move with their base file and without, or say why."""
 
-import os
 import shutil
 from dataclasses import replace
 from importlib.resources import files
@@ -12,7 +11,6 @@ from servo_logs import PENDULUM, servo_log
 from typer.testing import CliRunner
 
 from geodrake import load_model
-from geodrake.boundary.whole_files import write_whole
 from geodrake.cli.app import app
 from geodrake.diagnosis import compare, explain
 from geodrake.effects import (
@@ -23,11 +21,9 @@ from geodrake.effects import (
     EffortDelay,
     EffortOffset,
     FittedEffect,
-    JointEffect,
     JointSpring,
     LoadDependentFriction,
     NonlinearViscousFriction,
-    Parameter,
     Payload,
     RotorInertia,
     StribeckFriction,
@@ -114,70 +110,45 @@ def saved(fitted, tmp_path):
     return path
 
 
-def test_comes_back_exactly(fitted, saved):
+def test_comes_back_exactly(fitted, saved, tmp_path):
     again = load_model(saved)
     assert [f.effect for f in again.effects] == [f.effect for f in fitted.effects]
     for before, after in zip(fitted.effects, again.effects, strict=True):
         np.testing.assert_array_equal(after.parameters, before.parameters)
         np.testing.assert_array_equal(after.deviations, before.deviations)
-    for name in ("phi", "total_phi", "information", "effort_noise", "fading_speed"):
+    for name in ("phi", "total_phi", "information", "effort_noise", "fading_speed", "delays"):
         np.testing.assert_array_equal(getattr(again, name), getattr(fitted, name))
-    np.testing.assert_array_equal(again.delays, fitted.delays)
-    assert fitted.delays.any()
-    assert again.bandwidths == fitted.bandwidths
-    assert again.effort_signals == fitted.effort_signals
-    assert again.notes == fitted.notes
-
-
-def test_predicts_exactly_the_same(fitted, saved):
-    rng = np.random.default_rng(4)
-    motion = Motion(*rng.normal(size=(3, 50, 6)))
-    np.testing.assert_array_equal(load_model(saved).effort(motion), fitted.effort(motion))
-
-
-def test_shapes_keep_their_types(saved):
-    """A sign or an exponent that is not to be fitted is a whole number."""
-    shapes = {f.effect.name: f.effect.shape for f in load_model(saved).effects}
-    assert isinstance(shapes["coupled_friction"]["sign"], int)
+    for name in ("bandwidths", "effort_signals", "notes"):
+        assert getattr(again, name) == getattr(fitted, name)
+    shapes = {f.effect.name: f.effect.shape for f in again.effects}
+    assert isinstance(shapes["coupled_friction"]["sign"], int)  # whole, as it is not to be fitted
     assert isinstance(shapes["joint_spring"]["exponent"], int)
+    motion = Motion(*np.random.default_rng(4).normal(size=(3, 50, 6)))
+    np.testing.assert_array_equal(again.effort(motion), fitted.effort(motion))
+    save_model(again, tmp_path / "again.yaml")
+    assert (tmp_path / "again.yaml").read_text() == saved.read_text()
 
 
-def test_saving_again_changes_nothing(saved, tmp_path):
-    again = tmp_path / "again.yaml"
-    save_model(load_model(saved), again)
-    assert again.read_text() == saved.read_text()
-
-
-def test_unfitted_model_stays_unfitted(tmp_path):
-    path = tmp_path / "pendulum.yaml"
-    save_model(load_model(MODELS / "double_pendulum.urdf"), path)
-    again = load_model(path)
-    assert again.information is None
-    assert again.effort_noise is None
-    assert again.fading_speed is None
-    assert again.effects == ()
-
-
-def test_floating_base_is_remembered(tmp_path):
+def test_an_unfitted_floating_model_stays_so(tmp_path):
     path = tmp_path / "free.yaml"
     save_model(load_model(MODELS / "double_pendulum.urdf", floating=True), path)
-    assert load_model(path).plant.num_velocities() == 8
+    again = load_model(path)
+    assert again.plant.num_velocities() == 8 and again.effects == ()
+    assert again.information is again.effort_noise is again.fading_speed is None
 
 
-def test_saved_through_a_link_to_a_folder(fitted, tmp_path):
-    real, link = tmp_path / "a" / "b", tmp_path / "link"
-    real.mkdir(parents=True)
-    link.symlink_to(real)
-    save_model(fitted, link / "model.yaml")
-    assert len(load_model(link / "model.yaml").effects) == 15
+def test_models_of_before_are_read(fitted, saved):
+    """A file without what later versions write; other fields are as it says."""
+    lines = saved.read_text().splitlines(keepends=True)
+    later = ("motorless:", "leading:", "bandwidths:", "  abc:")
+    saved.write_text("".join(line for line in lines if not line.startswith(later)))
+    again = load_model(saved)
+    assert again.motorless == () and not again.bandwidths and len(again.effects) == 15
 
 
-def test_base_that_changed_is_noted(fitted, saved):
+def test_a_base_that_changed_is_noted_and_another_robot_refused(fitted, saved):
     fitted.path.write_text(fitted.path.read_text() + "<!-- touched -->\n")
     assert load_model(saved).notes[-1] == "arm6.urdf has changed since the model was saved."
-
-
-def test_base_of_another_robot_is_refused(fitted, saved):
     shutil.copy(MODELS / "arm7.urdf", fitted.path)
     with pytest.raises(ModelError, match=r"does not fit its base model.*Fit and save"):
         load_model(saved)
@@ -191,6 +162,8 @@ def test_base_of_another_robot_is_refused(fitted, saved):
         ("floating: false", "floating: maybe", "is no geodrake model: floating = maybe: expected"),
         ("floating: false", "colour: red", "has the unknown field 'colour'"),
         ("name: viscous_friction", "name: viscous_fiction", "viscous_friction"),
+        ("name: viscous_friction", "name: hanging_hose", r"'hanging_hose', which.*--effects FILE"),
+        ("[base_yaw]", "[base_jaw]", "base_jaw"),
         ("sign: -1", "sign: -2", "sign 1 or −1"),
         ("exponent: 2.5", "exponent: heavy", r"effects\[4\]\.shape\.exponent = heavy: expected"),
         (
@@ -199,6 +172,8 @@ def test_base_of_another_robot_is_refused(fitted, saved):
             r"effects\[0\]\.parameters\[0\] = x: expected a number",
         ),
         ("parameters: [", "parmeters: [", r"field 'parmeters' \(was parameters meant\?\)"),
+        ("pitch: 0.01\n", "pitch: -0.1\n", "fading_speed"),
+        ("pitch: 0.01\n", "pitch: .nan\n", "fading_speed"),
     ],
 )
 def test_corrupted_file_is_refused(saved, old, new, words):
@@ -209,56 +184,19 @@ def test_corrupted_file_is_refused(saved, old, new, words):
         load_model(saved)
 
 
-def test_joint_that_is_not_there_is_refused(saved):
-    saved.write_text(saved.read_text().replace("[base_yaw]", "[base_jaw]", 1))
-    with pytest.raises(ModelError, match="base_jaw"):
-        load_model(saved)
-
-
-def test_two_signals_of_a_joint_are_refused(fitted, tmp_path):
-    signals = (EffortSignal(fitted.joints[0], kind, 1.0) for kind in ("effort", "current"))
-    path = tmp_path / "two.yaml"
-    save_model(replace(fitted, effort_signals=tuple(signals)), path)
-    with pytest.raises(ModelError, match=f"two signals for efforts of '{fitted.joints[0]}'"):
-        load_model(path)
-
-
-def test_cut_off_file_is_refused(saved):
+def test_what_does_not_fit_together_is_refused(fitted, saved):
     text = saved.read_text()
     for share in (0.2, 0.5, 0.9):
         saved.write_text(text[: int(share * len(text))])
         with pytest.raises(ModelError):
             load_model(saved)
-
-
-def test_missing_parameters_are_refused(fitted, saved):
-    short = replace(fitted, effects=fitted.effects[1:])
-    save_model(short, saved)  # whose information matrix has one row too many
+    save_model(replace(fitted, effects=fitted.effects[1:]), saved)  # with a row too many
     with pytest.raises(ModelError, match="information matrix"):
         load_model(saved)
-
-
-def test_own_effect_is_given_as_extra(tmp_path):
-    from dataclasses import dataclass
-
-    @dataclass(frozen=True)
-    class Hose(JointEffect):
-        name = "hose"
-        parameters = (Parameter("cosine", "N·m"),)
-        order: int = 2
-
-        def columns(self, joint):
-            return [np.cos(self.order * joint.q)]
-
-    model = load_model(MODELS / "double_pendulum.urdf")
-    model = replace(model, effects=(FittedEffect(Hose("elbow", 3), np.array([0.25])),))
-    path = tmp_path / "hose.yaml"
-    save_model(model, path)
-    motion = Motion(*np.random.default_rng(5).normal(size=(3, 10, 2)))
-    again = load_model(path, extra=[Hose])
-    np.testing.assert_array_equal(again.effort(motion), model.effort(motion))
-    with pytest.raises(ModelError, match="hose"):
-        load_model(path)
+    signals = (EffortSignal(fitted.joints[0], kind, 1.0) for kind in ("effort", "current"))
+    save_model(replace(fitted, effort_signals=tuple(signals)), saved)
+    with pytest.raises(ModelError, match=f"two signals for efforts of '{fitted.joints[0]}'"):
+        load_model(saved)
 
 
 def test_a_log_of_a_servo_is_known_again(tmp_path):
@@ -290,101 +228,53 @@ def test_unwritable_target_leaves_nothing_behind(fitted, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.yaml", "robot"]
 
 
-def test_interrupted_write_keeps_the_old_file(tmp_path, monkeypatch):
-    target = tmp_path / "model.yaml"
-    target.write_text("old")
-
-    def interrupt(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(os, "replace", interrupt)
-    monkeypatch.setattr(Path, "replace", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        write_whole(target, "new")
-    assert target.read_text() == "old"
-    assert [p.name for p in tmp_path.iterdir()] == ["model.yaml"]
-
-
-@pytest.mark.parametrize("speed", ["-0.1", ".nan"])
-def test_impossible_fading_speed_is_refused(saved, speed):
-    text = saved.read_text()
-    joint = load_model(saved).joints[1]
-    saved.write_text(text.replace(f"{joint}: 0.01\n", f"{joint}: {speed}\n"))
-    with pytest.raises(ModelError, match="fading_speed"):
-        load_model(saved)
-
-
-def test_an_effect_of_the_users_own_asks_for_its_file(saved):
-    text = saved.read_text()
-    saved.write_text(text.replace("name: viscous_friction", "name: hanging_hose", 1))
-    words = r"has the effect 'hanging_hose', which geodrake does not know.*--effects FILE\.py"
-    with pytest.raises(ModelError, match=words) as error:
-        load_model(saved)
-    assert "does not fit" not in str(error.value)
-
-
-@pytest.fixture
-def moving(tmp_path):
+class TestMovedFiles:
     """A saved model in one folder, whose base file is in another one."""
-    base = tmp_path / "robots" / "arm.urdf"
-    base.parent.mkdir()
-    shutil.copy(DEMO, base)
-    model = load_model(base)
-    friction = FittedEffect(ViscousFriction(model.joints[0]), np.array([2.0]))
-    path = tmp_path / "fits" / "arm.yaml"
-    path.parent.mkdir()
-    save_model(replace(model, phi=1.1 * model.phi, effects=(friction,)), path)
-    return path
 
+    @pytest.fixture
+    def moving(self, tmp_path):
+        base = tmp_path / "robots" / "arm.urdf"
+        base.parent.mkdir()
+        shutil.copy(DEMO, base)
+        model = load_model(base)
+        friction = FittedEffect(ViscousFriction(model.joints[0]), np.array([2.0]))
+        path = tmp_path / "fits" / "arm.yaml"
+        path.parent.mkdir()
+        save_model(replace(model, phi=1.1 * model.phi, effects=(friction,)), path)
+        return path
 
-def is_that_model(path, base):
-    model = load_model(path)
-    assert model.path.resolve() == base.resolve()
-    np.testing.assert_allclose(model.phi, 1.1 * load_model(DEMO).phi)
-    assert not any("changed" in note for note in model.notes)
+    @pytest.mark.parametrize("way", ["together", "into one folder", "alone", "beside another"])
+    def test_the_base_is_found(self, way, moving, tmp_path, monkeypatch):
+        path, base = moving, tmp_path / "robots" / "arm.urdf"
+        (tmp_path / "new").mkdir()
+        if way == "together":
+            for folder in ("fits", "robots"):
+                (tmp_path / folder).rename(tmp_path / "new" / folder)
+            path, base = tmp_path / "new/fits/arm.yaml", tmp_path / "new/robots/arm.urdf"
+        elif way == "into one folder":
+            path, base = (
+                moving.rename(tmp_path / "new/arm.yaml"),
+                base.rename(tmp_path / "new/arm.urdf"),
+            )
+        elif way == "alone":
+            path = moving.rename(tmp_path / "new/other.yaml")
+        else:  # which is not the one that it was fitted to
+            path = Path(shutil.copy(moving, tmp_path / "new/arm.yaml"))
+            text = DEMO.read_text().replace('"2.6"', '"2.7"')
+            (tmp_path / "new/arm.urdf").write_text(text + "<!-- -->")
+        monkeypatch.chdir(path.parent)
+        for name in (path, path.name):
+            model = load_model(name)
+            assert model.path.resolve() == base.resolve()
+            np.testing.assert_allclose(model.phi, 1.1 * load_model(DEMO).phi)
+            assert not any("changed" in note for note in model.notes)
 
-
-def test_both_move_together(moving, tmp_path):
-    shutil.copytree(tmp_path / "fits", tmp_path / "there" / "fits")
-    shutil.copytree(tmp_path / "robots", tmp_path / "there" / "robots")
-    for folder in ("fits", "robots"):
-        shutil.rmtree(tmp_path / folder)
-    is_that_model(tmp_path / "there/fits/arm.yaml", tmp_path / "there/robots/arm.urdf")
-
-
-def test_both_move_into_one_folder(moving, tmp_path):
-    (tmp_path / "new").mkdir()
-    moving.rename(tmp_path / "new" / "arm.yaml")
-    (tmp_path / "robots" / "arm.urdf").rename(tmp_path / "new" / "arm.urdf")
-    is_that_model(tmp_path / "new" / "arm.yaml", tmp_path / "new" / "arm.urdf")
-
-
-def test_the_saved_model_moves_alone(moving, tmp_path):
-    (tmp_path / "far" / "away").mkdir(parents=True)
-    moving.rename(tmp_path / "far" / "away" / "other.yaml")
-    is_that_model(tmp_path / "far/away/other.yaml", tmp_path / "robots" / "arm.urdf")
-
-
-def test_another_file_of_that_name_is_not_taken(moving, tmp_path):
-    """A copy beside another arm.urdf is still of the one that it was fitted to."""
-    shutil.copy(moving, tmp_path / "arm.yaml")
-    (tmp_path / "arm.urdf").write_text(DEMO.read_text().replace('"2.6"', '"2.7"') + "<!-- -->")
-    is_that_model(tmp_path / "arm.yaml", tmp_path / "robots" / "arm.urdf")
-
-
-def test_from_another_working_directory(moving, tmp_path, monkeypatch):
-    monkeypatch.chdir(moving.parent)
-    is_that_model(Path("arm.yaml"), tmp_path / "robots" / "arm.urdf")
-    monkeypatch.chdir(tmp_path / "robots")
-    is_that_model(Path("../fits/arm.yaml"), tmp_path / "robots" / "arm.urdf")
-
-
-def test_a_base_that_is_gone(moving, tmp_path):
-    (tmp_path / "robots" / "arm.urdf").unlink()
-    with pytest.raises(ModelError, match=r"is based on '\.\./robots/arm\.urdf'") as caught:
-        load_model(moving)
-    assert "beside the saved model" in caught.value.advice
-    assert caught.value.evidence["base"].resolve() == tmp_path / "robots" / "arm.urdf"
+    def test_a_base_that_is_gone(self, moving, tmp_path):
+        (tmp_path / "robots" / "arm.urdf").unlink()
+        with pytest.raises(ModelError, match=r"is based on '\.\./robots/arm\.urdf'") as caught:
+            load_model(moving)
+        assert "beside the saved model" in caught.value.advice
+        assert caught.value.evidence["base"].resolve() == tmp_path / "robots" / "arm.urdf"
 
 
 class TestOwnEffects:
@@ -396,26 +286,24 @@ class TestOwnEffects:
         model = load_model(tmp_path / "arm.urdf")
         own = FittedEffect(hose(model.joints[0]), np.array([1.0, 2.0]))
         save_model(replace(model, effects=(own,)), tmp_path / "arm.yaml")
+        again = load_model(tmp_path / "arm.yaml", extra=[hose])
+        assert again.effects[0].effect == own.effect
         monkeypatch.chdir(tmp_path)
         return tmp_path
 
-    def test_their_file_is_named(self, folder):
+    def test_their_file_is_named_where_it_is(self, folder, monkeypatch):
         with pytest.raises(ModelError) as caught:
             load_model(folder / "arm.yaml")
         assert "'hanging_hose', of the class HangingHose" in caught.value.problem
         assert "--effects 'my hose.py'" in caught.value.advice
-
-    def test_their_file_is_named_where_it_is(self, folder, monkeypatch):
         (folder / "elsewhere").mkdir()
         monkeypatch.chdir(folder / "elsewhere")
         with pytest.raises(ModelError) as caught:
             load_model("../arm.yaml")
         assert "--effects '../my hose.py'" in caught.value.advice
-
-    def test_a_file_that_is_gone_is_named(self, folder):
         (folder / "my hose.py").unlink()
         with pytest.raises(ModelError) as caught:
-            load_model("arm.yaml")
+            load_model("../arm.yaml")
         assert "which was 'my hose.py': --effects FILE.py" in caught.value.advice
 
     def test_the_advice_works(self, folder):

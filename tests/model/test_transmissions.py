@@ -15,7 +15,7 @@ from pydrake.systems.framework import DiagramBuilder
 from geodrake import load_model, save_model
 from geodrake.control.regressor import ControlModel
 from geodrake.control.rollout import roll_out
-from geodrake.diagnosis import add, explain
+from geodrake.diagnosis import explain
 from geodrake.effects import CoulombFriction, JointElasticity, RotorInertia, ViscousFriction
 from geodrake.effects.base import FittedEffect
 from geodrake.errors import LogError, ModelError
@@ -25,7 +25,7 @@ from geodrake.excitation.regressor_gradient import (
 )
 from geodrake.identification.logs.compare import compare
 from geodrake.logs import JointLog, Motion
-from geodrake.model import check_dynamics, holding, python_source
+from geodrake.model import holding, python_source
 from geodrake.model.logged_joints import model_of_logs
 from geodrake.robot import base_wrench_regressor, inverse_dynamics_regressor
 from geodrake.robot.effort_slopes import effort_slopes
@@ -332,13 +332,6 @@ def test_a_function_of_ones_own_serves_and_is_not_saved(wrist, tmp_path):
         save_model(own, tmp_path / "model.yaml")
 
 
-def test_a_held_out_error_after_adding_an_effect_at_a_motor(wrist):
-    log = log_of(wrist, 0, lambda v: 0.3 * v * [0.0, 0.0, 1.0], seconds=12.0)
-    found = add("viscous_friction", wrist, [log], where=["m3"])
-    (fitted,) = found.model.effects
-    np.testing.assert_allclose(fitted.parameters, 0.3, rtol=0.05)
-
-
 def test_source_code_has_the_transmission(wrist, curved):
     names = {}
     exec(python_source(wrist), names)
@@ -368,12 +361,6 @@ def test_gradients_for_excitation_are_differences(name, request):
         for key in ("q", "v", "vd"):
             expected = slopes_of(lambda x, key=key: value(**{key: x}), getattr(motion, key))
             np.testing.assert_allclose(getattr(found, key), expected, rtol=1e-5, atol=1e-5)
-
-
-def test_dynamics_are_checked_at_the_actuators(wrist, curved):
-    for model in (wrist, curved):
-        found = check_dynamics(model, samples=5)
-        assert found.holds and found.joints == model.joints
 
 
 @pytest.mark.thorough
