@@ -115,11 +115,6 @@ class TemporaryPayload(Episode):
     depends_on = frozenset({"q", "v", "vd", "time"})
 
     @property
-    def window(self) -> tuple[float | None, float | None, float, int]:
-        """When it is picked up and put down, how long that takes, and number of the log."""
-        return self.start, self.end, self.rise, self.log
-
-    @property
     def place(self) -> str:
         """Return the body, and when it holds the payload."""
         return f"{self.body}, {self.when}"

@@ -6,12 +6,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.effects.declarations import Parameter
 from geodrake.effects.robot_motion import RobotMotion
 from geodrake.errors import ArgumentError
 
@@ -23,17 +22,7 @@ _LEAST, _GREATEST = 1e-100, 1e100
 _OURS = frozenset(str(path) for path in Path(__file__).parent.glob("*.py"))
 
 
-class HasRows(Protocol):
-    """What has columns: an effect."""
-
-    name: ClassVar[str]
-    parameters: ClassVar[tuple[Parameter, ...]]
-
-    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """Columns (N, k) by joint."""
-
-
-def rows_of(effect: HasRows, motion: RobotMotion) -> Mapping[str, Array]:
+def rows_of(effect: Any, motion: RobotMotion) -> Mapping[str, Array]:
     """What `Effect.rows` gives, as all that takes columns may rely on.
 
     Raises:
@@ -65,7 +54,7 @@ def of_geodrake(kind: type[Any]) -> bool:
     return kind.__module__.startswith("geodrake.")
 
 
-def stacked(effect: HasRows, columns: Any, joint: str, count: int) -> Array:
+def stacked(effect: Any, columns: Any, joint: str, count: int) -> Array:
     """Columns of a joint, one for each parameter, as an array (N, k).
 
     Raises:

@@ -34,6 +34,11 @@ class Episode(BodyEffect):
     number of the log from `log_number`, or 0 for any.
     """
 
+    start: Any
+    end: Any
+    rise: Any
+    log: Any
+
     role = Role.EPISODE
 
     def __post_init__(self) -> None:
@@ -46,9 +51,9 @@ class Episode(BodyEffect):
         require_positive(self, "rise")
 
     @property
-    @abc.abstractmethod
     def window(self) -> tuple[float | None, float | None, float, int]:
         """Start and end, rise, and number of the log."""
+        return self.start, self.end, self.rise, self.log
 
     @property
     def _edges(self) -> tuple[float, float]:
@@ -108,16 +113,7 @@ class PointEpisode(Episode):
 
     @abc.abstractmethod
     def columns(self, body: BodyMotion, time: Array) -> Array:
-        """Columns (N, nv, k) at a motion of the body and instants (N,) since the log began, s.
-
-        Args:
-            time: (N,) instants since the log began, s.
-        """
-
-    @property
-    def window(self) -> tuple[float, float, float, int]:
-        """Start and end, rise, and number of the log."""
-        return self.start, self.end, self.rise, self.log
+        """Columns (N, nv, k) at a motion of the body and instants (N,) since the log began, s."""
 
     def rows(self, motion: RobotMotion) -> dict[str, Array]:
         """The columns in the window, at the joints that move the body."""
@@ -156,11 +152,6 @@ class PointEpisode(Episode):
 
     @classmethod
     def in_window(cls, body: str, start: float, end: float, **shape: Any) -> tuple[Self, ...]:
-        """What may act on a body in a window: what keeps its direction, and what turns with it.
-
-        Args:
-            start: t₀, s since the log began.
-            end: t₁, s since the log began.
-        """
+        """What may act on a body in a window: what keeps its direction, and what turns with it."""
         make: Callable[..., Self] = cls
         return tuple(make(body, start, end, **shape, turning=turning) for turning in (0, 1))

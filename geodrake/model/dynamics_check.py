@@ -135,19 +135,8 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
         _agreement(name, ours[name] - drakes[name], sizes.get(name, largest), model.joints)
         for name in ours
     )
-    bodies = len(model.bodies)
-    second, by = _second(model, states)
-    return DynamicsCheck(
-        agreements,
-        model.joints,
-        bodies,
-        samples,
-        seed,
-        model.repairs,
-        model.left_out,
-        second,
-        by,
-    )
+    of_model = model.joints, len(model.bodies), samples, seed, model.repairs, model.left_out
+    return DynamicsCheck(agreements, *of_model, *_second(model, states))
 
 
 def _second(model: RobotModel, states: States) -> tuple[Agreement | None, str]:
@@ -156,9 +145,9 @@ def _second(model: RobotModel, states: States) -> tuple[Agreement | None, str]:
     found = second_opinion(model, states, plant_states, jacobians)
     if isinstance(found, str):
         return None, found
-    size = float(np.abs(found.efforts).max(initial=0.0))
-    error = found.ours - found.efforts
-    return _agreement(f"efforts by {found.by}", error, size, model.joints), found.by
+    by, efforts, ours = found
+    size = float(np.abs(efforts).max(initial=0.0))
+    return _agreement(f"efforts by {by}", ours - efforts, size, model.joints), by
 
 
 def _of_plant(model: RobotModel, states: States) -> tuple[States, Array, Array]:

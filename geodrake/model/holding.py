@@ -9,10 +9,11 @@ of Λ: the least of xᵀ Λ x among all x with A x = y.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from geodrake.boundary.arguments import number, typed
 from geodrake.effects import FittedEffect, Role
@@ -62,21 +63,25 @@ def holding(
         followers=loaded.followers,
         transmission=(*drives, *(loop.drive for loop in loaded.loops if loop.map.actuators)),
     )
-    lumping = _Lumping.of(model, bare)
-    kept, lost = lumping.effects(model)
+    matrix, carriers = _lumped(model, bare)
+    kept, lost = _effects_after(model, bare, matrix, carriers)
     if lost and model.information is None and is_of_file(model):
         stated = from_loaded_plant(loaded, floating=model.floating, transmission=drives).effects
         kept, lost = [(fitted, np.zeros((0, 0))) for fitted in stated], []
     after = replace(
         bare,
-        phi=(lumping.matrix @ model.phi.ravel()).reshape(-1, PARAMETERS_PER_BODY),
+        phi=(matrix @ model.phi.ravel()).reshape(-1, PARAMETERS_PER_BODY),
         effects=tuple(fitted for fitted, _ in kept),
     )
+    information = model.information
+    if information is not None:
+        below = [np.zeros((0, len(information) - model.phi.size)), *(rows for _, rows in kept)]
+        information = schur_complement(information, block_diag(matrix, np.concatenate(below)))
     order = [model.joints.index(joint) for joint in after.joints]
     noise, fading = model.effort_noise, model.fading_speed
     return replace(
         after,
-        information=None if model.information is None else lumping.information(model, kept),
+        information=information,
         effort_noise=None if noise is None else noise[order],
         fading_speed=None if fading is None else fading[order],
         effort_signals=tuple(s for s in model.effort_signals if s.joint in after.joints),
@@ -158,91 +163,60 @@ def _at_joints(
     return places, tuple(stay)
 
 
-@dataclass(frozen=True, eq=False)
-class _Lumping:
-    """How bodies of a model become bodies of the one with joints held.
+def _lumped(before: RobotModel, after: RobotModel) -> tuple[Array, dict[str, int]]:
+    """Return how bodies of a model become bodies of the one with joints held.
 
-    Attributes:
-        after: The model with joints held, whose parameters are not those yet.
-        matrix: (10 nb', 10 nb) what takes old inertial parameters to new ones.
-        carriers: Old body -> index of the new one that it is part of; -1 for one that stands still.
+    Returns:
+        (10 nb', 10 nb) what takes old inertial parameters to new ones; and old body -> index of the
+        new one that it is part of, −1 for one that stands still.
     """
+    old, new = lumped_bodies(before.plant), lumped_bodies(after.plant)
+    places = {
+        int(member.index): (k, member.X_RB) for k, body in enumerate(new) for member in body.members
+    }
+    matrix = np.zeros((len(new), PARAMETERS_PER_BODY, len(old), PARAMETERS_PER_BODY))
+    carriers = {}
+    for k, body in enumerate(old):
+        carrier, X_RB = places.get(int(body.body_index), (-1, None))
+        carriers[body.name] = carrier
+        if X_RB is not None:
+            unit = np.eye(PARAMETERS_PER_BODY)
+            changed = calc_change_frame(unit, X_RB.rotation().matrix(), X_RB.translation())
+            matrix[carrier, :, k] = changed.T
+    return matrix.reshape(matrix[:, :, 0, 0].size, -1), carriers
 
-    after: RobotModel
-    matrix: Array
-    carriers: Mapping[str, int]
 
-    @classmethod
-    def of(cls, before: RobotModel, after: RobotModel) -> _Lumping:
-        old, new = lumped_bodies(before.plant), lumped_bodies(after.plant)
-        places = {
-            int(member.index): (k, member.X_RB)
-            for k, body in enumerate(new)
-            for member in body.members
-        }
-        matrix = np.zeros((len(new), PARAMETERS_PER_BODY, len(old), PARAMETERS_PER_BODY))
-        carriers = {}
-        for k, body in enumerate(old):
-            carrier, X_RB = places.get(int(body.body_index), (-1, None))
-            carriers[body.name] = carrier
-            if X_RB is not None:
-                unit = np.eye(PARAMETERS_PER_BODY)
-                changed = calc_change_frame(unit, X_RB.rotation().matrix(), X_RB.translation())
-                matrix[carrier, :, k] = changed.T
-        size = PARAMETERS_PER_BODY * len(new), PARAMETERS_PER_BODY * len(old)
-        return cls(after, matrix.reshape(size), carriers)
+def _effects_after(
+    before: RobotModel, after: RobotModel, matrix: Array, carriers: Mapping[str, int]
+) -> tuple[list[tuple[FittedEffect, Array]], list[FittedEffect]]:
+    """Return effects of the model with joints held, and those that it cannot have.
 
-    def effects(
-        self, model: RobotModel
-    ) -> tuple[list[tuple[FittedEffect, Array]], list[FittedEffect]]:
-        """Effects of the model with joints held, and those that it cannot have.
-
-        Each comes with what takes all old parameters of effects to its own.
-        """
-        sizes = [len(fitted.effect.parameters) for fitted in model.effects]
-        starts = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
-        kept: list[tuple[FittedEffect, Array]] = []
-        lost, payloads, held = [], dict[int, Array](), set(self.after.held)
-        for fitted, start, size in zip(model.effects, starts, sizes, strict=False):
-            rows = np.zeros((size, starts[-1]))
-            rows[:, start : start + size] = np.eye(size)
-            if fitted.effect.role is Role.BODY:
-                body = fitted.effect.where[0]
-                carrier, old = self.carriers[body], model.bodies.index(body)
-                if carrier >= 0:
-                    change = self._block(carrier, old) @ rows
-                    payloads[carrier] = payloads.get(carrier, 0.0) + change
-                continue
-            bodies = (*self.after.bodies, "world")
-            joints = (*self.after.joints, *self.after.joints_behind)
-            places = bodies if "bod" in fitted.effect.places else joints
-            if set(places).issuperset(fitted.effect.where):
-                kept.append((fitted, rows))
-            elif "bod" in fitted.effect.places or not held.issuperset(fitted.effect.where):
-                lost.append(fitted)
-        mu = np.concatenate([np.zeros(0), *(fitted.parameters for fitted in model.effects)])
-        payload = effect_of(Role.BODY)
-        for carrier, rows in sorted(payloads.items()):
-            (effect,) = payload.shaped(self.after.bodies[carrier])
-            kept.append((FittedEffect(effect, rows @ mu), rows))
-        return kept, lost
-
-    def information(
-        self, model: RobotModel, kept: Sequence[tuple[FittedEffect, Array]]
-    ) -> Array | None:
-        """(p', p') information about the new parameters; None where there is none about the old."""
-        if model.information is None:
-            return None
-        rows = [*(rows for _, rows in kept), np.zeros((0, len(model.information) - model.phi.size))]
-        below = np.concatenate(rows)
-        A = np.zeros((len(self.matrix) + len(below), len(model.information)))
-        A[: len(self.matrix), : model.phi.size] = self.matrix
-        A[len(self.matrix) :, model.phi.size :] = below
-        return schur_complement(model.information, A)
-
-    def _block(self, carrier: int, body: int) -> Array:
-        n = PARAMETERS_PER_BODY
-        return self.matrix[n * carrier : n * (carrier + 1), n * body : n * (body + 1)]
+    Each comes with what takes all old parameters of effects to its own.
+    """
+    blocks = matrix.reshape(-1, PARAMETERS_PER_BODY, len(before.bodies), PARAMETERS_PER_BODY)
+    units = np.eye(sum(len(fitted.parameters) for fitted in before.effects))
+    mu = np.concatenate([np.zeros(0), *(fitted.parameters for fitted in before.effects)])
+    kept: list[tuple[FittedEffect, Array]] = []
+    lost, payloads, start = list[FittedEffect](), dict[int, Array](), 0
+    for fitted in before.effects:
+        effect, size = fitted.effect, len(fitted.parameters)
+        rows, start = units[start : start + size], start + size
+        if effect.role is Role.BODY:
+            carrier, old = carriers[effect.where[0]], before.bodies.index(effect.where[0])
+            if carrier >= 0:
+                payloads[carrier] = payloads.get(carrier, 0.0) + blocks[carrier, :, old] @ rows
+            continue
+        at_bodies = "bod" in effect.places
+        joints = (*after.joints, *after.joints_behind)
+        places = (*after.bodies, "world") if at_bodies else joints
+        if set(places).issuperset(effect.where):
+            kept.append((fitted, rows))
+        elif at_bodies or not set(after.held).issuperset(effect.where):
+            lost.append(fitted)
+    for carrier, rows in sorted(payloads.items()):
+        (effect,) = effect_of(Role.BODY).shaped(after.bodies[carrier])
+        kept.append((FittedEffect(effect, rows @ mu), rows))
+    return kept, lost
 
 
 def schur_complement(information: Array, A: Array) -> Array:

@@ -84,32 +84,21 @@ class OtherProgram:
         return placed, np.eye(1), np.zeros(1)
 
 
-@dataclass(frozen=True, eq=False)
-class SecondOpinion:
-    """What another program makes of a model's file.
-
-    Attributes:
-        efforts: (N, nv) by it.
-        ours: (N, nv) by geodrake, of what that program takes: all of the file for MuJoCo, but dry
-            friction; the bodies alone for Pinocchio.
-    """
-
-    by: str
-    efforts: Array
-    ours: Array
-
-
 def second_opinion(
     model: RobotModel,
     states: tuple[Array, Array, Array],
     plant_states: tuple[Array, Array, Array],
     jacobians: Array,
-) -> SecondOpinion | str:
+) -> tuple[str, Array, Array] | str:
     """Return what MuJoCo or Pinocchio makes of the file of a model; otherwise why there is none.
 
     Args:
         states: (N, nq), (N, nv), (N, nv) positions, velocities and accelerations of the model.
         jacobians: (N, nv of the plant, nv) rates of the plant's positions by the model's.
+
+    Returns:
+        The program, efforts (N, nv) by it, and by geodrake, of what it takes: all of the file for
+        MuJoCo, but dry friction; the bodies alone for Pinocchio.
     """
     if model.given.robot is not None:
         return "one robot of several was chosen, and only Drake reads a part of a file"
@@ -137,7 +126,7 @@ def second_opinion(
     if isinstance(found, str):
         return found
     efforts = _efforts(found, joints, *plant_states)
-    return SecondOpinion(found.by, times(np.swapaxes(jacobians, 1, 2), efforts), ours)
+    return found.by, times(np.swapaxes(jacobians, 1, 2), efforts), ours
 
 
 def _efforts(engine: OtherProgram, joints: list[Joint], q: Array, v: Array, vd: Array) -> Array:

@@ -274,32 +274,16 @@ _NOT_INCLUDED = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class EffortFormula:
-    """Efforts as formulas, and what they are without.
-
-    Attributes:
-        efforts: (nv) formulas of the entries of q, v and vd, or numbers.
-        included: The effects that they have, in words.
-        left_out: The effects that they have not, or not as they are, with the reason.
-    """
-
-    efforts: tuple[Operand, ...]
-    included: tuple[str, ...]
-    left_out: tuple[str, ...]
-
-
 @typed
 def is_written(effect: Effect) -> bool:
     """Return whether a formula of q, v and v̇ has an effect as it is."""
     return effect.role not in _NOT_INCLUDED and not effect.depends_on & BEYOND_MOTION
 
 
-def effort_formula(model: RobotModel, sign_width: ArrayLike) -> EffortFormula:
-    """Return the effort that a model needs for a motion.
-
-    Args:
-        sign_width: Speed below which dry friction fades, at least; see `RobotModel.sign_widths`.
+def _formulas(
+    model: RobotModel, sign_width: ArrayLike
+) -> tuple[list[Operand], list[str], list[str]]:
+    """Return efforts (nv) as formulas of q, v and vd, effects that they have, and those left out.
 
     Raises:
         ModelError: An effect cannot be written.
@@ -308,9 +292,12 @@ def effort_formula(model: RobotModel, sign_width: ArrayLike) -> EffortFormula:
     q = Symbols.inputs("q", model.tree.num_positions)
     v, vd = Symbols.inputs("v", nv), Symbols.inputs("vd", nv)
     load = inverse_dynamics_formula(model.tree, q, v, vd, model.total_phi)
+    by_joint = Symbols.of(np.full((1, nv), np.nan))  # for joints of several degrees
+    at_velocity, at_position = model.single_places
+    by_joint[0, at_velocity] = q[at_position]
     seen = RobotMotion(
         model.joints,
-        _by_joint(model, q),
+        by_joint,
         v[None],
         vd[None],
         load[None],
@@ -343,7 +330,7 @@ def effort_formula(model: RobotModel, sign_width: ArrayLike) -> EffortFormula:
     for fitted in scales:
         at = seen.index(fitted.effect.where[0])
         total[at] = total[at] + float(fitted.parameters[0]) * effort[at]
-    return EffortFormula(tuple(total.tolist()), tuple(included), tuple(left_out))
+    return total.tolist(), included, left_out
 
 
 def _words(fitted: FittedEffect) -> str:
@@ -352,14 +339,6 @@ def _words(fitted: FittedEffect) -> str:
     listed = ", ".join(f"{name} {value:.6g}" for name, value in values.items())
     place = effect.place if effect.where else "the robot"
     return f"{effect.name} of {place}{f' ({listed})' if listed else ''}"
-
-
-def _by_joint(model: RobotModel, q: Symbols) -> Symbols:
-    """(1, nv) position belonging to each velocity, NaN for joints of several degrees."""
-    found = Symbols.of(np.full((1, len(model.joints)), np.nan))
-    at_velocity, at_position = model.single_places
-    found[0, at_velocity] = q[at_position]
-    return found
 
 
 def _no_columns(body: str) -> Array:
@@ -421,10 +400,19 @@ def effort_source(model: RobotModel, language: str, *, sign_width: ArrayLike = 0
         ModelError: An effect cannot be written as source code.
     """
     kind = _LANGUAGES[one_of(language, "language", _LANGUAGES)]
-    formula = effort_formula(instance(model, "model", RobotModel), sign_width)
-    lines, efforts = straight_line(formula.efforts, kind.operation, kind.number)
+    formulas, included, left_out = _formulas(instance(model, "model", RobotModel), sign_width)
+    lines, efforts = straight_line(formulas, kind.operation, kind.number)
+    paragraphs = [
+        f"Effort that {quoted(model.path.name)} needs for a motion, written by geodrake.",
+        f"Rigid bodies, payloads included, and: {'; '.join(included) or 'no effect'}.",
+        *(f"Not included: {one}." for one in left_out),
+        *repair_comments(model),
+    ]
+    words = [line for p in paragraphs for line in textwrap.wrap(printable(p), _WIDTH)]
+    # C++ goes on in the next line after a backslash.
+    comment = [kind.comment + line + ("." if line.endswith("\\") else "") for line in words]
     text = kind.template.format(
-        comment=_comment(model, formula, kind.comment),
+        comment="\n".join(comment),
         name=f"{_name(model)}_model",
         nq=model.tree.num_positions,
         nv=len(model.joints),
@@ -432,7 +420,7 @@ def effort_source(model: RobotModel, language: str, *, sign_width: ArrayLike = 0
         statements="\n".join(kind.statement.format(name, _bare(x)) for name, x in lines),
         results="\n".join(kind.result.format(_bare(x)) for x in efforts),
     )
-    return EffortSource(f"{_name(model)}_effort{kind.suffix}", text, formula.left_out)
+    return EffortSource(f"{_name(model)}_effort{kind.suffix}", text, tuple(left_out))
 
 
 def _bare(expression: str) -> str:
@@ -449,20 +437,3 @@ def _name(model: RobotModel) -> str:
     """Return an ASCII identifier for the robot, of its file's name."""
     plain = "".join(c if c.isascii() else " " for c in model.path.name.partition(".")[0])
     return identifier(plain)
-
-
-def _comment(model: RobotModel, formula: EffortFormula, mark: str) -> str:
-    """Return what the file is, line by line; names are quoted, as they may hold anything."""
-    paragraphs = [
-        f"Effort that {quoted(model.path.name)} needs for a motion, written by geodrake.",
-        f"Rigid bodies, payloads included, and: {'; '.join(formula.included) or 'no effect'}.",
-        *(f"Not included: {one}." for one in formula.left_out),
-        *repair_comments(model),
-    ]
-    lines = [line for p in paragraphs for line in textwrap.wrap(printable(p), _WIDTH)]
-    return "\n".join(f"{mark}{line}{_ended(line)}" for line in lines)
-
-
-def _ended(line: str) -> str:
-    """Return what ends a line of a comment, as C++ goes on in the next one after a backslash."""
-    return "." if line.endswith("\\") else ""
