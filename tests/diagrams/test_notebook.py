@@ -9,6 +9,7 @@ from pathlib import Path
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import pytest
+from meshcat_pages import tracks
 
 from geodrake import diagnosis, load_model
 from geodrake.logs import read_log
@@ -58,6 +59,8 @@ def names_after(tmp_path, monkeypatch):
                     source = "".join(cell["source"]).replace("plt.show()", f"shown_({number})")
                     names["shown_"] = lambda k: (plt.savefig(f"figure_{k}.png"), plt.close("all"))
                     exec(compile(source, f"{notebook} cell {number}", "exec"), names)
+        left = [path for path in Path.cwd().iterdir() if not path.name.startswith("figure_")]
+        assert not left, "a notebook leaves nothing in its folder"
         return names
 
     return run
@@ -97,17 +100,19 @@ def test_distances_between_bodies_help_where_samples_are_few(names_after):
 
 
 @pytest.mark.thorough
-def test_an_adaptive_loop_stays_physical(names_after, tmp_path):
+def test_an_adaptive_loop_stays_physical(names_after):
     names = names_after("adaptive_loop")
     late = names["late"]
     assert late["natural"] < 0.2 * late["no adaptation"]
     shares = {name: names["share_unphysical"](logs) for name, logs in names["runs"].items()}
     assert shares["natural"] == 0.0
     assert shares["Euclidean"] > 0.3
-    assert (tmp_path / "diagrams" / "adaptive_loop.html").stat().st_size > 100_000
+    assert names["page"].stat().st_size > 100_000
+    names["page"].unlink()
 
 
 def test_the_fitted_model_falls_otherwise_than_its_file(names_after, explain_once):
     names = names_after("fitted_model_in_simulation")
     assert len(names["fitted"].effects) == 5
     assert abs(names["by_file"][-1, 2] - names["by_fit"][-1, 2]) > 0.1
+    assert tracks(names["meshcat"].StaticHtml())  # the fall, recorded
