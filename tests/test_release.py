@@ -24,7 +24,9 @@ def test_the_version_is_that_of_the_changelog_and_the_recipe():
 
 def test_the_recipe_needs_what_the_package_needs():
     run = yaml.safe_load(text_of("conda/recipe.yaml"))["requirements"]["run"]
-    recipe = {re.split(r"[ >=]", each)[0].removesuffix("-base") for each in run}
+    recipe = {
+        re.split(r"[ >=]", each)[0].removesuffix("-base").removesuffix("-python") for each in run
+    }
     package = {re.split(r"[>=\[]", each)[0] for each in PROJECT["dependencies"]}
     assert recipe - {"python"} == package - {"drake"}
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import typer.main
@@ -16,27 +17,11 @@ from mkdocs.structure.files import File, Files
 from geodrake.cli.app import app
 from geodrake.effects import catalogue
 
-PACKAGES = (
-    "geodrake",
-    *(
-        f"geodrake.{name}"
-        for name in (
-            "diagnosis",
-            "effects",
-            "identification",
-            "fleet",
-            "excitation",
-            "control",
-            "control.scenes",
-            "control.export_proof",
-            "robot",
-            "model",
-            "inertia",
-            "manifolds",
-            "logs",
-        )
-    ),
+API = Path(__file__).resolve().parents[1] / "docs" / "api.md"
+PACKAGES = tuple(
+    re.findall(r"^\| `(geodrake[.\w]*)` \|", API.read_text(encoding="utf-8"), flags=re.M)
 )
+"""Those that the table of `docs/api.md` names."""
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
