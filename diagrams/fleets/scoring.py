@@ -9,7 +9,7 @@ from fleets.draws import GAIN, PAYLOAD, STICKIER, WEAR, FleetDraw, HiddenChange,
 from fleets.files import day_of
 from geodrake.fleet import ChangeRival, FleetFinding
 from geodrake.fleet.changes import MONTH
-from geodrake.fleet.profiles import RAMP, STEP
+from geodrake.fleet.type_columns import RAMP, STEP
 
 _DRY, _VISCOUS = frozenset({"coulomb_friction"}), frozenset({"viscous_friction"})
 

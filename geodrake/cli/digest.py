@@ -14,8 +14,8 @@ from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import head, make_console, say, show_list, show_saved, show_table
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.fleet.digest_folder import FAILED, digest_logs
-from geodrake.fleet.log_dates import date_seconds
-from geodrake.fleet.making import Wanted
+from geodrake.fleet.digest_log import Wanted
+from geodrake.fleet.log_places import date_seconds
 from geodrake.logs.files import parts_of
 from geodrake.report.digests import (
     digest_notes,

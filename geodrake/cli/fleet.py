@@ -18,11 +18,10 @@ from geodrake.cli.surroundings import print_whole, printing, results, warn
 from geodrake.cli.tables import head, make_console, say, show_list, show_saved, show_table
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.errors import ArgumentError, FleetError
-from geodrake.fleet.digest_run import FleetDigests
 from geodrake.fleet.fleet_file import Fleet, read_fleet
-from geodrake.fleet.fleet_result import FleetFinding, FleetResult
+from geodrake.fleet.fleet_logs import FleetDigests
+from geodrake.fleet.fleet_result import FleetFinding, FleetResult, keep_told, new_findings
 from geodrake.fleet.fleet_run import FleetWork, fleet_result, run_fleet, take_in_logs
-from geodrake.fleet.told_findings import keep_told, new_findings
 from geodrake.report.fleet_json import finding_line, fleet_dict, parquet_contents
 from geodrake.report.fleet_tables import (
     MOST_ROBOTS,

@@ -25,11 +25,100 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from geodrake.boundary.showing import Short
-from geodrake.fleet.hypotheses import ChangeHypothesis
-from geodrake.fleet.profiles import FORMS, STEP, Profiles, kind_of
-from geodrake.fleet.robot_fit import RobotFit
+from geodrake.fleet.type_columns import RAMP, STEP, ChangeHypothesis
+from geodrake.fleet.type_model import RobotFit
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+UNTIL = "until"
+FORMS = (STEP, UNTIL, RAMP)
+"""A step, what was there until a step, and a ramp."""
+
+
+def kind_of(form: str) -> str:
+    """The kind of change that a form is of."""
+    return STEP if form == UNTIL else form
+
+
+@dataclass(frozen=True, eq=False)
+class Profiles(Short):
+    """The steps or ramps that may begin at any of a robot's logs.
+
+    A step is 0 before the log and 1 from it on, or 1 until the log and 0 from it on. A ramp is 0 up
+    to the log and then rises in proportion to the days, to 1 at the last log.
+
+    Attributes:
+        first: (K,) log at which each begins.
+        days: (T,) days of the logs.
+    """
+
+    form: str
+    first: Indices
+    days: Array
+
+    @classmethod
+    def of(cls, form: str, days: Array) -> Profiles:
+        """All that the days of a robot's logs can show.
+
+        Args:
+            days: (T,) days of the logs, ascending.
+        """
+        starts = np.unique(days, return_index=True)[1]  # logs of one day are not told apart
+        return cls(form, starts[:-1] if form == RAMP else starts[1:], days)
+
+    @property
+    def values(self) -> Array:
+        """(K, T) values."""
+        after = np.arange(len(self.days)) >= self.first[:, None]
+        if self.form == UNTIL:
+            return np.logical_not(after).astype(float)
+        if self.form == STEP:
+            return after.astype(float)
+        begun = self.days[self.first][:, None]
+        return np.asarray(after * (self.days - begun) / (self.days[-1] - begun))
+
+    def sums(self, per_log: Array) -> Array:
+        """(K, ...) sums Σ_t f_k(t) X_t, of cumulative sums.
+
+        Args:
+            per_log: (T, ...) X.
+        """
+        if self.form == UNTIL:
+            return np.asarray(np.cumsum(per_log, axis=0)[self.first - 1])
+        zeroth = _tail_sums(per_log)[self.first]
+        if self.form == STEP:
+            return zeroth
+        left, span = self._ramp(per_log)
+        return np.asarray(zeroth - _tail_sums(left * per_log)[self.first] / span)
+
+    def squares(self, per_log: Array) -> Array:
+        """(K, ...) sums Σ_t f_k(t)² X_t, of cumulative sums.
+
+        Args:
+            per_log: (T, ...) X.
+        """
+        if self.form != RAMP:
+            return self.sums(per_log)
+        left, span = self._ramp(per_log)
+        zeroth, first, second = (
+            _tail_sums(each)[self.first] for each in (per_log, left * per_log, left**2 * per_log)
+        )
+        return np.asarray(zeroth - 2.0 * first / span + second / span**2)
+
+    def _ramp(self, per_log: Array) -> tuple[Array, Array]:
+        """Days that are left after logs, and those of whole ramps, shaped to go with X.
+
+        A ramp is 1 − left / span. Counted from the last log, no sum is more than its parts.
+        """
+        left = (self.days[-1] - self.days).reshape(-1, *(1,) * (per_log.ndim - 1))
+        return left, left[self.first]
+
+
+def _tail_sums(per_log: Array) -> Array:
+    """(T, ...) sums over each log and all later ones."""
+    return np.cumsum(per_log[::-1], axis=0)[::-1]
+
 
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Sizes s of changes, over the usual one of their hypothesis, that are thought of."""
@@ -37,11 +126,7 @@ SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
 
 @dataclass(frozen=True)
 class ChangePlace:
-    """A change in the space of all: hypothesis, form and day, by their numbers.
-
-    Attributes:
-        first: Log at which it begins.
-    """
+    """A change in the space of all: hypothesis, form and day, by their numbers."""
 
     hypothesis: int
     form: str
@@ -53,7 +138,6 @@ class ChangeEvidence(Short):
     """What logs of a robot say for a change.
 
     Attributes:
-        profiles: The steps and ramps that there may be.
         ratio: For each of them, (h, K) logarithms of ratios of each hypothesis and day, means over
             sizes; −∞ for a hypothesis that is not of its kind.
         prior: (h, K) logarithms of their prior probabilities, which sum to 1.
@@ -102,7 +186,6 @@ def calc_change_evidence(
     """What a robot's logs say for each change.
 
     Args:
-        fit: Its own parameters, with all changes that were found before.
         days: (T,) days of its logs.
         scale: (p,) what a share of each column is to the robot.
     """

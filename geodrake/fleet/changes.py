@@ -1,20 +1,28 @@
-"""Changes of one robot: found one after another, exchanged for better ones, with their rivals."""
+"""Changes of one robot, with their rivals, and of all robots of a type."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short
-from geodrake.fleet.change_evidence import ChangeEvidence, ChangePlace, calc_change_evidence
-from geodrake.fleet.history import HistorySource, LogEquations, ReferredLogs, RobotHistory
-from geodrake.fleet.hypotheses import ChangeHypothesis
-from geodrake.fleet.profiles import RAMP, UNTIL, Profiles, kind_of
-from geodrake.fleet.robot_fit import RobotFit
-from geodrake.fleet.type_model import TypeModel
+from geodrake.fleet.change_evidence import (
+    UNTIL,
+    ChangeEvidence,
+    ChangePlace,
+    Profiles,
+    calc_change_evidence,
+    kind_of,
+)
+from geodrake.fleet.history import History, LogEquations, ReferredLogs, RobotHistory
+from geodrake.fleet.type_columns import RAMP, ChangeHypothesis, TypeColumns
+from geodrake.fleet.type_learning import learn_type, least_squares, pooled
+from geodrake.fleet.type_model import RobotFit, TypeModel
+from geodrake.fleet.workers import HERE, Workers
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -34,6 +42,7 @@ _WITHIN = 0.95  # probability of an interval of days
 _TINY = 1e-300
 _WIDE = 30.0  # scale of changes that were found, over the usual one
 _KEPT = 4  # states of a robot
+_FIRST, _LATER = 12, 4  # rounds of learning what robots share
 _REFITS = 2  # of a robot, until its gains and odd logs are settled
 
 
@@ -52,8 +61,6 @@ class RobotChange(Short):
     """A change of a robot.
 
     Attributes:
-        effect: Name of the effect that changed.
-        kind: "step", or "ramp" for what goes on changing.
         day: First day after the step, or on which the ramp begins.
         interval: Days within which that is with a probability of 95 %.
         coordinates: (d,) the change z in the coordinates of its hypothesis; of a ramp up to the
@@ -63,7 +70,6 @@ class RobotChange(Short):
         deviation: (p,) its standard deviation.
         share: (p,) the size in shares of the robot's own values, for relative columns.
         probability: Probability of the effect, joint and kind, given that something changed.
-        rivals: What else it may be, most probable first.
         false_alarm_probability: At most by what chance logs of a robot in which nothing more
             changed say so much for a change.
     """
@@ -89,9 +95,7 @@ class SearchState(Short):
     """A robot's logs, as they look with some changes.
 
     Attributes:
-        logs: Their normal equations, with gains.
         odd: (T, K) how odd they are.
-        cost: Logarithm of what their density loses by that.
     """
 
     logs: LogEquations
@@ -107,16 +111,20 @@ class RobotSearch(Short):
     The last few states are kept while changes are sought or told, and no longer: they are large.
 
     Attributes:
-        model: What is known of its type.
         reference: (T, p) or (p,) parameters that gains refer to at first.
     """
 
     model: TypeModel
-    robot: int
-    history: RobotHistory
+    source: History
     reference: Array
     hypotheses: Sequence[ChangeHypothesis]
+    level: float = 0.01
     _states: dict[tuple[ChangePlace, ...], SearchState] = field(default_factory=dict, init=False)
+
+    @cached_property
+    def history(self) -> RobotHistory:
+        """Logs of the robot."""
+        return self.source.read()
 
     def state(self, places: Sequence[ChangePlace]) -> SearchState:
         """The logs with some changes, where gains refer to the parameters of the day."""
@@ -128,25 +136,29 @@ class RobotSearch(Short):
         return self._states[key]
 
     def _fitted(self, places: Sequence[ChangePlace]) -> SearchState:
-        changes, odd = self.design(places), self.model.odd[self.robot]
+        changes, odd = self.design(places), self.model.odd[0]
         reference = self.reference
         for _ in range(_REFITS):
-            logs = ReferredLogs(self.history, self.model.columns.gains, reference).equations()
-            fit = self.model.fit(self.robot, logs, changes, odd)
-            odd, cost = self.model.oddness(self.model.log_scores(self.robot, fit), odd)
-            reference = self.model.parameters(self.robot, logs, fit)
-        logs = ReferredLogs(self.history, self.model.columns.gains, reference).equations()
-        fit = self.model.fit(self.robot, logs, changes, odd)
+            logs = self._equations(reference)
+            fit = self.model.fit(0, logs, changes, odd)
+            odd, cost = self.model.oddness(self.model.log_scores(0, fit), odd)
+            reference = self.model.parameters(0, logs, fit)
+        logs = self._equations(reference)
+        fit = self.model.fit(0, logs, changes, odd)
         return SearchState(logs, odd, float(cost.sum()), fit)
+
+    def _equations(self, reference: Array) -> LogEquations:
+        gains = self.model.columns.gains
+        return ReferredLogs(self.history, reference if gains else None).equations()
 
     def settled(self, places: Sequence[ChangePlace]) -> tuple[Array, Array]:
         """(T, p) parameters of the day with some changes, and (T, K) how odd logs are."""
         state = self._fitted(places)
-        return self.model.parameters(self.robot, state.logs, state.fit), state.odd
+        return self.model.parameters(0, state.logs, state.fit), state.odd
 
     def evidence(self, state: SearchState) -> ChangeEvidence:
         """What logs say for a further change beside those of a state."""
-        scale = self.model.scale(self.robot)
+        scale = self.model.scale(0)
         return calc_change_evidence(state.fit, self.history.days, self.hypotheses, scale)
 
     def instead(self, state: SearchState, others: Sequence[ChangePlace]) -> ChangeEvidence:
@@ -164,19 +176,15 @@ class RobotSearch(Short):
         return Profiles(place.form, np.array([place.first]), self.history.days).values[0]
 
     def _factor(self, place: ChangePlace) -> Array:
-        scale = self.model.scale(self.robot)[:, None]
+        scale = self.model.scale(0)[:, None]
         return np.asarray(_WIDE * scale * self.hypotheses[place.hypothesis].factor)
 
-    def find(self, level: float) -> list[ChangePlace]:
-        """Changes that hardly come by chance, in the order in which they were found.
-
-        Args:
-            level: Probability of a false alarm in the time of all logs.
-        """
+    def find(self) -> list[ChangePlace]:
+        """Find changes that hardly come by chance, in the order in which they are found."""
         places: list[ChangePlace] = []
         while len(places) < _MOST_CHANGES:
             tried = sorted(self._candidates(places), key=lambda each: self.state(each).cost)
-            added = (self._exchanged(each, -np.log(level)) for each in tried)
+            added = (self._exchanged(each, -np.log(self.level)) for each in tried)
             better = next((each for each in added if len(each) > len(places)), None)
             if better is None:
                 break  # it was too little, or made another one needless, and would again
@@ -192,7 +200,7 @@ class RobotSearch(Short):
         """
         state = self.state(places)
         equal = np.zeros_like(state.odd)
-        fit = self.model.fit(self.robot, state.logs, self.design(places), equal)
+        fit = self.model.fit(0, state.logs, self.design(places), equal)
         every = [self.evidence(state), self.evidence(replace(state, fit=fit))]
         found = dict.fromkeys(best_place(each) for each in every if each.profiles)
         return [[*places, place] for place in found if place not in places]
@@ -235,7 +243,7 @@ class RobotSearch(Short):
         for at in range(len(places) - 1, -1, -1):
             place, others = places[at], [*places[:at], *places[at + 1 :]]
             hypothesis = self.hypotheses[place.hypothesis]
-            factor = self.model.scale(self.robot)[:, None] * hypothesis.factor
+            factor = self.model.scale(0)[:, None] * hypothesis.factor
             part = slice(end - factor.shape[1], end)
             end = part.start
             sign = -_WIDE if place.form == UNTIL else _WIDE
@@ -257,7 +265,7 @@ class RobotSearch(Short):
                     covariance,
                     size,
                     np.sqrt(np.maximum(variance, 0.0)),
-                    size / self.model.scale(self.robot),
+                    size / self.model.scale(0),
                     shares.pop((place.hypothesis, kind)),
                     self._rivals(shares),
                     float(chance),
@@ -318,6 +326,80 @@ def _beginnings(evidence: ChangeEvidence, hypothesis: int, kind: str) -> tuple[I
     return same[0][0], np.sum([share for _, share in same], axis=0)
 
 
-def months(history: HistorySource) -> float:
+def months(history: History) -> float:
     """Months of a robot's logs; a day more than from the first to the last."""
     return float(history.days[-1] - history.days[0] + 1.0) / MONTH
+
+
+@dataclass(frozen=True, eq=False)
+class FleetChanges(Short):
+    """What changed in robots of a type.
+
+    Attributes:
+        references: (T, p) of every robot, parameters that its gains referred to.
+    """
+
+    model: TypeModel
+    changes: tuple[tuple[RobotChange, ...], ...]
+    places: tuple[tuple[ChangePlace, ...], ...]
+    references: tuple[Array, ...]
+
+
+def find_changes(
+    histories: Sequence[History],
+    columns: TypeColumns,
+    hypotheses: Sequence[ChangeHypothesis],
+    *,
+    false_alarms: float = 0.01,
+    passes: int = 3,
+    team: Workers = HERE,
+) -> FleetChanges:
+    """Find which robots of a type changed, at which joint or body, by which effect, since when.
+
+    What all share, the scatter of logs and the common course are learnt with the changes that were
+    found, and changes are sought with these, several times.
+
+    Args:
+        histories: Logs of each robot, over the same p columns.
+        false_alarms: At most how many robots in which nothing changed are named, a robot-month.
+    """
+    # What gains refer to at first is what all robots are in the mean.
+    first = least_squares(*pooled(team, [ReferredLogs(history) for history in histories]))
+    references: list[Array] = [first] * len(histories)
+
+    def logs() -> list[ReferredLogs]:
+        pairs = zip(histories, references, strict=True)
+        return [ReferredLogs(h, reference if columns.gains else None) for h, reference in pairs]
+
+    def searches() -> list[RobotSearch]:
+        return [
+            RobotSearch(
+                model.of(r),
+                history,
+                reference,
+                hypotheses,
+                min(1.0, false_alarms * months(history)),
+            )
+            for r, (history, reference) in enumerate(zip(histories, references, strict=True))
+        ]
+
+    model = learn_type(logs(), columns, rounds=_FIRST, team=team)
+    for _ in range(passes - 1):
+        settled = team.in_order(_settled, searches())
+        references, designs, odd = map(list, zip(*settled, strict=True))
+        start = replace(model, odd=tuple(odd))
+        model = learn_type(logs(), columns, changes=designs, start=start, rounds=_LATER, team=team)
+    places, changes = zip(*team.in_order(_told, searches()), strict=True)
+    return FleetChanges(model, changes, places, tuple(references))
+
+
+def _settled(search: RobotSearch) -> tuple[Array, Array, Array]:
+    """Find what learning needs of a robot: parameters of the day, changes, how odd logs are."""
+    places = search.find()
+    reference, odd = search.settled(places)
+    return reference, search.design(places), odd
+
+
+def _told(search: RobotSearch) -> tuple[tuple[ChangePlace, ...], tuple[RobotChange, ...]]:
+    places = search.find()
+    return tuple(places), search.told(places)

@@ -5,28 +5,47 @@ RᵀR = [A | b]ᵀ[A | b] = G_tj, where A are the filtered columns of (1) and b 
 efforts, one for each delay; n_tj rows; and the autocovariance of what a fit leaves. Fits, changes
 from day to day and hierarchies of robots are small problems on these, and nobody goes back to
 samples. Digests of several logs are one digest: their blocks side by side.
+
+A file is an NPZ archive of arrays, with a header and the settings in JSON. It ends in the SHA-256
+of all bytes before it, as the comment of the archive. In a folder, its name is the key that it
+holds, which is the hash of its log, of known payloads and of the settings.
 """
 
 from __future__ import annotations
 
+import hashlib
+import io
+import json
+import zipfile
+import zlib
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from operator import methodcaller
+from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import instances
+from geodrake.boundary.arguments import file_path, instance, instances
+from geodrake.boundary.escaping import one_line
+from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, DigestError
-from geodrake.fleet.settings import DigestColumn, DigestSettings
+from geodrake.fleet.settings import FORMAT, DigestColumn, DigestSettings, array_of, settings_of
 from geodrake.identification.logs.evidence import effective_by_covariance
 from geodrake.logs.known_payload import KnownPayload
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
+
+_LARGEST_FILE = 500_000_000  # bytes, also of what an archive says it unpacks to
+_SEAL = hashlib.sha256().digest_size
+_NUMBERS = ("noise_floor", "gain_deviations", "position", "speed", "temperature")
+_INTEGERS = ("columns", "samples", "seen")
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +53,6 @@ class JointDigest(Short):
     """What B blocks say about one joint.
 
     Attributes:
-        joint: Its name.
         columns: (p_j,) which of the settings' p columns can be nonzero at this joint, ascending.
         factors: (B, p_j + d, p_j + d) upper triangular factors R of [A | b], for d delays: in N·m
             or N over the columns' units, and in N·m or N.
@@ -187,16 +205,6 @@ class Digest(Short):
         seen = np.array([joint.seen.sum() for joint in self.joints])
         return np.asarray(1.0 - self.samples / np.maximum(seen, 1))
 
-    @property
-    def position(self) -> Array:
-        """(2, nv) least and largest position of each joint, rad or m."""
-        return _range([log.position for log in self.logs])
-
-    @property
-    def speed(self) -> Array:
-        """(2, nv) least and largest velocity of each joint, rad/s or m/s."""
-        return _range([log.speed for log in self.logs])
-
     def normal_matrices(self, *, delay: int = 0, block: int | None = None) -> Array:
         """(nv, p + 1, p + 1) G_j = [A | b]ᵀ[A | b] of every joint over all columns.
 
@@ -212,20 +220,6 @@ class Digest(Short):
             at = np.append(joint.columns, size - 1)
             own[at[:, None], at] = joint.normal_matrix(delay=delay, block=block)
         return found
-
-    def of_log(self, log: int) -> Digest:
-        """The digest of one of the logs of a merged one; peaks stay those of all."""
-        kept = np.flatnonzero(self.block_logs == log)
-        return replace(
-            self,
-            logs=(self.logs[log],),
-            blocks=tuple(self.blocks[b] for b in kept),
-            block_logs=np.zeros(len(kept), np.intp),
-            joints=tuple(
-                replace(joint, **{name: getattr(joint, name)[kept] for name in _OF_BLOCKS})
-                for joint in self.joints
-            ),
-        )
 
 
 _OF_BLOCKS = ("factors", "samples", "seen", "effort_sums", "carried", "autocovariances")
@@ -269,11 +263,7 @@ def merge(digests: Sequence[Digest]) -> Digest:
 
 
 def check_same(own: DigestSettings, others: DigestSettings, what: str) -> None:
-    """Refuse digests that do not add up.
-
-    Raises:
-        DigestError: They differ; the message says in what.
-    """
+    """Refuse digests that do not add up; the message says in what settings differ."""
     if own.hash != others.hash:
         raise DigestError(
             f"{what} is by other settings: they differ in {', '.join(own.differences(others))}.",
@@ -282,13 +272,181 @@ def check_same(own: DigestSettings, others: DigestSettings, what: str) -> None:
 
 
 def _joined(parts: Sequence[JointDigest]) -> JointDigest:
-    """What several digests say about one joint."""
+    """Return what several digests say about one joint."""
     together: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in _OF_BLOCKS
     }
     return replace(parts[0], peaks=np.max([part.peaks for part in parts], axis=0), **together)
 
 
-def _range(ranges: Sequence[Array]) -> Array:
-    low, high = np.swapaxes(np.array(ranges), 0, 1)
-    return np.array([low.min(axis=0), high.max(axis=0)])
+DAMAGED = (
+    *(OSError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError),
+    *(zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, MemoryError),
+    *(OverflowError, msgspec.MsgspecError),
+)
+"""What reading an NPZ archive raises whose bytes are not those that were written."""
+
+
+def digest_content(digest: Digest) -> bytes:
+    """Return what the file of a digest holds: the same for the same digest, wherever it is made.
+
+    An NPZ archive of `header` and `settings`, which are JSON in bytes, and of the arrays of every
+    joint k, such as `k.samples`. Of triangular factors, the upper triangles are there, row by row.
+    """
+    instance(digest, "digest", Digest)
+    header = {
+        "format": FORMAT,
+        "settings": digest.settings.hash,
+        "logs": digest.logs,
+        "blocks": digest.blocks,
+        "block_logs": digest.block_logs,
+    }
+    arrays: dict[str, NDArray[Any]] = {
+        "header": _bytes(msgspec.json.encode(header, enc_hook=methodcaller("tolist"))),
+        "settings": _bytes(digest.settings.text().encode()),
+    }
+    for k, joint in enumerate(digest.joints):
+        for name in _ARRAYS:
+            arrays[f"{k}.{name}"] = getattr(joint, name)
+        upper = np.triu_indices(joint.factors.shape[1])
+        arrays[f"{k}.factors"] = joint.factors[:, upper[0], upper[1]]
+    return sealed(arrays)
+
+
+def sealed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Return an NPZ archive that ends in the SHA-256 of all that is before it."""
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    with zipfile.ZipFile(file, "a") as archive:
+        archive.comment = bytes(_SEAL)
+    content = file.getvalue()[:-_SEAL]
+    return content + hashlib.sha256(content).digest()
+
+
+def read_digest_of(path: Path, settings: DigestSettings) -> Digest:
+    """Read a digest of one log in a folder, which must be the one that its name says."""
+    digest = read_digest(path)
+    check_same(digest.settings, settings, str(path))
+    if [log.key for log in digest.logs] != [path.stem]:
+        names = ", ".join(log.name for log in digest.logs)
+        raise DigestError(
+            f"{path} holds the digest of another log, {names}: it was copied or renamed.",
+            advice="Delete it, and digest its log again.",
+            path=path,
+        )
+    return digest
+
+
+def read_digest(path: str | Path) -> Digest:
+    """Read the digest that `geodrake digest` wrote.
+
+    Raises:
+        DigestError: It is no digest, damaged, or of another version of the format.
+    """
+    path = regular_file(file_path(path), "digest", DigestError, largest=_LARGEST_FILE)
+    try:
+        with open_regular(path, "digest", DigestError) as file:
+            data = file.read()
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if sum(entry.file_size for entry in archive.infolist()) > _LARGEST_FILE:
+                raise ValueError("it unpacks to more than any digest has")
+            arrays = {
+                entry.filename.removesuffix(".npy"): np.lib.format.read_array(
+                    io.BytesIO(archive.read(entry)), allow_pickle=False
+                )
+                for entry in archive.infolist()
+            }
+        header = json.loads(_text(arrays, "header"))
+        if isinstance(header, dict) and header.get("format") != FORMAT:
+            raise DigestError(
+                f"{path} is a digest of the format {header.get('format')!r}; this version of "
+                f"geodrake reads {FORMAT!r}.",
+                advice="Digest its log again.",
+                path=path,
+            )
+        if hashlib.sha256(data[:-_SEAL]).digest() != data[-_SEAL:]:
+            raise ValueError("its checksum is another one")
+        settings = settings_of(_text(arrays, "settings"), path)
+        if settings.hash != header["settings"]:
+            raise ValueError("its settings are not those of its header")
+        return _digest(header, settings, arrays)
+    except DigestError:
+        raise
+    except DAMAGED as error:
+        raise DigestError(
+            f"{path} is no digest, or damaged: {one_line(error)}.",
+            advice="Delete it, and digest its log again.",
+            path=path,
+        ) from error
+
+
+_ARRAYS = tuple(f.name for f in fields(JointDigest) if f.name not in ("joint", "factors"))
+
+
+def _bytes(text: bytes) -> NDArray[np.uint8]:
+    return np.frombuffer(text, np.uint8)
+
+
+def _text(arrays: Mapping[str, NDArray[Any]], name: str) -> str:
+    return bytes(np.asarray(arrays[name], np.uint8)).decode()
+
+
+def _log(said: Mapping[str, Any], nv: int) -> DigestedLog:
+    log = msgspec.convert(said, DigestedLog, dec_hook=array_of)
+    for name in _NUMBERS:
+        values = getattr(log, name)
+        if values.shape != ((2, nv) if name in ("position", "speed") else (nv,)):
+            raise ValueError(f"its {name} has the shape {values.shape}")
+        if name != "temperature" and not np.isfinite(values).all():
+            raise ValueError(f"its {name} is not finite")
+    for name in ("date", "seconds", "period", "bandwidth", "noise_weight"):
+        if not 0 < getattr(log, name) < np.inf:
+            raise ValueError(f"its {name} is {getattr(log, name)!r}")
+    return log
+
+
+def _digest(
+    header: Mapping[str, Any], settings: DigestSettings, arrays: Mapping[str, NDArray[Any]]
+) -> Digest:
+    logs = tuple(_log(said, len(settings.joints)) for said in header["logs"])
+    blocks = tuple(map(str, header["blocks"]))
+    block_logs = np.array(header["block_logs"], np.intp).reshape(len(blocks))
+    if not blocks or not 0 <= block_logs.min() <= block_logs.max() < len(logs):
+        raise ValueError("its blocks are of no log")
+    joints = tuple(
+        _joint(name, {n: arrays[f"{k}.{n}"] for n in ("factors", *_ARRAYS)}, settings, len(blocks))
+        for k, name in enumerate(settings.joints)
+    )
+    return Digest(settings, logs, blocks, block_logs, joints)
+
+
+def _joint(
+    name: str, arrays: Mapping[str, NDArray[Any]], settings: DigestSettings, blocks: int
+) -> JointDigest:
+    """Return a joint of a digest, its arrays of the shapes that they must have."""
+    columns = np.asarray(arrays["columns"], np.intp).ravel()
+    p = len(columns)
+    size = p + len(settings.delays)
+    if p and not (np.diff(columns) > 0).all():
+        raise ValueError(f"columns of {name} are not in order")
+    if p and not 0 <= columns[0] <= columns[-1] < len(settings.columns):
+        raise ValueError(f"columns of {name} are none of the settings'")
+    shapes = {
+        "columns": (p,),
+        "factors": (blocks, size * (size + 1) // 2),
+        "samples": (blocks,),
+        "seen": (blocks,),
+        "effort_sums": (blocks, 2),
+        "carried": (blocks, p),
+        "peaks": (p,),
+        "autocovariances": (blocks, settings.lags),
+    }
+    found = {}
+    for each, shape in shapes.items():
+        values = np.asarray(arrays[each], np.intp if each in _INTEGERS else float)
+        if values.shape != shape or not np.isfinite(values).all():
+            raise ValueError(f"{each} of {name} has the shape {values.shape}, or no numbers")
+        found[each] = values
+    factors = np.zeros((blocks, size, size))
+    factors[:, *np.triu_indices(size)] = found["factors"]
+    return JointDigest(name, **{**found, "factors": factors})

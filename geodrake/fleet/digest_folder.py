@@ -18,12 +18,17 @@ from geodrake.boundary.showing import Short
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import check_writable, made_folder, write_new, write_whole
 from geodrake.errors import ArgumentError, DigestError, GeodrakeError, OutputError
-from geodrake.fleet.digest import Digest, DigestedLog
-from geodrake.fleet.digest_dataset import model_of_digests
-from geodrake.fleet.digest_file import digest_content, read_digest_of
-from geodrake.fleet.log_dates import date_text
-from geodrake.fleet.making import LogFacts, Wanted, make_digest, make_settings, said_of_reading
-from geodrake.fleet.model_hash import file_hash, text_hash
+from geodrake.fleet.digest import Digest, DigestedLog, digest_content, read_digest_of
+from geodrake.fleet.digest_log import (
+    LogFacts,
+    Wanted,
+    make_digest,
+    make_settings,
+    model_of_digests,
+    said_of_reading,
+)
+from geodrake.fleet.hashes import file_hash, text_hash
+from geodrake.fleet.log_places import date_text
 from geodrake.fleet.settings import (
     SETTINGS_FILE,
     DigestSettings,
@@ -104,11 +109,7 @@ class _Folder:
     chosen: bool = False
 
     def add(self, log: Path, facts: LogFacts) -> DigestRow:
-        """Return the digest of a log, made unless it is there.
-
-        Raises:
-            GeodrakeError: The log cannot be read or used.
-        """
+        """Return the digest of a log, made unless it is there."""
         reason = ""
         if self.settings is not None and (file := self._file(self.settings, facts)).exists():
             try:
@@ -131,12 +132,7 @@ class _Folder:
         return DigestRow.of(log, MADE, file, digest, reason)
 
     def _chosen_from(self, log: JointLog) -> DigestSettings:
-        """Settings by the first log.
-
-        Raises:
-            DigestError: The bandwidth that is asked for is none that logs like it can have.
-            LogError: The log cannot be used.
-        """
+        """Settings by the first log."""
         try:
             return make_settings(self.model, log, wanted=self.wanted)
         except ArgumentError as error:
@@ -145,11 +141,7 @@ class _Folder:
             raise DigestError(error.problem, advice=error.advice, **error.evidence) from error
 
     def take_settings(self) -> None:
-        """Take the settings that the folder has, if it has any.
-
-        Raises:
-            DigestError: They are damaged, or do not fit.
-        """
+        """Take the settings that the folder has, if it has any."""
         self.settings = read_settings(self.path)
         if self.settings is not None:
             check_settings(self.settings, self.model, self.wanted)
@@ -175,7 +167,6 @@ def digest_logs(
 
     Args:
         model: The model, the same for all digests of the folder.
-        logs: Files of logs.
         to: The folder. If it has settings, they count; else they are chosen by the model and the
             first log that can be used, and written.
         wanted: How logs are read, and what settings are to be like.
@@ -193,7 +184,14 @@ def digest_logs(
     if not files:
         raise ArgumentError("There is no log to digest.", advice="Give at least one.")
     wanted = wanted or Wanted()
-    carried = _checked_payloads(payloads or {}, files)
+    carried = {}
+    for log, own in instance(payloads or {}, "payloads", Mapping).items():
+        if log not in files:
+            names = ", ".join(map(str, files))
+            raise ArgumentError(
+                f"There are payloads of {log!r}, which is no log.", advice=f"Logs are: {names}."
+            )
+        carried[log] = instances(own, f"payloads of {log}", KnownPayload)
     if date is not None:
         number(date, "date", lower=0.0, strict=True)
     path = file_path(to)
@@ -205,25 +203,6 @@ def digest_logs(
         told(f"Digesting {log.name}", at / len(files))
         rows.append(_row(folder, log, date, carried.get(log, ())))
     return DigestRun(path, folder.settings, tuple(rows), folder.chosen, model.repairs)
-
-
-def _checked_payloads(
-    payloads: Mapping[Path, Sequence[KnownPayload]], files: Sequence[Path]
-) -> dict[Path, tuple[KnownPayload, ...]]:
-    """Payloads of logs that there are.
-
-    Raises:
-        ArgumentError: They are something else.
-    """
-    found = {}
-    for log, own in instance(payloads, "payloads", Mapping).items():
-        if log not in files:
-            names = ", ".join(map(str, files))
-            raise ArgumentError(
-                f"There are payloads of {log!r}, which is no log.", advice=f"Logs are: {names}."
-            )
-        found[log] = instances(own, f"payloads of {log}", KnownPayload)
-    return found
 
 
 def digest_files(folder: str | Path) -> tuple[Path, ...]:
@@ -251,17 +230,13 @@ def _row(
             check_log(file)
         episode = folder.wanted.reading.episode
         facts = LogFacts(file_hash(files), files, date, payloads, episode)
-        return _said_otherwise(folder.add(log, facts), date)
+        row = folder.add(log, facts)
     except (OutputError, DigestError):  # which are not of this log alone
         raise
     except GeodrakeError as error:
         return DigestRow(log, FAILED, reason=str(error))
     except (OSError, MemoryError) as error:
         return DigestRow(log, FAILED, reason=f"{log} cannot be read: {error}.")
-
-
-def _said_otherwise(row: DigestRow, date: float | None) -> DigestRow:
-    """Return the row, with what is said of a date that a digest that is there has otherwise."""
     about = row.about
     if about is None or row.status != THERE or about.date_from == "stamps":
         return row
@@ -271,11 +246,7 @@ def _said_otherwise(row: DigestRow, date: float | None) -> DigestRow:
 
 
 def _check_folder(path: Path) -> None:
-    """Refuse a folder that cannot be written to, before the work.
-
-    Raises:
-        OutputError: It is none, or must not be changed.
-    """
+    """Refuse a folder that cannot be written to, before the work."""
     try:
         if not path.is_dir():
             if path.exists() or path.is_symlink():
@@ -301,14 +272,7 @@ def _refused(path: Path, reason: str) -> OutputError:
 
 
 def check_settings(settings: DigestSettings, model: RobotModel, wanted: Wanted) -> None:
-    """Refuse settings that are of something else than what is wanted.
-
-    Args:
-        wanted: How logs are read, and what settings are to be like.
-
-    Raises:
-        DigestError: They are; the message says in what.
-    """
+    """Refuse settings that are of something else than what is wanted."""
     if settings.version != (own := version()):
         raise DigestError(
             f"The settings of the digests are of geodrake {settings.version}, this is {own}: "

@@ -2,31 +2,69 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+
+import msgspec
 
 from geodrake.boundary.arguments import file_path, number
 from geodrake.boundary.showing import Short
-from geodrake.boundary.yaml_text import yaml_content, yaml_table
+from geodrake.boundary.yaml_schema import Schema, as_schema
+from geodrake.boundary.yaml_text import yaml_content
 from geodrake.errors import ArgumentError, FleetError
-from geodrake.fleet.log_dates import DATED_BY, check_date_pattern
-from geodrake.fleet.log_places import absolute_pattern, home_path
-from geodrake.fleet.making import Wanted
+from geodrake.fleet.digest_log import Wanted
+from geodrake.fleet.log_places import DATED_BY, absolute_pattern, check_date_pattern, home_path
 from geodrake.logs.known_payload import KnownPayload
 
 _FORM = (
     "Write `to: FOLDER`, `types:`, each with `model: FILE`, and `robots:`, a list of {name: NAME, "
     "type: TYPE, logs: PATTERN}."
 )
-_KEYS = ("to", "types", "robots")
-_OF_TYPES = (
-    *("model", "own_effects", "effects", "bandwidth", "blocks", "payload", "lock", "floating"),
-    *("transmission", "mapping", "units"),
-)
-_OF_ROBOTS = ("name", "type", "logs", "model", "dates", "payloads")
-_OF_PAYLOADS = ("body", "mass", "mass_center")
+_Text = str | int  # names may look like numbers
+
+
+class _TypeSchema(Schema):
+    """A type as the file has it; see `FleetType`."""
+
+    model: str
+    own_effects: list[str] = msgspec.field(default_factory=list)
+    effects: list[str] | None = None
+    bandwidth: float | None = None
+    blocks: int | None = None
+    payload: float | None = None
+    lock: dict[_Text, float] | None = None
+    floating: bool = False
+    transmission: str | None = None
+    mapping: str | None = None
+    units: dict[str, str] | None = None
+
+
+class _PayloadSchema(Schema):
+    """A payload as the file has it; see `KnownPayload`."""
+
+    body: str
+    mass: float
+    mass_center: list[float] = msgspec.field(default_factory=lambda: [0.0, 0.0, 0.0])
+
+
+class _RobotSchema(Schema):
+    """A robot as the file has it; see `FleetRobot`."""
+
+    name: _Text
+    logs: list[str] | str
+    type: _Text | None = None
+    model: str | None = None
+    dates: str = "file"
+    payloads: list[_PayloadSchema] | None = None
+
+
+class _FleetSchema(Schema):
+    """What a fleet file holds."""
+
+    to: str
+    types: dict[_Text, _TypeSchema]
+    robots: list[_RobotSchema]
 
 
 @dataclass(frozen=True)
@@ -130,17 +168,11 @@ def read_fleet(path: str | Path) -> Fleet:
 
 
 def _fleet(path: Path, content: object) -> Fleet:
-    said = _table(content, _KEYS, "it")
-    base = path.absolute().parent
-    folder = _path(base, said.get("to"), "`to`")
-    types = {
-        str(name): _type(str(name), own, base)
-        for name, own in _table(said.get("types"), None, "`types`").items()
-    }
-    listed = said.get("robots")
-    if not isinstance(listed, list) or not listed:
-        raise ArgumentError(f"`robots` is {listed!r:.60}, no list.", advice=_FORM)
-    robots = tuple(_robot(own, types, base) for own in listed)
+    said, base = as_schema(content, _FleetSchema), path.absolute().parent
+    if not said.types or not said.robots or not said.to:
+        raise ArgumentError("`to`, `types` or `robots` is empty.", advice=_FORM)
+    types = {str(name): _type(str(name), own, base) for name, own in said.types.items()}
+    robots = tuple(_robot(own, types, base) for own in said.robots)
     seen: set[str] = set()
     for robot in robots:
         if robot.name in seen:
@@ -152,109 +184,59 @@ def _fleet(path: Path, content: object) -> Fleet:
     for name in types:
         if not any(robot.type == name for robot in robots):
             raise ArgumentError(f"no robot is of type {name!r}.", advice="Leave the type out.")
-    return Fleet(path, folder, types, robots)
+    return Fleet(path, base / home_path(said.to), types, robots)
 
 
-def _type(name: str, content: object, base: Path) -> FleetType:
+def _type(name: str, said: _TypeSchema, base: Path) -> FleetType:
     what = f"type {name!r}"
     if not name.isprintable() or not name or "/" in name or name.startswith("."):
         raise ArgumentError(f"{what} has a name that no folder can have.", advice="Rename it.")
-    said = _table(content, _OF_TYPES, what)
-    bandwidth, blocks, payload = (said.get(key) for key in ("bandwidth", "blocks", "payload"))
-    Wanted(bandwidth, blocks)  # refuses what they cannot be
-    if payload is not None:
-        number(payload, f"payload of {what}", lower=0.0, strict=True)
-    floating, transmission = said.get("floating", False), said.get("transmission")
-    if not isinstance(floating, bool):
-        raise ArgumentError(f"floating of {what} is {floating!r}, neither true nor false.")
+    Wanted(said.bandwidth, said.blocks)  # refuses what they cannot be
+    if said.payload is not None:
+        number(said.payload, f"payload of {what}", lower=0.0, strict=True)
+    lock = {str(joint): number(x, f"lock of {joint}") for joint, x in (said.lock or {}).items()}
+    transmission = said.transmission
     if transmission is not None and transmission not in ("file", "none"):
-        transmission = str(_path(base, transmission, f"transmission of {what}"))
-    effects, mapping = said.get("effects"), said.get("mapping")
+        transmission = str(base / home_path(transmission))
     return FleetType(
         name,
-        _path(base, said.get("model"), f"model of {what}"),
-        tuple(
-            _path(base, each, f"own_effects of {what}")
-            for each in _texts(said.get("own_effects", []), f"own_effects of {what}")
-        ),
-        None if effects is None else _texts(effects, f"effects of {what}"),
-        None if bandwidth is None else float(bandwidth),
-        blocks,
-        None if payload is None else float(payload),
-        {
-            str(joint): number(value, f"lock of {joint} of {what}")
-            for joint, value in _table(said.get("lock") or {}, None, f"lock of {what}", 0).items()
-        },
-        floating,
+        base / home_path(said.model),
+        tuple(base / home_path(each) for each in said.own_effects),
+        None if said.effects is None else tuple(said.effects),
+        said.bandwidth,
+        said.blocks,
+        said.payload,
+        lock,
+        said.floating,
         transmission,
-        None if mapping is None else _path(base, mapping, f"mapping of {what}"),
-        {
-            str(quantity): _text(unit, f"unit of {quantity} of {what}")
-            for quantity, unit in _table(
-                said.get("units") or {}, None, f"units of {what}", 0
-            ).items()
-        },
+        None if said.mapping is None else base / home_path(said.mapping),
+        said.units or {},
     )
 
 
-def _robot(content: object, types: Mapping[str, FleetType], base: Path) -> FleetRobot:
-    said = _table(content, _OF_ROBOTS, "a robot")
-    name = _text(said.get("name"), "the name of a robot")
-    what = f"robot {name!r}"
-    kind = str(said.get("type", next(iter(types)) if len(types) == 1 else ""))
-    if kind not in types:
+def _robot(said: _RobotSchema, types: Mapping[str, FleetType], base: Path) -> FleetRobot:
+    name = str(said.name)
+    kind = str(said.type or (next(iter(types)) if len(types) == 1 else ""))
+    if not name or kind not in types:
         raise ArgumentError(
-            f"{what} is of type {kind!r}, which is none of the types.",
+            f"robot {name!r} is of type {kind!r}, which is none of the types.",
             advice=f"Types are: {', '.join(types)}.",
         )
-    logs = said.get("logs")
-    patterns = _texts([logs] if isinstance(logs, str) else logs, f"logs of {what}")
-    if not patterns:
-        raise ArgumentError(f"{what} has no logs.", advice="Give a pattern, such as logs/*.csv.")
-    dates = _text(said.get("dates", "file"), f"dates of {what}")
-    if dates not in DATED_BY:
-        check_date_pattern(dates)
-    payloads = said.get("payloads") or []
-    if not isinstance(payloads, list):
-        raise ArgumentError(f"payloads of {what} are {payloads!r:.60}, no list.")
-    model = said.get("model")
+    patterns = [said.logs] if isinstance(said.logs, str) else said.logs
+    if not patterns or not all(patterns):
+        raise ArgumentError(
+            f"robot {name!r} has no logs.", advice="Give a pattern, such as logs/*.csv."
+        )
+    if said.dates not in DATED_BY:
+        check_date_pattern(said.dates)
     return FleetRobot(
         name,
         kind,
         tuple(absolute_pattern(pattern, base) for pattern in patterns),
-        dates,
-        tuple(_payload(each, what) for each in payloads),
-        None if model is None else _path(base, model, f"model of {what}"),
+        said.dates,
+        tuple(
+            KnownPayload(each.body, each.mass, tuple(each.mass_center))  # type: ignore[arg-type]
+            for each in said.payloads or []
+        ),
+        None if said.model is None else base / home_path(said.model),
     )
-
-
-def _payload(content: object, what: str) -> KnownPayload:
-    said = _table(content, _OF_PAYLOADS, f"a payload of {what}")
-    place = said.get("mass_center", [0.0, 0.0, 0.0])
-    if not isinstance(place, list) or len(place) != 3:
-        raise ArgumentError(f"mass_center of a payload of {what} is {place!r}, no three numbers.")
-    x, y, z = (number(each, f"mass_center of a payload of {what}") for each in place)
-    body = _text(said.get("body"), f"the body of a payload of {what}")
-    return KnownPayload(body, number(said.get("mass"), f"mass of a payload of {what}"), (x, y, z))
-
-
-def _table(
-    content: object, keys: Sequence[str] | None, what: str, least: int = 1
-) -> Mapping[Any, Any]:
-    return yaml_table(content, keys, what, advice=_FORM, least=least)
-
-
-def _path(base: Path, content: object, what: str) -> Path:
-    return base / home_path(_text(content, what))
-
-
-def _text(content: object, what: str) -> str:
-    if isinstance(content, bool) or not isinstance(content, str | int) or content == "":
-        raise ArgumentError(f"{what} is {content!r:.60}, no name.", advice=_FORM)
-    return str(content)
-
-
-def _texts(content: object, what: str) -> tuple[str, ...]:
-    if not isinstance(content, list):
-        raise ArgumentError(f"{what} is {content!r:.60}, no list.", advice=_FORM)
-    return tuple(_text(each, what) for each in content)

@@ -1,14 +1,23 @@
-"""What was found in a fleet: which robot changed, at which joint, by what, since when."""
+"""What was found in a fleet: which robot changed, where, by what, since when; what is new."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.escaping import one_line
+from geodrake.boundary.input_files import read_regular
 from geodrake.boundary.showing import Short
+from geodrake.boundary.whole_files import write_whole
+from geodrake.errors import FleetError
 from geodrake.fleet.changes import ChangeRival
+from geodrake.fleet.history import DAY
 from geodrake.fleet.type_layout import FleetParameter
 
 Array = NDArray[np.float64]
@@ -108,9 +117,6 @@ class RobotResult(Short):
     """What was found in one robot.
 
     Attributes:
-        robot: Its name.
-        type: Its type.
-        logs: Number of logs.
         dates: (T,) when these were recorded, s since 1970; neighbours together if they are many.
         findings: What changed, the surest first.
         histories: Its parameters over time.
@@ -173,3 +179,60 @@ class FleetResult(Short):
     def count(self, state: str) -> int:
         """Return how many robots are in a state."""
         return sum(robot.state == state for robot in self.robots)
+
+
+_TOLD_FILE = "told_findings.json"
+_NEAR = 2.0 * DAY  # by which the interval of a finding may move with further logs
+
+
+@dataclass(frozen=True)
+class ToldFinding:
+    """What was told of a finding.
+
+    Attributes:
+        earliest: Beginning of its interval, s since 1970.
+    """
+
+    robot: str
+    effect: str
+    where: str
+    earliest: float
+    latest: float
+
+    @classmethod
+    def of(cls, finding: FleetFinding) -> ToldFinding:
+        """That of a finding."""
+        return cls(finding.robot, finding.effect, finding.where, *finding.interval)
+
+    def is_of(self, finding: FleetFinding) -> bool:
+        """Return whether a finding is the same, seen with other logs."""
+        same = (self.robot, self.effect, self.where)
+        low, high = finding.interval
+        near = low <= self.latest + _NEAR and self.earliest <= high + _NEAR
+        return same == (finding.robot, finding.effect, finding.where) and near
+
+
+def new_findings(folder: Path, findings: Sequence[FleetFinding]) -> list[FleetFinding]:
+    """Findings that were not told before."""
+    told = _read_told(folder / _TOLD_FILE)
+    return [finding for finding in findings if not any(old.is_of(finding) for old in told)]
+
+
+def keep_told(folder: Path, findings: Sequence[FleetFinding]) -> None:
+    """Remember that findings were told."""
+    told = [*_read_told(folder / _TOLD_FILE), *map(ToldFinding.of, findings)]
+    lines = ",\n".join(json.dumps(vars(each)) for each in told)
+    write_whole(folder / _TOLD_FILE, f"[\n{lines}\n]\n")
+
+
+def _read_told(path: Path) -> list[ToldFinding]:
+    if not path.exists():
+        return []
+    try:
+        data = read_regular(path, "file", FleetError)
+        return msgspec.json.decode(data, type=list[ToldFinding])
+    except (FleetError, msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise FleetError(
+            f"{path}, which says what was told before, cannot be read: {one_line(error)}.",
+            advice="Delete it; then all findings are new.",
+        ) from error

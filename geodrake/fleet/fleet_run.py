@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 from geodrake.boundary.arguments import instance, integer, number, typed
 from geodrake.boundary.showing import Short
 from geodrake.fleet.digest_folder import Told
-from geodrake.fleet.digest_run import (
+from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
+from geodrake.fleet.fleet_logs import (
     FleetDigests,
+    LogRecord,
     check_places,
     digest_fleet,
     find_tasks,
+    write_record,
 )
-from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
 from geodrake.fleet.fleet_result import FleetResult, RobotResult, UnusedLog
-from geodrake.fleet.log_records import LogRecord, look_again
-from geodrake.fleet.robot_logs import HistoryTask, KeptHistory, read_history
+from geodrake.fleet.history import HistoryTask, KeptHistory, read_history
 from geodrake.fleet.settings import DigestSettings
 from geodrake.fleet.type_findings import type_findings
-from geodrake.fleet.type_layout import TypeLayout, type_layout
-from geodrake.fleet.type_source import own_model, type_source
-from geodrake.fleet.workers import Workers, in_order, workers
+from geodrake.fleet.type_layout import TypeLayout, own_model, type_layout, type_source
+from geodrake.fleet.workers import Workers, workers
 from geodrake.model.holding import holding
 
 Array = NDArray[np.float64]
@@ -68,7 +68,6 @@ def run_fleet(
     """Digest the logs of a fleet, and tell which robots changed.
 
     Args:
-        fleet: The fleet.
         work: Who works, and how careful findings are.
         told: Called with what is going on.
         said: Called with what is worth a line that stays.
@@ -99,11 +98,6 @@ def take_in_logs(
 
     Args:
         failed: Logs that failed before, which are not tried again until they have changed.
-        told: Called with what is going on.
-        said: Called with what is worth a line that stays.
-
-    Raises:
-        GeodrakeError: As of `run_fleet`.
     """
     with _taken_in(fleet, work, failed, told, said) as (digests, _):
         return digests
@@ -133,12 +127,7 @@ def _taken_in(
 def fleet_result(
     fleet: Fleet, digests: FleetDigests, work: FleetWork, told: Told = lambda words, share: None
 ) -> FleetResult:
-    """Findings from digests.
-
-    Raises:
-        FleetError: The scheduler cannot be used, or robots cannot be compared.
-        OutputError: The folder cannot be written to.
-    """
+    """Findings from digests."""
     with workers(len(fleet.robots), count=work.workers, scheduler=work.scheduler) as team:
         return _result(fleet, digests, work.false_alarms, told, team)
 
@@ -157,9 +146,10 @@ def _result(
         settings, found = digests.settings[kind.name], list[RobotResult]()
         if settings is not None:
             told(f"Looking for changes in {kind.name}", None)
-            histories, damaged = _histories(fleet, kind, records, settings, team)
+            found, damaged = _of_type(
+                fleet, kind, records, settings, false_alarms=false_alarms, team=team
+            )
             unused += damaged
-            found = _of_type(fleet, kind, histories, settings, false_alarms=false_alarms, team=team)
         seen = {result.robot for result in found}
         lacking = [robot.name for robot in own if robot.name not in seen]
         robots += found
@@ -183,52 +173,40 @@ def _once(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[UnusedLog
     return kept, twice
 
 
-def _histories(
+def _of_type(
     fleet: Fleet,
     kind: FleetType,
     records: Mapping[str, Sequence[LogRecord]],
     settings: DigestSettings,
-    team: Workers,
-) -> tuple[list[KeptHistory], list[UnusedLog]]:
-    """Histories of the robots of a type that have logs; and logs whose digest is damaged."""
-    model, folder = type_source(kind).model, fleet.folder / kind.name
-    kept = type_layout(model, settings, np.ones(len(settings.joints)), payload=kind.payload).kept
-    tasks = [HistoryTask(name, own, folder, settings, kept) for name, own in records.items() if own]
-    found = in_order(team, read_history, tasks)
-    damaged: list[UnusedLog] = []
-    for record, problem in (each for read in found for each in read.refused):
-        look_again(folder, record)
-        reason = f"{problem} It is made again by the next run, if the log is there."
-        damaged.append(UnusedLog(record.robot, record.address, reason))
-    return [read.history for read in found if read.history is not None], damaged
-
-
-def _of_type(
-    fleet: Fleet,
-    kind: FleetType,
-    histories: Sequence[KeptHistory],
-    settings: DigestSettings,
     *,
     false_alarms: float,
     team: Workers,
-) -> list[RobotResult]:
-    """Findings in the robots of a type that have logs."""
+) -> tuple[list[RobotResult], list[UnusedLog]]:
+    """Return findings in robots of a type that have logs, and logs whose digest is damaged."""
+    model, folder = type_source(kind).model, fleet.folder / kind.name
+    kept = type_layout(model, settings, np.ones(len(settings.joints)), payload=kind.payload).kept
+    tasks = [HistoryTask(name, own, folder, settings, kept) for name, own in records.items() if own]
+    histories, damaged = list[KeptHistory](), list[UnusedLog]()
+    for history, refused in team.in_order(read_history, tasks):
+        histories += [] if history is None else [history]
+        for record, problem in refused:
+            write_record(folder, replace(record, stamp=""))  # so that it is looked at again
+            reason = f"{problem} It is made again by the next run, if the log is there."
+            damaged.append(UnusedLog(record.robot, record.address, reason))
     if not histories:
-        return []
-    model = type_source(kind).model
-    layout = type_layout(model, settings, _efforts(histories), payload=kind.payload)
+        return [], damaged
+    efforts = np.sqrt(np.mean([each.effort**2 for each in histories], axis=0))
+    efforts[efforts == 0.0] = 1.0  # of joints at rest
+    layout = type_layout(model, settings, efforts, payload=kind.payload)
     models = {
         robot.name: _own_values(kind, robot, layout, settings)
         for robot in fleet.of_type(kind.name)
         if robot.model is not None
     }
-    return type_findings(kind.name, histories, layout, models, false_alarms=false_alarms, team=team)
-
-
-def _efforts(histories: Sequence[KeptHistory]) -> Array:
-    """(n,) usual sizes of efforts of all robots, N·m or N; those of joints at rest are 1."""
-    efforts = np.sqrt(np.mean([each.effort**2 for each in histories], axis=0))
-    return np.where(efforts > 0.0, efforts, 1.0)
+    found = type_findings(
+        kind.name, histories, layout, models, false_alarms=false_alarms, team=team
+    )
+    return found, damaged
 
 
 def _own_values(

@@ -1,77 +1,63 @@
-"""What the logs of one robot say: a normal matrix a log, over the same columns in all logs."""
+"""What the logs of one robot say: weighted normal matrices over the same columns in all logs.
+
+Digests are read once. What they add is summed up, those of a time together, in a file that says
+which logs are in it. A history has the mean of each time: its logs may scatter together, so that
+they are as sure as one.
+"""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import instance, instances, integer, integers, real_array
+from geodrake.boundary.input_files import open_regular
 from geodrake.boundary.showing import Short
-from geodrake.errors import ArgumentError
-from geodrake.fleet.columns import MOST_COLUMNS
+from geodrake.boundary.whole_files import made_folder, write_whole
+from geodrake.errors import DigestError, FleetError
+from geodrake.fleet.digest import DAMAGED, Digest, JointDigest, read_digest_of
+from geodrake.fleet.fleet_logs import DIGESTS, LogRecord, robot_folder
+from geodrake.fleet.hashes import text_hash
+from geodrake.fleet.settings import DigestSettings
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
-_SYMMETRIC = 1e-6  # share of the largest entry by which a normal matrix may differ from its mirror
+DAY = 86400.0
+"""s."""
 
+MOST_TIMES = 100
+"""Most times of a history: neighbouring logs of a robot with more of them count as one."""
 
-class EquationSource(Protocol):
-    """Where the normal equations of a robot's logs come from: a file, or what is at hand."""
-
-    @property
-    def days(self) -> Array:
-        """(T,) days of the logs, ascending."""
-
-    @property
-    def temperature(self) -> Array:
-        """(T,) mean temperature of each log, °C; NaN where it is not known."""
-
-    def equations(self) -> LogEquations:
-        """Their normal equations."""
-
-
-class HistorySource(Protocol):
-    """Where a robot's history comes from: a file, or what is at hand."""
-
-    @property
-    def robot(self) -> str:
-        """The robot's name."""
-
-    @property
-    def days(self) -> Array:
-        """(T,) days of its logs, ascending."""
-
-    @property
-    def temperature(self) -> Array:
-        """(T,) mean temperature of each log, °C; NaN where it is not known."""
-
-    def read(self) -> RobotHistory:
-        """The history."""
+_FILE = "history.npz"  # beside the records of a robot's logs
+_FORMAT = "geodrake history 1"
+_NEGLIGIBLE = 1e-9  # share of the largest eigenvalue
 
 
 @dataclass(frozen=True, eq=False)
-class JointHistory(Short):
-    """Weighted normal matrices of one joint, over the columns that its rows ever have.
+class JointGrams(Short):
+    """Weighted normal matrices of a joint, over the columns that its rows may have.
 
     Attributes:
-        columns: (m,) which of the p columns these are, ascending.
-        information: (T, m, m) Aᵀ W A of each log.
-        right: (T, m) Aᵀ W b.
+        columns: (m,) which of a type's columns these are, ascending.
+        grams: (T, m + 1, m + 1) matrices [A | b]ᵀ W [A | b] of each log or time.
     """
 
-    columns: NDArray[np.intp]
-    information: Array
-    right: Array
+    columns: Indices
+    grams: Array
 
-    def __post_init__(self) -> None:
-        """Checks that arrays fit each other."""
-        at = integers(self.columns, "columns", lower=0, upper=MOST_COLUMNS)
-        sizes: dict[str, tuple[int, ...]] = {"m": (len(at),)}
-        real_array(self.information, "information", ("T", "m", "m"), sizes)
-        real_array(self.right, "right", ("T", "m"), sizes)
+    def over(self, columns: Indices, times: int) -> JointGrams:
+        """Return the same over more columns (M,) and of more times."""
+        grams = np.zeros((times, len(columns) + 1, len(columns) + 1))
+        at = np.append(np.searchsorted(columns, self.columns), len(columns))
+        grams[np.arange(len(self.grams))[:, None, None], at[:, None], at] = self.grams
+        return JointGrams(columns, grams)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,76 +66,43 @@ class RobotHistory(Short):
 
     Attributes:
         days: (T,) when each log was recorded, days, ascending.
-        joints: (n,) what they say of each joint.
+        joints: (n,) what they say of each joint, over some of the p columns.
         temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
     """
 
     robot: str
     days: Array
-    joints: tuple[JointHistory, ...]
+    joints: tuple[JointGrams, ...]
     columns: int
     temperature: Array
 
-    def __post_init__(self) -> None:
-        """Checks that all fit each other."""
-        instance(self.robot, "robot", str)
-        integer(self.columns, "columns", lower=0, upper=MOST_COLUMNS)
-        sizes: dict[str, tuple[int, ...]] = {}
-        real_array(self.days, "days", ("T",), sizes)
-        real_array(self.temperature, "temperature", ("T",), sizes, finite=False)
-        for joint in instances(self.joints, "joints", JointHistory):
-            if len(joint.right) != len(self.days) or (joint.columns >= self.columns).any():
-                raise ArgumentError(
-                    f"{self.robot} has {len(self.days)} logs and {self.columns} columns, and a "
-                    f"joint of {len(joint.right)} logs with the columns {joint.columns.tolist()}."
-                )
-        if not len(self.days) or (np.diff(self.days) < 0.0).any():
-            raise ArgumentError(
-                f"The logs of {self.robot} must be at least one, in the order of their days.",
-                advice="Sort them by date.",
-                robot=self.robot,
-            )
-
     def read(self) -> RobotHistory:
-        """This one, which is at hand."""
+        """Return this one, which is in memory."""
         return self
 
-    def equations(self) -> LogEquations:
-        """Normal equations of the p columns alone."""
-        return self._equations(self.columns)
+    def equations(self, reference: Array | None = None) -> LogEquations:
+        """Return normal equations; with a reference, of a further column for each joint's gain.
 
-    def with_gains(self, reference: ArrayLike) -> LogEquations:
-        """Normal equations with a further column for the gain of every joint's effort.
-
-        The column of joint j is what a reference says of the effort there, and zero at the other
-        joints, so that its parameter is ε where the logged effort is 1 + ε times that.
+        The column of joint j is the effort there by the reference, and zero at the other joints,
+        so that its parameter is ε where the logged effort is 1 + ε times that.
 
         Args:
-            reference: (p,) or (T, p) parameters: those of the robot, as far as they are known.
-
-        Raises:
-            ArgumentError: Shapes do not fit, or values are not finite.
+            reference: (p,) or (T, p) parameters of the robot, as far as they are known.
         """
         T, p = len(self.days), self.columns
-        reference = np.broadcast_to(real_array(reference, "reference", ("...", p)), (T, p))
-        equations = self._equations(p + len(self.joints))
-        information, right = equations.information, equations.right
-        for gain, joint in enumerate(self.joints, start=p):
-            own = reference[:, joint.columns]
-            along = np.einsum("tab,tb->ta", joint.information, own)
-            information[:, gain, joint.columns] = information[:, joint.columns, gain] = along
-            information[:, gain, gain] = np.einsum("ta,ta->t", along, own)
-            right[:, gain] = np.einsum("ta,ta->t", joint.right, own)
-        return equations
-
-    def _equations(self, size: int) -> LogEquations:
-        """Sums over joints, in (T, size, size) matrices."""
-        T = len(self.days)
+        size = p if reference is None else p + len(self.joints)
         information, right = np.zeros((T, size, size)), np.zeros((T, size))
-        for joint in self.joints:
+        for gain, joint in enumerate(self.joints, start=p):
             at = joint.columns
-            information[:, at[:, None], at] += joint.information
-            right[:, at] += joint.right
+            own, side = joint.grams[:, :-1, :-1], joint.grams[:, :-1, -1]
+            information[:, at[:, None], at] += own
+            right[:, at] += side
+            if reference is not None:
+                x = np.broadcast_to(reference, (T, p))[:, at]
+                along = np.einsum("tab,tb->ta", own, x)
+                information[:, gain, at] = information[:, at, gain] = along
+                information[:, gain, gain] = np.einsum("ta,ta->t", along, x)
+                right[:, gain] = np.einsum("ta,ta->t", side, x)
         return LogEquations(self.days, information, right, self.temperature)
 
 
@@ -170,96 +123,309 @@ class LogEquations(Short):
     temperature: Array
 
     def equations(self) -> LogEquations:
-        """These."""
+        """Return these, which are in memory."""
         return self
 
 
 @dataclass(frozen=True, eq=False)
-class ReferredLogs(Short):
-    """Logs over the columns of a type, whose gains refer to some parameters of the robot.
+class HistoryTask(Short):
+    """A robot whose digests are to be read.
 
     Attributes:
-        gains: Number of gains among the columns: one for each joint, or 0.
-        reference: (T, p) or (p,) parameters that gains refer to.
+        kept: (p,) which of the settings' columns count, ascending.
     """
 
-    history: HistorySource
-    gains: int
-    reference: Array
+    robot: str
+    records: Sequence[LogRecord]
+    folder: Path
+    settings: DigestSettings
+    kept: Indices
+
+    @property
+    def file(self) -> Path:
+        """Return where the sums of its logs are kept."""
+        return robot_folder(self.folder, self.robot) / _FILE
+
+    @property
+    def key(self) -> str:
+        """Return what these sums are of, beside logs."""
+        return text_hash((self.settings.hash, self.kept.tolist(), MOST_TIMES))
+
+
+@dataclass(frozen=True, eq=False)
+class KeptHistory(Short):
+    """A robot's history, which is read from its file by whoever needs it: it is large.
+
+    Attributes:
+        days: (T,) when each log was recorded, days, ascending.
+        temperature: (T,) mean temperature of each log, °C; NaN where it is not known.
+        effort: (n,) root of the mean square of the robot's efforts, N·m or N.
+        logs: How many logs are in it, of which those of a time count as one.
+    """
+
+    task: HistoryTask
+    stamps: str
+    days: Array
+    temperature: Array
+    effort: Array
+    logs: int
+
+    @property
+    def robot(self) -> str:
+        """Return the robot's name."""
+        return self.task.robot
+
+    def read(self) -> RobotHistory:
+        """Return the history; its logs are summed up again if another run has replaced the file."""
+        sums = _read_sums(self.task)
+        if sums is None or text_hash(sums.stamps) != self.stamps:
+            sums, _ = _summed(self.task)
+            if not np.array_equal(sums.days, self.days):
+                raise FleetError(
+                    f"The digests of robot {self.robot} changed while they were looked at.",
+                    advice="Run the command again when no other one changes them.",
+                )
+        return sums.history(self.robot, len(self.task.kept))
+
+
+History = RobotHistory | KeptHistory
+"""A robot's history: in memory, or in its file."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReferredLogs(Short):
+    """A robot's logs over the columns of a type.
+
+    Attributes:
+        reference: (T, p) or (p,) parameters that gains refer to; None without gains.
+    """
+
+    source: History
+    reference: Array | None = None
 
     @property
     def days(self) -> Array:
         """(T,) days of the logs, ascending."""
-        return self.history.days
+        return self.source.days
 
     @property
     def temperature(self) -> Array:
         """(T,) mean temperature of each log, °C; NaN where it is not known."""
-        return self.history.temperature
+        return self.source.temperature
 
     def equations(self) -> LogEquations:
-        """Their normal equations."""
-        history = self.history.read()
-        if not self.gains:
-            return history.equations()
-        return history.with_gains(self.reference[..., : history.columns])
+        """Read their normal equations."""
+        history = self.source.read()
+        reference = None if self.reference is None else self.reference[..., : history.columns]
+        return history.equations(reference)
 
 
-def weighted_history(
-    robot: str,
-    days: ArrayLike,
-    grams: ArrayLike,
-    weights: ArrayLike,
-    *,
-    temperature: ArrayLike | None = None,
-) -> RobotHistory:
-    """The history of a robot, of normal matrices of its logs and joints.
+Logs = LogEquations | ReferredLogs
+"""Normal equations of a robot's logs: in memory, or where they come from."""
+
+
+def read_history(task: HistoryTask) -> tuple[KeptHistory | None, list[tuple[LogRecord, str]]]:
+    """Return a robot's history, and records whose digest cannot be read, each with its reason."""
+    sums, refused = _summed(task)
+    if not sums.stamps:
+        return None, refused
+    known = sums.days, sums.temperature, sums.effort, len(sums.stamps)
+    return KeptHistory(task, text_hash(sums.stamps), *known), refused
+
+
+@dataclass(eq=False)
+class _HistorySums:
+    """Sums of what a robot's logs say, in C times.
+
+    Attributes:
+        stamps: What says which logs these are of, in their order.
+        joints: (C, m + 1, m + 1) sums of each joint's matrices.
+        times: (4, C) sums of days and of temperatures, and how many logs these are of.
+        efforts: (2, n) sums of squares of efforts, (N·m)² or N², and how many samples these are of.
+    """
+
+    stamps: list[str]
+    joints: list[JointGrams]
+    times: Array
+    efforts: Array
+
+    def add(self, stamp: str, time: int, day: float, digest: Digest, kept: Indices) -> None:
+        """Add a log that was recorded on a day, and is of one of the times."""
+        self.stamps.append(stamp)
+        more = max(time + 1 - self.times.shape[1], 0)
+        self.times = np.pad(self.times, ((0, 0), (0, more)))
+        joints, squares = weighted_grams(digest, kept)
+        for j, (sums, own) in enumerate(zip(self.joints, joints, strict=True)):
+            columns = np.union1d(sums.columns, own.columns)
+            if more or len(columns) > len(sums.columns):
+                self.joints[j] = sums.over(columns, self.times.shape[1])
+            at = np.append(np.searchsorted(columns, own.columns), len(columns))
+            self.joints[j].grams[time, at[:, None], at] += own.grams[0]
+        warm = np.concatenate([log.temperature for log in digest.logs])
+        warm = warm[np.isfinite(warm)]
+        mean = float(warm.mean()) if len(warm) else 0.0
+        self.times[:, time] += (day, mean, 1.0, float(len(warm) > 0))
+        self.efforts += (squares, digest.samples)
+
+    @property
+    def _there(self) -> NDArray[np.bool_]:
+        """(C,) which times have logs: T of them."""
+        return np.asarray(self.times[2] > 0.0)
+
+    @property
+    def days(self) -> Array:
+        """(T,) mean day of each time that has logs."""
+        days, _, logs, _ = self.times[:, self._there]
+        return np.asarray(days / logs)
+
+    @property
+    def temperature(self) -> Array:
+        """(T,) mean temperature of each of them, °C; NaN where it is not known."""
+        _, warm, _, known = self.times[:, self._there]
+        return np.where(known > 0.0, warm / np.maximum(known, 1.0), np.nan)
+
+    @property
+    def effort(self) -> Array:
+        """(n,) root of the mean square of efforts, N·m or N."""
+        squares, samples = self.efforts
+        return np.sqrt(squares / np.maximum(samples, 1.0))
+
+    def history(self, robot: str, columns: int) -> RobotHistory:
+        """Return the robot's history in the order of time; there must be a log."""
+        there, joints = self._there, []
+        for each in self.joints:
+            grams = each.grams[there] / self.times[2, there, None, None]
+            squares = np.diagonal(grams, axis1=1, axis2=2)[:, :-1]
+            seen = np.flatnonzero(squares.any(axis=0))
+            at = np.append(seen, len(each.columns))
+            joints.append(JointGrams(each.columns[seen], grams[:, at[:, None], at]))
+        return RobotHistory(robot, self.days, tuple(joints), columns, self.temperature)
+
+
+def _summed(task: HistoryTask) -> tuple[_HistorySums, list[tuple[LogRecord, str]]]:
+    """Sum up a robot's logs; also return those that cannot be read, each with its reason.
+
+    Logs that follow what was summed up before are added to it, and the sums are the same as if all
+    were read anew.
+    """
+    times = time_cells(np.array([record.date for record in task.records])).tolist()
+    digests = [task.folder / DIGESTS / record.digest for record in task.records]
+    wanted = [_stamp(*each) for each in zip(task.records, digests, times, strict=True)]
+    sums, refused = _read_sums(task), list[tuple[LogRecord, str]]()
+    if sums is None or sums.stamps != wanted[: len(sums.stamps)]:
+        n = len(task.settings.joints)
+        empty = JointGrams(np.zeros(0, np.intp), np.zeros((0, 1, 1)))
+        sums = _HistorySums([], [empty] * n, np.zeros((4, 0)), np.zeros((2, n)))
+    known = len(sums.stamps)
+    for at in range(known, len(wanted)):
+        record = task.records[at]
+        try:
+            digest = read_digest_of(digests[at], task.settings)
+        except DigestError as error:
+            refused.append((record, error.problem))
+        else:
+            sums.add(wanted[at], times[at], record.date / DAY, digest, task.kept)
+    if len(sums.stamps) > known:
+        _write_sums(task, sums)
+    return sums, refused
+
+
+def weighted_grams(digest: Digest, kept: Indices) -> tuple[list[JointGrams], Array]:
+    """Return weighted normal matrices of a log, one a joint, and (n,) sums of squared efforts.
+
+    What a row is worth is the share of its samples that are independent, over the variance of what
+    the columns leave of the log itself: that of the sensors' noise at least, as a log of few rows
+    leaves nothing.
 
     Args:
-        days: (T,) when each log was recorded, days, in any order.
-        grams: (T, n, p + 1, p + 1) matrices [A | b]ᵀ[A | b] of each log and joint over the same p
-            columns, in units of the efforts and columns, not divided by the number of rows.
-        weights: (T, n) what a row is worth: the share of samples that are independent, over the
-            variance of the noise, 1/(N·m)² or 1/N²; 0 where a joint's rows are not to be used.
-        temperature: (T,) mean temperature of each log, °C; NaN or None where it is not known.
-
-    Raises:
-        ArgumentError: Shapes do not fit, values are not finite, or a matrix is not symmetric.
+        kept: (p,) which of the settings' columns count, ascending.
     """
-    sizes: dict[str, tuple[int, ...]] = {}
-    days = real_array(days, "days", ("T",), sizes)
-    weights = real_array(weights, "weights", ("T", "n"), sizes)
-    grams = real_array(grams, "grams", ("T", "n", "p", "p"), sizes)
-    mirrored = np.abs(grams - np.swapaxes(grams, 2, 3)).max(initial=0.0)
-    squares = np.diagonal(grams, axis1=2, axis2=3)
-    if (
-        (weights < 0.0).any()
-        or (squares < 0.0).any()
-        or mirrored > _SYMMETRIC * np.abs(grams).max(initial=0.0)
-    ):
-        raise ArgumentError(
-            f"The logs of {robot} have a negative weight or square, or a normal matrix that is "
-            "not symmetric.",
-            advice="Weights are shares over variances; matrices are [A | b]ᵀ[A | b].",
-            robot=robot,
-        )
-    warm = np.full(len(days), np.nan) if temperature is None else temperature
-    warm = real_array(warm, "temperature", ("T",), sizes, finite=False)
-    order = np.argsort(days, kind="stable")
-    every = np.arange(grams.shape[2] - 1)
-    joints = [
-        joint_history(every, (weights[:, j, None, None] * grams[:, j])[order])
-        for j in range(grams.shape[1])
-    ]
-    return RobotHistory(robot, days[order], tuple(joints), grams.shape[2] - 1, warm[order])
+    found, squares = [], []
+    parts = zip(digest.joints, digest.effective_share, digest.noise_floor, strict=True)
+    for joint, share, noise in parts:
+        columns, gram = _kept_gram(joint, kept)
+        count = float(joint.samples.sum())
+        weight = share / max(_residual_variance(gram, count), noise**2) if count else 0.0
+        found.append(JointGrams(columns, weight * gram[None]))
+        squares.append(gram[-1, -1])
+    return found, np.array(squares)
 
 
-def joint_history(columns: NDArray[np.intp], grams: Array) -> JointHistory:
-    """What logs say of a joint, without the columns that its rows never have.
+def _kept_gram(joint: JointDigest, kept: Indices) -> tuple[Indices, Array]:
+    """Return the normal matrix of a joint over those of its columns that count."""
+    own = np.flatnonzero(np.isin(joint.columns, kept))
+    at = np.append(own, len(joint.columns))
+    return np.searchsorted(kept, joint.columns[own]), joint.normal_matrix()[at[:, None], at]
+
+
+def _residual_variance(gram: Array, samples: float) -> float:
+    """Return the variance of what a fit of all columns leaves of one joint, (N·m)² or N²."""
+    A, right, total = gram[:-1, :-1], gram[:-1, -1], float(gram[-1, -1])
+    seen = np.diagonal(A) > 0.0
+    unit = 1.0 / np.sqrt(np.diagonal(A)[seen])
+    values, vectors = np.linalg.eigh(A[np.ix_(seen, seen)] * unit[:, None] * unit)
+    told = values > _NEGLIGIBLE * values.max(initial=0.0)
+    along = vectors[:, told].T @ (unit * right[seen])
+    left = total - float(np.sum(along**2 / values[told]))
+    return max(left, 1e-12 * total, 1e-300) / max(samples - told.sum(), 1.0)
+
+
+def _stamp(record: LogRecord, digest: Path, time: int) -> str:
+    """Return what says which log is in sums: its digest as it is now, its date, and its time."""
+    try:
+        status = digest.stat()
+        now = f"{status.st_size} {status.st_mtime_ns}"
+    except OSError:
+        now = "gone"
+    return f"{record.digest} {now} {record.date!r} {time}"
+
+
+def time_cells(dates: Array) -> NDArray[np.intp]:
+    """(T,) which of at most `MOST_TIMES` times each of some dates counts to.
+
+    Each has its own, unless there are too many: then cells of an hour, or two, four, … of them,
+    counted from 1970, so that further logs seldom move the borders.
 
     Args:
-        columns: (m,) columns of the matrices, ascending.
-        grams: (T, m + 1, m + 1) weighted matrices [A | b]ᵀ W [A | b] of each log.
+        dates: (T,) s since 1970, ascending.
     """
-    seen = np.flatnonzero(np.diagonal(grams, axis1=1, axis2=2)[:, :-1].any(axis=0))
-    return JointHistory(columns[seen], grams[:, seen[:, None], seen], grams[:, seen, -1])
+    if len(dates) <= MOST_TIMES:
+        return np.arange(len(dates))
+    width = DAY / 24.0
+    while len(found := np.unique(np.floor(dates / width), return_inverse=True)[0]) > MOST_TIMES:
+        width *= 2.0
+    return np.searchsorted(found, np.floor(dates / width))
+
+
+def _write_sums(task: HistoryTask, sums: _HistorySums) -> None:
+    header = json.dumps({"format": _FORMAT, "key": task.key, "logs": sums.stamps}).encode()
+    arrays: dict[str, Any] = {
+        "header": np.frombuffer(header, np.uint8),
+        "times": sums.times,
+        "efforts": sums.efforts,
+    }
+    for j, joint in enumerate(sums.joints):
+        arrays |= {f"{j}.columns": joint.columns, f"{j}.grams": joint.grams}
+    with made_folder(task.file.parent):
+        write_whole(task.file, partial(np.savez, **arrays))
+
+
+def _read_sums(task: HistoryTask) -> _HistorySums | None:
+    """Return the sums of a file; None if there is none, or it is damaged or of something else."""
+    try:
+        with (
+            open_regular(task.file, "file of sums", FleetError) as file,
+            np.load(file, allow_pickle=False) as arrays,
+        ):
+            header = json.loads(bytes(arrays["header"]).decode())
+            if (header["format"], header["key"]) != (_FORMAT, task.key):
+                return None
+            joints = range(arrays["efforts"].shape[1])
+            return _HistorySums(
+                list(map(str, header["logs"])),
+                [JointGrams(arrays[f"{j}.columns"], arrays[f"{j}.grams"]) for j in joints],
+                arrays["times"],
+                arrays["efforts"],
+            )
+    except (FleetError, *DAMAGED):
+        return None

@@ -1,4 +1,4 @@
-"""Where logs of a fleet are: files of this machine, or addresses that fsspec knows."""
+"""Where logs of a fleet are, on this machine or elsewhere by fsspec; and when each began."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+
 from geodrake.boundary.escaping import kind_and_line
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import ArgumentError, FleetError, LogError
+from geodrake.logs.motion import JointLog
 
 IN_THIS_PROCESS = "memory://"
 """Beginning of addresses that other processes do not see."""
@@ -30,7 +34,6 @@ class LogPlace:
     """A log of which nothing is read yet.
 
     Attributes:
-        address: Its absolute path, or its address.
         stamp: Its size and when it, or who may read it, was changed: another one is another log.
         changed: When it was changed, s since 1970; None where nobody knows.
     """
@@ -54,11 +57,7 @@ def protocol_of(pattern: str) -> str:
 
 
 def home_path(text: str) -> Path:
-    """A path, with `~` for the home of a user.
-
-    Raises:
-        ArgumentError: There is no such user.
-    """
+    """A path, with `~` for the home of a user."""
     try:
         return Path(text).expanduser()
     except RuntimeError as error:
@@ -68,11 +67,7 @@ def home_path(text: str) -> Path:
 
 
 def absolute_pattern(pattern: str, base: Path) -> str:
-    """A pattern that means the same in every folder.
-
-    Raises:
-        ArgumentError: It begins with the home of a user whom there is not.
-    """
+    """A pattern that means the same in every folder."""
     if protocol_of(pattern):
         return pattern
     return str(Path(glob.escape(str(base))) / home_path(pattern))
@@ -83,9 +78,6 @@ def find_logs(pattern: str) -> tuple[LogPlace, ...]:
 
     Args:
         pattern: An absolute path or an address, with `*`, `?`, `[…]` and `**`.
-
-    Raises:
-        FleetError: The place cannot be looked into.
     """
     try:
         if not protocol_of(pattern):
@@ -128,9 +120,6 @@ def local_log(place: LogPlace) -> Iterator[Path]:
     """The log as a file of this machine, under its own name: itself, or a copy.
 
     A copy is as old as the log; where nobody knows when that was changed, as in 1970.
-
-    Raises:
-        UnreachableLogError: It cannot be copied.
     """
     if not protocol_of(place.address):
         yield Path(place.address)
@@ -183,3 +172,105 @@ def _remote_place(fs: Any, path: str, address: str) -> LogPlace:
     mark = said.get("ETag") or said.get("etag") or said.get("md5Hash") or changed
     stamp = " ".join(str(each) for each in (said.get("size"), mark) if each is not None)
     return LogPlace(address, stamp, changed)
+
+
+DATED_BY = ("file", "stamps")
+"""Words in the place of what a date in a path is like."""
+
+_DIRECTIVES = {
+    **{f"%{letter}": r"\d{2}" for letter in "mdHMSy"},
+    "%Y": r"\d{4}",
+    "%j": r"\d{3}",
+    "%%": "%",
+}
+
+_TIMES = {"%H", "%M", "%S"}
+_DATES = [{*day, year} for day in (("%m", "%d"), ("%j",)) for year in ("%Y", "%y")]
+_EARLIEST, _LATEST = 9e8, 4.2e9  # s since 1970 at which a robot may have been logged
+
+
+def date_seconds(text: str) -> float:
+    """The s since 1970 of a date in ISO 8601, in UTC unless it says another zone."""
+    try:
+        instant = datetime.fromisoformat(text.strip())
+    except ValueError:
+        instant = None
+    if instant is not None:
+        zoned = instant if instant.tzinfo else instant.replace(tzinfo=UTC)
+        if _EARLIEST < (seconds := zoned.timestamp()) < _LATEST:
+            return seconds
+    raise ArgumentError(
+        f"A date is such as 2026-05-01 or 2026-05-01T12:00:00+02:00; got {text!r}.",
+        advice=f"Write it in ISO 8601, after {_day(_EARLIEST)} and before {_day(_LATEST)}.",
+    )
+
+
+def date_text(seconds: float) -> str:
+    """A date in ISO 8601, of s since 1970."""
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
+
+
+def _day(seconds: float) -> str:
+    return date_text(seconds).partition("T")[0]
+
+
+def date_of_log(
+    log: JointLog, files: Sequence[Path], given: float | None = None
+) -> tuple[float, str]:
+    """When a log began, s since 1970, and where that is from: `stamps`, `option` or `file`.
+
+    Args:
+        files: Its files, which count where nothing else is known: the one changed last.
+        given: What the user says, s since 1970, where stamps do not say it.
+    """
+    first = float(log.time[np.isfinite(log.time)][0])
+    began = first + 1e-9 * (log.origin or 0)
+    if _EARLIEST < began < _LATEST:
+        return began, "stamps"
+    if given is not None:
+        date, source, says = given, "option", "what is said is"
+    else:
+        date, source = max(path.stat().st_mtime for path in files), "file"
+        says = "its file was changed at"
+    if not _EARLIEST < date < _LATEST:
+        raise LogError(
+            f"Nobody knows when log {log.name!r} was recorded: its time stamps are no dates, and "
+            f"{says} {date:.10g} s since 1970.",
+            advice="Say when: by --date, or, in a fleet file, by a date in the names of logs and "
+            "`dates`.",
+            date=date,
+        )
+    return date, source
+
+
+def check_date_pattern(pattern: str) -> None:
+    """Refuse what no date in a path can be like."""
+    parts = [part for part in re.findall(r"%.?", pattern) if part != "%%"]
+    if set(parts) - _TIMES not in _DATES or len(set(parts)) < len(parts):
+        raise ArgumentError(
+            f"dates are {pattern!r}, which is like no date.",
+            advice=f"Write %Y-%m-%d, or with others of {', '.join(_DIRECTIVES)}, each once; "
+            f"or one of {', '.join(DATED_BY)}.",
+        )
+
+
+def date_in_path(path: str, pattern: str) -> float:
+    """The s since 1970 of the last date in a path, in UTC.
+
+    Args:
+        pattern: What the date is like, such as `%Y-%m-%d_%H%M`.
+    """
+    parts = re.split(r"(%.)", pattern)
+    like = "".join(_DIRECTIVES.get(part, re.escape(part)) for part in parts)
+    like = rf"(?<!\d){like}"  # a date begins where its digits do
+    for found in reversed(re.findall(like, path)):
+        try:
+            instant = datetime.strptime(found, pattern).replace(tzinfo=UTC)
+        except ValueError:  # such as the 30th of February
+            continue
+        if _EARLIEST < (seconds := instant.timestamp()) < _LATEST:
+            return seconds
+    raise ArgumentError(
+        f"The path {path} has no date like {pattern}.",
+        advice="Correct `dates` of the robot, or the name of the log.",
+    )

@@ -13,8 +13,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,7 +25,7 @@ from geodrake.boundary.input_files import read_regular
 from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, make_effect
 from geodrake.errors import ArgumentError, DigestError
-from geodrake.fleet.model_hash import source_hash, text_hash
+from geodrake.fleet.hashes import source_hash, text_hash
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.inertia import PARAMETER_NAMES, PARAMETERS_PER_BODY
 from geodrake.robot.base_parameters import BaseParameters
@@ -49,7 +50,7 @@ BLOCKS = 4
 
 _SETTINGS = 4  # that a process keeps
 _LARGEST_FILE = 50_000_000  # bytes
-_UNREADABLE = (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError)
+_MOST_LETTERS = 24  # of a value that a message shows
 _UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
 
 
@@ -62,8 +63,6 @@ class DigestColumn:
             the name of the effect otherwise.
         where: The body whose parameter names the combination; joints or bodies of the effect.
         parameter: `Izz`, for example; the parameter's name.
-        unit: Its unit.
-        shape: Shape parameters of the effect.
     """
 
     kind: str
@@ -79,8 +78,6 @@ class DigestEffect:
     """An effect that digests have columns for.
 
     Attributes:
-        parameters: Names of its linear parameters.
-        units: Their units.
         in_bodies: Whether its columns are those of the bodies, as a payload's are.
         source: SHA-256 of the source of an effect of the user's own.
     """
@@ -107,11 +104,7 @@ class DigestEffect:
         )
 
     def made(self, extra: Sequence[type[Effect]] = ()) -> Effect:
-        """Return the effect itself.
-
-        Raises:
-            DigestError: There is no such effect, or its source is another one now.
-        """
+        """Return the effect itself."""
         try:
             effect = make_effect(self.name, self.where, self.shape, extra)
         except ArgumentError as error:
@@ -149,7 +142,6 @@ class DigestSettings(Short):
         reading: How logs are read, as far as that is the same for all.
         blocks: Blocks into which each log is cut.
         lags: Distance up to which autocovariances are kept, samples.
-        version: Version of geodrake.
         format: Name and version of the format.
         chosen_from: The log by which they were chosen.
     """
@@ -177,7 +169,12 @@ class DigestSettings(Short):
     @cached_property
     def hash(self) -> str:
         """SHA-256 of all of them, whichever log they were chosen from."""
-        return text_hash(_numbers(replace(self, chosen_from="")))
+        return text_hash(replace(self, chosen_from="").plain)
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """Settings as JSON has them."""
+        return json.loads(json.dumps(asdict(self), default=np.ndarray.tolist))
 
     @property
     def base(self) -> BaseParameters:
@@ -201,20 +198,17 @@ class DigestSettings(Short):
         return (*of_bodies, *of_effects)
 
     def differences(self, other: DigestSettings) -> list[str]:
-        """In what settings differ from others, in words; empty if digests of both add up."""
-        own, others = _numbers(self), _numbers(other)
-        named = [f.name for f in fields(self) if f.name != "chosen_from"]
+        """Return in words how settings differ from others; nothing if digests of both add up."""
+        own, others = self.plain, other.plain
         return [
             f"{_WORDS.get(name, name)} ({_shown(own[name])} and {_shown(others[name])})"
-            for name in named
-            if text_hash(own[name]) != text_hash(others[name])
+            for name in own
+            if name != "chosen_from" and text_hash(own[name]) != text_hash(others[name])
         ]
 
     def text(self) -> str:
         """Return what the settings file holds, and `settings_of` reads."""
-        lines = [
-            f"{json.dumps(name)}: {json.dumps(value)}" for name, value in _numbers(self).items()
-        ]
+        lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in self.plain.items()]
         return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
@@ -230,19 +224,61 @@ _WORDS = {
 }
 
 
-def settings_of(text: str, source: str | Path) -> DigestSettings:
-    """Settings from the text that `DigestSettings.text` makes.
+def _shown(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= _MOST_LETTERS else f"{text[:_MOST_LETTERS]}…"
 
-    Raises:
-        DigestError: It is damaged, or of another version of the format.
-    """
+
+def settings_of(text: str, source: str | Path) -> DigestSettings:
+    """Return settings from the text that `DigestSettings.text` makes."""
     try:
         return _settings_of(text)
-    except _UNREADABLE as error:
+    except (ValueError, TypeError, AttributeError, RecursionError, msgspec.MsgspecError) as error:
         raise DigestError(
             f"{source} does not hold settings of digests: {one_line(error)}.",
             advice="Put back a copy of it, or digest the logs again into a new folder.",
         ) from error
+
+
+@lru_cache(_SETTINGS)  # all digests of a folder hold the same
+def _settings_of(text: str) -> DigestSettings:
+    said = json.loads(text)
+    if said.get("format") != FORMAT:
+        raise ValueError(
+            f"it has the format {said.get('format')!r}, and this version of geodrake reads "
+            f"{FORMAT!r}"
+        )
+    odd = {f.name for f in fields(DigestSettings)}.symmetric_difference(said)
+    if odd:
+        raise ValueError(f"it has too many or too few of {', '.join(sorted(odd))}")
+    found = msgspec.convert(said, DigestSettings, dec_hook=array_of)
+    nv, inertial = len(found.joints), PARAMETERS_PER_BODY * len(found.bodies)
+    independent = found.independent
+    found = replace(
+        found,
+        sign_width=found.sign_width.reshape(nv),
+        still_speed=found.still_speed.reshape(nv),
+        base_matrix=found.base_matrix.reshape(len(independent), inertial),
+    )
+    if not all(map(np.isfinite, (*found.delays, *found.held.values()))) or not all(
+        np.isfinite(each).all() for each in (found.sign_width, found.still_speed, found.base_matrix)
+    ):
+        raise ValueError("a number is not finite")
+    numbers = (found.bandwidth, found.motion_bandwidth, found.blocks, found.lags)
+    if not all(0 < x < np.inf for x in numbers):
+        raise ValueError("a bandwidth or a number of blocks or lags is none")
+    if independent.size and not 0 <= independent.min() <= independent.max() < inertial:
+        raise ValueError("base parameters are of no inertial ones")
+    if not found.delays or found.delays[0] != 0.0:
+        raise ValueError("the first delay is not 0")
+    if any(len(each.parameters) != len(each.units) for each in found.effects):
+        raise ValueError("an effect has not a unit for each parameter")
+    return found
+
+
+def array_of(kind: Any, values: Any) -> NDArray[Any]:
+    """Return an array of the type that a field has, of lists; NaN in the place of null."""
+    return np.array(values, np.intp if np.intp in get_args(get_args(kind)[1]) else float)
 
 
 def read_settings(folder: str | Path) -> DigestSettings | None:
@@ -262,98 +298,14 @@ def read_settings(folder: str | Path) -> DigestSettings | None:
         return None
     data = read_regular(path, "settings file", DigestError, largest=_LARGEST_FILE)
     try:
-        text = data.decode()
+        return settings_of(data.decode(), path)
     except UnicodeDecodeError as error:
         raise DigestError(
             f"The settings file {path} cannot be read: {one_line(error)}.",
             advice="Put back a copy of it.",
         ) from error
-    return settings_of(text, path)
 
 
 def own_sources(extra: Sequence[type[Effect]]) -> dict[str, str]:
     """Name of an effect of the user's own -> SHA-256 of its source."""
     return {kind.name: source_hash(kind) for kind in extra}
-
-
-def _numbers(settings: DigestSettings) -> dict[str, Any]:
-    """Settings as JSON has them."""
-    plain = {f.name: getattr(settings, f.name) for f in fields(settings)}
-    plain["effects"] = [asdict(effect) for effect in settings.effects]
-    for name, value in plain.items():
-        if isinstance(value, np.ndarray):
-            plain[name] = value.tolist()
-    return json.loads(json.dumps(plain))  # tuples are lists, as those that are read are
-
-
-@lru_cache(_SETTINGS)  # all digests of a folder hold the same
-def _settings_of(text: str) -> DigestSettings:
-    """Settings from JSON, of the shapes that they must have.
-
-    Raises:
-        ValueError: One has another shape; also others of `_UNREADABLE`.
-    """
-    said = json.loads(text)
-    if said.get("format") != FORMAT:
-        raise ValueError(
-            f"it has the format {said.get('format')!r}, and this version of geodrake reads "
-            f"{FORMAT!r}"
-        )
-    odd = {f.name for f in fields(DigestSettings)}.symmetric_difference(said)
-    if odd:
-        raise ValueError(f"it has too many or too few of {', '.join(sorted(odd))}")
-    nv, inertial = len(said["joints"]), PARAMETERS_PER_BODY * len(said["bodies"])
-    independent = np.array(said["independent"], np.intp)
-    found = DigestSettings(
-        **{
-            **said,
-            "joints": _names(said["joints"]),
-            "bodies": _names(said["bodies"]),
-            "extra": {str(name): str(source) for name, source in said["extra"].items()},
-            "held": {str(joint): float(value) for joint, value in said["held"].items()},
-            "sign_width": _floats(said["sign_width"], (nv,)),
-            "still_speed": _floats(said["still_speed"], (nv,)),
-            "delays": tuple(_floats(said["delays"], (len(said["delays"]),)).tolist()),
-            "effects": tuple(_effect(each) for each in said["effects"]),
-            "independent": independent,
-            "base_matrix": _floats(said["base_matrix"], (len(independent), inertial)),
-        }
-    )
-    numbers = (found.bandwidth, found.motion_bandwidth, found.blocks, found.lags)
-    if not all(isinstance(x, int | float) and 0 < x < np.inf for x in numbers):
-        raise ValueError("a bandwidth or a number of blocks or lags is none")
-    if independent.size and not 0 <= independent.min() <= independent.max() < inertial:
-        raise ValueError("base parameters are of no inertial ones")
-    if not found.delays or found.delays[0] != 0.0:
-        raise ValueError("the first delay is not 0")
-    return found
-
-
-def _effect(said: Mapping[str, Any]) -> DigestEffect:
-    names = {name: _names(said[name]) for name in ("where", "parameters", "units")}
-    shape = {str(name): float(value) for name, value in said["shape"].items()}
-    if len(names["parameters"]) != len(names["units"]):
-        raise ValueError("an effect has not a unit for each parameter")
-    return DigestEffect(**{**said, **names, "shape": shape})
-
-
-def _names(values: Any) -> tuple[str, ...]:
-    if not isinstance(values, list) or not all(isinstance(each, str) for each in values):
-        raise ValueError("names are no list of texts")
-    return tuple(values)
-
-
-def _floats(values: Any, shape: tuple[int, ...]) -> Array:
-    array = np.array(values, float).reshape(shape)
-    if not np.isfinite(array).all():
-        raise ValueError("a number is not finite")
-    return array
-
-
-def _shown(value: Any) -> str:
-    """Return a value in a few letters."""
-    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= _MOST_LETTERS else f"{text[:_MOST_LETTERS]}…"
-
-
-_MOST_LETTERS = 24

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from geodrake.errors import FleetError
 from geodrake.fleet.change_evidence import ChangePlace
-from geodrake.fleet.changes import RobotChange, RobotSearch, SearchState
-from geodrake.fleet.fleet_changes import changes_by
+from geodrake.fleet.changes import RobotChange, RobotSearch, SearchState, find_changes
 from geodrake.fleet.fleet_result import (
     ChangedParameter,
     FleetFinding,
@@ -19,13 +18,52 @@ from geodrake.fleet.fleet_result import (
     ParameterHistory,
     RobotResult,
 )
-from geodrake.fleet.levels import parameter_levels
-from geodrake.fleet.robot_logs import DAY, KeptHistory
+from geodrake.fleet.history import DAY, KeptHistory, LogEquations
+from geodrake.fleet.type_columns import narrow_factor
 from geodrake.fleet.type_layout import BODIES, TypeLayout
-from geodrake.fleet.type_model import TypeModel, own_parameters
-from geodrake.fleet.workers import Workers, in_order
+from geodrake.fleet.type_model import RobotFit, TypeModel, calc_marginal, own_parameters
+from geodrake.fleet.workers import Workers
 
 Array = NDArray[np.float64]
+
+_LOOSE = 100.0  # deviations of the type that a parameter may be off where a log says nothing
+
+
+def parameter_levels(
+    model: TypeModel, robot: int, logs: LogEquations, fit: RobotFit, column: int
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return what each log says of a parameter, where all others are those of the robot.
+
+    No log is smoothed by others: levels before and after a change are independent but for what is
+    not known of the robot.
+
+    Returns:
+        (T,) values; (T,) standard deviations of these as those of the robot in these days, with
+        what logs scatter beyond their noise, as models are never exact; and (T,) whether the log
+        says more of it than that it is one of the type.
+    """
+    at = np.array([column])
+    touch = [spread.factor[column].any() for spread in model.columns.spreads]
+    scale = model.scale(robot)[:, None]
+    parts = zip(model.columns.spreads, model.scatter, touch, strict=True)
+    rest = [tau * scale * s.factor for s, tau, touched in parts if not touched]
+    factor = narrow_factor(np.hstack([np.zeros_like(scale), *rest]))
+    M, m = calc_marginal(logs.information, logs.right, factor, at)
+    mean = model.parameters(robot, logs, fit)
+    usual = sum(float(np.square(f[column]).sum()) for f in model.deviation_factors())
+    usual = max(usual, np.finfo(float).tiny ** 0.5)
+    covariance = 1.0 / (M[:, column] + 1.0 / (_LOOSE**2 * usual))
+    score = m - np.einsum("tpc,tp->tc", M, mean)
+    # What is not known of the other parameters moves all logs' levels together.
+    M[:, column] = 0.0
+    moved = fit.mapped(covariance[..., None] * np.swapaxes(M, 1, 2))[:, 0]
+    variance = covariance[:, 0] + np.sum(moved * fit.solve(moved.T).T, axis=1)
+    scattered = 0.0
+    for tau, spread, touched in zip(model.scatter, model.columns.spreads, touch, strict=True):
+        if touched:
+            scattered += tau**2 * np.square(scale[column] * spread.factor[column]).sum()
+    values = mean[:, column] + (covariance * score)[:, 0]
+    return values, np.sqrt(variance + scattered), variance < usual
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +92,12 @@ def type_findings(
     """What changed in robots of a type, in their order.
 
     Args:
-        histories: Where those of the robots are; at least one.
         models: Robot -> (p,) what its own model file says; others have that of the type.
         false_alarms: At most how many robots in which nothing changed are named, a robot-month.
     """
     try:
-        found = changes_by(
-            team, histories, layout.columns, layout.hypotheses, false_alarms=false_alarms
+        found = find_changes(
+            histories, layout.columns, layout.hypotheses, false_alarms=false_alarms, team=team
         )
     except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
         raise FleetError(
@@ -80,13 +117,13 @@ def type_findings(
         )
         for at, history in enumerate(histories)
     ]
-    return in_order(team, _result, pieces)
+    return team.in_order(_result, pieces)
 
 
 def _result(found: _Found) -> RobotResult:
     history, model = found.history, found.model
     hypotheses = found.layout.hypotheses
-    search = RobotSearch(model, 0, history.read(), found.reference, hypotheses)
+    search = RobotSearch(model, history, found.reference, hypotheses)
     state = search.state(found.places)
     return RobotResult(
         history.robot,
@@ -169,12 +206,8 @@ def _histories(
     for at, parameter in enumerate(layout.parameters):
         if parameter.effect == BODIES:
             continue
-        levels = parameter_levels(model, 0, state.logs, state.fit, [at])
-        histories.append(
-            ParameterHistory(
-                parameter, levels.values[:, 0], levels.with_scatter[:, 0], levels.shown[:, 0]
-            )
-        )
+        levels = parameter_levels(model, 0, state.logs, state.fit, at)
+        histories.append(ParameterHistory(parameter, *levels))
     return tuple(histories)
 
 

@@ -1,28 +1,173 @@
-"""From a type's model and the settings of its digests to what statistics of fleets need.
+"""The model of a type as digests have it, and its columns as statistics of fleets need them.
 
-Digests have columns of all that may be missing. A fleet's statistics need few: the bodies, what
-the model has, and friction and offsets of joints; and hypotheses of what changes in a robot.
+At every joint the model has friction and an offset: what robots of a type scatter by is then no
+error of the model, and what a fit leaves is noise, so that samples are worth more. Digests have
+columns of all that may be missing. A fleet's statistics need few: the bodies, what the model has,
+and friction and offsets of joints; and hypotheses of what changes in a robot.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
+from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.showing import Short
-from geodrake.effects import Role
+from geodrake.effects import (
+    Effect,
+    FittedEffect,
+    Role,
+    catalogue,
+    effect_class,
+    load_effect_file,
+)
 from geodrake.effects.declarations import when_sliding
 from geodrake.effects.lookup import effect_of
-from geodrake.fleet.columns import Spread, TypeColumns, body_spread, column_spreads
-from geodrake.fleet.digest_dataset import model_of_digests
-from geodrake.fleet.hypotheses import ChangeHypothesis, body_change, column_change
-from geodrake.fleet.profiles import STEP
+from geodrake.errors import ArgumentError, FleetError
+from geodrake.fleet.digest_log import Wanted, model_of_digests
+from geodrake.fleet.fleet_file import FleetType
+from geodrake.fleet.hashes import file_hash
 from geodrake.fleet.settings import DigestSettings
-from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
+from geodrake.fleet.type_columns import (
+    STEP,
+    ChangeHypothesis,
+    Spread,
+    TypeColumns,
+    body_factor,
+    distance_factor,
+    narrow_factor,
+)
+from geodrake.identification.logs.criteria import SPREAD
+from geodrake.identification.logs.unknowns import pullback_information
+from geodrake.inertia import from_mass_com_inertia, is_physical
+from geodrake.logs.files import Reading, read_mapping
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.saved_model import load_model
+
+USUAL = tuple(kind for kind in catalogue() if kind.complexity == 0 and "vd" not in kind.depends_on)
+"""Friction and offsets: effects that hardly any joint is without, but rotors, which bodies have."""
+
+_MODELS = 4  # that a process keeps
+_LITTLE = 1e-6  # information on parameters of which nothing is known, 1/unit²
+
+
+@dataclass(frozen=True, eq=False)
+class TypeSource:
+    """What digests of a type are made by.
+
+    Attributes:
+        model: The model, with what each joint has beside what its file says.
+        wanted: How logs are read, and what settings are to be like.
+    """
+
+    model: RobotModel
+    wanted: Wanted
+
+
+def type_source(kind: FleetType) -> TypeSource:
+    """The model of a type, and how its logs are read."""
+    for path in kind.files:
+        regular_file(path, f"file of type {kind.name}", FleetError)
+    return _read_source(_Key(kind, file_hash(kind.files)))
+
+
+@dataclass(frozen=True)
+class _Key:
+    """A type by what its files hold."""
+
+    kind: FleetType
+    files: str
+
+    def __hash__(self) -> int:
+        return hash((self.kind.name, self.files))
+
+
+@lru_cache(_MODELS)
+def _read_source(key: _Key) -> TypeSource:
+    kind = key.kind
+    extra: dict[str, type[Effect]] = {}
+    for path in kind.own_effects:
+        for effect in load_effect_file(path):
+            if effect.name in extra:
+                raise FleetError(f"Type {kind.name} has the effect {effect.name} of two files.")
+            extra[effect.name] = effect
+    own = tuple(extra.values())
+    model = _loaded(kind, kind.model, own)
+    mapping = None if kind.mapping is None else read_mapping(kind.mapping)
+    reading = Reading(mapping=mapping, units=kind.units)
+    return TypeSource(
+        with_joint_effects(model, _of_joints(kind, own)),
+        Wanted(kind.bandwidth, kind.blocks, reading, own),
+    )
+
+
+def own_model(kind: FleetType, path: Path) -> RobotModel:
+    """The model of one robot, read as that of its type."""
+    return _loaded(kind, path, type_source(kind).wanted.extra)
+
+
+def _loaded(kind: FleetType, path: Path, extra: Sequence[type[Effect]]) -> RobotModel:
+    return load_model(
+        path,
+        floating=kind.floating,
+        extra=extra,
+        lock=kind.lock,
+        transmission=kind.transmission,
+    )
+
+
+def _of_joints(kind: FleetType, extra: Sequence[type[Effect]]) -> tuple[type[Effect], ...]:
+    """Effects that each joint of a type has."""
+    if kind.effects is None:
+        return USUAL
+    found = []
+    for name in kind.effects:
+        try:
+            effect = effect_class(name, extra)
+        except ArgumentError as error:
+            raise FleetError(
+                f"Type {kind.name} has effects of joints: {error.problem}", advice=error.advice
+            ) from error
+        if effect.places != "joint" or effect.shapes or not effect.parameters:
+            raise FleetError(
+                f"Type {kind.name} has the effect {name}, which is none of a joint alone without "
+                "shape parameters.",
+                advice="Give the type a model that was saved with it.",
+            )
+        found.append(effect)
+    return tuple(found)
+
+
+def with_joint_effects(model: RobotModel, kinds: Sequence[type[Effect]]) -> RobotModel:
+    """A model with effects at all joints where it has none of the kind, of unknown sizes."""
+    there = {(fitted.effect.name, fitted.effect.where) for fitted in model.effects}
+    joints = [joint for joint in model.joints if joint in model.single_joints]
+    added = [
+        kind(joint)  # type: ignore[call-arg]
+        for joint in joints
+        for kind in kinds
+        if (kind.name, (joint,)) not in there
+    ]
+    if not added:
+        return model
+    information = model.information
+    if information is None:
+        sizes = [np.diag(1.0 / np.maximum(f.parameters**2, 1e-12)) for f in model.effects]
+        information = block_diag(pullback_information(model.phi, SPREAD), *sizes)
+    new = [FittedEffect(effect, np.zeros(len(effect.parameters))) for effect in added]
+    sizes = [_LITTLE * np.eye(len(each.parameters)) for each in new]
+    return replace(
+        model,
+        effects=(*model.effects, *new),
+        information=block_diag(information, *sizes),
+    )
+
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -31,6 +176,7 @@ BODIES = "bodies"
 """What columns of bodies are called in the place of an effect."""
 
 _USUAL_PAYLOAD = 0.1  # over the mass of all that moves
+_PAYLOAD_RADIUS = 0.1  # m
 _USUAL_GAIN = 0.1  # share by which a gain changes
 _KEPT = (Role.FORCE, Role.DEFLECTION)
 _LOAD, _GAIN = (effect_of(role).name for role in (Role.BODY, Role.SCALE))
@@ -42,9 +188,6 @@ class FleetParameter:
 
     Attributes:
         effect: Name of the effect; `BODIES` for combinations of inertial parameters.
-        where: Its joint, or the body that names it.
-        name: Name of the parameter, or of the combination.
-        unit: Its unit; empty for plain numbers, such as shares.
     """
 
     effect: str
@@ -60,8 +203,6 @@ class TypeLayout(Short):
     Attributes:
         kept: (p − n,) which of the settings' columns they are.
         parameters: (p,) what they are of.
-        columns: How robots differ in them.
-        hypotheses: What may change in a robot.
         payload_roots: Hypothesis of a payload -> (10, 10) inertial parameters of its coordinates.
     """
 
@@ -78,12 +219,8 @@ def type_layout(
     """The columns of a type, and what may change in its robots.
 
     Args:
-        model: The model as it was given when the settings were made.
         efforts: (nv,) usual sizes of the joints' efforts, N·m or N.
         payload: Mass of a usual payload, kg; None for a tenth of all that moves.
-
-    Raises:
-        DigestError: The settings are of another model.
     """
     model = model_of_digests(model, settings)
     bodies = len(settings.independent)
@@ -96,27 +233,34 @@ def type_layout(
     prior[bodies : p - n] = [own[at][0] for at in kept[bodies:].tolist()]
     relative = np.zeros(p, bool)
     relative[bodies : p - n] = [own[at][1] for at in kept[bodies:].tolist()]
-    sizes = _sizes(parameters, relative, dict(zip(model.joints, efforts.tolist(), strict=True)))
-    columns = TypeColumns(
-        prior,
-        np.arange(p) < p - n,
-        relative,
-        relative.copy(),
-        n,
-        (*_body_spreads(model, settings, p), *_column_spreads(parameters, sizes, bodies)),
-        tuple(each.unit for each in parameters),
-    )
-    hypotheses = _joint_changes(parameters, relative, sizes)
+    # What is much of each column: of shares 1, of others what makes the usual efforts.
+    of_joints = dict(zip(model.joints, efforts.tolist(), strict=True))
+    usual = np.array([max(of_joints.get(each.where, 1.0), 1e-9) for each in parameters])
+    shares = relative | np.array([each.effect == _GAIN for each in parameters])
+    sizes = np.where(shares, 1.0, usual)
+    spreads = [
+        Spread(f"{each.effect} of {each.where}: {each.name}", size * np.eye(p)[:, [at]])
+        for at, (each, size) in enumerate(zip(parameters, sizes.tolist(), strict=True))
+        if at >= bodies
+    ]
+    changes = _joint_changes(parameters, relative, sizes)
     mass = payload or _USUAL_PAYLOAD * float(model.total_phi[:, 0].sum())
-    roots = {}
-    for body, name in enumerate(model.bodies):
-        phi = model.total_phi
-        if is_physical(phi[body]):
-            B, given = settings.base_matrix, (_LOAD, name, body, phi)
-            part = slice(PARAMETERS_PER_BODY * body, PARAMETERS_PER_BODY * (body + 1))
-            roots[len(hypotheses)] = body_change(*given, phi.size, mass=mass).factor[part]
-            hypotheses.append(body_change(*given, p, mass=mass, matrix=B))
-    return TypeLayout(kept, parameters, columns, tuple(hypotheses), roots)
+    roots, of_bodies = {}, []
+    B = settings.base_matrix
+    for body, (name, phi) in enumerate(zip(model.bodies, model.total_phi, strict=True)):
+        if not is_physical(phi):
+            continue
+        factor = narrow_factor(body_factor(distance_factor(phi), body, B, bodies))
+        of_bodies.append(Spread(name, np.pad(factor, ((0, p - bodies), (0, 0)))))
+        # A ball of the size and mass of a usual payload, at the body's centre of mass.
+        ball = 0.4 * mass * _PAYLOAD_RADIUS**2 * np.eye(3)
+        root = distance_factor(from_mass_com_inertia(mass, phi[1:4] / phi[0], ball))
+        roots[len(changes)] = root
+        changes.append(ChangeHypothesis(_LOAD, name, body_factor(root, body, B, p), (STEP,)))
+    units = tuple(each.unit for each in parameters)
+    free, spread = np.arange(p) < p - n, (*of_bodies, *spreads)
+    columns = TypeColumns(prior, free, relative, relative.copy(), n, spread, units)
+    return TypeLayout(kept, parameters, columns, tuple(changes), roots)
 
 
 def _model_values(model: RobotModel, settings: DigestSettings) -> dict[int, tuple[float, bool]]:
@@ -156,38 +300,6 @@ def _parameters(
     return (*found, *gains)
 
 
-def _body_spreads(model: RobotModel, settings: DigestSettings, p: int) -> list[Spread]:
-    """How each body differs from robot to robot."""
-    found = []
-    for body, name in enumerate(model.bodies):
-        phi = np.full_like(model.total_phi, np.nan)
-        phi[body] = model.total_phi[body]
-        if is_physical(phi[body]):
-            found.append(body_spread(name, phi, p, matrix=settings.base_matrix))
-    return found
-
-
-def _sizes(
-    parameters: Sequence[FleetParameter], relative: NDArray[np.bool_], efforts: dict[str, float]
-) -> Array:
-    """(p,) what is much of each column: of shares 1, of others what makes the usual efforts."""
-    usual = np.array([max(efforts.get(each.where, 1.0), 1e-9) for each in parameters])
-    shares = relative | np.array([each.effect == _GAIN for each in parameters])
-    return np.where(shares, 1.0, usual)
-
-
-def _column_spreads(
-    parameters: Sequence[FleetParameter], sizes: Array, first: int
-) -> tuple[Spread, ...]:
-    """How each column but those of bodies differs, each by itself."""
-    names = [f"{each.effect} of {each.where}: {each.name}" for each in parameters[first:]]
-    found = column_spreads(names, range(first, len(parameters)), len(parameters))
-    return tuple(
-        replace(spread, factor=size * spread.factor)
-        for spread, size in zip(found, sizes[first:].tolist(), strict=True)
-    )
-
-
 def _joint_changes(
     parameters: Sequence[FleetParameter], relative: NDArray[np.bool_], sizes: Array
 ) -> list[ChangeHypothesis]:
@@ -198,18 +310,19 @@ def _joint_changes(
         if each.effect != BODIES:
             effects.setdefault((each.effect, each.where), []).append(at)
     joined: dict[str, list[str]] = {}
+    unit = np.eye(p)
     for (effect, where), columns in effects.items():
         if effect == _GAIN:
-            kind, size = (STEP,), _USUAL_GAIN
-            found.append(column_change(effect, where, columns, p, size=size, kinds=kind))
+            factor = _USUAL_GAIN * unit[:, columns]
+            found.append(ChangeHypothesis(effect, where, factor, (STEP,)))
             continue
         shares = bool(relative[columns].all())
         size = 1.0 if shares else float(sizes[columns].max())
-        found.append(column_change(effect, where, columns, p, size=size))
+        found.append(ChangeHypothesis(effect, where, size * unit[:, columns]))
         if shares:
             joined.setdefault(where, []).append(effect)
     for where, names in joined.items():
         if len(names) > 1:
             together = [at for name in names for at in effects[name, where]]
-            found.append(column_change("+".join(names), where, together, p))
+            found.append(ChangeHypothesis("+".join(names), where, unit[:, together]))
     return found

@@ -13,14 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from geodrake.boundary.arguments import instances, integer, typed
-from geodrake.errors import ArgumentError
-from geodrake.fleet.columns import TypeColumns
-from geodrake.fleet.course import Course
-from geodrake.fleet.history import EquationSource, LogEquations
-from geodrake.fleet.robot_fit import LogScores, RobotFit
-from geodrake.fleet.type_model import TypeModel, kept_share
-from geodrake.fleet.workers import InThisProcess, Workers, in_order
+from geodrake.fleet.history import Logs
+from geodrake.fleet.type_columns import TypeColumns
+from geodrake.fleet.type_model import Course, LogScores, RobotFit, TypeModel, kept_share
+from geodrake.fleet.workers import HERE, Workers
 
 Array = NDArray[np.float64]
 
@@ -31,66 +27,41 @@ _SEEN = 1e-3  # deviations of a robot that tell of a scale
 _LEAST = 1e-8  # scale that is none
 
 
-@typed
 def learn_type(
-    logs: Sequence[LogEquations],
+    logs: Sequence[Logs],
     columns: TypeColumns,
     *,
     changes: Sequence[Array] | None = None,
     start: TypeModel | None = None,
     rounds: int = 12,
+    team: Workers = HERE,
 ) -> TypeModel:
-    """Return what robots of a type share, and how they differ, by the logs of all.
+    """Learn what robots of a type share, and how they differ, by the logs of all.
 
     Args:
         logs: Those of each robot, over the columns of the type.
         changes: (T, p, m) of each robot: changes that were found in it, as further parameters.
-
-    Raises:
-        ArgumentError: There is no robot, or one has other columns.
     """
-    logs = instances(logs, "logs", LogEquations)
-    integer(rounds, "rounds", lower=1)
-    if not logs or any(each.right.shape[1:] != columns.prior.shape for each in logs):
-        raise ArgumentError(
-            f"Each robot of a type must have its {len(columns.prior)} columns, and there must be a "
-            "robot."
-        )
-    if changes is not None and len(instances(changes, "changes", object)) != len(logs):
-        raise ArgumentError(f"{len(logs)} robots have {len(changes)} arrays of changes.")
-    team = InThisProcess()
-    start = begun(team, logs, columns) if start is None else start
-    return learnt(team, logs, start, changes=changes, rounds=rounds)
-
-
-def learnt(
-    team: Workers,
-    logs: Sequence[EquationSource],
-    start: TypeModel,
-    *,
-    changes: Sequence[Array] | None = None,
-    rounds: int,
-) -> TypeModel:
-    """`learn_type` where others look at robots."""
+    model = _begun(team, logs, columns) if start is None else start
     every = [None] * len(logs) if changes is None else changes
     for _ in range(rounds):
-        pieces = [(start.of(r), *each) for r, each in enumerate(zip(logs, every, strict=True))]
-        start = _improved(start, logs, in_order(team, _told, pieces))
-    return start
+        pieces = [(model.of(r), *each) for r, each in enumerate(zip(logs, every, strict=True))]
+        model = _improved(model, logs, team.in_order(_told, pieces))
+    return model
 
 
-def pooled(team: Workers, logs: Sequence[EquationSource]) -> tuple[Array, Array]:
+def pooled(team: Workers, logs: Sequence[Logs]) -> tuple[Array, Array]:
     """Sums of all normal matrices (p, p), and of right sides (p,)."""
-    information, right = zip(*in_order(team, _sums, logs), strict=True)
+    information, right = zip(*team.in_order(_sums, logs), strict=True)
     return np.sum(information, axis=0), np.sum(right, axis=0)
 
 
-def _sums(logs: EquationSource) -> tuple[Array, Array]:
+def _sums(logs: Logs) -> tuple[Array, Array]:
     equations = logs.equations()
     return equations.information.sum(axis=0), equations.right.sum(axis=0)
 
 
-def begun(team: Workers, logs: Sequence[EquationSource], columns: TypeColumns) -> TypeModel:
+def _begun(team: Workers, logs: Sequence[Logs], columns: TypeColumns) -> TypeModel:
     """Pooled least squares, with the prior where logs say nothing."""
     K, p, free = len(columns.spreads), len(columns.prior), columns.free
     information, right = pooled(team, logs)
@@ -140,7 +111,7 @@ class _RobotTells:
     odd: Array
 
 
-def _told(piece: tuple[TypeModel, EquationSource, Array | None]) -> _RobotTells:
+def _told(piece: tuple[TypeModel, Logs, Array | None]) -> _RobotTells:
     """Return what one robot tells, where the model of its type has that of it alone."""
     model, logs, changes = piece
     fit, scale = model.fit(0, logs.equations(), changes), model.scale(0)
@@ -173,9 +144,7 @@ def _scattered(model: TypeModel, scale: Array, fit: RobotFit, scores: LogScores)
     return np.stack([squares, expected, middle])
 
 
-def _improved(
-    model: TypeModel, logs: Sequence[EquationSource], told: Sequence[_RobotTells]
-) -> TypeModel:
+def _improved(model: TypeModel, logs: Sequence[Logs], told: Sequence[_RobotTells]) -> TypeModel:
     """One step of all that is learnt.
 
     Squared scales go by what squares of scores are over what they would be, whose fixed point is

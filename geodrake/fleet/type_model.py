@@ -9,22 +9,272 @@ those of the largest restricted likelihood; logs that scatter more than others h
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 from scipy.special import gammaincinv
 
-from geodrake.boundary.arguments import instance
 from geodrake.boundary.showing import Short
-from geodrake.fleet.columns import TypeColumns
-from geodrake.fleet.course import Course
-from geodrake.fleet.history import LogEquations
-from geodrake.fleet.marginals import calc_marginal, narrow_factor
-from geodrake.fleet.robot_fit import LogScores, RobotFit
+from geodrake.fleet.history import LogEquations, Logs
+from geodrake.fleet.type_columns import TypeColumns, narrow_factor
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+def calc_marginal(
+    information: Array, right: Array, factor: Array, columns: Indices | None = None
+) -> tuple[Array, Array]:
+    """Normal equations of the mean x̄, where each log has parameters x̄ + u, u ~ N(0, F Fᵀ).
+
+    M = (H⁻¹ + F Fᵀ)⁻¹ and m = (𝟙 + H F Fᵀ)⁻¹ s, which exist for singular H too.
+
+    Args:
+        information: (..., p, p) normal matrices H.
+        right: (..., p) right sides s.
+        factor: (p, r) or (..., p, r) factor F of the scatter's covariance.
+        columns: (c,) which columns of M and elements of m are asked for; all if None.
+
+    Returns:
+        (..., p, c) columns of matrices M, and (..., c) right sides m.
+    """
+    columns = np.arange(right.shape[-1]) if columns is None else columns
+    seen = information @ factor
+    inner = np.swapaxes(seen, -1, -2) @ factor
+    inner[..., np.arange(inner.shape[-1]), np.arange(inner.shape[-1])] += 1.0
+    rows = np.concatenate([seen[..., columns, :], right[..., None, :] @ factor], axis=-2)
+    solved = np.linalg.solve(inner, np.swapaxes(rows, -1, -2))
+    marginal = information[..., columns] - seen @ solved[..., :-1]
+    return marginal, right[..., columns] - (seen[..., columns, :] @ solved[..., -1:])[..., 0]
+
+
+@dataclass(frozen=True, eq=False)
+class LogScores(Short):
+    """How large scores of logs are along the directions of K factors F_k.
+
+    With G = F_kᵀ M_t F_k, scores of known parameters have the covariance G.
+
+    Attributes:
+        squares: (T, K) |F_kᵀ score_t|².
+        trace: (T, K) traces of G.
+        norm: (T, K) traces of G².
+    """
+
+    squares: Array
+    trace: Array
+    norm: Array
+
+
+@dataclass(frozen=True, eq=False)
+class RobotFit(Short):
+    """Parameters x_t = x̄_t + L_t θ of logs t, with θ ~ N(0, 𝟙) and L_t = [A, B_t].
+
+    Attributes:
+        information: (T, p, p) normal matrices M_t of the logs' means.
+        rest: (T, p) right sides less what x̄_t explains, m_t − M_t x̄_t.
+        common: (p, a) map A, which all logs have.
+        own: (T, p, b) maps B_t.
+    """
+
+    information: Array
+    rest: Array
+    common: Array
+    own: Array
+
+    @property
+    def size(self) -> int:
+        """Number n of parameters θ."""
+        return self.common.shape[1] + self.own.shape[2]
+
+    def mapped(self, rows: Array) -> Array:
+        """(T, c, n) products of rows (T, c, p) and L_t."""
+        return np.concatenate([rows @ self.common, rows @ self.own], axis=2)
+
+    def seen_along(self, factor: Array) -> Array:
+        """(T, n, r) products L_tᵀ M_t F.
+
+        Args:
+            factor: (p, r) directions F.
+        """
+        return np.swapaxes(self.mapped(np.swapaxes(self.information @ factor, 1, 2)), 1, 2)
+
+    @cached_property
+    def seen(self) -> Array:
+        """(n, p) sum of all products L_tᵀ M_t."""
+        by_own = np.einsum("tpb,tpq->bq", self.own, self.information, optimize=True)
+        return np.vstack([self.common.T @ self.information.sum(axis=0), by_own])
+
+    @cached_property
+    def _factor(self) -> tuple[Array, bool]:
+        a, n = self.common.shape[1], self.size
+        seen, own = self.information @ self.own, self.own
+        normal = np.eye(n)
+        normal[:, :a] += self.seen @ self.common
+        normal[a:, a:] += np.einsum("tpb,tpc->bc", own, seen, optimize=True)
+        found: tuple[Array, bool] = cho_factor(normal, lower=True)  # what is above does not count
+        return found
+
+    def solve(self, right: Array) -> Array:
+        """N⁻¹ times (n,) or (n, m), with the normal matrix N = 𝟙 + Σ L_tᵀ M_t L_t."""
+        return np.asarray(cho_solve(self._factor, right))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(n, n) covariance N⁻¹ of θ."""
+        return self.solve(np.eye(self.size))
+
+    @cached_property
+    def theta(self) -> Array:
+        """(n,) the best θ."""
+        of_own = np.einsum("tpb,tp->b", self.own, self.rest)
+        return self.solve(np.append(self.common.T @ self.rest.sum(axis=0), of_own))
+
+    @cached_property
+    def deviation(self) -> Array:
+        """(T, p) what θ adds to the parameters of every log, L_t θ."""
+        a = self.common.shape[1]
+        return np.asarray(self.common @ self.theta[:a] + self.own @ self.theta[a:])
+
+    @cached_property
+    def score(self) -> Array:
+        """(T, p) what is left of every log's right side, rest_t − M_t L_t θ."""
+        return np.asarray(self.rest - (self.information @ self.deviation[..., None])[..., 0])
+
+    def scores(self, factors: Sequence[Array]) -> LogScores:
+        """How large scores are along the directions of some factors.
+
+        Args:
+            factors: K factors F_k (p, r_k).
+        """
+        ends = np.cumsum([factor.shape[1] for factor in factors])[:-1]
+        every = np.hstack(factors)
+        along = np.split((self.score @ every) ** 2, ends, axis=1)
+        shown = np.split(self.information @ every, ends, axis=2)
+        blocks = [f.T @ each for f, each in zip(factors, shown, strict=True)]
+        return LogScores(
+            np.stack([each.sum(axis=1) for each in along], axis=1),
+            np.stack([np.trace(each, axis1=1, axis2=2) for each in blocks], axis=1),
+            np.stack([np.square(each).sum(axis=(1, 2)) for each in blocks], axis=1),
+        )
+
+    def expected_squares(self, factor: Array) -> Array:
+        """(r,) what squares of Fᵀ score_t are in the sum of all logs, if the model is right.
+
+        Args:
+            factor: (p, r) directions F.
+        """
+        own = np.einsum("pr,pr->r", factor, self.information.sum(axis=0) @ factor)
+        part = self.seen_along(factor).transpose(1, 0, 2)
+        flat = part.reshape(len(part), -1)
+        fitted = np.sum((flat * self.solve(flat)).reshape(part.shape), axis=(0, 1))
+        return np.maximum(own - fitted, 0.0)  # what rounding makes of nothing
+
+
+LEAST_ROBOTS = 5
+"""Robots of a day below which it is not told what all do together; neighbouring days are."""
+
+_WIDE = 1.0  # deviation of a course before logs are seen: friction may double
+_FLAT = 1e-12  # share of information that is none
+
+
+@dataclass(frozen=True, eq=False)
+class Course(Short):
+    """Shares by which columns of all robots are larger.
+
+    Attributes:
+        days: (D,) whole days on which enough robots have logs, ascending.
+        values: (D, q) shares on each day, of mean 0.
+        slope: (q,) what a degree adds, 1/°C, where logs have temperatures.
+    """
+
+    days: Array
+    values: Array
+    slope: Array
+    reference: float
+
+    @classmethod
+    def begin(cls, logs: Sequence[Logs], columns: int) -> Course:
+        """A course of zeros."""
+        each = [np.unique(np.floor(robot.days)) for robot in logs]
+        days, robots = np.unique(np.concatenate(each), return_counts=True)
+        days = days[robots >= LEAST_ROBOTS]
+        warm = np.concatenate([robot.temperature for robot in logs])
+        known = warm[np.isfinite(warm)]
+        reference = float(known.mean()) if len(known) else 0.0
+        return cls(days, np.zeros((len(days), columns)), np.zeros(columns), reference)
+
+    def of(self, logs: Logs) -> Array:
+        """(T, q) shares at a robot's logs; between days with too few robots it is linear."""
+        values = self._warmer(logs)[:, None] * self.slope
+        if self.values.size:
+            at = np.floor(logs.days)
+            values = values + np.stack([np.interp(at, self.days, c) for c in self.values.T], -1)
+        return np.asarray(values)
+
+    def improved(
+        self, logs: Sequence[Logs], information: Sequence[Array], right: Sequence[Array]
+    ) -> Course:
+        """The course after a step towards what logs say.
+
+        Args:
+            information: (T, q, q) of each robot: what its logs say of shares.
+            right: (T, q) of each robot: its right sides, less what the course explains.
+        """
+        warm = [self._warmer(each) for each in logs]
+        if any(each.any() for each in warm):
+            slope = _slope(warm, information, right)
+            right = [
+                r - w[:, None] * (info @ slope)
+                for w, info, r in zip(warm, information, right, strict=True)
+            ]
+            with_slope = replace(self, slope=self.slope + slope)
+        else:
+            with_slope = self
+        return with_slope._day_by_day(logs, information, right)
+
+    def stronger(self, share: Array) -> Course:
+        """The course of robots that all follow it more than was thought.
+
+        Args:
+            share: (q,) by how much, in the mean.
+        """
+        return replace(self, values=self.values * (1.0 + share), slope=self.slope * (1.0 + share))
+
+    def _day_by_day(
+        self, logs: Sequence[Logs], information: Sequence[Array], right: Sequence[Array]
+    ) -> Course:
+        D, q = self.values.shape
+        if not self.values.size:
+            return self
+        seen, side = np.tile(np.eye(q) / _WIDE**2, (D, 1, 1)), -self.values / _WIDE**2
+        for each, info, rest in zip(logs, information, right, strict=True):
+            day = np.floor(each.days)
+            at = np.minimum(np.searchsorted(self.days, day), D - 1)
+            known = self.days[at] == day
+            np.add.at(seen, at[known], info[known])
+            np.add.at(side, at[known], rest[known])
+        values = self.values + np.linalg.solve(seen, side[..., None])[..., 0]
+        return replace(self, values=values - values.mean(axis=0))
+
+    def _warmer(self, logs: Logs) -> Array:
+        """(T,) degrees above the reference; 0 where the temperature is not known."""
+        return np.nan_to_num(logs.temperature - self.reference)
+
+
+def _slope(warm: Sequence[Array], information: Sequence[Array], right: Sequence[Array]) -> Array:
+    """(q,) what a degree more adds, by all logs."""
+    q = right[0].shape[1]
+    seen, side = np.zeros((q, q)), np.zeros(q)
+    for w, info, rest in zip(warm, information, right, strict=True):
+        seen += np.einsum("t,tab->ab", w**2, info)
+        side += w @ rest
+    seen[np.arange(q), np.arange(q)] += _FLAT * np.trace(seen) + np.finfo(float).tiny
+    return np.asarray(np.linalg.solve(seen, side))
+
 
 _LEAST = 1e-8  # scale that is none
 _FAR = 3.0  # factor between a robot's friction and the type's beyond which it is no scale
@@ -41,7 +291,6 @@ class TypeModel(Short):
         deviations: (K,) scale s of each spread, from robot to robot.
         scatter: (K,) scale τ of each spread, from log to log of one robot.
         response: Scale of a, by which robots follow the common course more or less.
-        course: What all do together.
         own: (R, p) parameters of every robot, without the course and changes.
         odd: (T, K) of every robot: what τ² of each of its logs has beyond that of the type.
     """
@@ -118,7 +367,6 @@ class TypeModel(Short):
         as those of Student's distribution have. Such a log counts as one of a larger scatter.
 
         Args:
-            scores: What the fit leaves along each spread.
             odd: (T, K) what was added to τ² in the fit.
 
         Returns:
@@ -193,13 +441,7 @@ def _kept_shares() -> tuple[Array, Array]:
 
 
 def own_parameters(model: TypeModel, fit: RobotFit) -> tuple[Array, Array]:
-    """A robot's parameters (p,) without course and changes, and their covariance (p, p).
-
-    Raises:
-        ArgumentError: They are something else.
-    """
-    instance(model, "model", TypeModel)
-    instance(fit, "fit", RobotFit)
+    """Return a robot's parameters (p,) without course and changes, and their covariance (p, p)."""
     factor = fit.common
     part = slice(0, factor.shape[1])
     covariance = factor @ fit.covariance[part, part] @ factor.T

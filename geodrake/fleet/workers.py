@@ -14,7 +14,7 @@ from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from geodrake.boundary.escaping import one_line
 from geodrake.boundary.optional_packages import optional_package
@@ -36,69 +36,43 @@ _FEW = 4  # pieces of work for which no process is started
 
 
 @dataclass(frozen=True)
-class Done(Generic[R]):
-    """What became of a piece of work.
+class Workers:
+    """What does pieces of work: the workers of a Dask client, or this process without one."""
 
-    Attributes:
-        result: What came out; None if it killed its workers.
-    """
+    client: Any = None
 
-    at: int
-    result: R | None
+    def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[tuple[int, R | None]]:
+        """Yield numbers and results of pieces as they come; None of one that killed its workers.
 
-
-class Workers(Protocol):
-    """What does pieces of work."""
-
-    def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[Done[R]]:
-        """The results, as they come."""
-
-
-class InThisProcess:
-    """Does one after the other."""
-
-    def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[Done[R]]:
-        """The results, in order."""
-        for at, piece in enumerate(pieces):
-            yield Done(at, work(piece))
-
-
-@dataclass(frozen=True)
-class OfDask:
-    """Does them on the workers of a scheduler."""
-
-    client: Any
-
-    def each(self, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[Done[R]]:
-        """The results, as they come; what is not begun is given up if one raises.
-
-        Raises:
-            FleetError: The scheduler is lost.
+        What is not begun is given up if one raises.
         """
+        if self.client is None:
+            yield from ((at, work(piece)) for at, piece in enumerate(pieces))
+            return
         dask: Any = optional_package("distributed", "fleet", "workers", FleetError)
         threads = max(1, sum(self.client.nthreads().values()))
-        todo, futures = deque(_batches(pieces, threads)), {}
+        todo, futures = deque(_packets(pieces, threads)), {}
         done = dask.as_completed()
 
         def begin() -> None:
             if todo:
-                batch = todo.popleft()
-                packet = pickle.dumps((work, list(batch.values())))
-                future = self.client.submit(_done, packet, pure=False)
-                futures[future.key] = batch
+                packet = todo.popleft()
+                content = pickle.dumps((work, list(packet.values())))
+                future = self.client.submit(_done, content, pure=False)
+                futures[future.key] = packet
                 done.add(future)
 
         try:
             for _ in range(_AHEAD * threads):
                 begin()
             for future in done:
-                batch = futures.pop(future.key)
+                packet = futures.pop(future.key)
                 try:
                     results = pickle.loads(future.result())
                 except dask.KilledWorker:
-                    results = [None] if len(batch) == 1 else []
-                    todo.extendleft({at: piece} for at, piece in batch.items() if not results)
-                yield from map(Done, batch, results)
+                    results = [None] if len(packet) == 1 else []
+                    todo.extendleft({at: piece} for at, piece in packet.items() if not results)
+                yield from zip(packet, results, strict=False)
                 begin()
         except (CancelledError, dask.comm.CommClosedError) as error:
             raise FleetError(
@@ -108,9 +82,19 @@ class OfDask:
         finally:
             self.client.cancel(list(done.futures))
 
+    def in_order(self, work: Callable[[T], R], pieces: Sequence[T]) -> list[R]:
+        """Return results in the order of the pieces; this process does what kills its workers."""
+        found = dict(self.each(work, pieces))
+        results = (found[at] for at in range(len(pieces)))
+        return [work(p) if r is None else r for p, r in zip(pieces, results, strict=True)]
 
-def _batches(pieces: Sequence[T], threads: int) -> Iterator[dict[int, T]]:
-    """Pieces by their numbers, several together as long as many are left: each packet costs."""
+
+HERE = Workers()
+"""This process, which does one after the other."""
+
+
+def _packets(pieces: Sequence[T], threads: int) -> Iterator[dict[int, T]]:
+    """Yield pieces by their numbers, several together as long as many are left: a packet costs."""
     at = 0
     while at < len(pieces):
         size = max(1, min(_TOGETHER, (len(pieces) - at) // (2 * _AHEAD * threads)))
@@ -119,16 +103,9 @@ def _batches(pieces: Sequence[T], threads: int) -> Iterator[dict[int, T]]:
 
 
 def _done(packet: bytes) -> bytes:
-    """What a worker does; Dask takes far longer for many small arrays than for one packet."""
+    """Do what a worker does; Dask takes far longer for many small arrays than for one packet."""
     work, pieces = pickle.loads(packet)
     return pickle.dumps([work(piece) for piece in pieces])
-
-
-def in_order(team: Workers, work: Callable[[T], R], pieces: Sequence[T]) -> list[R]:
-    """Results in the order of the pieces; what kills its workers is done by this process."""
-    found = {done.at: done.result for done in team.each(work, pieces)}
-    results = (found[at] for at in range(len(pieces)))
-    return [work(p) if r is None else r for p, r in zip(pieces, results, strict=True)]
 
 
 @contextmanager
@@ -139,26 +116,18 @@ def workers(
     scheduler: str | None = None,
     told: Callable[[str], None] = lambda words: None,
 ) -> Iterator[Workers]:
-    """Those who do some pieces of work.
+    """Yield what does some pieces of work.
 
     Args:
-        pieces: How many there are: for a few no process is started.
         count: Processes of this machine, or 0 for this one; None for one on each core, and for
             this one where Dask is not installed.
         scheduler: Address of a scheduler of the user's own, such as `tcp://10.0.0.5:8786`.
-        told: Called with where the dashboard is.
-
-    Yields:
-        What does them.
-
-    Raises:
-        FleetError: The scheduler does not answer, has no worker, or Dask is not installed.
     """
     if scheduler is None:
         if count is None:
             count = _cores()
         if count == 0 or pieces == 0 or (pieces <= _FEW and count > 1):
-            yield InThisProcess()
+            yield HERE
             return
     dask: Any = optional_package("distributed", "fleet", "workers", FleetError)
     with ExitStack() as stack:
@@ -166,18 +135,25 @@ def workers(
             optional_package("dask", "fleet", "workers", FleetError).config.set(_SETTINGS)
         )
         if scheduler is None:
-            client = stack.enter_context(_local(dask, count or 1, stack))
+            cluster = dask.LocalCluster(
+                n_workers=count,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address="127.0.0.1:0",
+                silence_logs=logging.CRITICAL,
+            )
+            client = stack.enter_context(dask.Client(stack.enter_context(cluster)))
         else:
             stack.enter_context(_silent())
             client = stack.enter_context(_remote(dask, scheduler))
         shown = "" if find_spec("bokeh") else " (it needs: pip install bokeh)"
         told(f"Dashboard of the workers: {client.dashboard_link}{shown}")
-        yield OfDask(client)
+        yield Workers(client)
 
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Without the log of Dask's client, which has a traceback where a scheduler is lost."""
+    """Silence the log of Dask's client, which has a traceback where a scheduler is lost."""
     log = logging.getLogger("distributed.client")
     before = log.level
     log.setLevel(logging.CRITICAL)
@@ -188,26 +164,14 @@ def _silent() -> Iterator[None]:
 
 
 def _cores() -> int:
-    """Cores that this process may use; 0 where Dask is not installed."""
+    """Return how many cores this process may use; 0 where Dask is not installed."""
     if not find_spec("distributed"):
         return 0
     return int(optional_package("dask.system", "fleet", "workers", FleetError).CPU_COUNT)
 
 
-def _local(dask: Any, count: int, stack: ExitStack) -> Any:
-    """A client of processes of this machine, which end with the stack."""
-    cluster = dask.LocalCluster(
-        n_workers=count,
-        threads_per_worker=1,
-        processes=True,
-        dashboard_address="127.0.0.1:0",
-        silence_logs=logging.CRITICAL,
-    )
-    return dask.Client(stack.enter_context(cluster))
-
-
 def _remote(dask: Any, scheduler: str) -> Any:
-    """A client of a cluster of the user's own."""
+    """Return a client of a cluster of the user's own."""
     try:
         client = dask.Client(scheduler, timeout=_SECONDS)
     except (OSError, ValueError, TimeoutError, RuntimeError, ImportError) as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from geodrake.fleet.digest_folder import FAILED, MADE, THERE, DigestRow, DigestRun
-from geodrake.fleet.log_dates import date_text
+from geodrake.fleet.log_places import date_text
 from geodrake.fleet.settings import SETTINGS_FILE, DigestSettings
 from geodrake.report.json_output import NoNumber, number_or
 from geodrake.report.tables import Table, cells

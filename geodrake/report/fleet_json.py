@@ -27,7 +27,7 @@ from geodrake.fleet.fleet_result import (
     ParameterHistory,
     RobotResult,
 )
-from geodrake.fleet.log_dates import date_text
+from geodrake.fleet.log_places import date_text
 from geodrake.fleet.type_layout import FleetParameter
 from geodrake.report.json_output import number_or
 

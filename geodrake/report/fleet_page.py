@@ -15,8 +15,8 @@ from geodrake.fleet.fleet_result import (
     ParameterHistory,
     RobotResult,
 )
-from geodrake.fleet.profiles import STEP
-from geodrake.fleet.robot_logs import DAY
+from geodrake.fleet.history import DAY
+from geodrake.fleet.type_columns import STEP
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.fleet_tables import (
     change_label,

@@ -12,8 +12,8 @@ from geodrake.fleet.fleet_result import (
     FleetResult,
     RobotResult,
 )
-from geodrake.fleet.log_dates import date_text
-from geodrake.fleet.profiles import RAMP
+from geodrake.fleet.log_places import date_text
+from geodrake.fleet.type_columns import RAMP
 from geodrake.fleet.type_layout import BODIES, FleetParameter
 from geodrake.report.numbers import chance, number, percent, with_deviation
 from geodrake.report.tables import Cell, Table, cells

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from geodrake.cli.app import app
 from geodrake.errors import DigestError, FleetError
-from geodrake.fleet.digest_run import FleetDigests
+from geodrake.fleet.fleet_logs import FleetDigests
 from geodrake.fleet.fleet_result import ChangedParameter, FleetFinding, FleetResult, RobotResult
 from geodrake.logs.files import write_log
 

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geodrake.fleet.columns import Spread, TypeColumns, column_spreads
-from geodrake.fleet.history import weighted_history
-from geodrake.fleet.hypotheses import column_change
+from geodrake.fleet.history import JointGrams, RobotHistory
+from geodrake.fleet.type_columns import ChangeHypothesis, Spread, TypeColumns
 
 P, NOISE = 4, 0.1
 MEAN = np.array([2.0, -1.0, 0.5, 0.8])  # two of bodies, two of friction
@@ -20,27 +19,37 @@ class Rows:
     A: np.ndarray
     b: np.ndarray
 
-    def history(self, name="robot", days=None):
-        both = np.concatenate([self.A, self.b[..., None]], axis=2)
-        grams = (np.swapaxes(both, 1, 2) @ both)[:, None]
-        days = np.arange(len(self.b)) if days is None else days
-        return weighted_history(name, days, grams, np.full((len(self.b), 1), NOISE**-2))
+    def grams(self, weight=NOISE**-2):
+        """Over the columns that are ever seen."""
+        seen = np.flatnonzero(self.A.any(axis=(0, 1)))
+        both = np.concatenate([self.A[..., seen], self.b[..., None]], axis=2)
+        return JointGrams(seen, np.swapaxes(both, 1, 2) @ (weight * both))
+
+    def history(self, name="robot"):
+        T = len(self.b)
+        return RobotHistory(name, np.arange(float(T)), (self.grams(),), P, np.full(T, np.nan))
 
 
 def columns(course=False):
     """Bodies differ together, friction by itself and in shares."""
     relative = np.array([False, False, True, True])
-    spreads = (Spread("bodies", np.eye(P)[:, :2]), *column_spreads(["dry", "viscous"], [2, 3], P))
+    unit = np.eye(P)
+    spreads = (
+        Spread("bodies", unit[:, :2]),
+        Spread("dry", unit[:, [2]]),
+        Spread("viscous", unit[:, [3]]),
+    )
     free = np.ones(P, bool)
     return TypeColumns(1.1 * MEAN, free, relative, relative & course, 0, spreads)
 
 
 def hypotheses():
+    unit = np.eye(P)
     return [
-        column_change("dry", "elbow", [2], P),
-        column_change("viscous", "elbow", [3], P),
-        column_change("both", "elbow", [2, 3], P),
-        column_change("load", "hand", [0, 1], P, kinds=("step",)),
+        ChangeHypothesis("dry", "elbow", unit[:, [2]]),
+        ChangeHypothesis("viscous", "elbow", unit[:, [3]]),
+        ChangeHypothesis("both", "elbow", unit[:, [2, 3]]),
+        ChangeHypothesis("load", "hand", unit[:, [0, 1]], ("step",)),
     ]
 
 

@@ -21,13 +21,12 @@ from geodrake.fleet import (
     make_digest,
     make_settings,
     merge,
-    model_hash,
     read_digest,
 )
-from geodrake.fleet.digest_file import sealed
-from geodrake.fleet.log_dates import date_of_log, date_seconds
-from geodrake.fleet.model_hash import text_hash
-from geodrake.fleet.robot_logs import reduced_log
+from geodrake.fleet.digest import sealed
+from geodrake.fleet.hashes import model_hash, text_hash
+from geodrake.fleet.history import weighted_grams
+from geodrake.fleet.log_places import date_of_log, date_seconds
 from geodrake.identification.logs.case import open_case, reduced
 from geodrake.identification.logs.hypothesis import first_hypothesis
 from geodrake.identification.logs.model_fit import fit_model, model_unknowns
@@ -115,19 +114,10 @@ def test_merging_goes_in_any_order_and_in_steps(digests):
     others = [merge(digests[::-1]), merge([merge(digests[:2]), digests[2]])]
     for other in [*(each.normal_matrices() for each in others), apart(digests)]:
         assert np.all(np.abs(other - at_once) <= least)
-    back = merge(digests).of_log(1)
-    assert digest_content(replace(back, joints=_peaks_of(back, digests[1]))) == digest_content(
-        digests[1]
-    )
 
 
 def apart(digests):
     return sum(digest.normal_matrices() for digest in digests)
-
-
-def _peaks_of(digest, other):
-    pairs = zip(digest.joints, other.joints, strict=True)
-    return tuple(replace(joint, peaks=own.peaks) for joint, own in pairs)
 
 
 def test_a_fit_of_merged_digests_is_that_of_a_reading_of_all_logs(model, digests, together):
@@ -185,7 +175,9 @@ def test_a_log_of_few_rows_is_worth_no_more_than_its_sensors_are(digests):
     few = replace(joint, factors=factors, samples=np.array([p, 0, 0, 0]))
     short = replace(digest, joints=(*digest.joints[:3], few, *digest.joints[4:]))
     every = np.arange(len(digest.columns))
-    weight = reduced_log(short, every).joints[3].grams[-1, -1] / short.normal_matrices()[3, -1, -1]
+    weight = (
+        weighted_grams(short, every)[0][3].grams[0, -1, -1] / short.normal_matrices()[3, -1, -1]
+    )
     assert weight <= 1.0 / digest.noise_floor[3] ** 2
 
 
@@ -292,12 +284,11 @@ def test_a_joint_that_rests_all_the_time_has_no_samples(model, logs, settings, d
 
 def test_what_motion_covers_is_that_of_the_log(digests, logs):
     for digest, log in zip(digests, logs, strict=True):
-        assert np.allclose(digest.position[0], log.position.min(axis=0), atol=0.02)
-        assert np.allclose(digest.position[1], log.position.max(axis=0), atol=0.02)
+        (said,) = digest.logs
+        assert np.allclose(said.position[0], log.position.min(axis=0), atol=0.02)
+        assert np.allclose(said.position[1], log.position.max(axis=0), atol=0.02)
         speed = np.gradient(log.position, log.time, axis=0)
-        assert np.allclose(digest.speed[1], speed.max(axis=0), rtol=0.05)
-    merged = merge(digests)
-    assert np.allclose(merged.position[0], np.min([d.position[0] for d in digests], axis=0))
+        assert np.allclose(said.speed[1], speed.max(axis=0), rtol=0.05)
 
 
 def test_what_does_not_add_up_is_refused(model, logs, settings, digests):

@@ -4,11 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fleet_data import MEAN, P, columns, hypotheses, robot
+from fleet_data import MEAN, columns, hypotheses, robot
 
-from geodrake.errors import ArgumentError
-from geodrake.fleet.changes import RobotSearch
-from geodrake.fleet.fleet_changes import find_changes
+from geodrake.fleet.changes import RobotSearch, find_changes
 from geodrake.fleet.type_learning import learn_type
 
 STEP = {2: lambda t: np.array([0.0, 0.0, 0.25, 0.0]) * (t >= 12)}
@@ -76,8 +74,8 @@ def test_alarms_are_no_more_than_asked_for(level):
     model = learn_type([each.equations() for each in histories], columns())
     alarms = 0
     for r, each in enumerate(histories):
-        search = RobotSearch(model, r, each, model.mean, hypotheses())
-        alarms += bool(search.find(level))
+        search = RobotSearch(model.of(r), each, model.mean, hypotheses(), level)
+        alarms += bool(search.find())
     assert alarms <= level * len(histories)
 
 
@@ -113,18 +111,10 @@ def test_one_log_tells_no_change():
 
 def test_no_states_are_kept_of_robots_that_were_searched(found):
     history = fleet(1, 10, STEP, SEASON)[2]
-    search = RobotSearch(found.model, 2, history, found.model.mean, hypotheses())
-    places = search.find(0.01)
+    search = RobotSearch(found.model.of(2), history, found.model.mean, hypotheses())
+    places = search.find()
     assert places and not search._states
     assert search.told(places) and not search._states
-
-
-def test_wrong_calls_are_refused():
-    histories = fleet(6, 2, {})
-    with pytest.raises(ArgumentError, match=f"{P} columns"):
-        find_changes(histories, columns(), [])
-    with pytest.raises(ArgumentError, match="false_alarms"):
-        find_changes(histories, columns(), hypotheses(), false_alarms=0.0)
 
 
 @pytest.mark.parametrize("size", [10.0, pytest.param(100.0, marks=pytest.mark.thorough)])

@@ -8,16 +8,12 @@ from fleet_data import MEAN, NOISE, P, Rows, columns, hypotheses, robot
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
-from geodrake.errors import ArgumentError
-from geodrake.fleet.change_evidence import SCALES, calc_change_evidence
-from geodrake.fleet.columns import Spread, body_spread
-from geodrake.fleet.course import Course
-from geodrake.fleet.history import weighted_history
-from geodrake.fleet.levels import parameter_levels
-from geodrake.fleet.marginals import calc_marginal
-from geodrake.fleet.profiles import FORMS, Profiles, kind_of
+from geodrake.fleet.change_evidence import FORMS, SCALES, Profiles, calc_change_evidence, kind_of
+from geodrake.fleet.history import RobotHistory
+from geodrake.fleet.type_columns import Spread, body_factor, distance_factor, narrow_factor
+from geodrake.fleet.type_findings import parameter_levels
 from geodrake.fleet.type_learning import learn_type
-from geodrake.fleet.type_model import TypeModel, own_parameters
+from geodrake.fleet.type_model import Course, TypeModel, calc_marginal, own_parameters
 from geodrake.inertia import pullback_distance
 
 
@@ -78,9 +74,9 @@ def test_gains_are_columns_of_what_a_reference_says():
     A, b = rng.normal(size=(3, 2, 9, P)), rng.normal(size=(3, 2, 9))  # logs, joints, rows
     A[:, 1, :, :2] = 0.0  # which the second joint does not see
     weights, reference = rng.uniform(1.0, 2.0, size=(3, 2)), rng.normal(size=(3, P))
-    both = np.concatenate([A, b[..., None]], axis=3)
-    history = weighted_history("a", range(3), np.swapaxes(both, 2, 3) @ both, weights)
-    found = history.with_gains(reference)
+    joints = tuple(Rows(A[:, j], b[:, j]).grams(weights[:, j, None, None]) for j in range(2))
+    history = RobotHistory("a", np.arange(3.0), joints, P, np.full(3, np.nan))
+    found = history.equations(reference)
     assert history.joints[1].columns.tolist() == [2, 3]
     for t in range(3):
         said = A[t] @ reference[t]
@@ -245,39 +241,25 @@ def test_levels_cover_what_logs_have():
     logs = [each.history().equations() for each in rows]
     found, errors = learn_type(logs, columns(), rounds=15), []
     for r, each in enumerate(logs):
-        levels = parameter_levels(found, r, each, found.fit(r, each), [2, 3])
-        assert levels.shown.all()
-        assert (levels.with_scatter > levels.deviation).all()
-        errors.append((levels.values - levels.values.mean(axis=0)) / levels.with_scatter)
+        for column in (2, 3):
+            values, deviation, shown = parameter_levels(found, r, each, found.fit(r, each), column)
+            assert shown.all()
+            errors.append((values - values.mean()) / deviation)
     inside = np.mean(np.abs(np.array(errors)) < 1.96)
     assert 0.92 < inside <= 0.995
-    with pytest.raises(ArgumentError, match="bodies"):
-        parameter_levels(found, 0, logs[0], found.fit(0, logs[0]), [1])
 
 
 def test_bodies_spread_by_their_geometric_distance():
-    phi = np.array([[2.0, 0.1, 0.0, 0.2, 0.09, 0.1, 0.05, 0.001, 0.002, -0.01]])
-    spread = body_spread("arm", phi, 12)
-    assert not spread.factor[10:].any()
-    step = 1e-3 * spread.factor[:10] @ np.ones(10)
-    distance = pullback_distance(phi[0] + step, phi[0], phi[0])
-    assert distance == pytest.approx(1e-3 * np.sqrt(10.0))
-    B = np.random.default_rng(7).normal(size=(4, 10))
-    seen = body_spread("arm", phi, 4, matrix=B).factor
-    np.testing.assert_allclose(seen @ seen.T, B @ spread.factor[:10] @ spread.factor[:10].T @ B.T)
-
-
-def test_wrong_histories_are_refused():
-    grams, weights = np.tile(np.eye(3), (2, 1, 1, 1)), np.ones((2, 1))
-    assert weighted_history("a", [3.0, 1.0], grams, weights).days.tolist() == [1.0, 3.0]
-    with pytest.raises(ArgumentError, match="negative weight"):
-        weighted_history("a", [1.0, 2.0], grams, -weights)
-    with pytest.raises(ArgumentError, match="not symmetric"):
-        weighted_history("a", [1.0, 2.0], np.triu(np.ones((2, 1, 3, 3))), weights)
-    with pytest.raises(ArgumentError, match="factors of spreads"):
-        replace(columns(), spreads=(Spread("short", np.eye(2)),))
-    with pytest.raises(ArgumentError, match="4 columns cannot have 1 units"):
-        replace(columns(), units=("kg",))
+    phi = np.array([2.0, 0.1, 0.0, 0.2, 0.09, 0.1, 0.05, 0.001, 0.002, -0.01])
+    root = distance_factor(phi)
+    step = 1e-3 * root @ np.ones(10)
+    assert pullback_distance(phi + step, phi, phi) == pytest.approx(1e-3 * np.sqrt(10.0))
+    B = np.random.default_rng(7).normal(size=(4, 20))
+    seen = body_factor(root, 1, B, 6)
+    assert not seen[4:].any()
+    narrow = narrow_factor(seen[:4])
+    assert narrow.shape == (4, 4)
+    np.testing.assert_allclose(narrow @ narrow.T, B[:, 10:] @ root @ root.T @ B[:, 10:].T)
 
 
 @pytest.mark.thorough

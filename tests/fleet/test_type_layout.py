@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from geodrake.effects import CoulombFriction, EffortOffset, ViscousFriction
-from geodrake.fleet.making import make_settings
-from geodrake.fleet.type_layout import type_layout
-from geodrake.fleet.type_source import with_joint_effects
+from geodrake.fleet.digest_log import make_settings
+from geodrake.fleet.type_layout import type_layout, with_joint_effects
 from geodrake.logs.motion import JointLog
 from geodrake.model.saved_model import load_model
 

@@ -6,7 +6,7 @@ import pytest
 from distributed import KilledWorker, LocalCluster
 
 from geodrake.errors import FleetError, LogError
-from geodrake.fleet.workers import Done, InThisProcess, in_order, workers
+from geodrake.fleet.workers import Workers, workers
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def refuse_three(piece):
 def test_all_work_comes_back(cluster):
     told = []
     with workers(20, scheduler=cluster.scheduler_address, told=told.append) as team:
-        done = {each.at: each.result for each in team.each(abs, [-k for k in range(20)])}
+        done = dict(team.each(abs, [-k for k in range(20)]))
         assert done == {k: k for k in range(20)}
         with pytest.raises(LogError, match=r"Log 3 is none\. Correct it\."):
             list(team.each(refuse_three, range(9)))
@@ -53,19 +53,19 @@ def die_of_thirty(piece):
 def test_work_that_kills_its_workers_takes_no_other_with_it(cluster):
     """Though many pieces go to a worker in one packet."""
     with workers(100, scheduler=cluster.scheduler_address) as team:
-        done = {each.at: each.result for each in team.each(die_of_thirty, range(100))}
+        done = dict(team.each(die_of_thirty, range(100)))
     assert done == {k: None if k == 30 else -k for k in range(100)}
 
 
-class OneDies(InThisProcess):
+class OneDies(Workers):
     """Several at a time, of which the second piece of work kills its workers."""
 
     def each(self, work, pieces):
-        done = [Done(at, None if at == 1 else work(piece)) for at, piece in enumerate(pieces)]
+        done = [(at, None if at == 1 else work(piece)) for at, piece in enumerate(pieces)]
         return reversed(done)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 10])
 def test_results_are_in_order_also_of_work_that_kills(count):
     pieces = [-k for k in range(count)]
-    assert in_order(OneDies(), abs, pieces) == list(range(count))
+    assert OneDies().in_order(abs, pieces) == list(range(count))

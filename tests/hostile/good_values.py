@@ -138,34 +138,6 @@ def facts():
 
 
 @cache
-def histories():
-    """Two robots of one joint with a column of a body, one of friction, and the joint's gain."""
-    rows = np.random.default_rng(0).normal(size=(2, 4, 1, 9, 3))
-    rows[..., 2] = rows[..., :2].sum(axis=-1) + 0.01 * rows[..., 2]
-    grams = np.swapaxes(rows, -1, -2) @ rows
-    given = {"days": np.arange(4.0), "weights": np.full((4, 1), 1e4)}
-    both = zip("ab", grams, strict=True)
-    return grams[0], tuple(fleet.weighted_history(n, grams=each, **given) for n, each in both)
-
-
-@cache
-def type_columns():
-    relative, spreads = np.eye(3, dtype=bool)[1], fleet.column_spreads(tuple("bdg"), (0, 1, 2), 3)
-    masks = {"free": ~np.eye(3, dtype=bool)[2], "relative": relative, "course": relative}
-    return fleet.TypeColumns(np.array([1.0, 1.0, 0.0]), gains=1, spreads=spreads, **masks)
-
-
-@cache
-def equations():
-    return tuple(robot.with_gains(np.ones(2)) for robot in histories()[1])
-
-
-@cache
-def learned():
-    return fleet.learn_type(equations(), type_columns(), rounds=2)
-
-
-@cache
 def rival(name="coulomb_friction"):
     return excitation.make_rival(name, model(), limits())
 
@@ -261,10 +233,6 @@ BY_TYPE = {
     "Target": target,
     "ExcitationTrajectory": trajectory,
     "LogFacts": facts,
-    "LogEquations": lambda: equations()[0],
-    "TypeColumns": type_columns,
-    "RobotFit": lambda: learned().fit(0, equations()[0]),
-    "ChangeHypothesis": lambda: fleet.column_change("dry", "elbow", [1], 3),
     "FleetWork": lambda: fleet.FleetWork(workers=0),
     "Progress": lambda: lambda *_: None,
     "Callable": lambda: lambda *_: None,
@@ -390,18 +358,6 @@ BY_CALL = {
     "PointMasses.within": {"ellipsoids": equivalent_ellipsoid(PHI), "counts": 24},
     "PointMasses.parameters": {"masses": None},
     "IdentificationSettings": {"residual_ratio": 1.1, "gamma": None},
-    "JointHistory": {"columns": [0, 1], "information": np.tile(np.eye(2), (4, 1, 1)),
-        "right": np.ones((4, 2))},
-    "RobotHistory": {"joints": Fresh(lambda: histories()[1][0].joints)},
-    "RobotHistory.with_gains": {"reference": np.ones(2)},
-    "ChangeHypothesis": {"factor": np.ones((3, 1))},
-    "Spread": {"factor": np.ones((3, 1))},
-    "TypeColumns": vars(type_columns()) | {"units": None},
-    "body_change": {"count": 25, "matrix": np.ones((4, 20))},
-    "body_spread": {"columns": 25, "matrix": np.eye(20)},
-    "column_spreads": {"names": ("a", "b"), "columns": (0, 2)},
-    "parameter_levels": {"robot": 0},
-    "weighted_history": {"grams": histories()[0], "weights": np.full((4, 1), 1e4)},
     "digest_files": {"folder": Fresh(folder)},
     "JointLog": {"time": log().time, "position": log().position, "effort": log().effort,
         "velocity": log().position, "temperature": None},

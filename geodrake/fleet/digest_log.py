@@ -1,4 +1,4 @@
-"""From a log to its digest, and from a model and its first log to the settings of all digests."""
+"""From a log to its digest, and from digests to the data that fits are made of."""
 
 from __future__ import annotations
 
@@ -9,30 +9,32 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
 
 from geodrake.boundary.arguments import instance, instances, integer, number, typed
 from geodrake.boundary.version import version
 from geodrake.effects import Effect
-from geodrake.errors import ArgumentError, LogError
-from geodrake.fleet.autocovariance import with_autocovariances
+from geodrake.errors import ArgumentError, DigestError, LogError
 from geodrake.fleet.digest import Digest, DigestedLog, JointDigest
-from geodrake.fleet.digest_dataset import delays_of_joints, model_of_digests
-from geodrake.fleet.log_dates import date_of_log
-from geodrake.fleet.model_hash import model_hash, text_hash
+from geodrake.fleet.hashes import model_hash, text_hash
+from geodrake.fleet.log_places import date_of_log
 from geodrake.fleet.settings import BLOCKS, LAGS, DigestEffect, DigestSettings, own_sources
 from geodrake.identification.logs.candidate_effects import candidate_delays, candidate_effects
 from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
-from geodrake.identification.logs.dataset import JointData
+from geodrake.identification.logs.dataset import Dataset, JointData
+from geodrake.identification.logs.hypothesis import CrossValidation
 from geodrake.identification.logs.log_slices import Layout
-from geodrake.identification.logs.model_fit import effects_of
+from geodrake.identification.logs.model_fit import effects_of, model_unknowns
 from geodrake.identification.logs.noise import noise_floor
 from geodrake.identification.logs.reduce import (
     STILL_SPEED,
     effort_deviation,
+    gain_uncertainty,
     least_sign_widths,
     peak_speeds,
     reduced_joints,
 )
+from geodrake.identification.logs.unknowns import Unknowns, payload_reference
 from geodrake.logs.files import Reading
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.known_payload import KnownPayload
@@ -40,6 +42,7 @@ from geodrake.logs.learnable import check_commands, check_saturation
 from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.uniform_log import make_uniform
+from geodrake.model.holding import holding
 from geodrake.model.logged_joints import log_of_model, model_of_logs
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.signal_efforts import in_efforts, kind_of
@@ -47,10 +50,13 @@ from geodrake.robot.base_parameters import structural_base_parameters
 from geodrake.robot.reduction import triangular_factor
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 _MOST_BLOCKS = 100  # of a log
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 _KEY = 32  # letters of a digest's name
+_ROUNDS = 2  # of weighing joints by what samples are worth
+_FIRST_SHARE = 0.05  # of samples that are worth something, before anything is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +143,6 @@ def make_settings(
     to become as fast as the fastest. Effects are those of the model and all that a diagnosis tries.
 
     Args:
-        model: The model.
         log: A log that is like the others.
         wanted: What is asked for.
 
@@ -203,7 +208,6 @@ def make_digest(
     Args:
         model: The model as it was given when the settings were made.
         log: The log, read as the settings say.
-        settings: The settings.
         facts: What is known of the log.
         extra: Effect classes of the user's own that have columns.
 
@@ -245,11 +249,7 @@ def make_digest(
 
 
 def _check_held(log: JointLog, settings: DigestSettings) -> None:
-    """Refuse a log in which a joint moves that the settings hold.
-
-    Raises:
-        LogError: There is one.
-    """
+    """Refuse a log in which a joint moves that the settings hold."""
     for joint, place in settings.held.items():
         known = joint in log.joints
         if not known and joint not in log.standing:
@@ -265,11 +265,7 @@ def _check_held(log: JointLog, settings: DigestSettings) -> None:
 
 
 def _in_efforts(log: JointLog, model: RobotModel) -> JointLog:
-    """Return the log with efforts in the place of signals whose gains the model knows.
-
-    Raises:
-        LogError: There are others, which no log alone says.
-    """
+    """Return the log with efforts in the place of signals whose gains the model knows."""
     check_commands(log)
     check_saturation(log)
     log = in_efforts(log, model.effort_signals) if model.effort_signals else log
@@ -286,11 +282,7 @@ def _in_efforts(log: JointLog, model: RobotModel) -> JointLog:
 
 
 def _prepared(log: JointLog, settings: DigestSettings) -> Trajectory:
-    """Return the log at the bandwidths of the settings.
-
-    Raises:
-        LogError: It is sampled too rarely for them, is too short, or still throughout.
-    """
+    """Return the log at the bandwidths of the settings."""
     uniform = make_uniform(log)
     both = {"bandwidth": settings.bandwidth, "motion_bandwidth": settings.motion_bandwidth}
     try:
@@ -321,6 +313,10 @@ def _about(
     ]
     low, high = (np.array(ends) for ends in zip(*ranges, strict=True))
     position, speed = np.stack([low.min(axis=0), high.max(axis=0)], 1)
+    temperature = np.full(len(log.joints), np.nan)
+    if log.temperature is not None:
+        count = np.isfinite(log.temperature).sum(axis=0)
+        np.divide(np.nansum(log.temperature, axis=0), count, out=temperature, where=count > 0)
     return DigestedLog(
         log.name,
         facts.content,
@@ -337,18 +333,9 @@ def _about(
         np.array(log.gain_deviations),
         position,
         speed,
-        _mean_temperatures(log),
+        temperature,
         (*log.notes, *trajectory.notes),
     )
-
-
-def _mean_temperatures(log: JointLog) -> Array:
-    """(nv,) mean temperature of each joint, °C; NaN without any."""
-    if log.temperature is None:
-        return np.full(len(log.joints), np.nan)
-    known = np.isfinite(log.temperature)
-    count, total = known.sum(axis=0), np.where(known, log.temperature, 0.0).sum(axis=0)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def _joint(name: str, data: JointData, settings: DigestSettings) -> JointDigest:
@@ -356,10 +343,12 @@ def _joint(name: str, data: JointData, settings: DigestSettings) -> JointDigest:
     inertial, base = settings.base_matrix.shape[1], len(settings.independent)
     bodies = data.columns[data.columns < inertial]
     effects = data.columns[len(bodies) :] - inertial + base
+    factors = [triangular_factor([factor]) for factor in data.factors]
+    factors = [np.where(np.diagonal(R) < 0.0, -1.0, 1.0)[:, None] * R for R in factors]
     return JointDigest(
         name,
         np.concatenate([np.searchsorted(settings.independent, bodies), effects]),
-        np.array([_upright(triangular_factor([factor])) for factor in data.factors]),
+        np.array(factors),
         data.samples,
         data.seen,
         data.effort_sums,
@@ -369,6 +358,142 @@ def _joint(name: str, data: JointData, settings: DigestSettings) -> JointDigest:
     )
 
 
-def _upright(factor: Array) -> Array:
-    """Return a triangular factor with a diagonal that is not negative."""
-    return np.where(np.diagonal(factor) < 0.0, -1.0, 1.0)[:, None] * factor
+def model_of_digests(model: RobotModel, settings: DigestSettings) -> RobotModel:
+    """The model that digests have the columns of: without the joints that their logs lack."""
+    instance(model, "model", RobotModel)
+    instance(settings, "settings", DigestSettings)
+    if (own := model_hash(model)) != settings.model:
+        raise DigestError(
+            f"The digests are of another model than {model.path.name}: its hash is {own[:12]}, "
+            f"theirs {settings.model[:12]}.",
+            advice="Give the model that they were made with, or digest the logs into a new folder.",
+        )
+    return holding(model, settings.held) if settings.held else model
+
+
+def digest_dataset(
+    digest: Digest, model: RobotModel, *, extra: Sequence[type[Effect]] = ()
+) -> Dataset:
+    """The `Dataset` that a reading of the digest's logs by its settings gives, without rows.
+
+    Its folds are the digest's blocks, its inertial columns all ten of each body, so that fits and
+    held-out errors are the same. Residuals cannot be computed of it: how much samples are worth is
+    `Digest.effective`.
+
+    Args:
+        model: The model as it was given when the settings were made.
+        extra: Effect classes of the user's own that have columns.
+
+    Raises:
+        DigestError: It is another model, or an effect cannot be made.
+    """
+    settings, extra = instance(digest, "digest", Digest).settings, instances(extra, "extra", type)
+    model = model_of_digests(model, settings)
+    effects = tuple(effect.made(extra) for effect in settings.effects)
+    layout = Layout.of(model, effects, settings.sign_width, settings.still_speed)
+    pairs = zip(digest.joints, layout.columns, strict=True)
+    return Dataset(
+        model.joints,
+        model.bodies,
+        effects,
+        delays_of_joints(settings),
+        digest.blocks,
+        tuple(log.name for log in digest.logs),
+        tuple(_joint_data(joint, columns, settings) for joint, columns in pairs),
+        digest.effort_std,
+        digest.noise_floor,
+        digest.logs[0].bandwidth,
+        digest.still,
+        payload_reference(model.phi),
+        gain_uncertainty(model, digest.logs),
+    )
+
+
+def delays_of_joints(settings: DigestSettings) -> Array:
+    """(d, nv) the delays of settings, of every joint, s."""
+    return np.array([np.full(len(settings.joints), delay) for delay in settings.delays])
+
+
+def _joint_data(joint: JointDigest, columns: Indices, settings: DigestSettings) -> JointData:
+    """What blocks say about a joint over all inertial columns that it feels."""
+    inertial, base = settings.base_matrix.shape[1], len(settings.independent)
+    bodies = columns[columns < inertial]
+    own = joint.columns[joint.columns < base]
+    kept, efforts = len(own), len(settings.delays)
+    effects = len(joint.columns) - kept
+    beside = np.eye(effects + efforts)
+    spread = np.zeros((kept + len(beside), len(bodies) + len(beside)))
+    spread[:kept, : len(bodies)] = settings.base_matrix[np.ix_(own, bodies)]
+    spread[kept:, len(bodies) :] = beside
+    peaks = np.zeros(len(columns))
+    peaks[np.isin(columns, settings.independent)] = joint.peaks[:kept]
+    peaks[len(bodies) :] = joint.peaks[kept:]
+    width = len(columns)
+    return JointData(
+        columns,
+        joint.factors @ spread,
+        joint.samples,
+        tuple(() for _ in joint.samples),
+        joint.carried @ spread[: kept + effects, :width],
+        joint.seen,
+        joint.effort_sums,
+        peaks,
+    )
+
+
+def with_autocovariances(
+    digest: Digest,
+    model: RobotModel,
+    data: Sequence[JointData],
+    *,
+    extra: Sequence[type[Effect]] = (),
+) -> Digest:
+    """A digest with the autocovariances of what the refitted model leaves of each block.
+
+    The model's bodies and effects are fitted to the other blocks, within what was known of them.
+    """
+    dataset = digest_dataset(digest, model, extra=extra)
+    unknowns = model_unknowns(dataset, model_of_digests(model, digest.settings))
+    moving = digest.effort_std > 0.0
+    power = np.where(moving, digest.effort_std, 1.0) ** 2
+    share = np.full(len(digest.joints), _FIRST_SHARE)
+    for _ in range(_ROUNDS):
+        weights = np.where(moving, share / power, 0.0)
+        x = CrossValidation(dataset, unknowns, weights, physical=False).held_out.x
+        digest = _with_residuals(digest, data, _parameters(dataset, unknowns, x, digest.settings))
+        share = digest.effective_share
+    return digest
+
+
+def _parameters(dataset: Dataset, unknowns: Unknowns, x: Array, settings: DigestSettings) -> Array:
+    """(B, p) parameters of the columns of digests, of those of unknowns (B, ·)."""
+    inertial, base = settings.base_matrix.shape[1], len(settings.independent)
+    width = inertial + len(settings.columns) - base
+    every = np.zeros((width, len(x)))
+    np.add.at(every, unknowns.columns, x.T)
+    return np.hstack([every[:inertial].T @ settings.base_matrix.T, every[inertial:].T])
+
+
+def _with_residuals(digest: Digest, data: Sequence[JointData], x: Array) -> Digest:
+    joints = []
+    for joint, each in zip(digest.joints, data, strict=True):
+        of_blocks = [
+            _of_block(
+                [row.b[:, 0] - row.A @ own[joint.columns] for row in rows],
+                int(count),
+                digest.settings.lags,
+            )
+            for rows, own, count in zip(each.rows, x, each.samples, strict=True)
+        ]
+        joints.append(replace(joint, autocovariances=np.array(of_blocks)))
+    return replace(digest, joints=tuple(joints))
+
+
+def _of_block(residuals: Sequence[Array], samples: int, lags: int) -> Array:
+    """(lags,) sums of r_t r_{t+k} over stretches without gaps, as if all samples had been kept."""
+    total, kept = np.zeros(lags), sum(map(len, residuals))
+    for r in residuals:
+        size = next_fast_len(len(r) + lags, real=True)
+        transform = rfft(r, size)
+        total += irfft(np.square(transform.real) + np.square(transform.imag), size)[:lags]
+    return total * (samples / max(kept, 1))

@@ -1,38 +1,119 @@
-"""The digests of a fleet's logs: each made once, by whoever has time, wherever the log is."""
+"""The logs of a fleet: which there are, their digests, and a record of each.
+
+A record is a small file, so that nothing is read a second time. It holds where the log was, its
+stamp, and which digest is of it. It stays when the log is deleted, as its digest does: a fleet's
+history is that of its digests.
+"""
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 
+import msgspec
+
+from geodrake.boundary.input_files import read_regular
 from geodrake.boundary.showing import Short
-from geodrake.boundary.whole_files import made_folder
+from geodrake.boundary.whole_files import made_folder, write_whole
 from geodrake.errors import ArgumentError, DigestError, FleetError, GeodrakeError, OutputError
 from geodrake.fleet.digest_folder import FAILED, Told, check_settings, digest_logs
 from geodrake.fleet.fleet_file import Fleet, FleetRobot, FleetType
-from geodrake.fleet.log_dates import DATED_BY, date_in_path
+from geodrake.fleet.hashes import text_hash
 from geodrake.fleet.log_places import (
+    DATED_BY,
     IN_THIS_PROCESS,
     LogPlace,
     UnreachableLogError,
+    date_in_path,
     find_logs,
+    fits,
     local_log,
 )
-from geodrake.fleet.log_records import (
-    DIGESTS,
-    LogRecord,
-    changed_logs,
-    read_records,
-    said_of,
-    write_record,
-)
 from geodrake.fleet.settings import DigestSettings, read_settings
-from geodrake.fleet.type_source import own_model, type_source
+from geodrake.fleet.type_layout import own_model, type_source
 from geodrake.fleet.workers import Workers
 from geodrake.model.carried_payloads import carried_phi
 from geodrake.model.robot_model import RobotModel
+
+DIGESTS = "digests"
+"""Name of the folder of a type's digests."""
+
+_FOLDER = "logs"
+_LETTERS = 24  # of a file's name
+_NAME = 40  # letters of a robot's name in that of its folder
+
+
+@dataclass(frozen=True)
+class LogRecord:
+    """What became of a log of a robot.
+
+    Attributes:
+        stamp: Its size and when it was changed; empty if it is to be digested again.
+        said: Hash of what the fleet file says of it: how it is dated, and what the robot carried.
+        digest: Name of its digest's file; empty if there is none.
+        date: When it began, s since 1970; 0 if nobody knows.
+    """
+
+    robot: str
+    address: str
+    stamp: str
+    said: str
+    digest: str = ""
+    date: float = 0.0
+    reason: str = ""
+
+
+def robot_folder(folder: Path, robot: str) -> Path:
+    """Return where the records of a robot's logs are: a name that any file system takes."""
+    plain = re.sub(r"[^\w-]", "_", robot, flags=re.ASCII)[:_NAME]
+    return folder / _FOLDER / f"{plain}-{text_hash(robot)[:8]}"
+
+
+def said_of(robot: FleetRobot) -> str:
+    """Hash of what the fleet file says of a robot's logs."""
+    return text_hash((robot.dates, robot.payloads))[:_LETTERS]
+
+
+def write_record(folder: Path, record: LogRecord) -> None:
+    """Write a record."""
+    name = f"{text_hash(record.address)[:_LETTERS]}.json"
+    path = robot_folder(folder, record.robot) / name
+    with made_folder(path.parent):
+        write_whole(path, json.dumps(asdict(record), indent=1) + "\n")
+
+
+def read_records(folder: Path, robot: FleetRobot) -> dict[str, LogRecord]:
+    """Address -> record of a robot's logs that have a digest, of those that its patterns fit.
+
+    One that is damaged, or was said otherwise, is none: its log is looked at again.
+    """
+    try:
+        files = sorted(robot_folder(folder, robot.name).glob("*.json"))
+    except OSError:
+        return {}
+    found = (_read_record(file) for file in files)
+    said = said_of(robot)
+    return {
+        record.address: record
+        for record in found
+        if record is not None
+        and record.robot == robot.name
+        and record.said == said
+        and any(fits(record.address, pattern) for pattern in robot.logs)
+    }
+
+
+def _read_record(path: Path) -> LogRecord | None:
+    try:
+        return msgspec.json.decode(read_regular(path, "record", FleetError), type=LogRecord)
+    except (FleetError, msgspec.MsgspecError, UnicodeDecodeError):
+        return None
+
 
 _KILLED = (
     "The workers that read it died, three one after the other: there may not be memory enough."
@@ -55,10 +136,7 @@ class FleetDigests(Short):
 
     Attributes:
         records: Robot -> records of its logs that have digests, by date.
-        failed: Logs that have none, each with its reason.
         settings: Type -> settings of its digests; None if none of its logs can be used.
-        made: How many logs were digested.
-        repairs: What of the model files is not believed.
     """
 
     records: dict[str, tuple[LogRecord, ...]]
@@ -73,11 +151,6 @@ def check_places(fleet: Fleet, *, local: bool) -> tuple[str, ...]:
 
     Returns:
         What of the model files is not believed.
-
-    Raises:
-        FleetError: Logs are in the memory of this process, and others are to read them.
-        DigestError: There are digests of another model, version or other settings.
-        GeodrakeError: A model cannot be read.
     """
     for robot in fleet.robots:
         for pattern in robot.logs:
@@ -96,35 +169,23 @@ def check_places(fleet: Fleet, *, local: bool) -> tuple[str, ...]:
         if settings is not None:
             check_settings(settings, model, source.wanted)
         for robot in fleet.of_type(kind.name):
-            _check_payloads(robot, model)
-            if robot.model is not None:
-                models.append(own_model(kind, robot.model))
-                _check_same_robot(robot, models[-1], model)
+            models += _check_robot(kind, robot, model)
     found = [f"{model.path.name}: {each}" for model in models for each in model.repairs]
     return tuple(dict.fromkeys(found))
 
 
-def _check_payloads(robot: FleetRobot, model: RobotModel) -> None:
-    """Refuse payloads of bodies that there are not.
-
-    Raises:
-        FleetError: There is one.
-    """
+def _check_robot(kind: FleetType, robot: FleetRobot, of_type: RobotModel) -> list[RobotModel]:
+    """Refuse payloads of bodies that there are not, and a model of another kind of robot."""
     try:
-        carried_phi(model, robot.payloads)
+        carried_phi(of_type, robot.payloads)
     except ArgumentError as error:
         raise FleetError(
             f"Robot {robot.name!r} has payloads that cannot be: {error.problem}",
             advice=error.advice,
         ) from error
-
-
-def _check_same_robot(robot: FleetRobot, own: RobotModel, of_type: RobotModel) -> None:
-    """Refuse a robot whose model is of another kind of robot than its type.
-
-    Raises:
-        FleetError: It has other joints or bodies.
-    """
+    if robot.model is None:
+        return []
+    own = own_model(kind, robot.model)
     for what in ("joints", "bodies"):
         ours, theirs = getattr(own, what), getattr(of_type, what)
         if ours != theirs:
@@ -133,6 +194,7 @@ def _check_same_robot(robot: FleetRobot, own: RobotModel, of_type: RobotModel) -
                 f"{robot.type!r} has {', '.join(theirs)}.",
                 advice="Robots of a type have the same joints: give it a type of its own.",
             )
+    return [own]
 
 
 def find_tasks(
@@ -142,9 +204,6 @@ def find_tasks(
 
     Args:
         failed: Logs that failed before, which are not tried again until they have changed.
-
-    Raises:
-        FleetError: A pattern finds nothing and never did, or two find the same log.
     """
     tasks, known, owners = [], {}, dict[str, str]()
     stuck = {(record.robot, record.address, record.stamp): record for record in failed}
@@ -171,7 +230,10 @@ def find_tasks(
             for address, record in records.items()
             if (folder / DIGESTS / record.digest).is_file()
         }
-        for place in changed_logs(list(places.values()), known[robot.name]):
+        for place in places.values():
+            record = known[robot.name].get(place.address)
+            if record is not None and record.stamp == place.stamp:
+                continue
             known[robot.name].pop(place.address, None)
             if (before := stuck.get((robot.name, place.address, place.stamp))) is not None:
                 known[robot.name][place.address] = before
@@ -191,11 +253,6 @@ def digest_fleet(
 
     Args:
         known: Robot -> address -> record of the others; taken in are those of the tasks.
-        told: Called with what is going on.
-
-    Raises:
-        DigestError: Digests are there of another model, version or other settings.
-        OutputError: Nothing more can be written; what was written stays.
     """
     done = made = 0
 
@@ -211,11 +268,13 @@ def digest_fleet(
         for name in fleet.types:
             folders.enter_context(made_folder(fleet.folder / name / DIGESTS))
         rest = _choose_settings(fleet, tasks, take, told)
-        for piece in team.each(digest_task, rest):
-            task = rest[piece.at]
-            take(task, piece.result or _failure(task, _KILLED))
+        for at, record in team.each(digest_task, rest):
+            task = rest[at]
+            take(task, record or _failure(task, _KILLED))
             told(f"Digested {task.place.name} of {task.robot.name}", done / len(tasks))
-    by_date = {name: sorted(own.values(), key=_by_date) for name, own in known.items()}
+    by_date = {
+        name: sorted(own.values(), key=attrgetter("date", "address")) for name, own in known.items()
+    }
     return FleetDigests(
         {name: tuple(each for each in own if each.digest) for name, own in by_date.items()},
         tuple(each for own in by_date.values() for each in own if not each.digest),
@@ -243,12 +302,7 @@ def _choose_settings(
 
 
 def digest_task(task: LogTask) -> LogRecord:
-    """Digest a log, wherever this runs.
-
-    Raises:
-        DigestError: The settings that are there do not fit.
-        OutputError: The digest cannot be written.
-    """
+    """Digest a log, wherever this runs."""
     source, folder = type_source(task.kind), task.folder / DIGESTS
     if not folder.is_dir():
         raise OutputError(
@@ -283,7 +337,3 @@ def digest_task(task: LogTask) -> LogRecord:
 def _failure(task: LogTask, reason: str) -> LogRecord:
     place, robot = task.place, task.robot
     return LogRecord(robot.name, place.address, place.stamp, said_of(robot), reason=reason)
-
-
-def _by_date(record: LogRecord) -> tuple[float, str]:
-    return record.date, record.address

@@ -62,11 +62,7 @@ def text_hash(value: object) -> str:
 
 
 def file_hash(paths: Iterable[Path]) -> str:
-    """SHA-256 of the bytes of files, and of all files in folders.
-
-    Raises:
-        LogError: One cannot be read.
-    """
+    """SHA-256 of the bytes of files, and of all files in folders."""
     found = hashlib.sha256()
     for path in paths:
         inside = sorted(each for each in path.rglob("*") if each.is_file())
