@@ -38,7 +38,7 @@ from geodrake.identification.logs.unknowns import Unknowns, payload_reference
 from geodrake.logs.files import Reading
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.known_payload import KnownPayload
-from geodrake.logs.learnable import check_commands, check_saturation
+from geodrake.logs.log_checks import check_commands, check_saturation
 from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.uniform_log import make_uniform

@@ -1,4 +1,4 @@
-"""Signals: zero-phase filtering with decimation, differentiation, and the bandwidth of a motion.
+"""Signals: zero-phase filtering with decimation, spectra, and the bandwidth of a motion.
 
 Arrays have samples along axis 0. Measured efforts and regressor columns go through the same
 `ZeroPhaseFilter`, so that filtering changes neither the parameters nor the model (1) of the
@@ -10,19 +10,147 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import pairwise
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
+from numpy.lib.stride_tricks import as_strided, sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.linalg.lapack import dgbtrf, dgbtrs
 from scipy.sparse import csr_array, diags_array
+from scipy.special import gammaincinv
 
 from geodrake.errors import ArgumentError, LogError
-from geodrake.logs.spectrum import BLACKMAN_HARRIS, spectral_density
 
 Array = NDArray[np.float64]
+
+# Windows, each a sum of cosines Σ_k (−1)ᵏ a_k cos(2π k t) over one period: the a_k.
+HANN = (0.5, 0.5)
+BLACKMAN_HARRIS = (0.35875, 0.48829, 0.14128, 0.01168)
+
+
+def spectral_density(
+    signal: ArrayLike,
+    rate: float,
+    length: int,
+    *,
+    window: tuple[float, ...] = HANN,
+    centered: bool = True,
+) -> tuple[Array, Array]:
+    """One-sided spectral density of signals.
+
+    Args:
+        signal: (N, n) samples.
+        rate: Sampling rate, Hz.
+
+    Returns:
+        frequency (K,), Hz, and density (K, n), squared units of the signal per Hz.
+    """
+    signal, turn = np.asarray(signal, float), 2.0 * np.pi * np.arange(length) / length
+    weight = np.sum([(-1) ** k * a * np.cos(k * turn) for k, a in enumerate(window)], axis=0)
+    step = length - length // 2
+    pieces = sliding_window_view(signal, length, axis=0)[::step]
+    power = np.zeros((signal.shape[1], length // 2 + 1))
+    for piece in pieces:  # (n, length) each
+        level = piece.mean(axis=1, keepdims=True) if centered else 0.0
+        transform = rfft((piece - level) * weight)
+        power += np.square(transform.real) + np.square(transform.imag)
+    density = power.T / (len(pieces) * rate * (weight @ weight))
+    density[1 : len(density) - (length % 2 == 0)] *= 2.0
+    frequency = rate / length * np.arange(length // 2 + 1.0)
+    return frequency, np.asarray(density)
+
+
+_LEAST_BINS = 12  # of a spectrum in a band
+_PARTS = 4  # of a passband
+_STEP = 1.2  # ratio of the frequencies of neighbouring bands
+_WIDE = 3  # steps over which a spectrum falls
+
+
+def quiet_density(
+    signal: ArrayLike, rate: float, bandwidth: float, *, differences: int = 0
+) -> Array:
+    """Spectral density of white noise of signals: that of the quietest band above a bandwidth.
+
+    Args:
+        signal: (N, n) samples.
+        rate: Sampling rate, Hz.
+        bandwidth: Where the signals themselves end, Hz.
+        differences: How often the signals are differenced before, so that what is large and slow
+            in them does not leak into the spectrum; the density is that of the signals.
+
+    Returns:
+        (n,) one-sided density, squared units of the signals per Hz.
+    """
+    changes = np.diff(np.asarray(signal, float), differences, axis=0)
+    length = min(len(changes), max(64, round(8 * rate / bandwidth)))
+    frequency, density = spectral_density(changes, rate, length)
+    frequency, density = frequency[1:], density[1:]
+    density = density / (2.0 * np.sin(np.pi * frequency / rate)[:, None]) ** (2 * differences)
+    lowest, highest = 1.6 * bandwidth, 0.45 * rate
+    averages = max(1.0, 0.9 * (2 * len(changes) / length - 1))
+    # The median of a mean of that many exponentials, over its mean.
+    median = gammaincinv(averages, 0.5) / averages
+    bands = max(1, int(np.log2(highest / lowest) * 2))
+    edges = np.geomspace(lowest, highest, bands + 1)
+    levels = []
+    for low, high in pairwise(edges.tolist()):
+        inside = (frequency >= low) & (frequency < high)
+        if inside.sum() >= _LEAST_BINS:
+            levels.append(np.median(density[inside], axis=0) / median)
+    if not levels:
+        inside = frequency >= min(lowest, frequency[-1])
+        levels.append(np.median(density[inside], axis=0) / median)
+    return np.min(levels, axis=0)
+
+
+def passband_density(signal: ArrayLike, rate: float, bandwidth: float) -> tuple[Array, Array]:
+    """Spectral densities of signals below a bandwidth.
+
+    Args:
+        signal: (N, n) samples.
+        rate: Sampling rate, Hz.
+        bandwidth: Where the band ends, Hz.
+
+    Returns:
+        (n,) mean, and (n,) that of the quietest part of the band, squared units per Hz.
+    """
+    signal = np.asarray(signal, float)
+    length = min(len(signal), max(64, round(16 * rate / bandwidth)))
+    frequency, density = spectral_density(signal, rate, length)
+    # The slowest bins lack what is taken away with the mean.
+    within = np.flatnonzero((frequency > 1.5 * rate / length) & (frequency < bandwidth))
+    parts = [density[part].mean(axis=0) for part in np.array_split(within, _PARTS) if len(part)]
+    return density[within].mean(axis=0), np.min(parts, axis=0)
+
+
+def steepest_fall(signal: ArrayLike, rate: float, bandwidth: float) -> Array:
+    """(n,) frequencies at which the spectra of signals fall most, as at the end of a filter, Hz.
+
+    Args:
+        signal: (N, n) samples.
+        rate: Sampling rate, Hz.
+        bandwidth: About where the signals end, Hz.
+    """
+    signal = np.asarray(signal, float)
+    length = min(len(signal), max(64, round(32 * rate / bandwidth)))
+    frequency, density = spectral_density(signal, rate, length, window=BLACKMAN_HARRIS)
+    lowest, highest = 6.0 * rate / length, 0.45 * rate  # each band has a bin of the spectrum
+    edges = lowest * _STEP ** np.arange(int(np.log(highest / lowest) / np.log(_STEP)))
+    level = np.array(
+        [
+            np.log(
+                np.maximum(density[(frequency >= low) & (frequency < _STEP * low)], 1e-300)
+            ).mean(axis=0)
+            for low in edges
+        ]
+    )
+    if len(edges) <= _WIDE:
+        return np.full(signal.shape[1], bandwidth)
+    fall = level[:-_WIDE] - level[_WIDE:]
+    return np.asarray(edges[fall.argmax(axis=0)] * _STEP ** (0.5 * (_WIDE + 1)))
+
 
 LEAST_SPECTRUM = 32  # samples that a spectrum needs
 HIGHEST_BANDWIDTH = 0.25  # of the sampling rate: above it, splines and jitter spoil derivatives
@@ -192,9 +320,6 @@ def differentiate(signal: ArrayLike, period: float) -> Array:
 
     Returns:
         (N, ...) derivatives, without lag; relative error below 1e-3 up to a quarter of the rate.
-
-    Raises:
-        ArgumentError: If there are fewer than 6 samples.
     """
     signal = np.asarray(signal, float)
     if len(signal) < _LEAST_SAMPLES:
@@ -271,9 +396,6 @@ def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
 
     Returns:
         Bandwidth, Hz.
-
-    Raises:
-        LogError: If every piece has too few samples for a spectrum.
     """
     pieces = [(position, period) for position, period in pieces if len(position) >= LEAST_SPECTRUM]
     if not pieces:

@@ -30,9 +30,7 @@ class Block:
     """A stretch of the filtered samples of one segment.
 
     Attributes:
-        segment: Index of the segment in the trajectory.
         start: First of the segment's filtered samples that is in the block.
-        stop: First one after the block.
     """
 
     trajectory: int
@@ -46,11 +44,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Fold:
-    """What is held out together.
-
-    Attributes:
-        name: Where it comes from, in words.
-    """
+    """What is held out together."""
 
     name: str
     blocks: tuple[Block, ...]

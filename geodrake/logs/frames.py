@@ -12,9 +12,8 @@ import numpy as np
 from geodrake.boundary.arguments import instance, instances
 from geodrake.errors import ArgumentError
 from geodrake.logs.files import Reading, log_of
-from geodrake.logs.files.column_names import check_once
-from geodrake.logs.files.damage import readable
-from geodrake.logs.files.numeric_columns import numbers, numeric_table
+from geodrake.logs.files.column_mapping import check_once
+from geodrake.logs.files.table import numbers, numeric_table, readable
 from geodrake.logs.motion import JointLog
 
 

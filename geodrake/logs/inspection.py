@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from geodrake.errors import GeodrakeError, LogError
 from geodrake.logs.files import Reading, read_log, understand
-from geodrake.logs.files.column_names import Columns, Source
+from geodrake.logs.files.column_mapping import Columns, Source
 from geodrake.logs.files.mapping_file import mapping_of
 from geodrake.logs.files.units import unit_of
 from geodrake.logs.motion import PASSIVE, JointLog
@@ -30,17 +30,7 @@ _LEAST_STEP = 1e-7  # s, to which stamps since 1970 are exact
 
 @dataclass(frozen=True)
 class UnderstoodColumn:
-    """A column of a log and where it comes from.
-
-    Attributes:
-        quantity: What is measured; of efforts, their kind.
-        column: Name of the column in the file.
-        unit: The unit that it was in; "" for SI.
-        factor: What its numbers were multiplied by.
-        lowest: Least value, SI; NaN if there is none.
-        highest: Largest value, SI; NaN if there is none.
-        empty: How many cells are empty.
-    """
+    """A column of a log and where it comes from."""
 
     joint: str
     quantity: str
@@ -142,11 +132,7 @@ def mapping_text(
     """Return the text of a mapping that reads a log as it was understood, or as columns say.
 
     Args:
-        path: The log.
         gain_deviations: Joint -> standard deviation of the gain that the user gave.
-
-    Raises:
-        LogError: A mapping cannot say how this log was read.
     """
     time: dict[str, object] = {"rate": round(1.0 / found.period, 6)}
     if found.time_column:
@@ -171,11 +157,7 @@ def mapping_text(
 
 
 def _check_said(path: Path, found: LogInspection, content: object) -> None:
-    """Read a log by a mapping: tables with names in their cells and the like have no such columns.
-
-    Raises:
-        LogError: It is another log then.
-    """
+    """Refuse a mapping that does not read the log again: cells may name joints, for example."""
     try:
         again = read_log(path, reading=Reading(mapping=mapping_of(path, content)), partial=True)
         problem = "the times of its rows would be others."

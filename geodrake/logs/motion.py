@@ -307,15 +307,7 @@ class Trajectory:
 
 
 def match_joints(log: JointLog, model_joints: Sequence[str]) -> JointLog:
-    """Return the log with its joints in the model's order.
-
-    Args:
-        log: A log of exactly the model's joints, in any order.
-
-    Raises:
-        LogError: If log or model has a joint that the other lacks; the message offers the
-            nearest names.
-    """
+    """Return the log with its joints in the model's order."""
     check_joints(log.name, log.joints, model_joints)
     return log.select(model_joints)
 

@@ -15,13 +15,13 @@ from geodrake.logs.filtering import (
     choose_bandwidth,
     design_filter,
     differentiate,
+    quiet_density,
 )
 from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.smoothing import Segment, Stretch, smooth_pieces
 from geodrake.logs.temperatures import Temperatures
 from geodrake.logs.uniform_log import UniformLog, make_uniform, naming_log
 from geodrake.logs.unit_hints import position_unit_hint
-from geodrake.logs.white_noise import quiet_density
 
 Array = NDArray[np.float64]
 
@@ -233,12 +233,7 @@ def _speed_noise(uniform: UniformLog, smoother: ZeroPhaseFilter) -> Array:
 
 
 def _acceleration_noise(uniform: UniformLog, low_pass: ZeroPhaseFilter, *, derived: bool) -> Array:
-    """(n,) deviation of the noise of accelerations from white noise of what they come from.
-
-    Args:
-        low_pass: What efforts are filtered by, which the accelerations act like.
-        derived: Whether velocities are derived from the positions.
-    """
+    """(n,) deviation of the noise of accelerations from white noise of what they come from."""
     parts = list(uniform.sample_parts())
     derived = derived or any(part.velocity is None for part in parts)
     order = 2 if derived else 1

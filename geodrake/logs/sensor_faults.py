@@ -48,10 +48,6 @@ def without_faults(log: JointLog) -> JointLog:
     Positions that wrap at a full turn are unwrapped. Readings that jump by orders of magnitude and
     come back within a few rows become NaN, and so do positions and efforts that stay exactly the
     same while the joint moves, and the last position before a jump that stays.
-
-    Raises:
-        LogError: A value is impossible, and not for a moment, or a sensor is frozen most of the
-            time.
     """
     steps = np.diff(log.time[np.isfinite(log.time)])
     if not len(steps):
@@ -72,7 +68,6 @@ class _Sensor:
     """What one sensor of one joint measured.
 
     Attributes:
-        quantity: What is measured, such as "position".
         period: Typical time between rows, s.
         rows: (K,) rows that are no empty cells; all of them if a slice.
         time: (K,) instants, s.
@@ -101,11 +96,7 @@ class _Sensor:
         return f"{self.quantity} of {self.log.joints[self.joint]}"
 
     def repaired(self) -> tuple[Array, list[str]]:
-        """The column (N,) of the log without faults, and what they were.
-
-        Raises:
-            LogError: The rest says nothing of the robot.
-        """
+        """The column (N,) of the log without faults, and what they were."""
         column = getattr(self.log, self.quantity)[:, self.joint]
         values, words = self._unwrapped() if self.quantity == "position" else (self.values, "")
         notes = [f"the {self.name} {words}"] if words else []

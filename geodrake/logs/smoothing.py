@@ -104,7 +104,6 @@ class SmoothPiece:
     """A piece, smoothed and differentiated slice by slice.
 
     Attributes:
-        smoother: Low-pass for positions and velocities.
         lag: (n,) time by which measured velocities are late, s; None to derive the velocities
             from the positions instead.
         kept: Whether its samples stay in memory once somebody has looked.
@@ -188,12 +187,7 @@ def smooth_pieces(
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Part of a piece, in which a log is of use.
-
-    Attributes:
-        first: First of the piece's samples.
-        stop: First one after the stretch.
-    """
+    """Part of a piece, in which a log is of use."""
 
     piece: SmoothPiece
     first: int

@@ -11,13 +11,67 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
-from geodrake.logs.effort_steps import step_notes
 from geodrake.logs.motion import JointLog
 from geodrake.logs.sensor_faults import without_faults
 from geodrake.logs.smoothing import Piece
 from geodrake.logs.unit_hints import row_order_hint
 
 Array = NDArray[np.float64]
+
+_STEP_ROWS = 20_000  # of a log that are looked at
+_FEWEST, _MOST = 3, 500  # steps between the least and the greatest value
+_STEP_TOLERANCE = 0.1  # of a distance between values, as printed numbers are rounded
+_SHARE = 0.95  # of the distances between values that are whole steps
+_ROUNDING = 1e-9  # of the largest value
+_LEAST_SHARE = 0.25  # of the noise's power that steps make
+
+
+def step_notes(log: JointLog) -> Iterator[str]:
+    """Which efforts come in steps that make a good part of their noise, in words.
+
+    A step s makes a noise of deviation s/√12. Numbers that are printed with few digits come in
+    steps, too; where their noise is much larger nothing is said.
+    """
+    steps = dict(zip(log.joints, effort_steps(log).tolist(), strict=True))
+    coarse = {joint: step for joint, step in steps.items() if step > 0.0}
+    if coarse:
+        each = ", ".join(
+            f"{joint} of {step:.3g} (noise {step / np.sqrt(12.0):.2g})"
+            for joint, step in coarse.items()
+        )
+        yield (
+            f"efforts come in steps: {each}; a step over √12 is the deviation of the noise that it "
+            "makes in single readings, before they are filtered"
+        )
+
+
+def effort_steps(log: JointLog) -> Array:
+    """(n,) steps of the efforts of each joint, in their unit; 0 where none dominates the noise."""
+    return np.array([_step(column) for column in log.effort[:_STEP_ROWS].T])
+
+
+def _step(readings: Array) -> float:
+    """The step of some readings (N,) in time, 0 for none."""
+    readings = readings[np.isfinite(readings)]
+    values = np.unique(readings)
+    if len(values) < _FEWEST:
+        return 0.0
+    gaps = np.diff(values)
+    gaps = gaps[gaps > _ROUNDING * np.abs(values).max()]
+    reach = values[-1] - values[0]
+    for step in (float(gaps.min()), float(np.median(gaps))) if len(gaps) else ():
+        counts = np.rint(gaps / step)
+        whole = (np.abs(gaps / step - counts) <= _STEP_TOLERANCE * counts) & (counts > 0)
+        if reach <= _MOST * step and whole.mean() >= _SHARE:
+            return step if _makes_the_noise(step, readings) else 0.0
+    return 0.0
+
+
+def _makes_the_noise(step: float, readings: Array) -> bool:
+    """Whether a step makes a good part of the noise of readings, as their bends show it."""
+    noise = np.sqrt(np.mean(np.diff(readings, 2) ** 2) / 6.0)
+    return bool(step**2 / 12.0 >= _LEAST_SHARE * noise**2)
+
 
 _GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer time step is a gap, a shorter one is jitter
 # Where gaps of that length leave more than this share of the time in pieces shorter than this,
@@ -37,8 +91,6 @@ class UniformLog:
     """A log in uniform pieces, and which of its joints move.
 
     Attributes:
-        log: The log, without what sensors did wrong.
-        pieces: Its pieces between gaps, in time.
         period: Time between samples, s.
         noise: (n,) deviation of the noise of the positions, rad or m.
         moving: (n,) whether a joint moves.
@@ -98,13 +150,7 @@ def naming_log(log: JointLog) -> Iterator[None]:
 
 
 def make_uniform(log: JointLog) -> UniformLog:
-    """Split a log at gaps and empty cells, and find its period, its noise and what moves.
-
-    Raises:
-        LogError: If rows are not in the order of time, the log is still throughout, is sampled
-            too rarely, as one with time in milliseconds seems to be, or too often, has time stamps
-            of too few digits, no rows in a row, or a sensor that failed for good.
-    """
+    """Split a log at gaps and empty cells, and find its period, its noise and what moves."""
     with naming_log(log):
         return _uniform(log)
 

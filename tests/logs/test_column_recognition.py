@@ -2,8 +2,7 @@
 
 import pytest
 
-from geodrake.logs.files.joint_matching import matched
-from geodrake.logs.files.recognition import MEASURED, meaning_of
+from geodrake.logs.files.name_rules import MEASURED, matched, meaning_of
 
 UR = tuple(
     f"{name}_joint"

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geodrake.logs import JointLog
-from geodrake.logs.effort_steps import effort_steps
-from geodrake.logs.uniform_log import make_uniform
+from geodrake.logs.uniform_log import effort_steps, make_uniform
 
 TIME = np.arange(3000) / 250.0
 Q = np.sin(TIME[:, None] * np.array([2.0, 3.0]))

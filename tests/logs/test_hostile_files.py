@@ -7,7 +7,7 @@ import pytest
 
 from geodrake.errors import LogError
 from geodrake.logs.files import read_log
-from geodrake.logs.files.room import check_room
+from geodrake.logs.files.table import check_room
 from geodrake.logs.frames import log_of_frame
 from geodrake.logs.inspection import inspect_log
 

@@ -9,8 +9,8 @@ import pytest
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files import read_log
 from geodrake.logs.known_payload import KnownPayload
+from geodrake.logs.log_checks import check_repeated
 from geodrake.logs.motion import JointLog
-from geodrake.logs.repeated_logs import check_repeated
 from geodrake.logs.sensor_faults import LARGEST, without_faults
 from geodrake.logs.uniform_log import make_uniform
 

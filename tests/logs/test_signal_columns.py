@@ -6,7 +6,7 @@ import pytest
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs import JointLog, log_of_frame, read_log, write_log
 from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading, parsed_gain
-from geodrake.logs.learnable import check_commands, check_saturation
+from geodrake.logs.log_checks import check_commands, check_saturation
 from geodrake.logs.uniform_log import make_uniform
 
 JOINTS = ("shoulder", "elbow")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from geodrake.logs.spectrum import BLACKMAN_HARRIS, HANN, spectral_density
+from geodrake.logs.filtering import BLACKMAN_HARRIS, HANN, spectral_density
 
 RATE = 250.0
 

@@ -30,10 +30,9 @@ from geodrake.identification.logs.signal_calibration import with_efforts
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.logs.files import read_log
 from geodrake.logs.folds import Fold, validation_blocks
-from geodrake.logs.learnable import check_commands, check_saturation
+from geodrake.logs.log_checks import check_commands, check_repeated, check_saturation
 from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.preparation import motion_bandwidth_of, prepare_logs
-from geodrake.logs.repeated_logs import check_repeated
 from geodrake.logs.smoothing import Segment
 from geodrake.logs.uniform_log import make_uniform
 from geodrake.logs.unit_hints import effort_unit_hint, position_unit_hint

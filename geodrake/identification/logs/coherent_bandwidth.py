@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.logs.filtering import HIGHEST_BANDWIDTH
+from geodrake.logs.filtering import HIGHEST_BANDWIDTH, spectral_density
 from geodrake.logs.motion import JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.smoothing import Stretch
-from geodrake.logs.spectrum import spectral_density
 from geodrake.logs.uniform_log import UniformLog, make_uniform
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel

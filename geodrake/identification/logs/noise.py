@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.sensors import delayed_by
 from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN, LEAST_NOISE
+from geodrake.logs.filtering import passband_density, quiet_density, steepest_fall
 from geodrake.logs.motion import Motion, Trajectory
 from geodrake.logs.smoothing import Segment
-from geodrake.logs.white_noise import passband_density, quiet_density, steepest_fall
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
 

@@ -28,7 +28,7 @@ from geodrake.identification.logs.servo_fit import (
 )
 from geodrake.logs.filtering import HIGHEST_BANDWIDTH
 from geodrake.logs.folds import validation_blocks
-from geodrake.logs.learnable import check_saturation
+from geodrake.logs.log_checks import check_saturation
 from geodrake.logs.motion import PASSIVE, JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model.carried_payloads import carried_phi, carrying

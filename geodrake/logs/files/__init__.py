@@ -16,18 +16,14 @@ from pathlib import Path
 
 from geodrake.boundary.arguments import file_path, instance, instances, typed
 from geodrake.errors import LogError
-from geodrake.logs.files.column_names import Columns, is_used, listed
-from geodrake.logs.files.formats import check_log, read_table, table_of
-from geodrake.logs.files.joined_files import joined_table, parts_of
-from geodrake.logs.files.joined_tables import meanings_of
+from geodrake.logs.files.column_mapping import Columns, columns_of, is_used, listed, without_use
+from geodrake.logs.files.formats import check_log, joined_table, parts_of, read_table, table_of
+from geodrake.logs.files.joined_tables import meanings_of, reshaped
 from geodrake.logs.files.mapping_file import read_mapping
+from geodrake.logs.files.name_rules import is_time, meaning_of
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.recognition import is_time, meaning_of
 from geodrake.logs.files.recording import Recording
-from geodrake.logs.files.shapes import reshaped
-from geodrake.logs.files.signal_columns import without_use
 from geodrake.logs.files.table import LogTable
-from geodrake.logs.files.understanding import columns_of
 from geodrake.logs.files.writing import log_content, write_log
 from geodrake.logs.motion import JointLog
 

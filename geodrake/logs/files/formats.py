@@ -1,19 +1,27 @@
-"""The formats of log files, by suffix, by what is in a folder, and by bytes."""
+"""The formats of log files, by suffix, by what is in a folder, and by bytes; logs in several."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from geodrake.boundary.arguments import file_path, typed
 from geodrake.boundary.input_files import open_regular, regular_file
 from geodrake.errors import LogError
-from geodrake.logs.files.json_file import read_json
+from geodrake.logs.files.array_files import (
+    read_feather,
+    read_hdf5,
+    read_json,
+    read_mat,
+    read_npz,
+    read_parquet,
+)
+from geodrake.logs.files.joined_tables import joined_tables, meanings_of, reshaped
 from geodrake.logs.files.lcm_log import MAGIC, read_lcm
 from geodrake.logs.files.lerobot_dataset import INFO, read_lerobot
-from geodrake.logs.files.mat_file import read_hdf5, read_mat
-from geodrake.logs.files.npz_file import read_npz
-from geodrake.logs.files.parquet_file import read_feather, read_parquet
+from geodrake.logs.files.name_rules import OF_JOINTS, is_time, meaning_of, quantity_of
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.ros_bag import read_bag
 from geodrake.logs.files.table import LogTable
@@ -60,7 +68,6 @@ def table_of(
 
     Args:
         joints: Names of the model's joints, if there is a model, for a proposed mapping.
-        numbered: Whether columns without names may be called by their numbers.
     """
     kind = path.suffix.lower()
     if kind not in (*TEXT, ".npz"):
@@ -122,11 +129,7 @@ def _is_folder(path: Path) -> bool:
 
 @typed
 def check_log(path: Path) -> Path:
-    """Return the path of a log that can be opened: a file, or the folder of a format that is one.
-
-    Raises:
-        LogError: It is neither, or is empty.
-    """
+    """Return the path of a log that can be opened: a file, or the folder of such a format."""
     if not _is_folder(path):
         return regular_file(path, "log", LogError)
     if reader_of(path) is None:
@@ -136,3 +139,53 @@ def check_log(path: Path) -> Path:
             path=path,
         )
     return path
+
+
+_TOLD = re.compile(r"(?<![a-z])controls?(?![a-z])")  # in the name of a file of commands
+
+
+@typed
+def parts_of(path: Path) -> tuple[Path, ...]:
+    """The files of a log: itself, or those that `+` joins, as in `positions.csv+efforts.csv`."""
+    if "+" not in str(path) or path.exists():
+        return (path,)
+    return tuple(Path(part) for part in str(path).split("+") if part)
+
+
+def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
+    """Return the columns of several files, at the time stamps of the one with the fewest a second.
+
+    Args:
+        paths: Files of any format. The name of a file may say the quantity of its columns, as
+            that of `efforts.csv` does.
+    """
+    named = [replace(_named_table(path, reading), path=Path(path.name)) for path in paths]
+    return joined_tables(Path("+".join(path.name for path in paths)), named, reading)
+
+
+def _named_table(path: Path, reading: Reading) -> LogTable:
+    """Return the columns of one file; bare names of joints get the quantity of the file's name."""
+    table = reshaped(table_of(path, reading, numbered=True).loaded(), reading)
+    quantity = quantity_of(path.stem)
+    if quantity is None and _TOLD.search(path.stem.lower()):
+        quantity = "command"
+    if quantity is None or any(m.quantity == quantity for m in meanings_of(table)):
+        return table
+    if quantity == "command" and any(m.quantity in OF_JOINTS for m in meanings_of(table)):
+        quantity = None  # positions by their names: of commands, as that of the file says
+
+    def named(column: str) -> str:
+        meaning = meaning_of(column)
+        if is_time(column):
+            return column
+        if quantity is None:
+            is_position = meaning is not None and meaning.quantity == "position"
+            own = column.removesuffix(".position")
+            named = f"{own}.command" if own != column else f"command_{column}"
+            return named if is_position else column
+        return f"{quantity}_{column}" if column.isdecimal() else f"{column}.{quantity}"
+
+    columns = {named(name): values for name, values in table.columns.items()}
+    units = {named(name): unit for name, unit in table.units.items()}
+    origins = {named(name): zero for name, zero in table.origins.items()}
+    return replace(table, columns=columns, units=units, origins=origins)

@@ -13,10 +13,9 @@ from typing import Any, BinaryIO
 from geodrake.boundary.input_files import open_regular
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
-from geodrake.logs.files.damage import readable
 from geodrake.logs.files.joint_messages import JointFields, MessageRows
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.table import LogTable
+from geodrake.logs.files.table import LogTable, readable
 from geodrake.logs.files.topics import Topic, chosen_topics, topic_table
 
 MAGIC = b"\xed\xa1\xda\x01"

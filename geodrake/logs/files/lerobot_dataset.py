@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from geodrake.boundary.input_files import read_regular, regular_files
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
-from geodrake.logs.files.damage import readable
-from geodrake.logs.files.parquet_file import arrow_table
+from geodrake.logs.files.array_files import arrow_table
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.table import LogTable
+from geodrake.logs.files.table import LogTable, readable
 from geodrake.logs.motion import EFFORT_KINDS
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ import yaml  # type: ignore[import-untyped]
 from geodrake.boundary.arguments import typed
 from geodrake.boundary.yaml_text import yaml_content, yaml_table
 from geodrake.errors import ArgumentError, LogError
-from geodrake.logs.files.joint_matching import matched
+from geodrake.logs.files.name_rules import DESIRED, OF_JOINTS, Meaning, matched, meaning_of
 from geodrake.logs.files.reading import (
     ColumnMapping,
     MappedColumn,
@@ -19,7 +19,6 @@ from geodrake.logs.files.reading import (
     check_rate,
     parsed_gain,
 )
-from geodrake.logs.files.recognition import DESIRED, OF_JOINTS, Meaning, meaning_of
 from geodrake.logs.files.units import UNITS, unit_of
 from geodrake.logs.motion import EFFORT_KINDS, PASSIVE
 
@@ -49,11 +48,7 @@ def read_mapping(path: Path) -> ColumnMapping:
 
 
 def mapping_of(path: Path, content: object) -> ColumnMapping:
-    """Return what the content of a mapping file says; see `read_mapping`.
-
-    Raises:
-        ArgumentError: It has other keys or kinds of values.
-    """
+    """Return what the content of a mapping file says; see `read_mapping`."""
     content = _table(content, ("time", "rate", "joints"), "it")
     joints = {
         str(joint): {
@@ -126,7 +121,6 @@ def proposed_mapping(
     """A mapping as text, to be edited, filled in as far as the names of columns are understood.
 
     Args:
-        path: The log, for its first line.
         headed: Whether the file has these names; columns of others are given by their numbers.
 
     Returns:

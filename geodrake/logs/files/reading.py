@@ -171,11 +171,7 @@ class Reading:
 
 
 def parsed_gain(text: str, what: str) -> tuple[float, float | None]:
-    """A gain and its standard deviation, if one was given, as in `13.2±0.5` or `13.2+-0.5`.
-
-    Raises:
-        ArgumentError: It is neither.
-    """
+    """A gain and its standard deviation, if one was given, as in `13.2±0.5` or `13.2+-0.5`."""
     parts = re.split(r"±|\+/?-", text)
     try:
         numbers = [float(part) for part in parts]
@@ -191,7 +187,6 @@ def check_rate(rate: object, what: str) -> None:
 
     Args:
         rate: What was given, Hz.
-        what: What messages call it.
     """
     if rate is not None and not (_is_number(rate) and rate > 0):  # type: ignore[operator]
         raise ArgumentError(f"{what} is a positive number of rows a second; got {rate!r}.")

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
-from geodrake.logs.files.column_names import Columns, Source
-from geodrake.logs.files.room import check_room
-from geodrake.logs.files.torn_rows import TornRows
+from geodrake.logs.files.column_mapping import Columns, Source
+from geodrake.logs.files.table import TornRows, check_room
 from geodrake.logs.motion import PASSIVE, JointLog
 from geodrake.logs.time_stamps import repeats, time_unit, with_clock_set_back
 
@@ -27,11 +26,7 @@ class Recording:
     """
 
     def __init__(self, columns: Columns, rows: int) -> None:
-        """Room for so many rows.
-
-        Raises:
-            LogError: There is none: with what is made of them they would fill the memory.
-        """
+        """Room for so many rows."""
         self.columns = columns
         width = len(columns.names)
         check_room(columns.path, rows * width, f"{rows} rows of {width} numbers")
@@ -77,11 +72,7 @@ class Recording:
         return values if source.factor == 1.0 else source.factor * values
 
     def log(self, rows: int) -> JointLog:
-        """Return the log of the first so many rows.
-
-        Raises:
-            LogError: They are too few, or some are bad.
-        """
+        """Return the log of the first so many rows."""
         path = self.columns.path
         if rows < LEAST_ROWS:
             raise LogError(

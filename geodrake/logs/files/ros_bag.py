@@ -13,12 +13,10 @@ from typing import Any
 from geodrake.boundary.input_files import regular_files
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
-from geodrake.logs.files.damage import readable
-from geodrake.logs.files.joined_topics import joined_topics
 from geodrake.logs.files.joint_messages import JointFields, MessageRows
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.table import LogTable
-from geodrake.logs.files.topics import Topic, chosen_topics, topic_table
+from geodrake.logs.files.table import LogTable, readable
+from geodrake.logs.files.topics import Topic, chosen_topics, joined_topics, topic_table
 
 _FIRST = 20  # messages by which a topic is known; publishers of other joints may take turns
 _JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -63,12 +61,7 @@ _INTERFACES = (
 
 
 def read_bag(path: Path, reading: Reading) -> LogTable:
-    """Return the columns of a ROS bag.
-
-    Raises:
-        LogError: It cannot be read, or has not one topic with positions and efforts of joints, or
-            one of each.
-    """
+    """Return the columns of a ROS bag."""
     is_first = path.suffix.lower() == ".bag"
     method = "deserialize_ros1" if is_first else "deserialize_cdr"
     module = f"rosbags.rosbag{1 if is_first else 2}"
@@ -85,11 +78,7 @@ def read_bag(path: Path, reading: Reading) -> LogTable:
 
 
 def _storage(path: Path) -> Path:
-    """Return what the reader takes: the folder, or its only file if the recorder could not end it.
-
-    Raises:
-        LogError: Something inside is no file, or nobody says the order of several.
-    """
+    """Return what the reader takes: the folder, or its only file if it was not closed."""
     if not path.is_dir():
         return path
     inside = regular_files((each for each in path.iterdir() if not each.is_dir()), "log", LogError)
@@ -110,7 +99,6 @@ class _Source:
     """A topic of an open bag.
 
     Attributes:
-        topic: What is known of it.
         connections: What the bag has of it, one for each publisher.
         decode: What makes a message of bytes and its type; None if nothing is known to.
     """

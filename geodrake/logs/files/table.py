@@ -1,18 +1,241 @@
-"""Columns of a log file under the names that the file gives them, before they are understood."""
+"""Columns of a log file under the names that the file gives them, before they are understood.
+
+Readers of formats make a `LogTable` of arrays of any type: nested, nullable, dated. Rows that no
+recorder meant are left out if they are few.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from bisect import bisect_left
+from collections.abc import Iterator, Mapping, Sequence, Sized
+from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.logs.files.torn_rows import TornRows
+from geodrake.boundary.memory import machine_memory
+from geodrake.errors import GeodrakeError, LogError
+from geodrake.logs.files.name_rules import is_time, names_joints
+from geodrake.logs.time_stamps import check_time
+
+
+@contextmanager
+def readable(path: Path, what: str, advice: str = "Write it again, or as CSV.") -> Iterator[None]:
+    """Turn whatever the reader of a damaged file raises into an error of the log."""
+    try:
+        yield
+    except (GeodrakeError, MemoryError):
+        raise
+    except Exception as error:  # of readers and their decompressors: no list would be whole
+        words = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        raise LogError(
+            f"Log {str(path)!r} is no {what} that can be read: {words}.", advice=advice
+        ) from error
+
+
+_LARGEST_SHARE = 0.5  # of the memory that the numbers of a log may take; the rest is for the work
+
+
+def check_room(path: Path, count: int, words: str) -> None:
+    """Raise a LogError if numbers and what is made of them would fill the memory.
+
+    Args:
+        count: How many numbers it has, of 8 bytes.
+    """
+    needed, there = 8 * count, machine_memory()
+    if needed > _LARGEST_SHARE * there:
+        raise LogError(
+            f"Log {str(path)!r} has {words}, {needed / 1e9:.3g} GB; this machine has "
+            f"{there / 1e9:.3g} GB of memory.",
+            advice="Give excerpts of it, or fewer columns.",
+        )
+
 
 Array = NDArray[np.float64]
+
+_DATE = re.compile(
+    r"(\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d(?::\d\d)?)"
+    r"(?:[.,](\d{1,9})\d*)?\s*([Zz]|UTC|[+-]\d\d(?::?\d\d)?)?"
+)
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_SECOND, _DAY = 1_000_000_000, 86_400  # ns, s
+NO_DATE = np.iinfo(np.int64).min
+"""What NumPy has for no date."""
+
+
+def date_of(text: str) -> int | None:
+    """The nanoseconds since 1970 of a date with its time of day; None if the text is none.
+
+    Args:
+        text: In ISO 8601, with a blank for the T if need be. Without a time zone it is in UTC.
+    """
+    found = _DATE.fullmatch(text.strip())
+    if found is None:
+        return None
+    head, fraction, zone = found.groups()
+    try:
+        instant = datetime.fromisoformat(f"{head.upper()}{_offset(zone)}")
+    except ValueError:  # the 30th of February
+        return None
+    since = instant - _EPOCH
+    return (since.days * _DAY + since.seconds) * _SECOND + int((fraction or "").ljust(9, "0"))
+
+
+def _offset(zone: str | None) -> str:
+    if zone is None or zone.upper() in ("Z", "UTC"):
+        return "+00:00"
+    return zone if len(zone) > len("+00") else f"{zone}:00"
+
+
+def date_words(nanoseconds: int) -> str:
+    """A date as messages write it."""
+    instant = _EPOCH + timedelta(microseconds=nanoseconds // 1000)
+    return f"{instant:%Y-%m-%d %H:%M:%S} UTC"
+
+
+def since_first(stamps: NDArray[np.int64]) -> tuple[Array, int]:
+    """(N,) seconds from the first date on, NaN for none, and the first, ns since 1970.
+
+    Args:
+        stamps: (N,) ns since 1970, `NO_DATE` for none.
+    """
+    known = stamps != NO_DATE
+    origin = int(stamps[known][0]) if known.any() else 0
+    seconds = np.full(len(stamps), np.nan)
+    seconds[known] = (stamps[known] - origin) / _SECOND
+    return seconds, origin
+
+
+def dates(array: NDArray[Any]) -> tuple[Array, int]:
+    """Seconds of dates of NumPy; see `since_first`.
+
+    Args:
+        array: (N,) of a type `datetime64`.
+    """
+    return since_first(array.astype("datetime64[ns]").astype(np.int64))
+
+
+Mask = NDArray[np.bool_]
+
+MOST = 0.01
+"""Share of the rows that may be left out."""
+
+_NAMED = 8  # rows, or runs of them, that are named
+ADVICE = f"--skip-bad-rows leaves such rows out, up to {100 * MOST:g} % of a log."
+
+
+@dataclass
+class TornRows:
+    """Bad rows of a file while it is read."""
+
+    path: Path
+    lines: int
+    skip: bool = False
+    rows: list[int] = field(default_factory=list)
+    first: LogError | None = None
+
+    def add(self, row: int, error: LogError) -> None:
+        """Take a bad row in."""
+        self.first = self.first or error
+        self.rows.append(row)
+        if len(self.rows) > _NAMED + MOST * self.lines:
+            raise self._refusal(self.rows, row + 1, f"in the first {row + 1} rows")
+
+    def settle(self, time: Array) -> tuple[Mask | None, tuple[str, ...]]:
+        """Which rows are kept, all if None, and what was left out, in words.
+
+        Args:
+            time: (N,) time stamps of all rows, s, NaN in bad ones.
+        """
+        bad = np.array(self.rows, int)
+        if self.first is not None and not self.skip:
+            raise self._refusal(self.rows, len(time), f"of {len(time)}")
+        backwards = rows_out_of_order(time)
+        if len(backwards):
+            self._check_order(time, backwards)
+        bad = np.union1d(bad, backwards)
+        if not len(bad):
+            return None, ()
+        if len(bad) > MOST * len(time):
+            raise self._refusal(bad.tolist(), len(time), f"of {len(time)}")
+        kept = np.ones(len(time), bool)
+        kept[bad] = False
+        return kept, (f"left out {len(bad)} bad rows of {len(time)}: {_runs(bad.tolist())}",)
+
+    def _check_order(self, time: Array, backwards: NDArray[np.intp]) -> None:
+        """Raise what is wrong with the order of time, unless such rows are to be left out."""
+        few = len(backwards) <= MOST * len(time)
+        if self.skip and few:
+            return
+        try:
+            check_time(self.path.stem, time)
+        except LogError as error:
+            advice = error.advice
+            if few:
+                advice = f"Rows out of order: {_runs(backwards.tolist())}. {ADVICE}"
+            raise LogError(error.problem, advice=advice, **error.evidence) from None
+
+    def _refusal(self, rows: Sequence[int], count: int, of: str) -> LogError:
+        first = self.first
+        share = f"{len(rows)} {of}"
+        if first is None:
+            return LogError(f"Log {str(self.path)!r} has {share} bad rows.", advice=ADVICE)
+        advice = first.advice
+        if len(rows) > 1:
+            advice += f" Bad rows are {_runs(rows)}: {share}."
+        if len(rows) <= MOST * count:
+            advice += f" {ADVICE}"
+        elif self.skip:
+            advice += f" At most {100 * MOST:g} % are left out."
+        return LogError(first.problem, advice=advice, **first.evidence)
+
+
+def rows_out_of_order(time: Array) -> NDArray[np.intp]:
+    """The fewest rows without which time stamps increase; NaN are in order.
+
+    Args:
+        time: (N,) time stamps, s.
+    """
+    rows = np.flatnonzero(np.isfinite(time))
+    stamps = time[rows]
+    if np.all(np.diff(stamps) > 0):
+        return np.zeros(0, int)
+    least: list[float] = []  # end of the sequence of each length that ends earliest
+    ends: list[int] = []
+    before = np.full(len(stamps), -1)
+    for k, stamp in enumerate(stamps.tolist()):
+        length = bisect_left(least, stamp)
+        if length == len(least):
+            least.append(stamp)
+            ends.append(k)
+        else:
+            least[length], ends[length] = stamp, k
+        before[k] = ends[length - 1] if length else -1
+    kept, k = np.zeros(len(stamps), bool), ends[-1]
+    while k >= 0:
+        kept[k] = True
+        k = int(before[k])
+    return rows[~kept]
+
+
+def _runs(rows: Sequence[int]) -> str:
+    """Rows from 0 on as numbers from 1 on, runs of them as such."""
+    edges = [k for k, (one, other) in enumerate(pairwise(rows), 1) if other > one + 1]
+    runs = [rows[i:j] for i, j in pairwise([0, *edges, len(rows)])]
+    words = [
+        f"{run[0] + 1}" if len(run) == 1 else f"{run[0] + 1} to {run[-1] + 1}"
+        for run in runs[:_NAMED]
+    ]
+    return ", ".join(words) + (" …" if len(runs) > _NAMED else "")
+
+
 Groups = Sequence[tuple[str, ...]]
 Part = tuple[slice, Mapping[str, Array]]
 
@@ -74,3 +297,181 @@ class LogTable:
         noted = copy(self)
         noted.notes = (*notes, *self.notes)
         return noted
+
+
+_ONE_SECOND = np.timedelta64(1, "s")
+_MOST_NAMES = 8
+_LONGEST_TEXT = 60
+_NOTHING = ("", "NaT", "nan", "None", "null", "<NA>")
+
+
+def numeric_table(path: Path, arrays: Mapping[str, Any], rows: int) -> LogTable:
+    """Return a table of numbers, wider arrays as columns `name[0]`, `name[1]` and so on.
+
+    Args:
+        arrays: Name -> (N,) or (N, n) values, in whatever can be made an array. Dates and times
+            become seconds: dates from the first row on.
+
+    Returns:
+        The table, with a note of what was left out.
+    """
+    columns: dict[str, Array] = {}
+    origins, silent, words = {}, {}, dict[str, NDArray[np.object_]]()
+    for name, given in arrays.items():
+        values = _array(given) if isinstance(given, list) else given
+        found, origin = numbers(values)
+        if found is None or found.ndim not in (1, 2) or len(found) != rows:
+            silent[name] = _what_else(values, rows)
+            words |= _texts(name, values, rows)
+            continue
+        columns.update(spread(name, found))
+        if origin is not None:
+            origins[name] = origin
+    more = " …" if len(silent) > _MOST_NAMES else ""
+    note = f"columns without numbers: {', '.join([*silent][:_MOST_NAMES])}{more}"
+    notes = (note,) if silent else ()
+    return LogTable(path, columns, notes=notes, origins=origins, silent=silent, words=words)
+
+
+def _texts(name: str, values: Any, rows: int) -> dict[str, NDArray[np.object_]]:
+    """Return the texts of an array, as (N,) for each column `name`, or `name[k]` of lists.
+
+    A list of names of joints alone is that of each row.
+    """
+    cells = [] if np.ndim(values) == 0 else [_text(value) for value in values]
+    is_flat = all(isinstance(cell, str) for cell in cells)
+    if is_flat and len(cells) == rows:
+        return {name: np.array(cells, object)} if rows else {}
+    if is_flat and names_joints(name) and rows:
+        return {f"{name}[{k}]": np.full(rows, cell, object) for k, cell in enumerate(cells)}
+    if len(cells) != rows or is_flat or len({cell and len(cell) for cell in cells}) > 1:
+        return {}
+    lists = zip(*(cell or () for cell in cells), strict=True)
+    return {f"{name}[{k}]": np.array(each, object) for k, each in enumerate(lists)}
+
+
+def _text(value: Any) -> str | list[str] | None:
+    """Return a text, or the texts of a list; None of others."""
+    if isinstance(value, bytes | str):
+        return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
+    if not isinstance(value, Sized):
+        return None
+    items = [_text(each) for each in value]  # type: ignore[attr-defined]
+    return items if all(isinstance(item, str) for item in items) else None  # type: ignore[return-value]
+
+
+def rows_of(arrays: Mapping[str, Any]) -> int:
+    """Return how many rows a log of some arrays has: those of its time, or of most arrays."""
+    times = [len(values) for name, values in arrays.items() if is_time(name)]
+    lengths = times or [len(values) for values in arrays.values()]
+    return max(set(lengths), key=lambda length: (lengths.count(length), length), default=0)
+
+
+def _what_else(values: Any, rows: int) -> str:
+    """Return what is in an array that has no numbers, in words."""
+    if np.ndim(values) == 0:
+        return f"is {str(values)[:_LONGEST_TEXT]!r} alone"
+    if len(values) != rows:
+        return f"has {len(values)} rows, and others have {rows}"
+    bad = next((value for value in values if isinstance(value, str) and not _is_number(value)), "")
+    lists = {
+        k: len(value)
+        for k, value in enumerate(values, 1)
+        if isinstance(value, Sized) and not isinstance(value, str) and len(value)
+    }
+    first = next(iter(lists.values()), 0)
+    row = next((k for k, length in lists.items() if length != first), None)
+    if row is not None:
+        return f"has lists of {first} numbers, and one of {lists[row]} in row {row}"
+    if bad:
+        return f"holds {bad[:_LONGEST_TEXT]!r}, which is neither a number nor a date"
+    return "holds no numbers"
+
+
+def spread(name: str, values: Array) -> Iterator[tuple[str, Array]]:
+    """The columns of an array.
+
+    Args:
+        values: (N,) or (N, n).
+    """
+    if values.ndim == 1:
+        yield name, values
+    elif values.shape[1] == 1:
+        yield name, values[:, 0]
+    else:
+        yield from ((f"{name}[{k}]", column) for k, column in enumerate(values.T))
+
+
+def numbers(values: Any) -> tuple[Array | None, int | None]:
+    """Return an array of floats, NaN where nothing is; None for what has no numbers.
+
+    Of dates, the seconds from the first on, and the first, ns since 1970.
+    """
+    if isinstance(values, np.ma.MaskedArray):
+        missing, values = np.ma.getmaskarray(values), np.array(values.data, object)
+        values[missing] = None
+    try:
+        array = _array(values)
+        if array.dtype.kind == "M":
+            return dates(array)
+        if array.dtype.kind == "m":
+            return np.asarray(array / _ONE_SECOND), None
+        if array.dtype.kind in "OUT":
+            return _of_objects(array.astype(object))
+    except (TypeError, ValueError, ArithmeticError):  # texts, rows of different lengths, 10**400
+        return None, None
+    return (np.asarray(array, float) if array.dtype.kind in "fiub" else None), None
+
+
+def _array(values: Any) -> NDArray[Any]:
+    """Return an array; of lists of several lengths, or of lists and nothing, one of objects."""
+    try:
+        return np.asarray(values)
+    except ValueError:
+        array = np.empty(len(values), object)
+        array[:] = values
+        return array
+
+
+def _of_objects(array: NDArray[Any]) -> tuple[Array | None, int | None]:
+    """Numbers of lists, or of objects that are numbers, dates or nothing."""
+    first = next((value for value in array.flat if not _is_nothing(value)), None)
+    if not array.size:
+        return None, None
+    if isinstance(first, Sized) and not isinstance(first, str):
+        empty = np.full(len(first), np.nan)
+        rows = [empty if _is_nothing(row) or not len(row) else row for row in array]
+        return np.stack([np.asarray(row, float) for row in rows]), None
+    if array.ndim == 1 and _date(first) is not None:
+        stamps = [NO_DATE if _is_nothing(value) else _date(value) for value in array]
+        return (None, None) if None in stamps else since_first(np.array(stamps, np.int64))
+    return np.array([_number(value) for value in array.flat]).reshape(array.shape), None
+
+
+def _is_nothing(value: Any) -> bool:
+    if isinstance(value, Sized) and not isinstance(value, str):
+        return False
+    return str(value) in _NOTHING
+
+
+def _date(value: Any) -> int | None:
+    """Nanoseconds since 1970 of a date, as an object or a text."""
+    text = value.isoformat() if isinstance(value, datetime) else value
+    return date_of(text) if isinstance(text, str) else None
+
+
+def _number(value: Any) -> float:
+    """Return a number, NaN for None and other words for nothing."""
+    if _is_nothing(value):
+        return np.nan
+    if isinstance(value, str) and "_" in value:  # which Python takes in its own numbers
+        raise ValueError(value)
+    return float(value)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return text in _NOTHING
+    return True

@@ -76,12 +76,7 @@ _SPELLINGS = {
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit of a quantity.
-
-    Attributes:
-        name: How it is written here.
-        factor: How many SI units it is.
-    """
+    """A unit of a quantity."""
 
     name: str
     factor: float
@@ -98,9 +93,6 @@ def unit_of(text: str, quantity: str) -> Unit:
     Args:
         text: A unit as people write it, such as `deg`, `°/s`, `N·mm` or `rad_s`.
         quantity: What is in it, of `UNITS`.
-
-    Raises:
-        ArgumentError: There is no such unit, or no such quantity.
     """
     if quantity not in UNITS:
         raise ArgumentError(

@@ -27,7 +27,6 @@ def write_log(log: JointLog, path: str | Path) -> None:
     The file appears whole or not at all: it is written beside `path` and then renamed.
 
     Args:
-        log: The log.
         path: Target; `.npz` writes arrays, `.csv` and `.txt` write text.
 
     Raises:

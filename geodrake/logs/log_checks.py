@@ -1,11 +1,14 @@
-"""Can anything be learned from what stands for efforts: commands that differ, and no saturation?"""
+"""Logs that are refused: commands that say nothing, saturated efforts, and logs given twice."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.errors import LogError
+from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.motion import JointLog
 
 Array = NDArray[np.float64]
@@ -19,14 +22,7 @@ _STEPS = 8  # of resolution that a largest value has at least, where it is none 
 
 
 def check_commands(log: JointLog) -> None:
-    """Refuse commands that say nothing, as they never differ from where the joint is.
-
-    Args:
-        log: A log; joints whose efforts are not measured count.
-
-    Raises:
-        LogError: The command of a joint that moves is its position, or that of some rows later.
-    """
+    """Refuse commands that say nothing, as they never differ from where the joint is."""
     for at, joint in enumerate(log.joints):
         if log.command is None or np.isfinite(log.effort[:, at]).any():
             continue
@@ -57,11 +53,7 @@ def _is_copy(command: Array, position: Array, late: int) -> bool:
 
 
 def check_saturation(log: JointLog) -> None:
-    """Refuse efforts that are at their largest value most of the time.
-
-    Raises:
-        LogError: What was measured of a joint is, in nine of ten rows in which it moves.
-    """
+    """Refuse efforts that are at their largest value most of the time."""
     for at, joint in enumerate(log.joints):
         if log.effort_kinds.get(joint, "effort") not in ("effort", "current"):
             continue  # voltages may be switched
@@ -100,3 +92,48 @@ def _is_coarse(effort: Array) -> bool:
     if len(levels) == 2 and levels[0] == -levels[1]:
         return False  # a switch
     return bool(np.abs(levels).max() < _STEPS * np.diff(levels).min())
+
+
+_PROBES, _PROBE_ROWS = (
+    32,
+    8,
+)  # places of a log that are looked for in another, and rows at each of them
+_FIRST_PROBES = 4  # of them, one of which must be there for the others to be looked for
+_MOST_PROBES = 0.5  # of the probes that another log may have
+
+
+def check_repeated(logs: Sequence[JointLog]) -> None:
+    """Refuse logs of which one has the measurements of another.
+
+    Positions and efforts are compared number by number, at some stretches of moving joints of each
+    log; names, formats and time stamps do not matter.
+    """
+    for pair in combinations(logs, 2):
+        short, long = sorted(pair, key=len)
+        probes = _probes(short)
+        if not any(_holds(long, probe) for probe in probes[:: _PROBES // _FIRST_PROBES]):
+            continue
+        if np.mean([_holds(long, probe) for probe in probes]) > _MOST_PROBES:
+            raise ArgumentError(
+                f"Log {short.name!r} is given twice, so it would be validated against itself: its "
+                f"measurements are those of {long.name!r}.",
+                advice="Name each log once.",
+            )
+
+
+def _probes(log: JointLog) -> list[tuple[Array, Array]]:
+    """Positions and efforts (rows, n) at some places of a log, where a joint moves all the time."""
+    starts = np.unique(np.linspace(0, max(0, len(log) - _PROBE_ROWS), _PROBES).astype(int)).tolist()
+    rows = (slice(start, start + _PROBE_ROWS) for start in starts)
+    places = ((log.position[each], log.effort[each]) for each in rows)
+    return [place for place in places if np.diff(place[0], axis=0).any(axis=1).all()]
+
+
+def _holds(log: JointLog, probe: tuple[Array, Array]) -> bool:
+    """Whether a log has such positions and efforts, number by number, in rows that follow."""
+    starts = np.arange(len(log) - len(probe[0]) + 1)
+    for row in range(len(probe[0])):
+        for measured, wanted in zip((log.effort, log.position), probe[::-1], strict=True):
+            for joint, value in enumerate(wanted[row].tolist()):
+                starts = starts[measured[starts + row, joint] == value]
+    return len(starts) > 0

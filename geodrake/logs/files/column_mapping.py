@@ -3,29 +3,357 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from geodrake.errors import LogError
-from geodrake.logs.files.column_names import (
-    HEADER_ADVICE,
-    SIGNAL_ADVICE,
-    Columns,
-    Source,
-    check_text,
-    check_twice,
-    listed,
-)
-from geodrake.logs.files.column_words import choice_words, unit_words
-from geodrake.logs.files.dates import date_words
-from geodrake.logs.files.joint_matching import matched
 from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
+from geodrake.logs.files.name_rules import (
+    DESIRED,
+    MOTOR,
+    OF_JOINTS,
+    PLAIN,
+    ROLES,
+    Meaning,
+    matched,
+    meaning_of,
+    words_of,
+)
 from geodrake.logs.files.reading import ColumnMapping, Reading
-from geodrake.logs.files.recognition import OF_JOINTS, Meaning, meaning_of, words_of
-from geodrake.logs.files.signal_columns import candidates, check_kind, effort_source
+from geodrake.logs.files.table import date_words
 from geodrake.logs.files.units import Unit, find_unit, unit_of
-from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, PASSIVE, QUANTITIES, check_joints
+from geodrake.logs.motion import (
+    EFFORT_KINDS,
+    PARTIAL,
+    PASSIVE,
+    QUANTITIES,
+    SIGNAL_KINDS,
+    JointLog,
+    check_joints,
+)
+
+HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
+_MOST_COLUMNS = 10_000  # ten times more than a robot of a hundred joints has
+HEADER_ADVICE = f"The first line names the columns: {HEADER}; velocity may be left out."
+SIGNAL_ADVICE = "In the place of efforts, <joint>.current, .voltage, .pwm or .command will do."
+"""What a joint may have whose efforts are not measured."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the numbers of a column of a log come from.
+
+    Attributes:
+        unit: The unit that they are in; None for SI that nobody said.
+        nanoseconds: Column of what is to be added to time, ns.
+        kind: Of efforts, what they are, of `EFFORT_KINDS`.
+    """
+
+    column: str
+    factor: float = 1.0
+    unit: Unit | None = None
+    nanoseconds: str | None = None
+    kind: str = "effort"
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the file."""
+        return (self.column,) if self.nanoseconds is None else (self.column, self.nanoseconds)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What is read from a file.
+
+    Attributes:
+        joints: Names of the n joints, in the order of the log to be.
+        quantities: Quantities that every joint has; and efforts and commands, which some may lack.
+        sources: `time` and `<joint>.<quantity>` -> where its numbers come from; no time where a
+            rate says it.
+        rate: Rows a second, Hz, where there is no column of time.
+        reading: How the user said that the file is to be read.
+        passive: Joints among them without a motor, which need no column of efforts.
+        others: Joint -> further columns that could be taken for its efforts, or in their place.
+        origin: Since when time is, ns since 1970, if that is known.
+    """
+
+    path: Path
+    joints: tuple[str, ...]
+    quantities: tuple[str, ...]
+    notes: tuple[str, ...]
+    sources: Mapping[str, Source]
+    rate: float | None = None
+    reading: Reading = field(default_factory=Reading)
+    standing: tuple[str, ...] = ()
+    passive: tuple[str, ...] = ()
+    others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    origin: int | None = None
+
+    @property
+    def kinds(self) -> dict[str, str]:
+        """Joint -> what is in the place of its efforts, where it has none."""
+        found = {j: self.sources[f"{j}.effort"].kind for j in self.joints if self.has(j, "effort")}
+        found |= dict.fromkeys(self.passive, PASSIVE)
+        return {joint: kind for joint, kind in found.items() if kind != "effort"}
+
+    def has(self, joint: str, quantity: str) -> bool:
+        """Return whether there is a column of a quantity of a joint."""
+        return f"{joint}.{quantity}" in self.sources
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns of the log to be, time first."""
+        return (
+            "time",
+            *(f"{joint}.{quantity}" for quantity in self.quantities for joint in self.joints),
+            *(f"{joint}.position" for joint in self.standing),
+        )
+
+    @property
+    def groups(self) -> tuple[tuple[str, ...], ...]:
+        """Columns of the file that are needed together, for one column of the log each."""
+        return tuple(self.sources[n].columns for n in self.names if n in self.sources)
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Columns of the file that are read."""
+        return tuple(dict.fromkeys(column for group in self.groups for column in group))
+
+
+def check_text(path: Path, names: Sequence[str]) -> None:
+    """Refuse names that no text has, and those of the format that come twice."""
+    if len(names) > _MOST_COLUMNS:
+        raise LogError(
+            f"Log {str(path)!r} has {len(names)} columns; at most {_MOST_COLUMNS} are read.",
+            advice="Is it a table with a row for each sample? Else leave columns out.",
+        )
+    if any("\0" in name for name in names):
+        raise LogError(
+            f"The first line of log {str(path)!r} has null characters: it is no text in UTF-8.",
+            advice="Is it UTF-16, or binary? Save it as CSV in UTF-8, or as .npz.",
+        )
+    check_twice(path, names, [name for name in names if is_used(name)])
+
+
+def check_twice(path: Path, names: Sequence[str], used: Collection[str]) -> None:
+    """Refuse columns that are needed and there twice."""
+    counts = Counter(names)
+    twice = sorted(name for name in set(used) if counts[name] > 1)
+    if twice:
+        raise LogError(
+            f"Log {str(path)!r} has these columns more than once: {', '.join(twice)}.",
+            advice="Remove or rename one of each.",
+            columns=twice,
+        )
+
+
+def check_once(path: Path, names: Sequence[str]) -> None:
+    """Refuse columns that are there twice, where only their names tell them apart."""
+    check_twice(path, names, names)
+
+
+def is_used(name: str) -> bool:
+    """Return whether a column is one of the format's."""
+    words = (*QUANTITIES, *EFFORT_KINDS)
+    return name == "time" or ("." in name and name.rsplit(".", 1)[1] in words)
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return the first few names."""
+    return f"{', '.join(names[:8]) or 'none'}{' …' if len(names) > 8 else ''}"
+
+
+Best = dict[tuple[str, str], list[Meaning]]
+
+_STEADY = 0.2  # of its mean, by which the voltage of a supply may vary
+
+
+def candidates(
+    meanings: Sequence[Meaning], found: Mapping[str, str], reading: Reading
+) -> tuple[Best, dict[str, tuple[str, ...]]]:
+    """What may be each quantity of each joint, what is taken first.
+
+    A joint with efforts of any kind has no command, unless one is called as geodrake itself does.
+
+    Returns:
+        (joint, quantity) -> columns; and joint -> further columns that could stand for efforts.
+    """
+    best: Best = defaultdict(list)
+    for meaning in meanings:
+        if meaning.column in found and meaning.column not in reading.ignored:
+            best[found[meaning.column], meaning.log_quantity].append(meaning)
+    others = {}
+    for joint in dict.fromkeys(joint for joint, _ in best):
+        said = reading.kind_of(joint)
+        commands = [*best.pop((joint, "command"), ()), *_wanted(best.get((joint, "position"), ()))]
+        efforts = best.get((joint, "effort"), [])
+        efforts.sort(key=lambda meaning: _preference(meaning, said))
+        others[joint] = (*(m.column for m in efforts[1:]), *(m.column for m in commands))
+        if commands and said == "command":
+            best.pop((joint, "effort"), None)
+        if not commands or (best.get((joint, "effort")) and not any(map(_is_own, commands))):
+            continue
+        best[joint, "command"] = commands
+        kept = [m for m in best.get((joint, "position"), ()) if m not in commands]
+        if kept:
+            best[joint, "position"] = kept
+    for same in best.values():
+        same.sort(key=lambda meaning: _preference(meaning, reading.kind_of(found[meaning.column])))
+    return {key: same for key, same in best.items() if same}, others
+
+
+def _wanted(positions: Sequence[Meaning]) -> list[Meaning]:
+    """Desired positions beside measured ones."""
+    wanted = [meaning for meaning in positions if meaning.is_wanted]
+    return wanted if len(wanted) < len(positions) else []
+
+
+def _is_own(meaning: Meaning) -> bool:
+    return meaning.style[0] == "own"
+
+
+def _preference(meaning: Meaning, said: str | None) -> tuple[bool, bool, bool, int, int]:
+    """The least is taken, of several columns of one quantity of one joint."""
+    if meaning.log_quantity != "effort":
+        return False, not _is_own(meaning), False, 0, meaning.role
+    kind = EFFORT_KINDS.index(meaning.quantity)
+    other = said is not None and said != meaning.quantity
+    return other, not _is_own(meaning), meaning.role >= DESIRED, kind, meaning.role
+
+
+def effort_source(
+    path: Path, meaning: Meaning, joint: str, reading: Reading, stated: str
+) -> Source:
+    """Where the efforts of a joint come from, and what they are."""
+    said = reading.kind_of(joint)
+    said = None if said == "command" else said
+    named = meaning.unit or find_unit(stated, meaning.quantity) or find_unit(stated, "effort")
+    units = reading.units
+    asked = unit_of(units["effort"], "effort") if "effort" in units else None
+    kind = meaning.quantity
+    if kind == "effort" and (unit := asked or named) is not None:
+        kind = unit.signal or kind
+    if said in ("effort", kind) or (said is not None and meaning.quantity == "effort"):
+        kind = str(said)
+    elif joint in reading.kinds and said is not None:
+        raise LogError(
+            f"Column {meaning.column!r} of log {str(path)!r} is {meaning.quantity} by its name, "
+            f"and {said} by --kind.",
+            advice="Name another column by --mapping, or leave --kind out.",
+            joint=joint,
+        )
+    unit = named
+    if kind in units:
+        unit = unit_of(units[kind], kind)
+    elif asked is not None:
+        is_meant = (asked.signal or "effort") == kind
+        unit = asked if is_meant or (asked.signal and meaning.quantity == "effort") else named
+    if kind != "effort" or joint not in reading.gains:
+        check_kind(path, meaning.column, joint, kind, unit)
+    return Source(meaning.column, unit.factor if unit else 1.0, unit, kind=kind)
+
+
+def check_kind(path: Path, column: str, joint: str, kind: str, unit: Unit | None) -> None:
+    """Refuse a unit that is not of the kind of efforts in a column."""
+    if unit is not None and (unit.signal or "effort") != kind:
+        raise LogError(
+            f"Column {column!r} of log {str(path)!r} is to be the {kind} of {joint}, and is in "
+            f"{unit.name}, a unit of {unit.signal or 'effort'}.",
+            advice="Say what it is by --kind JOINT=KIND, or its unit by --units.",
+            joint=joint,
+        )
+
+
+def without_use(log: JointLog, columns: Columns) -> frozenset[str]:
+    """Columns that were taken for efforts and say nothing, where others may stand for them.
+
+    They are empty, or they are the voltage of a supply, which hardly changes.
+    """
+    found = set()
+    for at, joint in enumerate(log.joints):
+        if not columns.others.get(joint) or not columns.has(joint, "effort"):
+            continue
+        values = log.effort[:, at]
+        values = values[np.isfinite(values)]
+        supplied = columns.kinds.get(joint) == "voltage" and len(values) > 0
+        if not len(values) or (supplied and np.ptp(values) < _STEADY * abs(values.mean())):
+            found.add(columns.sources[f"{joint}.effort"].column)
+    return frozenset(found)
+
+
+_SI = {"current": "A", "voltage": "V", "pwm": "shares of the supply"}
+_UNITS_WITH = {**dict.fromkeys(SIGNAL_KINDS, "effort"), "command": "position"}
+_CONSTANT = " (torque constant × gear ratio)"
+_KIND_WORDS = {"current": "motor currents", "voltage": "voltages", "pwm": "duty cycles"}
+
+
+def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[str]:
+    """Which columns were taken where several are of one quantity, in words.
+
+    Args:
+        best: (joint, quantity) -> what may be it, what is taken first.
+    """
+    for quantity in QUANTITIES:
+        several = [same for (_, q), same in best.items() if q == quantity]
+        chosen, others = [s[0] for s in several], [m for s in several for m in s[1:]]
+        if others:
+            why = {ROLES[m.role] for m in others if m.role > PLAIN} - {""}
+            why |= {m.quantity for m in others} - {m.quantity for m in chosen}
+            words = f" ({', '.join(sorted(why))})" if why else ""
+            yield (f"{quantity}: {_span(chosen)} taken, and not {_span(others)}{words}")
+        if quantity not in PARTIAL and chosen and all(map(_is_doubtful, chosen)):
+            yield f"{quantity}: {_span(chosen)} may not be measured at the joints, by the name"
+
+
+def _is_doubtful(meaning: Meaning) -> bool:
+    """Whether a column may not be measured at the joint; currents are of motors anyway."""
+    return meaning.role > (MOTOR if meaning.quantity in SIGNAL_KINDS else PLAIN)
+
+
+def unit_words(sources: Mapping[str, Source], reading: Reading) -> Iterator[str]:
+    """Which units were converted, in words."""
+    same: dict[str, dict[str, Source]] = defaultdict(dict)
+    for name, source in sources.items():
+        quantity = name.rpartition(".")[2]
+        same[source.kind if quantity == "effort" else quantity][name] = source
+    for quantity in ("time", *QUANTITIES, *SIGNAL_KINDS):
+        columns = same[quantity].values()
+        units = dict.fromkeys(s.unit.name for s in columns if s.unit and s.unit.factor != 1.0)
+        if units:
+            asked = {quantity, _UNITS_WITH.get(quantity, quantity)}.intersection(reading.units)
+            told = "as asked for" if asked else "by the names of columns"
+            yield f"{quantity} is in {', '.join(units)}, {told}: converted"
+    for kind in SIGNAL_KINDS:
+        joints = [name.rpartition(".")[0] for name in same[kind]]
+        if joints:
+            yield (
+                f"efforts of {listed(joints)} are {_KIND_WORDS[kind]}, in {_SI[kind]}, and no "
+                "efforts: their gains are found from the model's inertias, unless --gain "
+                f"JOINT=VALUE gives them{_CONSTANT if kind == 'current' else ''}"
+            )
+    measured = {name.rpartition(".")[0] for name in sources if name.endswith(".effort")}
+    commanded = [name.rpartition(".")[0] for name in same["command"]]
+    bare = [joint for joint in commanded if joint not in measured]
+    if bare:
+        yield (
+            f"no efforts of {listed(bare)}: commands are in their place, and what servos make of "
+            "them is found from the model's inertias"
+        )
+
+
+def _span(meanings: Sequence[Meaning]) -> str:
+    """The first column of each style, with the last."""
+    styles: dict[tuple[str, ...], list[str]] = defaultdict(list)
+    for meaning in meanings:
+        styles[meaning.style].append(meaning.column)
+    return ", ".join(
+        names[0] if len(names) == 1 else f"{names[0]} … {names[-1]}" for names in styles.values()
+    )
+
 
 _MAPPING_ADVICE = "Or say which column is what by --mapping."
 
@@ -43,14 +371,10 @@ def columns_of(
     """The columns of a file with these names, joints in the order given if any is.
 
     Args:
-        names: All columns of the file, in its order.
         joints: Names of the model's joints, which the log must have, in the order that it shall
             have them in; None for the order of the file.
         origins: Columns of seconds since an instant -> this, ns since 1970; see `LogTable`.
         partial: Whether the log may lack some of the model's joints, or their efforts.
-
-    Raises:
-        LogError: Time, or a joint's position or effort, is missing, or the joints are others.
     """
     reading = reading or Reading()
     check_text(path, names)
@@ -73,7 +397,6 @@ class _Understood:
     """Which column of a file is which quantity of which joint, before that is checked.
 
     Attributes:
-        reading: What the user said of it.
         places: (joint, quantity) -> source, in the order of the file; `("", "time")` is time.
         rate: Rows a second, Hz.
         own: Whether joints are those of geodrake's own names, of which none is left out unasked.
@@ -157,11 +480,7 @@ class _Understood:
         return cls(path, names, reading, places, (), rate, frozenset(mapping.joints))
 
     def dated(self, origins: Mapping[str, int]) -> _Understood:
-        """With the time in seconds, whatever its name says, where it is since a known instant.
-
-        Raises:
-            LogError: A column of dates is taken for another quantity.
-        """
+        """With the time in seconds, whatever its name says, where it is since a known instant."""
         for (joint, quantity), source in self.places.items():
             if quantity != "time" and source.column in origins:
                 raise LogError(
@@ -180,15 +499,7 @@ class _Understood:
     def joints(
         self, wanted: Sequence[str] | None, *, partial: bool
     ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Joints of the log to be, in their order, and those of which there is the position alone.
-
-        Args:
-            wanted: The model's joints, if the log must have them.
-            partial: Whether it may lack some of them, or their efforts.
-
-        Raises:
-            LogError: Time, a position, an effort and what may stand for it, or a joint is missing.
-        """
+        """Return joints of the log, in order, and those of which there is the position alone."""
         if self.rate is None and ("", "time") not in self.places:
             close = difflib.get_close_matches("time", [n.lower() for n in self.names[:100]], 1)
             raise LogError(
@@ -239,15 +550,7 @@ class _Understood:
     def columns(
         self, joints: Sequence[str], standing: Sequence[str], model: Sequence[str] | None
     ) -> Columns:
-        """What is read for these joints.
-
-        Args:
-            joints: Joints with position and effort, or what stands for it.
-            standing: Joints with positions alone.
-
-        Raises:
-            LogError: A column that is needed is there twice, or a gain is of no joint.
-        """
+        """What is read for these joints."""
         used = {c for source in self.places.values() for c in source.columns}
         check_twice(self.path, self.names, used)
         self._check_said(joints)
@@ -319,11 +622,7 @@ class _Understood:
         return replace(source, factor=gain * source.factor, kind="effort")
 
     def _check_said(self, joints: Sequence[str]) -> None:
-        """Refuse gains and kinds of joints that have no such column.
-
-        Raises:
-            LogError: There is one.
-        """
+        """Refuse gains and kinds of joints that have no such column."""
         heard, told = self._having("effort"), self._having("command")
         _check_joints_of("There is a gain of", self.reading.gains, joints)
         for joint, said in self.reading.kinds.items():
