@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 from geodrake.compiling import compiled, inlined
 from geodrake.inertia import Array
 from geodrake.robot.recursion import MOTION, POSE, Record, TreeRecords, pose, put_pose
-from geodrake.robot.vectors import Vector, add, column, cross, scale, subtract, times, vector
+from geodrake.robot.vectors import (
+    Vector,
+    add,
+    column,
+    cross,
+    put,
+    scale,
+    subtract,
+    times,
+    vector,
+)
 
 Indices = NDArray[np.int64]
 
@@ -50,21 +60,16 @@ how far joints go that move as far as a radian, with the size of the loop behind
 @inlined
 def _frame(closure: Record, side: int, world: Record, R: Array, p: Array) -> None:
     """Writes the rotation and origin of a closure's frame into R (2, 3, 3) and p (2, 3)."""
-    at = closure.mobilizers[side]
-    for j in range(3):
-        for k in range(3):
-            if at < 0:
-                R[side, j, k] = closure.rotations[side, j, k]
-            else:
-                R[side, j, k] = 0.0
-                for x in range(3):
-                    R[side, j, k] += world[at].R_WB[j, x] * closure.rotations[side, x, k]
-        if at < 0:
-            p[side, j] = closure.positions[side, j]
-        else:
-            p[side, j] = world[at].p_WoBo_W[j]
-            for x in range(3):
-                p[side, j] += world[at].R_WB[j, x] * closure.positions[side, x]
+    at, place = closure.mobilizers[side], vector(closure.positions[side])
+    if at >= 0:
+        place = vector(world[at].p_WoBo_W)
+    for k in range(3):
+        axis = column(closure.rotations[side], k)
+        if at >= 0:
+            axis = times(world[at].R_WB, axis)
+            place = add(place, scale(closure.positions[side, k], column(world[at].R_WB, k)))
+        R[side, 0, k], R[side, 1, k], R[side, 2, k] = axis
+    put(p[side], place)
 
 
 @inlined
@@ -84,11 +89,6 @@ def _put(out: Array, first: int, at: int, factor: float, values: Vector) -> None
     out[first, at] += factor * values[0]
     out[first + 1, at] += factor * values[1]
     out[first + 2, at] += factor * values[2]
-
-
-@inlined
-def _row3(values: Array, at: int) -> Vector:
-    return values[at, 0], values[at, 1], values[at, 2]
 
 
 @inlined
@@ -120,7 +120,7 @@ def _find_misses(loop: Any, x: Array, room: Any, c: Array, J: Array) -> None:
             if side != 0:
                 at = mobilizers[i].velocities[0]
                 z, t, place = _axis(mobilizers[i], motions[i], world)
-                end = _row3(p, (side + 1) // 2)
+                end = vector(p[(side + 1) // 2])
                 _put(J, first, at, side / size, add(t, cross(z, subtract(end, place))))
                 if closure.turns:
                     _put(J, first + 3, at, side, z)
@@ -154,13 +154,13 @@ def _find_rates(loop: Any, motion: Any, room: Any, rate: Array) -> None:
         z, t, place = _axis(mobilizer, motions[i], world)
         w, v, parent = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), mobilizer.parent
         if parent >= 0:
-            w = _row3(turning, parent)
+            w = vector(turning[parent])
             arm = subtract(place, vector(world[parent].p_WoBo_W))
-            v = add(_row3(moving, parent), cross(w, arm))
+            v = add(vector(moving[parent]), cross(w, arm))
         v, w = add(v, scale(speed, t)), add(w, scale(speed, z))
-        own = add(v, cross(w, subtract(vector(world[i].p_WoBo_W), place)))
-        for j in range(3):
-            hinges[i, j], turning[i, j], moving[i, j] = v[j], w[j], own[j]
+        put(hinges[i], v)
+        put(turning[i], w)
+        put(moving[i], add(v, cross(w, subtract(vector(world[i].p_WoBo_W), place))))
     first = 0
     for e in range(len(closures)):
         closure = closures[e]
@@ -171,16 +171,16 @@ def _find_rates(loop: Any, motion: Any, room: Any, rate: Array) -> None:
             if side != 0:
                 at, parent = mobilizers[i].velocities[0], mobilizers[i].parent
                 z, t, place = _axis(mobilizers[i], motions[i], world)
-                end = _row3(p, (side + 1) // 2)
+                end = vector(p[(side + 1) // 2])
                 body = closure.mobilizers[(side + 1) // 2]
                 arm = subtract(end, vector(world[body].p_WoBo_W))
-                v = add(_row3(moving, body), cross(_row3(turning, body), arm))
+                v = add(vector(moving[body]), cross(vector(turning[body]), arm))
                 w = (0.0, 0.0, 0.0)
                 if parent >= 0:
-                    w = _row3(turning, parent)
+                    w = vector(turning[parent])
                 zd, td = cross(w, z), cross(w, t)
                 own = add(td, cross(zd, subtract(end, place)))
-                own = add(own, cross(z, subtract(v, _row3(hinges, i))))
+                own = add(own, cross(z, subtract(v, vector(hinges[i]))))
                 _put(rate, first, at, side / size, own)
                 if closure.turns:
                     _put(rate, first + 3, at, side, zd)
@@ -317,15 +317,6 @@ def _go(loop: Any, wanted: Array, x: Array, rooms: Any) -> float:
     return done
 
 
-@inlined
-def _away(loop: Any, wanted: Array, there: Array) -> float:
-    """How far free joints (n,) are from where they are in a posture (k,), rad or shares."""
-    free, far = loop[4], 0.0
-    for f in range(len(free)):
-        far = max(far, abs(wanted[f] - there[free[f]]) / loop[7][free[f]])
-    return far
-
-
 @compiled
 def calc_misses(loop: LoopRecords, x: Array, out: Array) -> None:
     """Writes by how much closures miss, and J, into out (m, 1 + k), at x (1, k)."""
@@ -336,22 +327,22 @@ def calc_misses(loop: LoopRecords, x: Array, out: Array) -> None:
 
 @compiled
 def calc_loop(loop: LoopRecords, wanted: Array, theta: Array, G: Array, reached: Array) -> None:
-    """Writes postures of a loop, and how its joints move there.
+    """Writes postures θ (N, k) of a loop with its free joints where wanted (N, n), and G (N, k, n).
 
-    Args:
-        wanted: (N, n) positions of the free joints.
-        theta: (N, k) room for the positions of all joints.
-        G: (N, k, n) room for how far they move where the free ones do by one.
-        reached: (N,) room for the share of the way from the posture of the file that was possible:
-            1 where the loop closes at what is wanted.
+    `reached` (N,) gets the share of the way from the posture of the file that was possible: 1 where
+    the loop closes at what is wanted.
     """
     free, reference, rooms = loop[4], loop[6], _rooms(loop)
     room, solving, c, J, x = rooms
     none = np.zeros((len(c), max(len(free), 1)))
     for i in range(len(wanted)):
-        done = 0.0
+        done, near, far = 0.0, 0.0, 0.0
         before = theta[i - 1] if i > 0 and reached[i - 1] == 1.0 else reference
-        if _away(loop, wanted[i], before) < _away(loop, wanted[i], reference):
+        for f in range(len(free)):  # in rad or shares of the size
+            unit, at = loop[7][free[f]], free[f]
+            near = max(near, abs(wanted[i, f] - before[at]) / unit)
+            far = max(far, abs(wanted[i, f] - reference[at]) / unit)
+        if near < far:
             theta[i] = before
             done = _go(loop, wanted[i], theta[i], rooms)
         if done < 1.0:
@@ -367,14 +358,7 @@ def calc_loop(loop: LoopRecords, wanted: Array, theta: Array, G: Array, reached:
 
 @compiled
 def calc_loop_rates(loop: LoopRecords, theta: Array, G: Array, v: Array, out: Array) -> None:
-    """Writes Ġ (N, k, n) of a loop.
-
-    Args:
-        theta: (N, k) positions of its joints, at which it is closed.
-        G: (N, k, n) G there.
-        v: (N, n) velocities of the free joints.
-        out: (N, k, n) zeros, then Ġ.
-    """
+    """Writes Ġ into zeros (N, k, n), at positions θ (N, k) with G, of velocities v (N, n)."""
     room, solving, c, J, x = _rooms(loop)
     (m, k), n = J.shape, v.shape[1]
     rate, xd, B = np.empty((m, k)), np.empty(k), np.empty((m, n))

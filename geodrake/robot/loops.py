@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import chain, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,7 +135,8 @@ class ClosedLoop:
         free = self.map.actuators
         shown = [*self.map.shown, *self.map.cut]
         others = [self.map.joints[k] for k in shown if self.map.joints[k] not in free]
-        told = [f"In the closed loop of {self.map.name}, {_listed(others, free)}."]
+        follow = f"{', '.join(others)} follow{'s' if len(others) == 1 else ''} {', '.join(free)}"
+        told = [f"In the closed loop of {self.map.name}, {follow if free else 'nothing moves'}."]
         if passive := [name for name in free if self.driven and name not in self.driven]:
             where = f"{passive[0]} of that loop is: it counts as a joint of its own."
             if passive[1:]:
@@ -153,9 +154,8 @@ class ClosedLoop:
     @property
     def drive(self) -> Drive:
         """Return the loop as a drive; there is none where nothing moves."""
-        free = self.map.free
         names = tuple(self.map.joints[at] for at in self.map.shown)
-        within = self.map.range_within(*self.limits[:, free])
+        within = self.map.range_within(*self.limits[:, self.map.free])
         return Drive(self.map.actuators, names, self.map, range=within)
 
     def some(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
@@ -201,7 +201,7 @@ def closed_loops(
 
     Of the joints of a loop those are free that are driven, and then those nearest to the base.
     """
-    return _LoopFinder(plant, tuple(names), path, how).loops(closures) if closures else Loops()
+    return _LoopFinder(plant, names, path, how).loops(closures) if closures else Loops()
 
 
 @dataclass(frozen=True)
@@ -213,13 +213,13 @@ class _Link:
     sides: Mapping[int, int]
 
 
+_Group = tuple[set[int], list[_Link], list[Followers]]
+"""Velocities, and what moves by them."""
+
+
 class _LoopFinder:
     def __init__(
-        self,
-        plant: MultibodyPlant,
-        names: tuple[str, ...],
-        path: object,
-        how: LoopJoints,
+        self, plant: MultibodyPlant, names: Sequence[str], path: object, how: LoopJoints
     ) -> None:
         self.plant, self.names, self.path, self.how = plant, names, path, how
         self.tree = KinematicTree.from_plant(plant, how.followers)
@@ -232,21 +232,16 @@ class _LoopFinder:
                 v, at = coordinates.velocity_of(joint), coordinates.position_of(joint)
                 self.place[v] = how.start.get(names[v], float(q[at]))
                 self.limits[v] = float(lower[at]), float(upper[at])
-        self.bodies = self._bodies()
-
-    def _bodies(self) -> dict[str, tuple[int, RigidTransform]]:
-        """Scoped name of a body -> its mobilizer, -1 for what stands still, and its pose there."""
-        plant, context = self.plant, self.plant.CreateDefaultContext()
+        # Scoped name of a body -> its mobilizer, -1 for what stands still, and its pose there.
         moving = {m.body: at for at, m in enumerate(self.tree.mobilizers) if m.body >= 0}
-        found = {
-            body.scoped_name().get_full(): (-1, plant.EvalBodyPoseInWorld(context, body))
-            for body in plant.GetBodiesWeldedTo(plant.world_body())
-        }
+        self.bodies, context = {WORLD: (-1, RigidTransform())}, plant.CreateDefaultContext()
+        for body in plant.GetBodiesWeldedTo(plant.world_body()):
+            pose = plant.EvalBodyPoseInWorld(context, body)
+            self.bodies[body.scoped_name().get_full()] = -1, pose
         for number, lump in enumerate(lumped_bodies(plant)):
             for member in lump.members:
                 name = plant.get_body(member.index).scoped_name().get_full()
-                found[name] = moving[number], member.X_RB
-        return {**found, WORLD: (-1, RigidTransform())}
+                self.bodies[name] = moving[number], member.X_RB
 
     def loops(self, closures: Sequence[Closure]) -> Loops:
         links, left_out = list[_Link](), list[str]()
@@ -262,20 +257,22 @@ class _LoopFinder:
                 )
             elif link.sides:
                 links.append(link)
-        groups = list[tuple[set[int], _Members]]()
-        groups += (({self._velocity(i) for i in link.sides}, [link]) for link in links)
+        groups = list[_Group]()
+        new: list[_Group] = [
+            ({self._velocity(i) for i in link.sides}, [link], []) for link in links
+        ]
         for part in self.how.bent:
             if set(part.joint_names()) <= set(self.names):
-                groups.append((set(map(self.names.index, part.joint_names())), [part]))
-        found, taken = list[ClosedLoop](), list[Followers]()
-        for velocities, members in _merged(groups):
-            own = [each for each in members if isinstance(each, _Link)]
-            ties = [each for each in members if isinstance(each, Followers)]
-            if own:
-                taken += ties
-                loop = self._loop(sorted(velocities), own, ties)
-                found += [loop] if len(loop.map.shown) else []
-        return Loops(tuple(found), tuple(left_out), tuple(taken))
+                new.append((set(map(self.names.index, part.joint_names())), [], [part]))
+        for group in new:  # those that have velocities in common become one
+            together = [other for other in groups if not group[0].isdisjoint(other[0])]
+            groups = [other for other in groups if group[0].isdisjoint(other[0])]
+            every, own, ties = zip(*together, group, strict=True)
+            groups.append((set().union(*every), list(chain(*own)), list(chain(*ties))))
+        loops = [self._loop(sorted(at), own, ties) for at, own, ties in groups if own]
+        taken = [part for _, own, ties in groups if own for part in ties]
+        moving = tuple(loop for loop in loops if len(loop.map.shown))
+        return Loops(moving, tuple(left_out), tuple(taken))
 
     def _velocity(self, mobilizer: int) -> int:
         return int(self.tree.mobilizers[mobilizer].velocities.start)
@@ -283,26 +280,20 @@ class _LoopFinder:
     def _link(self, closure: Closure) -> _Link:
         ends, chains = list[tuple[int, RigidTransform]](), list[list[int]]()
         for body, X_BP in zip(closure.bodies, closure.poses, strict=True):
-            if body not in self.bodies:
-                raise ModelError(
-                    f"{self.path}: {closure.name} has a body {body.rpartition('::')[2]!r}, which "
-                    "there is not.",
-                    advice="Correct the file there.",
-                )
-            place = X_BP.translation()
-            if not (np.abs(place) <= _FARTHEST).all():
-                raise ModelError(
-                    f"{self.path}: {closure.name} is at {' '.join(f'{x:g}' for x in place)} of "
-                    f"{body.rpartition('::')[2]}, where no loop closes.",
-                    advice="Correct the file there.",
-                )
+            place, name = X_BP.translation(), body.rpartition("::")[2]
+            wrong = "" if body in self.bodies else f"has a body {name!r}, which there is not."
+            if not wrong and not (np.abs(place) <= _FARTHEST).all():
+                at_place = " ".join(f"{x:g}" for x in place)
+                wrong = f"is at {at_place} of {name}, where no loop closes."
+            if wrong:
+                advice = "Correct the file there."
+                raise ModelError(f"{self.path}: {closure.name} {wrong}", advice=advice)
             at, X_RB = self.bodies[body]
             ends.append((at, X_RB @ X_BP))
-            chain = []
+            chains.append([])
             while at >= 0:
-                chain.append(at)
+                chains[-1].append(at)
                 at = self.tree.mobilizers[at].parent
-            chains.append(chain)
         apart = set(chains[0]) ^ set(chains[1])
         sides = {i: 1 if i in chains[1] else -1 for i in sorted(apart)}
         return _Link(closure, (ends[0], ends[1]), sides)
@@ -324,8 +315,7 @@ class _LoopFinder:
         x, miss = shape.closed(x, _following(shape.misses(x)[1], order))
         if not miss <= _NEARLY:
             where = ", ".join(f"{n} = {at:.4g}" for n, at in zip(joints, x, strict=True))
-            turns = any(link.closure.turns for link in links)
-            or_turned = f" or {miss:.3g} rad" if turns else ""
+            or_turned = f" or {miss:.3g} rad" if any(x.closure.turns for x in links) else ""
             raise ModelError(
                 f"{own} cannot close at the posture of the file: it misses by "
                 f"{miss * shape.size:.3g} m{or_turned}, and comes no nearer than {where}.",
@@ -462,12 +452,6 @@ def _free_and_following(
     return sorted(free), following
 
 
-def _listed(others: Sequence[str], free: Sequence[str]) -> str:
-    """Return that joints follow others, in words."""
-    follow = "follows" if len(others) == 1 else "follow"
-    return f"{', '.join(others)} {follow} {', '.join(free)}" if free else "nothing moves"
-
-
 def _following(J: Array, order: Sequence[Sequence[int]]) -> list[int]:
     """Joints whose columns of J (m, k) are a basis of them all.
 
@@ -506,18 +490,3 @@ def _alone(mobilizer: Mobilizer, local: Mapping[int, int], at: int) -> Mobilizer
     """The mobilizer in the loop: its parent's number there, and that of its joint."""
     parent, place = local.get(mobilizer.parent, -1), slice(at, at + 1)
     return replace(mobilizer, parent=parent, body=-1, positions=place, velocities=place, dofs=())
-
-
-_Members = list[_Link | Followers]
-
-
-def _merged(groups: Sequence[tuple[set[int], _Members]]) -> list[tuple[set[int], _Members]]:
-    """Groups of what has velocities in common."""
-    found = list[tuple[set[int], _Members]]()
-    for group in groups:
-        together = [other for other in found if not group[0].isdisjoint(other[0])]
-        apart = [other for other in found if group[0].isdisjoint(other[0])]
-        every = [*together, group]
-        velocities = set().union(*(own for own, _ in every))
-        found = [*apart, (velocities, [each for _, members in every for each in members])]
-    return found
