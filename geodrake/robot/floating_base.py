@@ -66,7 +66,8 @@ def base_wrench_regressor(
     v = np.hstack([v, resting])
     samples = (q, v, v, np.hstack([vd, resting]))
     regressor = np.zeros((len(q), 6, PARAMETERS_PER_BODY * len(tree.bodies)))
-    calc_regressor(on_a_free_world(tree).records, samples, tree.num_velocities, regressor)
+    which = tree.num_velocities, -1, False
+    calc_regressor(on_a_free_world(tree).records, samples, which, regressor)
     return regressor if X_WP is None else wrench_map(X_WP, len(q)) @ regressor
 
 

@@ -250,60 +250,18 @@ def put_block(motion: Motion, s: Vector, t: Vector, out: Array, place: Any) -> N
 
 
 @compiled
-def calc_regressor(tree: TreeRecords, samples: Samples, first: int, out: Array) -> None:
-    """Writes the regressor's rows from velocity `first` on into zeros (N, rows, 10 nb).
+def calc_regressor(
+    tree: TreeRecords, samples: Samples, which: tuple[int, int, bool], out: Array
+) -> None:
+    """Writes the regressor into zeros (N, rows, 10 nb); of one body alone into (N, rows, 10).
 
     Args:
-        first: The first velocity that has a row.
-        out: (N, rows, 10 nb) zeros, then Y.
+        which: First velocity that has a row; the body, of a tree that may be its branch, −1 for
+            all; and whether a velocity moves a body by several joints.
     """
-    mobilizers, dofs = tree
+    (mobilizers, dofs), (first, only, repeats) = tree, which
     motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)
     turn, slide = subspace_room(dofs)
-    for n in range(len(samples[0])):
-        move(mobilizers, samples, n, features, motions)
-        find_subspaces(mobilizers, motions, turn, slide)
-        for i in range(len(mobilizers)):
-            body = mobilizers[i].body
-            if body >= 0:
-                motion = motion_of(motions[i])
-                for k in range(mobilizers[i].count):
-                    place = n, dofs[i, k] - first, PARAMETERS_PER_BODY * body
-                    put_block(motion, row(turn, i, k), row(slide, i, k), out, place)
-
-
-@compiled
-def calc_body_regressor(tree: TreeRecords, samples: Samples, body: int, out: Array) -> None:
-    """Writes the columns of one body into zeros (N, nv, 10), of a tree that may be its branch.
-
-    Args:
-        out: (N, nv, 10) zeros, then its columns.
-    """
-    mobilizers, dofs = tree
-    motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)
-    turn, slide = subspace_room(dofs)
-    for n in range(len(samples[0])):
-        move(mobilizers, samples, n, features, motions)
-        find_subspaces(mobilizers, motions, turn, slide)
-        for i in range(len(mobilizers)):
-            if mobilizers[i].body == body:
-                motion = motion_of(motions[i])
-                for k in range(mobilizers[i].count):
-                    place = n, dofs[i, k], 0
-                    put_block(motion, row(turn, i, k), row(slide, i, k), out, place)
-
-
-@compiled
-def calc_repeated_regressor(tree: TreeRecords, samples: Samples, only: int, out: Array) -> None:
-    """Adds the regressor of a tree in which a velocity moves a body by several joints.
-
-    Args:
-        only: Index of the body that has columns; -1 for all.
-        out: (N, nv, 10 nb), or (N, nv, 10) of one body, zeros, then Y.
-    """
-    mobilizers, dofs = tree
-    motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)
-    turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
     block = np.empty((1, 1, PARAMETERS_PER_BODY))
     for n in range(len(samples[0])):
         move(mobilizers, samples, n, features, motions)
@@ -311,14 +269,16 @@ def calc_repeated_regressor(tree: TreeRecords, samples: Samples, only: int, out:
         for i in range(len(mobilizers)):
             body = mobilizers[i].body
             if body >= 0 and (only < 0 or body == only):
-                motion, start = (
-                    motion_of(motions[i]),
-                    0 if only >= 0 else PARAMETERS_PER_BODY * body,
-                )
+                start = PARAMETERS_PER_BODY * body if only < 0 else 0
+                motion = motion_of(motions[i])
                 for k in range(mobilizers[i].count):
-                    put_block(motion, row(turn, i, k), row(slide, i, k), block, (0, 0, 0))
-                    for x in range(PARAMETERS_PER_BODY):
-                        out[n, dofs[i, k], start + x] += block[0, 0, x]
+                    s, t, line = row(turn, i, k), row(slide, i, k), dofs[i, k] - first
+                    if repeats:
+                        put_block(motion, s, t, block, (0, 0, 0))
+                        for x in range(PARAMETERS_PER_BODY):
+                            out[n, line, start + x] += block[0, 0, x]
+                    else:
+                        put_block(motion, s, t, out, (n, line, start))
 
 
 @inlined

@@ -20,13 +20,7 @@ from geodrake.compiling import contiguous
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.robot.driven_tree import RobotTree, actuator_rows, joint_samples
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.recursion import (
-    Samples,
-    calc_body_regressor,
-    calc_inverse_dynamics,
-    calc_regressor,
-    calc_repeated_regressor,
-)
+from geodrake.robot.recursion import Samples, calc_inverse_dynamics, calc_regressor
 
 _PIECE = 1 << 18  # numbers of a piece: two megabytes stay in a core's cache
 
@@ -76,10 +70,7 @@ def body_regressor(
     integer(body, "body", lower=0, upper=len(tree.bodies) - 1)
     regressor = np.zeros((len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY))
     branch = tree.branch(body)
-    if branch.repeats:
-        calc_repeated_regressor(branch.records, samples, body, regressor)
-    else:
-        calc_body_regressor(branch.records, samples, body, regressor)
+    calc_regressor(branch.records, samples, (0, body, branch.repeats), regressor)
     return actuator_rows(J, regressor)
 
 
@@ -140,10 +131,7 @@ def put_regressor(tree: KinematicTree, samples: Samples, out: Array) -> None:
     Args:
         out: (N, nv, 10 nb) zeros, then Y.
     """
-    if tree.repeats:
-        calc_repeated_regressor(tree.records, samples, -1, out)
-    else:
-        calc_regressor(tree.records, samples, 0, out)
+    calc_regressor(tree.records, samples, (0, -1, tree.repeats), out)
 
 
 def checked_samples(
