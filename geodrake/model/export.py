@@ -27,7 +27,7 @@ from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.model.exporting.held import reasons
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_messages, model_text_of, read_description
-from geodrake.robot.files.inertia_text import link_names, with_inertias, without_mass_settings
+from geodrake.robot.files.model_edits import link_names, with_inertias, without_mass_settings
 from geodrake.robot.files.source_text import with_comments
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded
 from geodrake.robot.repairs import TOLERANCE

@@ -85,13 +85,7 @@ class BaseParameters(Short):
         return np.asarray(self.matrix @ real_array(flat, "phi", (self.matrix.shape[1],)))
 
     def metric(self, prior: ArrayLike, *, extra: ArrayLike | None = None) -> Array:
-        """H₀ (n_B, n_B) at a prior; see `pushforward_metric`.
-
-        Args:
-            prior: (nb, 10) physical prior.
-            extra: (p − 10 nb,) metric of each further parameter: 1/(2 x²) for a positive one near
-                x.
-        """
+        """H₀ (n_B, n_B) at a prior; see `pushforward_metric`."""
         return pushforward_metric(self.matrix, prior, extra=extra)
 
     def labels(self, bodies: Sequence[str], *, extra: Sequence[str] = ()) -> tuple[str, ...]:

@@ -67,11 +67,6 @@ def joint_samples(
 ) -> tuple[KinematicTree, Samples, Array | None]:
     """The tree of the joints, their motion, and J if there is one; values are not checked.
 
-    Args:
-        q: (N, nq) positions.
-        v: (N, nv) velocities.
-        vd: (N, nv) accelerations.
-
     Returns:
         The tree; positions, velocities twice and accelerations of its joints; and, behind a
         transmission, (N, nv of the tree, nv) J, with which `actuator_rows` leads back.
@@ -84,21 +79,12 @@ def joint_samples(
 
 
 def actuator_rows(J: Array | None, rows: Array) -> Array:
-    """Jᵀ Y (N, nv, p), of rows Y (N, nv of the tree, p) of the joints; Y itself without J.
-
-    Args:
-        J: (N, nv of the tree, nv) J of `joint_samples`.
-        rows: (N, nv of the tree, p) rows.
-    """
+    """Jᵀ Y (N, nv, p), of rows Y (N, nv of the tree, p) of the joints; Y itself without J."""
     return rows if J is None else np.asarray(np.swapaxes(J, 1, 2) @ rows)
 
 
 def with_gravity(tree: RobotTree, gravity: Array) -> RobotTree:
-    """A tree under another gravity.
-
-    Args:
-        gravity: (3,) gravity in the world frame, m/s².
-    """
+    """Return a tree under another gravity (3,) in the world frame, m/s²."""
     own = replace(joint_tree(tree), gravity=gravity)
     return replace(tree, joint_tree=own) if isinstance(tree, DrivenTree) else own
 
@@ -116,33 +102,19 @@ def moving_velocities(tree: RobotTree, velocities: tuple[int, ...]) -> tuple[int
 
 
 def joint_positions(tree: RobotTree, q: Array) -> Array:
-    """(N, ·) positions of the tree's joints, of positions (N, nq).
-
-    Args:
-        q: (N, nq) positions.
-    """
+    """(N, ·) positions of the tree's joints, of positions (N, nq)."""
     return tree.actuation.tree_positions(q) if isinstance(tree, DrivenTree) else q
 
 
 def inside(tree: RobotTree, q: Array) -> Array:
-    """Positions (N, nq), those of actuators moved to where their maps are known.
-
-    Args:
-        q: (N, nq) positions.
-    """
+    """Positions (N, nq), those of actuators moved to where their maps are known."""
     return tree.actuation.inside(q) if isinstance(tree, DrivenTree) else q
 
 
 def plant_jacobians(
     tree: RobotTree, coordinates: OwnCoordinates, q: Array, v: Array
 ) -> tuple[Array, Array]:
-    """J and J̇ (N, nv of the plant, nv), with the plant's velocities J v.
-
-    Args:
-        coordinates: Which velocities of the plant are those of its joints.
-        q: (N, nq) positions.
-        v: (N, nv) velocities.
-    """
+    """J and J̇ (N, nv of the plant, nv), with the plant's velocities J v, at q and v (N, ·)."""
     F = coordinates.plant_velocities(np.eye(len(coordinates.own_velocities))).T
     if isinstance(tree, DrivenTree):
         return F @ tree.actuation.jacobian(q), F @ tree.actuation.jacobian_rate(q, v)
@@ -151,12 +123,7 @@ def plant_jacobians(
 
 
 def through(tree: RobotTree, q: Array, jacobian: Array) -> Array:
-    """Jacobians (N, m, nv) of what has the Jacobians (N, m, ·) with the joints' velocities.
-
-    Args:
-        q: (N, nq) positions.
-        jacobian: (N, m, nv of the tree) Jacobians.
-    """
+    """Jacobians (N, m, nv) of what has the Jacobians (N, m, ·) with the joints' velocities."""
     if isinstance(tree, DrivenTree):
         return np.asarray(jacobian @ tree.actuation.jacobian(q))
     return jacobian

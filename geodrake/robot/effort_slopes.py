@@ -82,15 +82,7 @@ def effort_slopes(
     vd: ArrayLike,
     phi: ArrayLike,
 ) -> EffortSlopes:
-    """Slopes of `geodrake.robot.regressor.inverse_dynamics`.
-
-    Args:
-        plant: A finalized plant, or its tree where the same plant is used many times.
-        q: (N, nq) positions in Drake's order.
-        v: (N, nv) velocities.
-        vd: (N, nv) accelerations v̇.
-        phi: (nb, 10) inertial parameters.
-    """
+    """Return the slopes of `geodrake.robot.regressor.inverse_dynamics`."""
     robot = checked_tree(plant)
     tree, samples, J = checked_samples(robot, q, v, vd)
     phi, expected = np.asarray(phi, float), (len(tree.bodies), PARAMETERS_PER_BODY)
@@ -147,12 +139,7 @@ def _at_actuators(
 
 @compiled
 def calc_effort_slopes(tree: TreeRecords, samples: Samples, phi: Array, out: Array) -> None:
-    """Adds the slopes with q, v and v̇ of all bodies' efforts to (3, N, nv, nv).
-
-    Args:
-        phi: (nb, 10) inertial parameters.
-        out: (3, N, nv, nv) zeros, then the slopes.
-    """
+    """Adds the slopes with q, v and v̇ of all bodies' efforts to (3, N, nv, nv)."""
     mobilizers, dofs = tree
     motions, features, most = np.empty(len(mobilizers), MOTION), np.empty(9), dofs.shape[1]
     turn, slide = subspace_room(dofs)

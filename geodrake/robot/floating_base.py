@@ -72,25 +72,14 @@ def base_wrench_regressor(
 
 
 def wrench_map(X_WP: RigidTransform | ArrayLike, count: int) -> Array:
-    """(6, 6) or (count, 6, 6) matrices that turn wrenches about Wo in W into those about Po in P.
-
-    Args:
-        X_WP: Pose of P, one or (count, 4, 4).
-    """
+    """Return (6, 6) or (count, 6, 6) maps of wrenches about Wo in W to those about Po in P."""
     return _wrench_map(_poses(X_WP, integer(count, "count", lower=0), "X_WP"))
 
 
 def move_wrench(wrench: ArrayLike, X_QP: RigidTransform | ArrayLike) -> Array:
-    """Wrenches about Po in P as the same wrenches about Qo in Q.
+    """Return wrenches (N, 6) about Po in P as those about Qo in Q, by X_QP, one or (N, 4, 4).
 
     Wrenches of several force plates or contacts can be added once they are about one point.
-
-    Args:
-        wrench: (N, 6) wrenches (n, f).
-        X_QP: Pose of P in Q, one or (N, 4, 4).
-
-    Returns:
-        (N, 6) wrenches.
     """
     wrench = real_array(wrench, "wrench", ("N", 6))
     inverse = np.asarray(np.linalg.inv(_poses(X_QP, len(wrench), "X_QP")), float)
@@ -123,14 +112,7 @@ def zero_moment_point(wrench: ArrayLike, *, height: float = 0.0) -> Array:
 
 
 def body_poses(plant: MultibodyPlant | RobotTree, q: ArrayLike) -> Array:
-    """Poses X_WB of every lumped body.
-
-    Args:
-        q: (N, nq) positions in Drake's order.
-
-    Returns:
-        (N, nb, 4, 4) homogeneous matrices.
-    """
+    """Return poses X_WB (N, nb, 4, 4) of every lumped body at positions (N, nq)."""
     tree = checked_tree(plant)
     q = contiguous(real_array(q, "q", ("N", tree.num_positions)))
     poses = np.zeros((len(q), len(tree.bodies), 4, 4))

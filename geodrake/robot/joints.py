@@ -71,12 +71,7 @@ class FrameMotion:
     ratio: float = 1.0
 
     def following(self, ratio: float, offset: float) -> FrameMotion:
-        """The motion of a joint of one position ratio q + offset, as one of q.
-
-        Args:
-            ratio: How far it moves where q moves by one.
-            offset: Its position at q = 0, rad or m.
-        """
+        """The motion of a joint of one position ratio q + offset, as one of q."""
         rotation = self.rotation
         if self.features is Features.ANGLE:  # cos and sin of a sum
             c, s = np.cos(offset), np.sin(offset)
@@ -152,10 +147,9 @@ def joint_motions(joint: Joint, sign: float) -> list[FrameMotion]:
 def axis_motion(
     axis: Array, *, translation: Array | None = None, angular: Array | None = None
 ) -> FrameMotion:
-    """Return rotation about an axis by the last position, with a translation T q at T v.
+    """Return rotation about an axis (3,) by the last position, with a translation T q at T v.
 
     Args:
-        axis: (3,) the axis.
         translation: (3, nq) T; zero if None.
         angular: (3, nv) what makes the angular velocity of v; the axis if None.
     """
@@ -168,11 +162,7 @@ def axis_motion(
 
 
 def slide_motion(axis: Array) -> FrameMotion:
-    """Return translation along an axis.
-
-    Args:
-        axis: (3,) the axis.
-    """
+    """Return translation along an axis (3,)."""
     along = axis[:, None]
     return FrameMotion(Features.CONSTANT, _IDENTITY.reshape(9, 1), along, 0.0 * along, along)
 

@@ -294,12 +294,7 @@ def wrench_of(phi: Array, b: int, motion: Record) -> tuple[Vector, Vector]:
 
 @compiled
 def calc_inverse_dynamics(tree: TreeRecords, samples: Samples, phi: Array, out: Array) -> None:
-    """Adds the efforts that a motion needs, for parameters φ (nb, 10), to zeros (N, nv).
-
-    Args:
-        phi: (nb, 10) inertial parameters.
-        out: (N, nv) zeros, then the efforts, N·m or N.
-    """
+    """Adds the efforts that a motion needs, N·m or N, for φ (nb, 10), to zeros (N, nv)."""
     mobilizers, _ = tree
     bodies = len(mobilizers)
     motions, features = np.empty(bodies, MOTION), np.empty(9)
@@ -350,14 +345,9 @@ def put_pose(mobilizer: Record, motion: Record, world: Record, own: Record) -> N
 def calc_kinematics(
     tree: TreeRecords, q: Array, poses: Array, angular: Array, linear: Array
 ) -> None:
-    """Writes poses (N, nb, 4, 4) of all bodies in the world, and their Jacobians, to zeros.
+    """Writes poses X_WB (N, nb, 4, 4) of all bodies into zeros, and their Jacobians (N, nb, 3, nv).
 
-    The Jacobians (N, nb, 3, nv) of ω and of the velocity of Bo, in W; none if they have no samples.
-
-    Args:
-        q: (N, nq) positions.
-        poses: (N, nb, 4, 4) zeros, then X_WB.
-        angular: (N, nb, 3, nv) zeros, then the Jacobians of ω in W; none if (0, …).
+    Those are of ω and of the velocity of Bo, in W; none if they have no samples.
     """
     mobilizers, dofs = tree
     bodies = len(mobilizers)

@@ -57,15 +57,7 @@ def inverse_dynamics_regressor(
 def body_regressor(
     plant: MultibodyPlant | RobotTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike, body: int
 ) -> Array:
-    """The columns (N, nv, 10) of `inverse_dynamics_regressor` for one body, without the others.
-
-    Args:
-        plant: A finalized plant, or its tree where the same plant is used many times.
-        q: (N, nq) positions in Drake's order.
-        v: (N, nv) velocities in Drake's order.
-        vd: (N, nv) accelerations v̇ in Drake's order.
-        body: Index of the body in the order of `geodrake.inertia.bodies.lumped_bodies`.
-    """
+    """The columns (N, nv, 10) of `inverse_dynamics_regressor` for one body, by its index."""
     tree, samples, J = checked_samples(plant, q, v, vd)
     integer(body, "body", lower=0, upper=len(tree.bodies) - 1)
     regressor = np.zeros((len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY))
@@ -81,15 +73,7 @@ def inverse_dynamics(
     vd: ArrayLike,
     phi: ArrayLike,
 ) -> Array:
-    """Efforts (N, nv) that a motion needs, Y φ, without Y.
-
-    Args:
-        plant: As in `inverse_dynamics_regressor`.
-        q: (N, nq) positions.
-        v: (N, nv) velocities.
-        vd: (N, nv) accelerations v̇.
-        phi: (nb, 10) inertial parameters.
-    """
+    """Efforts (N, nv) that a motion needs, Y φ of parameters φ (nb, 10), without Y."""
     tree, samples, J = checked_samples(plant, q, v, vd)
     phi = contiguous(real_array(phi, "phi", (len(tree.bodies), PARAMETERS_PER_BODY)))
     effort = np.zeros((len(samples[0]), tree.num_velocities))
@@ -101,12 +85,6 @@ def regressor_pieces(
     plant: MultibodyPlant | RobotTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> Iterator[tuple[slice, Array]]:
     """The regressor in pieces that a core's cache holds, for reductions over long logs.
-
-    Args:
-        plant: A finalized plant, or its tree where the same plant is used many times.
-        q: (N, nq) positions in Drake's order.
-        v: (N, nv) velocities in Drake's order.
-        vd: (N, nv) accelerations v̇ in Drake's order.
 
     Yields:
         The samples, as a slice, and their Y (n, nv, 10 nb). The next piece overwrites the array.
@@ -126,24 +104,14 @@ def regressor_pieces(
 
 
 def put_regressor(tree: KinematicTree, samples: Samples, out: Array) -> None:
-    """Writes the regressor into zeros.
-
-    Args:
-        out: (N, nv, 10 nb) zeros, then Y.
-    """
+    """Write the regressor into zeros (N, nv, 10 nb)."""
     calc_regressor(tree.records, samples, (0, -1, tree.repeats), out)
 
 
 def checked_samples(
     plant: MultibodyPlant | RobotTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> tuple[KinematicTree, Samples, Array | None]:
-    """What `joint_samples` gives, of arrays that fit the plant.
-
-    Args:
-        q: (N, nq) positions in Drake's order.
-        v: (N, nv) velocities in Drake's order.
-        vd: (N, nv) accelerations v̇ in Drake's order.
-    """
+    """Return what `joint_samples` does, of arrays that fit the plant."""
     tree = checked_tree(plant)
     sizes: Sizes = {}
     nq, nv = tree.num_positions, tree.num_velocities

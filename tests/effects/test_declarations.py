@@ -36,7 +36,7 @@ ALLOWED = {
     "model/exporting/from_plant.py": "drake:rotor_inertia is a tag of Drake's",
     "model/exporting/isaac.py": "viscous_friction is a key of Isaac's actuators",
     "model/file_terms.py": "says what files have of their own of what effects are",
-    "robot/files/joint_text.py": "drake:rotor_inertia is a tag of Drake's",
+    "robot/files/model_edits.py": "drake:rotor_inertia is a tag of Drake's",
     "robot/files/checks.py": "drake:rotor_inertia is a tag of Drake's",
     "robot/files/mjcf_source.py": "contact is a tag of MuJoCo's",
     "robot/files/unread.py": "contact is a tag of PyBullet's",

@@ -15,7 +15,7 @@ from geodrake.model.robot_model import RobotModel, from_loaded_plant
 from geodrake.model.servos import servos_of
 from geodrake.robot.files.description import model_text_of
 from geodrake.robot.files.mjcf import MjcfText
-from geodrake.robot.files.mjcf_sections import with_sections
+from geodrake.robot.files.model_edits import with_sections
 from geodrake.robot.files.values import words
 from geodrake.robot.plant import load_plant, scoped_joint_names
 

@@ -26,9 +26,13 @@ from geodrake.model.exporting.joints import (
 from geodrake.model.file_terms import Tilt
 from geodrake.model.robot_model import RobotModel, is_of_file
 from geodrake.robot.files.description import model_text_of
-from geodrake.robot.files.joint_text import with_gravity, with_joint_numbers, without_passive_forces
 from geodrake.robot.files.mjcf import MjcfText
-from geodrake.robot.files.references import with_references
+from geodrake.robot.files.model_edits import (
+    with_gravity,
+    with_joint_numbers,
+    with_references,
+    without_passive_forces,
+)
 from geodrake.robot.files.source_text import comment_words
 from geodrake.robot.files.values import UPPER, tensor_words, words
 from geodrake.robot.files.xacro_file import read_expanded

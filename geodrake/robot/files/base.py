@@ -19,7 +19,7 @@ from geodrake.robot.files.checks import (
     check_links,
     check_numbers,
 )
-from geodrake.robot.files.inertia_text import put_inertia
+from geodrake.robot.files.model_edits import put_inertia
 from geodrake.robot.files.values import drop, numbers
 from geodrake.robot.files.xml_text import numbered_text, wrong_at
 from geodrake.robot.followers import Follower

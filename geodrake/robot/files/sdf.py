@@ -11,7 +11,7 @@ from geodrake.inertia import Array
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import SDF_NUMBERS
 from geodrake.robot.files.includes import Includes
-from geodrake.robot.files.inertia_text import sdf_models
+from geodrake.robot.files.model_edits import sdf_models
 from geodrake.robot.files.packages import PACKAGE_ADVICE
 from geodrake.robot.files.unread import SDF_UNREAD, is_nothing, unread
 from geodrake.robot.files.values import (
