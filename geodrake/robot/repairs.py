@@ -58,11 +58,7 @@ class Repair:
 def repair_inertias(
     description: ModelDescription, plant: MultibodyPlant
 ) -> tuple[tuple[Repair, ...], tuple[str, ...], bool]:
-    """Puts usable inertias into a description.
-
-    Args:
-        description: The model file; its text is changed in place.
-        plant: The plant of the description as it is, without the inertias set aside.
+    """Put usable inertias into a description, of which a plant was made without those set aside.
 
     Returns:
         The repairs, notes on welded links that were left out, and whether the text changed.
@@ -89,7 +85,8 @@ def repair_inertias(
             problem = _problem(before if len(members) == 1 or not _counts(phi) else phi)
             repairs.append(Repair(body.name, problem, before, after))
         else:
-            names = [m.name for m, x in zip(body.members, members, strict=True) if _left_out(x)]
+            own = zip(body.members, members, strict=True)
+            names = [m.name for m, x in own if x.any() and not _counts(x)]
             if names:
                 notes.append(f"{', '.join(names)}: no mass above zero, so it adds none.")
         scoped = {_scoped(plant, member.index) for member in body.members}
@@ -100,18 +97,14 @@ def repair_inertias(
 
 
 def nearest_physical(phi: Array, *, points: Array, spare_mass: float) -> Array:
-    """The smallest body that keeps the mass and centre of mass of impossible parameters.
+    """Return the smallest body (10,) that keeps mass and centre of mass of impossible φ (10,).
 
     The central second moments are raised to m ℓ² where they are less; a body without a mass
     becomes a small ball amid its joints.
 
     Args:
-        phi: (10,) inertial parameters that are not physical.
         points: (k, 3) positions of the body's joints in its frame, m.
         spare_mass: Mass that a body without one gets, kg.
-
-    Returns:
-        (10,) physical inertial parameters.
     """
     mass, com = phi[0], points.mean(0)
     second_moment = np.zeros((3, 3))
@@ -136,10 +129,6 @@ def _spare_mass(usable: list[Array]) -> float:
     """Mass for each body without one, kg: together a small share of the robot's."""
     total, massless = sum(phi[0] for phi in usable), sum(not _counts(phi) for phi in usable)
     return float(MASS_PER_TOTAL * total / max(massless, 1)) if total > 0 else 1.0
-
-
-def _left_out(phi: Array) -> bool:
-    return bool(phi.any() and not _counts(phi))
 
 
 def _counts(phi: Array) -> NDArray[np.bool_]:

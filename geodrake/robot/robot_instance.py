@@ -16,18 +16,14 @@ from pydrake.multibody.tree import (
     ModelInstanceIndex,
     PrismaticSpring,
     RevoluteSpring,
-    RigidBody,
 )
 from pydrake.systems.framework import Context, DiagramBuilder, InputPort, OutputPort
 from pydrake.systems.primitives import Adder, MatrixGain
 
 from geodrake.boundary.arguments import instance, instances, real_array, typed
 from geodrake.errors import ArgumentError
-from geodrake.inertia import (
-    Array,
-    inertial_parameters,
-)
-from geodrake.inertia.bodies import Member, body_names, check_context, check_plant, lumped_bodies
+from geodrake.inertia import Array, inertial_parameters
+from geodrake.inertia.bodies import body_names, check_context, check_plant, lumped_bodies
 from geodrake.robot.floating_base import body_poses
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import joint_names, set_lump_inertias
@@ -130,11 +126,7 @@ class RobotInstance:
         return {name: short.get(name, name) for name in names}
 
     def positions(self, joints: Sequence[str] | None = None) -> NDArray[np.intp]:
-        """Return (n,) places in q of the plant of joints in some order, or of all in Drake's.
-
-        Raises:
-            ArgumentError: A joint has not one degree of freedom, as a base that floats has not.
-        """
+        """Return (n,) places in q of the plant of joints in some order, or of all in Drake's."""
         places = {}
         for joint in self._moving:
             if joint.num_velocities() != 1 or joint.num_positions() != 1:
@@ -147,11 +139,7 @@ class RobotInstance:
         return np.array([places[joint] for joint in joints or self.joints], int)
 
     def order(self, joints: Sequence[str]) -> NDArray[np.intp]:
-        """Return (n,) where each of the robot's joints, in some order, is among its own.
-
-        Raises:
-            ArgumentError: They are not the robot's joints.
-        """
+        """Return (n,) where each of the robot's joints, in some order, is among its own."""
         if sorted(joints) != sorted(self.joints):
             more = "" if self.name else ", or name the robot's: RobotInstance(plant, name)"
             raise ArgumentError(
@@ -168,10 +156,6 @@ class RobotInstance:
 
         Efforts go to the actuators of the robot; to generalized forces of its joints if it has no
         actuators.
-
-        Raises:
-            ArgumentError: They are not the robot's joints, a joint has several degrees of freedom,
-                or only some have an actuator.
         """
         order, plant, which = self.order(joints), self.plant, self._which
         if self._actuators:
@@ -190,11 +174,7 @@ class RobotInstance:
         )
 
     def state_port(self, builder: DiagramBuilder, joints: Sequence[str]) -> OutputPort:
-        """Return an output (2 n) of positions and then velocities of the robot's joints.
-
-        Raises:
-            ArgumentError: They are not the robot's joints, or one has several degrees of freedom.
-        """
+        """Return an output (2 n) of positions and then velocities of the robot's joints."""
         order, (q, v) = self.order(joints), self._in_ports
         at_q = _places(self.positions(joints), q)
         at_v = _places(self.velocities[order], v)
@@ -202,22 +182,15 @@ class RobotInstance:
         return selected(builder, port, np.concatenate([at_q, len(q) + at_v]))
 
     def to_plant(self, joints: Sequence[str]) -> Array:
-        """Return the matrix (nv, n) that puts efforts at joints to the plant's velocities.
-
-        Raises:
-            ArgumentError: They are not the robot's joints.
-        """
+        """Return the matrix (nv, n) that puts efforts at joints to the plant's velocities."""
         matrix = np.zeros((self.plant.num_velocities(), len(joints)))
         matrix[self.velocities[self.order(joints)], np.arange(len(joints))] = 1.0
         return matrix
 
     def set_state(self, context: Context, joints: Sequence[str], state: ArrayLike) -> None:
-        """Puts the robot somewhere in a Context of its plant; all else stays.
+        """Put the robot somewhere in a Context of its plant; all else stays.
 
         The state (2 n,) is positions and then velocities of all joints in order.
-
-        Raises:
-            ArgumentError: They are not the robot's joints, or the state is not theirs.
         """
         check_context(self.plant, context)
         joints = instances(joints, "joints", str)
@@ -229,24 +202,25 @@ class RobotInstance:
         self.plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
 
     def set_inertial_parameters(self, context: Context, phi: ArrayLike) -> None:
-        """Gives the robot's bodies inertial parameters (nb, 10) in a Context of its plant.
+        """Give the robot's bodies inertial parameters (nb, 10) in a Context of its plant.
 
         Their order is that of `lumped_bodies` of a plant of its own. What other model instances
         weld to a body, as a gripper, stays beside them.
-
-        Raises:
-            ArgumentError: The shape does not fit, or a value is not finite.
         """
         check_context(self.plant, context)
-        lumps = [[m for m in lump.members if self._is_own(m)] for lump in lumped_bodies(self.plant)]
-        set_lump_inertias(self.plant, context, [members for members in lumps if members], phi)
+        bodies, lumps = self.plant.get_body, lumped_bodies(self.plant)
+        own = [
+            [
+                m
+                for m in x.members
+                if not self._which or bodies(m.index).model_instance() in self._which
+            ]
+            for x in lumps
+        ]
+        set_lump_inertias(self.plant, context, [members for members in own if members], phi)
 
     def plant_parameters(self, phi: ArrayLike) -> Array:
-        """(nb, 10) inertial parameters of the whole plant, with those of the robot in their places.
-
-        Raises:
-            ArgumentError: The shape does not fit, or a value is not finite.
-        """
+        """Return those (nb, 10) of the whole plant, with the robot's in their places."""
         context = self.plant.CreateDefaultContext()
         self.set_inertial_parameters(context, phi)
         return inertial_parameters(self.plant, context)
@@ -266,14 +240,10 @@ class RobotInstance:
     def check_base(
         self, tree: KinematicTree, joints: Sequence[str], *, turned: bool = False
     ) -> None:
-        """Checks that gravity acts on the robot's base as it does in a model of the robot.
+        """Check that gravity acts on the robot's base as it does in a model of the robot.
 
         A base may stand anywhere and be turned about the vertical, as efforts are then the same;
         not so where `turned`, as a turn matters to what acts in world axes.
-
-        Raises:
-            ArgumentError: The joints are others, or the base moves, or leans otherwise than that of
-                the model.
         """
         plant = self.plant
         self.order(joints)
@@ -296,8 +266,10 @@ class RobotInstance:
                     f"{ends[0].name()} and {ends[1].name()}, and stands still in the model.",
                     advice="Weld the base, or give a model of all that moves.",
                 )
-            R_WB, there_R_WB = _rotation(context, outer[0]), poses[mobilizer.body, :3, :3]
-            here = R_WB.T @ _gravity(plant, outer[0])
+            R_WB = outer[0].EvalPoseInWorld(context).rotation().matrix()
+            falls = plant.is_gravity_enabled(outer[0].model_instance())
+            there_R_WB = poses[mobilizer.body, :3, :3]
+            here = R_WB.T @ plant.gravity_field().gravity_vector() * falls
             there = there_R_WB.T @ tree.gravity * mobilizer.gravity
             if turned and np.abs(R_WB - there_R_WB).max() > _SAME_ROTATION:
                 raise ArgumentError(
@@ -312,10 +284,6 @@ class RobotInstance:
                     f"{np.round(there, 3).tolist()} m/s² in the model.",
                     advice=_WELD_ALIKE,
                 )
-
-    def _is_own(self, member: Member) -> bool:
-        body = self.plant.get_body(member.index)
-        return not self._which or body.model_instance() in self._which
 
     @cached_property
     def _in_ports(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -344,7 +312,7 @@ class RobotInstance:
     @cached_property
     def _actuators(self) -> list[JointActuator]:
         indices = self.plant.GetJointActuatorIndices(*self._which)
-        return [self.plant.get_joint_actuator(i) for i in indices]
+        return list(map(self.plant.get_joint_actuator, indices))
 
     def _to_actuators(self, joints: Sequence[str]) -> Array:
         """(n, n) matrix that puts efforts at joints to the robot's actuators."""
@@ -411,15 +379,3 @@ def _places(wanted: NDArray[np.intp], there: NDArray[np.intp]) -> NDArray[np.int
     """Return where each of some numbers is among others."""
     at = {int(number): place for place, number in enumerate(there)}
     return np.array([at[int(number)] for number in wanted], int)
-
-
-def _rotation(context: Context, body: RigidBody) -> Array:
-    """(3, 3) R_WB."""
-    return np.asarray(body.EvalPoseInWorld(context).rotation().matrix())
-
-
-def _gravity(plant: MultibodyPlant, body: RigidBody) -> Array:
-    """(3,) gravity on a body in the world frame, m/s²."""
-    if not plant.is_gravity_enabled(body.model_instance()):
-        return np.zeros(3)
-    return np.asarray(plant.gravity_field().gravity_vector())

@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from xml.etree.ElementTree import Element, tostring
 
 from pydrake.common import MemoryFile
-from pydrake.geometry import HalfSpace, InMemoryMesh, Mesh, Rgba, Role, Shape
+from pydrake.geometry import (
+    GeometryInstance,
+    HalfSpace,
+    InMemoryMesh,
+    MakePhongIllustrationProperties,
+    Mesh,
+    Rgba,
+    Role,
+    SceneGraph,
+    Shape,
+)
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import PackageMap, Parser
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
@@ -25,7 +35,7 @@ from geodrake.robot.files.values import drop
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
 from geodrake.robot.mesh_files import READERS, check_mesh, wavefront
-from geodrake.robot.mjcf_shapes import MjcfGeom, mjcf_geoms
+from geodrake.robot.mjcf_shapes import mjcf_geoms
 
 GRAY = Rgba(0.82, 0.84, 0.87, 1.0)
 _DRAKE_READS = (".obj", ".gltf", ".vtk")
@@ -59,50 +69,58 @@ class RobotShapes:
     notes: tuple[str, ...] = ()
 
 
-@dataclass
-class _Lost:
-    """Meshes that could not be used: what for.
-
-    Attributes:
-        reasons: File, as the model names it -> why.
-    """
-
-    reasons: dict[str, str] = field(default_factory=dict)
-
-    @property
-    def words(self) -> tuple[str, ...]:
-        """One sentence, or none."""
-        if not self.reasons:
-            return ()
-        mesh, reason = next(iter(self.reasons.items()))
-        more = len(self.reasons) - 1
-        others = f" and {more} more" if more else ""
-        package = re.match(r"(?:package|model)://([^/]+)/", mesh)
-        named = f"; name its folder: --package {package[1]}=FOLDER" if package else ""
-        return (f"meshes that are not shown: {mesh} ({reason}){others}{named}",)
-
-
 def robot_shapes(path: Path, given: Given) -> RobotShapes:
     """Return the visual shapes of a model's file; of links that have none, their collision shapes.
 
     STL and COLLADA meshes are read too. A file whose shapes nobody can read gives none, and a note.
     """
-    lost = _Lost()
+    lost = dict[str, str]()  # mesh, as the file names it -> why it cannot be used
     try:
         with drake_messages(), TemporaryDirectory() as folder, drake_errors(path):
             links, notes = _read(path, given, Path(folder), lost)
     except ModelError as error:
         return RobotShapes({}, (f"the shapes of {path.name} are not shown: {error.problem}",))
-    return RobotShapes(links, (*lost.words, *notes))
+    if lost:
+        mesh, reason = next(iter(lost.items()))
+        others = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
+        package = re.match(r"(?:package|model)://([^/]+)/", mesh)
+        named = f"; name its folder: --package {package[1]}=FOLDER" if package else ""
+        notes = (f"meshes that are not shown: {mesh} ({reason}){others}{named}", *notes)
+    return RobotShapes(links, notes)
+
+
+def add_visuals(
+    plant: MultibodyPlant, scene_graph: SceneGraph, path: Path, given: Given
+) -> tuple[str, ...]:
+    """Give the bodies of a plant the shapes of its file, and return what cannot be shown.
+
+    Nothing collides.
+
+    Args:
+        plant: A finalized plant that was read from the file, and is a source of the SceneGraph.
+    """
+    found = robot_shapes(path, given)
+    for k in map(BodyIndex, range(plant.num_bodies())):
+        name = plant.get_body(k).scoped_name().get_full()
+        for number, shown in enumerate(found.links.get(name, ())):
+            geometry = GeometryInstance(shown.X_BG, shown.shape, f"{name}_{number}")
+            geometry.set_illustration_properties(MakePhongIllustrationProperties(shown.color.rgba))
+            frame = plant.GetBodyFrameIdOrThrow(k)
+            scene_graph.RegisterGeometry(plant.get_source_id(), frame, geometry)
+    if found.links or found.notes:
+        return found.notes
+    return (f"{path.name} has no visual geometry.",)
 
 
 def _read(
-    path: Path, given: Given, folder: Path, lost: _Lost
+    path: Path, given: Given, folder: Path, lost: dict[str, str]
 ) -> tuple[dict[str, tuple[LinkShape, ...]], tuple[str, ...]]:
-    found = mjcf_geoms(path, given)
+    found, links = mjcf_geoms(path, given), dict[str, tuple[LinkShape, ...]]()
     if found is not None:
-        geoms, notes = found
-        return {link: _visible(own) for link, own in geoms.items()}, notes
+        for link, own in found[0].items():  # those that MuJoCo shows, or all
+            seen = [geom for geom in own if geom.shown] or own
+            links[link] = tuple(LinkShape(geom.shape, geom.X_BG, geom.color) for geom in seen)
+        return links, found[1]
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
     parser = Parser(plant)
     description = read_description(path, given)
@@ -117,14 +135,12 @@ def _read(
         _prepare(root, parser.package_map(), path, folder, lost)
         kind = "urdf" if root.tag == "robot" else "sdf"
         parser.AddModelsFromString(tostring(root, encoding="unicode"), kind)
-    inspector, links = scene.model_inspector(), {}
+    inspector = scene.model_inspector()
     for role in (Role.kProximity, Role.kIllustration):  # of links that have both, the latter
         for i in range(plant.num_bodies()):
-            body = plant.get_body(BodyIndex(i))
-            shapes = []
-            for geometry in inspector.GetGeometries(
-                plant.GetBodyFrameIdOrThrow(body.index()), role
-            ):
+            body, shapes = plant.get_body(BodyIndex(i)), []
+            frame = plant.GetBodyFrameIdOrThrow(body.index())
+            for geometry in inspector.GetGeometries(frame, role):
                 shape = inspector.GetShape(geometry)
                 if isinstance(shape, HalfSpace):
                     continue  # the ground is no part of the robot
@@ -137,13 +153,9 @@ def _read(
     return links, ()
 
 
-def _visible(geoms: Sequence[MjcfGeom]) -> tuple[LinkShape, ...]:
-    """Geoms that MuJoCo shows; of bodies that have none such, all."""
-    seen = [geom for geom in geoms if geom.shown] or geoms
-    return tuple(LinkShape(geom.shape, geom.X_BG, geom.color) for geom in seen)
-
-
-def _prepare(root: Element, packages: PackageMap, model: Path, folder: Path, lost: _Lost) -> None:
+def _prepare(
+    root: Element, packages: PackageMap, model: Path, folder: Path, lost: dict[str, str]
+) -> None:
     """Leaves one kind of shape for each link, and of meshes those that are there, readable."""
     drop(root, "inertial", "mimic", "transmission", "sensor", "plugin", "gazebo", "surface")
     for link in root.iter("link"):
@@ -161,7 +173,7 @@ def _prepare(root: Element, packages: PackageMap, model: Path, folder: Path, los
 
 
 def _is_readable(
-    shape: Element, packages: PackageMap, model: Path, folder: Path, lost: _Lost
+    shape: Element, packages: PackageMap, model: Path, folder: Path, lost: dict[str, str]
 ) -> bool:
     """Return whether a shape can be shown; where its mesh is, is then written as Drake takes it."""
     for mesh in shape.iter("mesh"):
@@ -174,16 +186,16 @@ def _is_readable(
                 text, found = wavefront(found), folder / f"{len(list(folder.iterdir()))}.obj"
                 found.write_text(text, encoding="utf-8")
             elif found.suffix.lower() not in _DRAKE_READS:
-                lost.reasons[place] = f"MeshCat shows no {found.suffix or 'such'} files"
+                lost[place] = f"MeshCat shows no {found.suffix or 'such'} files"
                 return False
             else:
                 check_mesh(found)
         except ModelError as error:
-            lost.reasons[place] = error.problem.rstrip(".")
+            lost[place] = error.problem.rstrip(".")
             return False
         except RuntimeError as error:
             reason = str(error).strip().partition("\n")[0].rpartition("error: ")[2]
-            lost.reasons[place] = reason.rpartition(" refers to ")[2].rstrip(".")
+            lost[place] = reason.rpartition(" refers to ")[2].rstrip(".")
             return False
         if uri is None:
             mesh.set("filename", f"file://{found.resolve()}")

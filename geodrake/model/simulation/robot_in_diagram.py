@@ -21,7 +21,7 @@ from geodrake.model.simulation.driven_robot import DrivenPlant, Driving, Model
 from geodrake.model.simulation.effect_force import EffectForce
 from geodrake.robot.plant import load_plant
 from geodrake.robot.robot_instance import RobotInstance, RobotPorts, add_generalized_force
-from geodrake.robot.visuals import add_visuals
+from geodrake.robot.shapes import add_visuals
 
 _PERIOD = 1e-3  # of sampling efforts that are delayed, s, where delays are no shorter
 

@@ -19,23 +19,13 @@ from geodrake.robot.transmission.base import (
     rolling_joint,
 )
 from geodrake.robot.transmission.drive import Drive
-from geodrake.robot.transmission.scalar import (
-    Cylinder,
-    FourBar,
-    PolynomialTransmission,
-    TableTransmission,
-)
 
 __all__ = [
-    "Cylinder",
     "Drive",
-    "FourBar",
     "FunctionTransmission",
     "InSequence",
     "LinearTransmission",
-    "PolynomialTransmission",
     "SideBySide",
-    "TableTransmission",
     "Transmission",
     "gears",
     "rolling_joint",

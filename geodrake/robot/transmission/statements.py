@@ -1,19 +1,27 @@
 """What a transmission file states, part by part: its schema, and the maps that the parts make.
 
 Every part names actuators, which are columns of logs, and joints of the model file. Joints that no
-part names are their own actuators.
+part names are their own actuators. Of parts of one actuator and one joint,
+
+    θ = f(q),   J = f′(q),   J̇ = f″(q) q̇                             [Lee2019] Eq. (3.6.57)
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import ClassVar, Literal, get_args, get_type_hints
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal, get_args, get_type_hints
 
-import msgspec
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
+from scipy.interpolate import CubicSpline
 
+from geodrake.boundary.arguments import number, real_array
+from geodrake.boundary.showing import Short
 from geodrake.boundary.yaml_schema import Schema
 from geodrake.errors import ArgumentError
+from geodrake.inertia import Array
 from geodrake.robot.transmission.base import (
     InSequence,
     LinearTransmission,
@@ -21,18 +29,56 @@ from geodrake.robot.transmission.base import (
     Transmission,
     rolling_joint,
 )
-from geodrake.robot.transmission.scalar import (
-    Cylinder,
-    FourBar,
-    PolynomialTransmission,
-    ScalarTransmission,
-    TableTransmission,
-)
 
 Kind = Literal["", "revolute", "prismatic"]
 """How an actuator moves: as the joint does if empty."""
 
+Law = Callable[[Array, int], Array]
+"""f, f′ or f″ (N,) at q (N,), by the order 0, 1 or 2."""
+
 _SLIDES: dict[str, bool | None] = {"": None, "revolute": False, "prismatic": True}
+_OFF_THE_END = 1e-3  # of the range, where a linkage still moves
+_LEAST_POINTS = 3  # of a table, whose spline has curvature
+_EVERYWHERE = -np.inf, np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class ScalarTransmission(Transmission, Short):
+    """θ = f(q) of one actuator and one joint.
+
+    Attributes:
+        law: f and its derivatives.
+        range: Between which q f is known.
+    """
+
+    law: Law
+    range: tuple[float, float] = _EVERYWHERE
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """One, and one."""
+        return 1, 1
+
+    def joint_positions(self, q: Array) -> Array:
+        """θ = f(q)."""
+        return self.law(self._q(q)[:, 0], 0)[:, None]
+
+    def jacobian(self, q: Array) -> Array:
+        """J = f′(q)."""
+        return self.law(self._q(q)[:, 0], 1)[:, None, None]
+
+    def jacobian_rate(self, q: Array, v: Array) -> Array:
+        """J̇ = f″(q) q̇, of q and q̇ (N, 1)."""
+        rate = self.law(self._q(q)[:, 0], 2) * real_array(v, "v", ("N", 1))[:, 0]
+        return rate[:, None, None]
+
+    def inside(self, q: Array) -> Array:
+        """Positions moved to where f is known, a little off its ends."""
+        low, high = self.range
+        if not np.isfinite([low, high]).all():
+            return q
+        off = _OFF_THE_END * (high - low)
+        return np.clip(q, low + off, high - off)
 
 
 class Statement(Schema):
@@ -180,14 +226,32 @@ class Followers(Statement):
     def transmission(self) -> Transmission:
         """Return θ = q, and the polynomials of q."""
         alike = LinearTransmission.of([[1.0]])
-        maps = (alike, *(PolynomialTransmission(np.array(c, float)) for c in self.joints.values()))
+        laws = (polynomial(np.array(c, float)) for c in self.joints.values())
+        maps = (alike, *map(ScalarTransmission, laws))
         return InSequence((LinearTransmission.of([[1.0]] * len(maps)), SideBySide(maps)))
 
 
-class OneJoint(OneActuator):
-    """One actuator and one joint; further fields but `kind` are those of a map θ = f(q)."""
+def polynomial(coefficients: Array) -> Law:
+    """Return f = c₀ + c₁ q + c₂ q² + … of c (m,), as MuJoCo's `polycoef` has it."""
+    c = real_array(coefficients, "coefficients", ("m",))
+    if not c[1:].any():
+        raise ArgumentError(f"coefficients must have one beyond c₀ that is not 0; got {c}.")
+    return partial(_of_polynomial, c)
 
-    map_of: ClassVar[type[ScalarTransmission]]
+
+def _of_polynomial(c: Array, q: Array, order: int) -> Array:
+    return np.asarray(polyval(q, polyder(c, order)))
+
+
+def _along(spline: CubicSpline, q: Array, order: int) -> Array:
+    """A spline, or its derivative, that goes straight on beyond its ends."""
+    inside = np.clip(q, spline.x[0], spline.x[-1])
+    found = spline(inside, order)
+    return np.asarray(found if order else found + spline(inside, 1) * (q - inside))
+
+
+class OneJoint(OneActuator):
+    """One actuator and one joint."""
 
     joint: str
 
@@ -195,23 +259,31 @@ class OneJoint(OneActuator):
         """Return the one."""
         return (self.joint,)
 
+    def law(self) -> Law:
+        """Return f and its derivatives; an ArgumentError says what makes none."""
+        raise NotImplementedError
+
     def transmission(self) -> ScalarTransmission:
         """Return the map."""
-        fields = msgspec.structs.asdict(self)
-        own = [x for name, x in fields.items() if name not in ("actuator", "joint", "kind")]
-        return self.map_of(*(np.array(x, float) if isinstance(x, list) else x for x in own))
+        return ScalarTransmission(self.law(), self._known())
 
     def range(self) -> tuple[float, float] | None:
         """Return where f is known."""
-        return self.transmission().range
+        self.law()  # which refuses what has none
+        return self._known()
+
+    def _known(self) -> tuple[float, float]:
+        return _EVERYWHERE
 
 
 class Polynomial(OneJoint):
-    """θ = c₀ + c₁ q + c₂ q² + …; see `PolynomialTransmission`."""
-
-    map_of = PolynomialTransmission
+    """θ = c₀ + c₁ q + c₂ q² + …."""
 
     coefficients: list[float]
+
+    def law(self) -> Law:
+        """Return the polynomial."""
+        return polynomial(np.array(self.coefficients, float))
 
     def range(self) -> None:
         """Return that it holds everywhere."""
@@ -219,24 +291,44 @@ class Polynomial(OneJoint):
 
 
 class PositionTable(OneJoint):
-    """Pairs of positions, rad or m, with a cubic spline between them; see `TableTransmission`."""
-
-    map_of = TableTransmission
+    """θ between pairs, rad or m, by a cubic spline, and straight on beyond its ends."""
 
     actuator_positions: list[float]
     joint_positions: list[float]
     kind: Kind = ""
 
+    def law(self) -> Law:
+        """Return the spline with natural ends: without curvature, so that it goes straight on."""
+        q = real_array(np.array(self.actuator_positions, float), "actuator_points", ("m",))
+        if len(q) < _LEAST_POINTS or not (np.diff(q) > 0.0).all():
+            raise ArgumentError(
+                f"A table needs {_LEAST_POINTS} actuator positions or more, which increase; "
+                f"got {q.tolist()}."
+            )
+        theta = real_array(np.array(self.joint_positions, float), "joint_points", (len(q),))
+        return partial(_along, CubicSpline(q, theta, bc_type="natural"))
+
     def range(self) -> tuple[float, float]:
         """Return its first and its last position."""
-        self.transmission()  # which refuses what has none
+        self.law()
         return self.actuator_positions[0], self.actuator_positions[-1]
 
 
 class FourBarLinkage(OneJoint):
-    """A crank that turns a rocker by a coupler; see `FourBar`."""
+    """A four-bar linkage: q turns the crank, and the rocker turns the joint.
 
-    map_of = FourBar
+    Crank and rocker turn about parallel axes on the ground link, and the coupler joins their ends.
+    Their angles are counted from the line from the crank's pivot to the rocker's.
+
+    Attributes:
+        ground: Distance of the two pivots, m; only ratios of the four lengths matter.
+        crank: Length of the crank, m.
+        coupler: Length of the coupler, m.
+        rocker: Length of the rocker, m.
+        crank_angle: Angle of the crank where q = 0, rad.
+        rocker_angle: Angle of the rocker where θ = 0, rad.
+        crossed: Whether coupler and ground link cross: the other way to put the bars together.
+    """
 
     ground: float
     crank: float
@@ -250,11 +342,93 @@ class FourBarLinkage(OneJoint):
         """Return that it turns."""
         return False
 
+    def law(self) -> Law:
+        """Return the rocker's angle from where θ = 0, within half a turn of it.
+
+        The slope is r_crank sin(φ − κ) / (r_rocker sin(ψ − κ)), with κ the angle of the coupler,
+        whose own slope follows from the loop.
+        """
+        for name in ("ground", "crank", "coupler", "rocker"):
+            number(getattr(self, name), name, lower=0.0, strict=True)
+        for name in ("crank_angle", "rocker_angle"):
+            number(getattr(self, name), name)
+        low, high = self._known()
+        if not low < 0.0 < high:
+            raise ArgumentError(
+                f"The bars of the four-bar linkage do not reach each other where q = 0, with the "
+                f"crank at {self.crank_angle:g} rad.",
+                advice="Check its lengths and crank_angle.",
+            )
+        return self._rocker
+
+    def _known(self) -> tuple[float, float]:
+        """Between which q the bars reach each other, rad; infinite where the crank goes around.
+
+        The diagonal from the crank's end to the rocker's pivot is between |r − c| and r + c.
+        """
+        sides = self.crank**2 + self.ground**2
+        spans = (self.rocker + self.coupler) ** 2, (self.rocker - self.coupler) ** 2
+        least, most = ((sides - span) / (2.0 * self.crank * self.ground) for span in spans)
+        if least >= 1.0 or most <= -1.0:
+            return 0.0, 0.0
+        crank = float(np.mod(self.crank_angle + np.pi, 2.0 * np.pi) - np.pi)
+        outer = np.arccos(least) if least > -1.0 else np.pi
+        inner = np.arccos(most) if most < 1.0 else 0.0
+        if outer == np.pi and inner == 0.0:
+            return -np.inf, np.inf
+        if inner == 0.0:
+            return float(-outer - crank), float(outer - crank)
+        if outer == np.pi:
+            crank = crank % (2.0 * np.pi)
+            return float(inner - crank), float(2.0 * np.pi - inner - crank)
+        side = np.sign(crank) if crank else 1.0
+        ends = sorted((side * inner - crank, side * outer - crank))
+        return float(ends[0]), float(ends[1])
+
+    def _rocker(self, q: Array, order: int) -> Array:
+        crank, rocker, coupler = self._angles(q)
+        if order == 0:
+            return np.asarray(np.mod(rocker - self.rocker_angle + np.pi, 2.0 * np.pi) - np.pi)
+        lever = self.rocker * np.sin(rocker - coupler)
+        slope = self.crank * np.sin(crank - coupler) / lever
+        if order == 1:
+            return np.asarray(slope)
+        turn = self.crank * np.sin(crank - rocker) / (self.coupler * np.sin(rocker - coupler))
+        driven = self.crank * np.cos(crank - coupler) * (1.0 - turn)
+        driving = slope * self.rocker * np.cos(rocker - coupler) * (slope - turn)
+        return np.asarray((driven - driving) / lever)
+
+    def _angles(self, q: Array) -> tuple[Array, Array, Array]:
+        """Angles (N,) of crank, rocker and coupler."""
+        crank = q + self.crank_angle
+        x, y = self.crank * np.cos(crank) - self.ground, self.crank * np.sin(crank)
+        diagonal = np.hypot(x, y)
+        cosine = (diagonal**2 + self.rocker**2 - self.coupler**2) / (2.0 * self.rocker * diagonal)
+        if (beyond := ~(np.abs(cosine) < 1.0)).any():
+            raise ArgumentError(
+                f"The bars of the four-bar linkage do not reach each other at q = "
+                f"{q[beyond][0]:.4g} rad.",
+                advice="Check its lengths and crank_angle, and that the log is of this actuator.",
+            )
+        bend = np.arccos(cosine)
+        rocker = np.arctan2(y, x) + (bend if self.crossed else -bend)
+        ends = self.rocker * np.cos(rocker) - x, self.rocker * np.sin(rocker) - y
+        return crank, rocker, np.arctan2(ends[1], ends[0])
+
 
 class LinearActuator(OneJoint):
-    """A cylinder, ball screw or cable across a joint; see `Cylinder`."""
+    """A cylinder, ball screw or cable across a joint: its length turns the joint.
 
-    map_of = Cylinder
+    Two sides of a triangle, from the joint's axis to the ends of the cylinder, enclose an angle
+    γ with L² = a² + b² − 2 a b cos γ.
+
+    Attributes:
+        base: a, distance of the joint's axis from the end on its inboard side, m.
+        lever: b, distance of the joint's axis from the end on its outboard side, m.
+        length: L where q = 0, m.
+        angle: γ where θ = 0, rad, between 0 and π.
+        reversed: Whether θ falls as the cylinder grows.
+    """
 
     base: float
     lever: float
@@ -265,6 +439,40 @@ class LinearActuator(OneJoint):
     def slides(self) -> bool:
         """Return that it does."""
         return True
+
+    def law(self) -> Law:
+        """Return γ less that at θ = 0, with its sign; the slope is L / (a b sin γ)."""
+        for name in ("base", "lever"):
+            number(getattr(self, name), name, lower=0.0, strict=True)
+        number(self.length, "length", lower=0.0)
+        number(self.angle, "angle", lower=0.0, upper=float(np.pi))
+        return self._opening
+
+    def _known(self) -> tuple[float, float]:
+        """Between which q the triangle closes, m."""
+        return abs(self.base - self.lever) - self.length, self.base + self.lever - self.length
+
+    def _opening(self, q: Array, order: int) -> Array:
+        sign, cosine = -1.0 if self.reversed else 1.0, self._cosine(q)
+        if order == 0:
+            return np.asarray(sign * (np.arccos(cosine) - self.angle))
+        area, sine = self.base * self.lever, np.sqrt(1.0 - cosine**2)
+        if order == 1:
+            return np.asarray(sign * (q + self.length) / (area * sine))
+        bend = cosine * ((q + self.length) / (area * sine)) ** 2
+        return np.asarray(sign * (1.0 / area - bend) / sine)
+
+    def _cosine(self, q: Array) -> Array:
+        squares = self.base**2 + self.lever**2 - (q + self.length) ** 2
+        cosine = squares / (2.0 * self.base * self.lever)
+        if (beyond := ~(np.abs(cosine) < 1.0)).any():
+            low, high = self._known()
+            raise ArgumentError(
+                f"The cylinder cannot be where q = {q[beyond][0]:.4g} m: its triangle closes from "
+                f"{low:.4g} to {high:.4g} m.",
+                advice="Check base, lever and length, and that the log is of this actuator.",
+            )
+        return np.asarray(cosine)
 
 
 class Stated(Schema):
@@ -292,8 +500,8 @@ class Stated(Schema):
     def parts(self) -> Iterator[tuple[str, Statement]]:
         """Yield every part, with where it is, such as `gears[0]`."""
         for name in self.__struct_fields__:
-            for number, part in enumerate(getattr(self, name)):
-                yield f"{name}[{number}]", part
+            for k, part in enumerate(getattr(self, name)):
+                yield f"{name}[{k}]", part
 
     def add(self, part: Statement) -> None:
         """Adds a part to the list of its kind."""

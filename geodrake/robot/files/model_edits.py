@@ -1,0 +1,386 @@
+"""Numbers written into the text of a URDF, SDF or MJCF file, which otherwise stays as it is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, fromstring
+
+import numpy as np
+
+from geodrake.errors import ModelError
+from geodrake.inertia import Array, to_mass_com_inertia
+from geodrake.robot.files.source_text import check_in_itself, edited
+from geodrake.robot.files.values import UPPER, numbers, rotation, tensor_words, words
+from geodrake.robot.files.xml_text import SUPPORTED_FORMATS, LocatedElement, parse_xml_bytes
+
+Change = Mapping[str, float]
+"""damping, friction, armature, stiffness and rest of a joint, those that change, SI."""
+
+_DRAKE = "http://drake.mit.edu"
+_SDF_TAGS = {
+    "damping": "damping",
+    "friction": "friction",
+    "stiffness": "spring_stiffness",
+    "rest": "spring_reference",
+}
+_MJCF_NAMES = {
+    "damping": "damping",
+    "friction": "frictionloss",
+    "armature": "armature",
+    "stiffness": "stiffness",
+    "rest": "springref",
+}
+_TURNS = ("quat", "euler", "axisangle", "xyaxes", "zaxis")
+_OF_MASSES = (
+    *("settotalmass", "boundmass", "boundinertia", "balanceinertia", "inertiafromgeom"),
+    "inertiagrouprange",
+)
+_TENDONS = ("tendon", "fixed", "spatial")
+_MOTORS = ("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder")
+_PASSIVE: Mapping[str, tuple[str, ...]] = {
+    "option": ("density", "viscosity", "wind"),
+    "body": ("gravcomp",),
+    **dict.fromkeys(_TENDONS, ("stiffness", "damping", "armature", "frictionloss")),
+    **dict.fromkeys(_MOTORS, ("armature", "damping")),
+}
+"""Tag of an MJCF -> attributes of forces that are no joint's own."""
+_MJCF_ASSETS = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "texture": "texturedir"}
+_MJCF_FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "fileback")
+
+
+def with_inertias(data: bytes, path: Path, inertias: Mapping[str, Array]) -> bytes:
+    """Return a model file with other inertial parameters of some links.
+
+    Numbers inside of `inertial` elements change, and what those lack is added; orientations of
+    inertial frames stay, but in MJCF, where a full inertia has none.
+
+    Args:
+        path: The file, for messages and for the name of a model that has none.
+        inertias: Scoped link name -> (10,) inertial parameters of mass above zero.
+
+    Raises:
+        ModelError: A link is not in the file itself, or it is no such file.
+    """
+    root = parse_xml_bytes(data, path)
+    if root.tag not in _FORMATS:
+        raise ModelError(
+            f"{path} has the root element <{root.tag}>, into which no inertias can be written.",
+            advice=SUPPORTED_FORMATS,
+        )
+    there = dict(_FORMATS[root.tag].links(root, path))
+    check_in_itself(inertias, there, path)
+    for name, phi in inertias.items():
+        put_inertia(root, there[name], phi)
+    return edited(data, path, root)
+
+
+def put_inertia(root: Element, link: Element, phi: Array) -> None:
+    """Write inertial parameters (10,) into a link of a URDF, SDF or MJCF with a root element."""
+    _FORMATS[root.tag].put_inertia(link, phi)
+
+
+def with_joint_numbers(data: bytes, path: Path, changes: Mapping[str, Change]) -> bytes:
+    """Return a model file in which joints have other numbers.
+
+    Args:
+        path: Where they are from, for messages and for the name of a model that has none.
+        changes: Scoped name of the joint -> what changes.
+
+    Raises:
+        ModelError: A joint is not in the file itself.
+    """
+    changes = {name: change for name, change in changes.items() if change}
+    if not changes:
+        return data
+    root = parse_xml_bytes(data, path)
+    joints = dict(_FORMATS[root.tag].joints(root, path))
+    check_in_itself(changes, joints, path)
+    for name, change in changes.items():
+        _FORMATS[root.tag].put_numbers(root, joints[name], change)
+    return edited(data, path, root)
+
+
+def link_names(data: bytes, path: Path) -> frozenset[str]:
+    """Return scoped names of the links that stand in a file itself."""
+    root = parse_xml_bytes(data, path)
+    links = _FORMATS[root.tag].links(root, path) if root.tag in _FORMATS else ()
+    return frozenset(name for name, _ in links)
+
+
+def without_mass_settings(data: bytes, path: Path) -> bytes:
+    """Return an MJCF without settings by which MuJoCo changes masses; others as they are."""
+    root = parse_xml_bytes(data, path)
+    for compiler in root.findall("compiler") if root.tag == "mujoco" else ():
+        for key in _OF_MASSES:
+            compiler.attrib.pop(key, None)
+    return edited(data, path, root)
+
+
+def without_passive_forces(data: bytes, path: Path) -> bytes:
+    """Return an MJCF without what tendons, motors, media and compensated gravity do; others as is.
+
+    Joints that state powers of springs keep none of them, and those of dampers the first.
+    """
+    root = parse_xml_bytes(data, path)
+    for element in root.iter() if root.tag == "mujoco" else ():
+        for key in _PASSIVE.get(element.tag, ()):
+            element.attrib.pop(key, None)
+        stated = {key: element.get(key, "").split() for key in ("damping", "stiffness")}
+        if element.tag == "joint" and len(stated["stiffness"]) > 1:
+            element.set("stiffness", "0")
+        if element.tag == "joint" and len(stated["damping"]) > 1:
+            element.set("damping", stated["damping"][0])
+    return edited(data, path, root)
+
+
+def with_gravity(data: bytes, path: Path, gravity: Array) -> bytes:
+    """Return an MJCF file with another gravity (3,) in the world's frame, m/s²."""
+    root = parse_xml_bytes(data, path)
+    options = root.findall("option") or [child_of(root, "option")]
+    stated = [option for option in options if "gravity" in option.attrib]
+    (stated or options)[-1].set("gravity", words(gravity))
+    return edited(data, path, root)
+
+
+def with_sections(
+    data: bytes, path: Path, sections: Mapping[str, Sequence[str]], joints: Iterable[str]
+) -> bytes:
+    """Return an MJCF file with more sections, after all others; nameless joints in them get names.
+
+    Sections are tags with their elements, a line each; empty ones are left out.
+    """
+    root = parse_xml_bytes(data, path)
+    there = {name.rpartition("::")[2]: own for name, own in _mjcf_joints(root, path)}
+    check_in_itself(joints, there, path)
+    for name in joints:
+        there[name].set("name", there[name].get("name") or name)
+    for tag, elements in sections.items():
+        if elements:
+            SubElement(root, tag).extend(map(fromstring, elements))
+    return edited(data, path, root)
+
+
+def with_references(data: bytes, path: Path, folder: Path) -> bytes:
+    """Return a model file whose relative paths lead from a folder to where they led before."""
+    root = parse_xml_bytes(data, path)
+    base, there = path.resolve().parent, Path(os.path.realpath(folder))
+    for element, attribute in _references(root):
+        named = element.attrib[attribute] if attribute else (element.text or "").strip()
+        if not named or "://" in named or Path(named).is_absolute():
+            continue
+        moved = Path(os.path.relpath(base / named, there)).as_posix()
+        if Path(moved) == Path(named):
+            continue
+        if attribute:
+            element.set(attribute, moved)
+        else:
+            element.text = moved
+    return edited(data, path, root)
+
+
+def _references(root: Element) -> Iterator[tuple[Element, str]]:
+    """Elements that name files, with the attribute that does; "" for their text."""
+    settings = root.findall("compiler") if root.tag == "mujoco" else []
+    kinds = ("assetdir", "meshdir", "texturedir")
+    folders = {name for each in settings for name in kinds if name in each.attrib}
+    for compiler in settings:
+        yield from ((compiler, name) for name in sorted(folders) if name in compiler.attrib)
+    for element in root.iter():
+        if root.tag == "mujoco":
+            inside = _MJCF_ASSETS.get(element.tag)
+            apart = inside and not folders & {inside, "assetdir"}
+            if apart or element.tag in ("include", "model"):
+                yield from ((element, name) for name in _MJCF_FILES if name in element.attrib)
+        elif element.tag in ("mesh", "texture") and "filename" in element.attrib:
+            yield element, "filename"
+        elif root.tag == "sdf" and element.tag == "uri":
+            yield element, ""
+
+
+def sdf_models(parent: Element, scope: str = "", first: str = "") -> Iterator[tuple[str, Element]]:
+    """Yield models within models and worlds, with their scoped names.
+
+    Args:
+        scope: Its scoped name; nothing for a file.
+        first: Name of the models of a file; nothing for their own.
+    """
+    for model in [*parent.findall("model"), *parent.findall("world/model")]:
+        own = model.get("name", "")
+        name = f"{scope}::{own}" if scope else first or own
+        yield name, model
+        yield from sdf_models(model, name)
+
+
+def child_of(parent: Element, tag: str, *, new: bool = False) -> Element:
+    """Return the child of a tag; where there is none, a new one before those of the file."""
+    found = None if new else parent.find(tag)
+    if found is None:
+        found = Element(tag)
+        parent.insert(sum(not isinstance(each, LocatedElement) for each in parent), found)
+    return found
+
+
+_Named = Iterator[tuple[str, Element]]
+
+
+def _of_urdf(*tags: str) -> Callable[[Element, Path], _Named]:
+    def named(root: Element, path: Path) -> _Named:
+        scope = root.get("name") or path.stem
+        every = (each for tag in tags for each in root.findall(tag))
+        yield from ((f"{scope}::{each.get('name')}", each) for each in every)
+
+    return named
+
+
+def _of_sdf(tag: str) -> Callable[[Element, Path], _Named]:
+    def named(root: Element, _: Path) -> _Named:
+        for name, model in sdf_models(root):
+            yield from ((f"{name}::{each.get('name')}", each) for each in model.findall(tag))
+
+    return named
+
+
+def _mjcf_links(root: Element, path: Path) -> _Named:
+    """Bodies, nameless ones as geodrake calls them."""
+    scope = root.get("model") or path.stem
+    numbered = {id(body): k for k, body in enumerate(root.iter("body"))}
+    for world in root.findall("worldbody"):
+        for body in world.iter("body"):
+            yield f"{scope}::{body.get('name') or f'body_{numbered[id(body)]}'}", body
+
+
+def _mjcf_joints(root: Element, path: Path) -> _Named:
+    for name, body in _mjcf_links(root, path):
+        scope, _, own = name.rpartition("::")
+        for i, joint in enumerate(body.findall("joint")):
+            yield f"{scope}::{joint.get('name') or f'{own}_joint_{i}'}", joint
+
+
+def _put_urdf_inertia(link: Element, phi: Array) -> None:
+    mass, com, inertia = to_mass_com_inertia(phi)
+    inertial = child_of(link, "inertial")
+    origin = child_of(inertial, "origin")
+    turn = rotation(numbers(origin.get("rpy", ""), 3))
+    if "rpy" not in origin.attrib or not np.isfinite(turn).all():
+        turn = np.eye(3)
+        origin.attrib |= {"xyz": words(com), "rpy": "0 0 0"}
+    origin.set("xyz", words(com))
+    child_of(inertial, "mass").set("value", words(mass))
+    child_of(inertial, "inertia").attrib.update(tensor_words(turn.T @ inertia @ turn))
+
+
+def _put_sdf_inertia(link: Element, phi: Array) -> None:
+    mass, com, inertia = to_mass_com_inertia(phi)
+    inertial = child_of(link, "inertial")
+    if inertial.get("auto") == "true":
+        inertial.set("auto", "false")
+    pose = child_of(inertial, "pose")
+    quaternion, text = pose.get("rotation_format") == "quat_xyzw", pose.text or ""
+    values = numbers(text, 7 if quaternion else 6)
+    angles = values[[6, 3, 4, 5]] if quaternion else values[3:]
+    if not quaternion and pose.get("degrees") == "true":
+        angles = np.deg2rad(angles)
+    turn, rest = rotation(angles), " ".join(text.split()[3:])
+    if not rest or not np.isfinite(turn).all():
+        turn, rest = np.eye(3), "0 0 0 1" if quaternion else "0 0 0"
+    pose.text = f"{words(com)} {rest}"
+    child_of(inertial, "mass").text = words(mass)
+    tensor = child_of(inertial, "inertia")
+    for key, word in tensor_words(turn.T @ inertia @ turn).items():
+        child_of(tensor, key).text = word
+
+
+def _put_mjcf_inertia(body: Element, phi: Array) -> None:
+    mass, com, inertia = to_mass_com_inertia(phi)
+    inertial = child_of(body, "inertial")
+    for key in (*_TURNS, "diaginertia"):
+        inertial.attrib.pop(key, None)
+    inertial.attrib |= {
+        "pos": words(com),
+        "mass": words(mass),
+        "fullinertia": words(inertia[UPPER]),
+    }
+
+
+def _put_urdf_numbers(root: Element, joint: Element, change: Change) -> None:
+    given = {name: words(change[name]) for name in ("damping", "friction") if name in change}
+    if given:
+        child_of(joint, "dynamics").attrib.update(given)
+    if "armature" in change:
+        _put_rotor(root, joint.get("name", ""), change["armature"])
+
+
+def _put_rotor(root: Element, joint: str, armature: float) -> None:
+    """Write Drake's rotor inertia; with the gear ratio of the file, where it states one."""
+    root.attrib.setdefault("xmlns:drake", _DRAKE)
+    actuators = [  # in transmissions of the type that Drake reads
+        actuator
+        for transmission in root.findall("transmission")
+        if any("SimpleTransmission" in (e.text or "") for e in transmission.findall("type"))
+        and any(each.get("name") == joint for each in transmission.findall("joint"))
+        for actuator in transmission.findall("actuator")
+    ]
+    if actuators:
+        ratio = actuators[0].find("drake:gear_ratio")
+        gear = 1.0 if ratio is None else _gear(ratio.get("value", "1"))
+        rotor = child_of(actuators[0], "drake:rotor_inertia")
+        rotor.set("value", words(armature / (gear or 1.0) ** 2))
+        if ratio is not None and not gear:
+            ratio.set("value", "1.0")
+        return
+    transmission = child_of(root, "transmission", new=True)
+    transmission.set("name", f"{joint}_rotor")
+    SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
+    SubElement(transmission, "joint", name=joint)
+    actuator = SubElement(transmission, "actuator", name=f"{joint}_motor")
+    SubElement(actuator, "drake:rotor_inertia", value=words(armature))
+    SubElement(actuator, "drake:gear_ratio", value="1.0")
+
+
+def _gear(text: str) -> float:
+    """A gear ratio; 0 where it is none."""
+    gear = float(numbers(text, 1)[0])
+    return gear if np.isfinite(gear) else 0.0
+
+
+def _put_sdf_numbers(root: Element, joint: Element, change: Change) -> None:
+    axis = joint.find("axis")
+    if axis is None:
+        raise ModelError(f"{joint.get('name')} has no <axis> to write numbers into.")
+    for name, tag in _SDF_TAGS.items():
+        if name in change:
+            child_of(child_of(axis, "dynamics"), tag).text = words(change[name])
+    if "armature" in change:
+        root.attrib.setdefault("xmlns:drake", _DRAKE)
+        ratio = joint.find("drake:gear_ratio")
+        gear = 0.0 if ratio is None else _gear(ratio.text or "")
+        child_of(joint, "drake:rotor_inertia").text = words(change["armature"] / (gear or 1.0) ** 2)
+        if not gear:
+            child_of(joint, "drake:gear_ratio").text = "1.0"
+
+
+def _put_mjcf_numbers(_: Element, joint: Element, change: Change) -> None:
+    joint.attrib.update({_MJCF_NAMES[name]: words(value) for name, value in change.items()})
+
+
+@dataclass(frozen=True)
+class _Format:
+    """Links and joints of a format with their scoped names, and what writes into one."""
+
+    links: Callable[[Element, Path], _Named]
+    joints: Callable[[Element, Path], _Named]
+    put_inertia: Callable[[Element, Array], None]
+    put_numbers: Callable[[Element, Element, Change], None]
+
+
+_FORMATS: Mapping[str, _Format] = {
+    "robot": _Format(
+        _of_urdf("link"), _of_urdf("joint", "drake:joint"), _put_urdf_inertia, _put_urdf_numbers
+    ),
+    "sdf": _Format(_of_sdf("link"), _of_sdf("joint"), _put_sdf_inertia, _put_sdf_numbers),
+    "mujoco": _Format(_mjcf_links, _mjcf_joints, _put_mjcf_inertia, _put_mjcf_numbers),
+}
+"""Root element -> its format."""
