@@ -21,7 +21,7 @@ from effort_logs import MODELS, effort_log
 from geodrake import load_model
 from geodrake.control.systems import EffectForce
 from geodrake.diagnosis import explain
-from geodrake.effects import CoulombFriction, FittedEffect, Hysteresis
+from geodrake.effects import FittedEffect, Hysteresis
 from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs.folds import validation_blocks
@@ -153,18 +153,6 @@ class TestSimulation:
         )
         np.testing.assert_allclose(found.data(), expected.y[:2], atol=2e-5)
         assert found.data()[1].min() < -0.01  # it springs back, which no Coulomb friction does
-
-    def test_beside_other_effects(self):
-        terms = [(CoulombFriction("rail"), [0.5]), (Hysteresis("rail", 0.05), [3.0])]
-        plant, force, _, simulator = cart(terms)
-        root = simulator.get_mutable_context()
-        plant.SetVelocities(plant.GetMyContextFromRoot(root), [0.3])
-        context = force.GetMyMutableContextFromRoot(root)
-        context.SetContinuousState([0.25])
-        value = force.GetOutputPort("generalized_force").Eval(context)
-        np.testing.assert_allclose(value, -0.5 * np.tanh(0.3 / 0.01) - 3.0 * 0.25)
-        rate = force.EvalTimeDerivatives(context).CopyToVector()
-        np.testing.assert_allclose(rate, [0.3 * (1.0 - 0.25) / 0.05])
 
 
 def bristles(time, v, angle, fine=20):

@@ -6,16 +6,11 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import TrajectorySource
-from pydrake.trajectories import PiecewisePolynomial
 
-from geodrake.control import PositionServo
 from geodrake.control.export_proof import export_to
 from geodrake.control.export_proof.proof import prove
 from geodrake.control.export_proof.samples import compared, random_motion, random_starts
-from geodrake.effects import EffortDelay, FittedEffect, RotorInertia, ViscousFriction
+from geodrake.effects import EffortDelay, FittedEffect
 from geodrake.errors import ModelError
 from geodrake.model import EffortSignal, holding, save_model
 from geodrake.model.exporting.formats import export_format
@@ -204,61 +199,6 @@ def test_efforts_that_are_measured_late_are_so_by_a_sensor(tmp_path):
         data.ctrl[0] = 0.1 * k
         mujoco.mj_step(compiled, data)
     assert data.sensor("a_effort").data[0] == pytest.approx(0.1 * (29 - 6.5))
-
-
-def ours(model, command, end):
-    """Positions at the end, by Drake: the plant, and servos under a late command."""
-    builder = DiagramBuilder()
-    robot = model.add_to_builder(builder)
-    told = builder.AddSystem(TrajectorySource(command))
-    PositionServo.AddToBuilder(builder, model, robot, told.get_output_port())
-    simulator = Simulator(builder.Build())
-    robot.set_state(simulator.get_mutable_context(), command.value(0.0).ravel())
-    simulator.get_mutable_integrator().set_target_accuracy(1e-6)
-    simulator.AdvanceTo(end)
-    context = robot.plant.GetMyContextFromRoot(simulator.get_context())
-    return robot.plant.GetPositions(context)
-
-
-def theirs(compiled, command, end, samples=None):
-    """The same by MuJoCo."""
-    compiled.opt.timestep = 1e-3
-    compiled.opt.integrator = int(mujoco.mjtIntegrator.mjINT_RK4)
-    data = mujoco.MjData(compiled)
-    data.qpos[:] = command.value(0.0).ravel()
-    for k, told in enumerate(data.qpos):
-        count = int(compiled.actuator_history[k][0])
-        mujoco.mj_initCtrlHistory(compiled, data, k, None, np.full(count, told))
-    for k in range(round(end / 1e-3)):
-        data.ctrl[:] = command.value(1e-3 * k).ravel()
-        mujoco.mj_step(compiled, data)
-    return data.qpos.copy()
-
-
-@pytest.mark.thorough
-def test_a_late_servo_in_mujoco_moves_as_ours(tmp_path):
-    model, end = loaded(tmp_path, text=URDF), 0.25
-    effects = [FittedEffect(RotorInertia(joint), np.array([0.05])) for joint in "ab"]
-    effects += [FittedEffect(ViscousFriction(joint), np.array([0.4])) for joint in "ab"]
-    signals = [
-        EffortSignal("a", "command", 40.0, damping=1.5, delay=DELAY, limit=9.0),
-        EffortSignal("b", "command", 25.0, damping=0.8, delay=0.04, limit=4.0),
-    ]
-    model = replace(model, effects=tuple(effects), effort_signals=tuple(signals))
-    time = np.linspace(0.0, 0.4, 41)
-    command = PiecewisePolynomial.CubicShapePreserving(
-        time, np.stack([0.5 * np.cos(15 * time), 0.8 * np.sin(20 * time)]), False
-    )
-    path, _ = exported(model, tmp_path / "out")
-    compiled = mujoco.MjModel.from_xml_path(str(path))
-    found = ours(model, command, end)
-    np.testing.assert_allclose(theirs(compiled, command, end), found, atol=2e-5)
-    prompt = replace(model, effort_signals=tuple(replace(s, delay=0.0) for s in signals))
-    assert np.abs(ours(prompt, command, end) - found).max() > 0.02  # what a delay is worth
-    # What the file would do with samples that do not reach back as far as the delay.
-    short = path.read_text().replace('nsample="41"', 'nsample="20"')
-    compiled = mujoco.MjModel.from_xml_string(short)
-    assert np.abs(theirs(compiled, command, end) - found).max() > 0.01
 
 
 def test_the_proof_tells_efforts_and_commands_to_actuators(tmp_path):

@@ -290,16 +290,6 @@ def test_comments_stay_and_meshes_lead_to_where_they_were(tmp_path):
         assert f"../../{kind}/own/meshes/one.stl" in text
 
 
-def test_a_rotor_counts_though_the_effort_limit_is_zero(tmp_path):
-    (tmp_path / "own").mkdir()
-    path = tmp_path / "own" / "arm.urdf"
-    path.write_text(URDF.replace('effort="10"', 'effort="0"'))
-    model = fitted(load_model(path), springs=False)
-    out, _ = exported(model, "urdf", tmp_path / "out")
-    moved = motion(model)
-    np.testing.assert_allclose(load_model(out).effort(moved), model.effort(moved), atol=1e-9)
-
-
 def test_a_tilted_base_is_welded_as_it_stands(tmp_path):
     model = fitted(loaded(tmp_path, "urdf"), springs=False)
     tilt = FittedEffect(GravityTilt(0.1, 0.05), np.array([0.1, 0.05]))

@@ -216,12 +216,6 @@ def test_a_position_that_is_stuck_while_the_joint_moves_is_no_rest():
     assert model_of_logs(model, [replace(log, velocity=moving)]) is model
 
 
-def test_a_joint_that_rests_beyond_its_limits_is_not_moved_back():
-    model = load_model(MODELS / "arm7.urdf")
-    far = model.limits_of("joint_6")[1] + 0.5
-    assert model_of_logs(model, [log_of(model.joints, joint_6=(far, SWAY))]) is model
-
-
 def test_logs_that_disagree_or_move_are_refused(tmp_path):
     model = model_of(description(PANDA), tmp_path)
     arm = model.joints[:7]

@@ -4,7 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -14,7 +14,7 @@ import pinocchio as pin
 import pytest
 
 from geodrake import effects, load_model
-from geodrake.effects import FittedEffect, JointEffect, Parameter, load_effect_file
+from geodrake.effects import FittedEffect, load_effect_file
 from geodrake.effects.of_files import (
     CarriedWeight,
     JointCoupling,
@@ -296,19 +296,6 @@ class TestOwnEffects:
         with pytest.raises(ModelError, match=message) as caught:
             python_source(model)
         assert "NumPy" in caught.value.advice
-
-
-def test_numbers_that_are_none():
-    @dataclass(frozen=True)
-    class Nothing(JointEffect):
-        name = "nothing"
-        parameters = (Parameter("x", "N·m"),)
-
-        def columns(self, joint):
-            return [np.full_like(joint.q, np.nan)]
-
-    with pytest.raises(ModelError, match="has nan in it"):
-        python_source(with_effects([(Nothing("elbow_pitch"), [1.0])]))
 
 
 @pytest.mark.parametrize(
