@@ -85,11 +85,7 @@ class RobotBodies:
         return self.q, v, vd, np.eye(self.tree.num_velocities)[None]
 
     def motion(self, body: str) -> BodyMotion:
-        """Pose and Jacobian of a body.
-
-        Raises:
-            ArgumentError: There is no such body.
-        """
+        """Pose and Jacobian of a body."""
         if body not in self._motions:
             raise ArgumentError(
                 f"There is no moving body {body!r}.",

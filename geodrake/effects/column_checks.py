@@ -23,11 +23,7 @@ _OURS = frozenset(str(path) for path in Path(__file__).parent.glob("*.py"))
 
 
 def rows_of(effect: Any, motion: RobotMotion) -> Mapping[str, Array]:
-    """What `Effect.rows` gives, as all that takes columns may rely on.
-
-    Raises:
-        ArgumentError: It is no mapping of joints to finite real columns (N, k).
-    """
+    """What `Effect.rows` gives, as all that takes columns may rely on."""
     kind = type(effect)
     if of_geodrake(kind):
         return effect.rows(motion)
@@ -55,11 +51,7 @@ def of_geodrake(kind: type[Any]) -> bool:
 
 
 def stacked(effect: Any, columns: Any, joint: str, count: int) -> Array:
-    """Columns of a joint, one for each parameter, as an array (N, k).
-
-    Raises:
-        ArgumentError: They are not one column of N finite real numbers for each parameter.
-    """
+    """Columns of a joint, one for each parameter, as an array (N, k)."""
     name, line = effect.name, line_of(type(effect), "columns")
     if isinstance(columns, str) or not isinstance(columns, Sequence | np.ndarray):
         raise ArgumentError(

@@ -165,9 +165,6 @@ class CheckedFields:
     """Refuses fields of an effect that are not of the type they are declared with.
 
     A subclass with checks of its own calls this one first.
-
-    Raises:
-        ArgumentError: A name is no text, or a shape parameter no finite number.
     """
 
     def __post_init__(self) -> None:
@@ -191,9 +188,6 @@ def whole_numbers(effect: Any, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return values of fields of a class of effects, those of type `int` whole.
 
     A saved model holds all numbers as floats.
-
-    Raises:
-        ArgumentError: One of these is not whole.
     """
     whole = {field.name for field in fields(effect) if _declared(field.type) == "int"}
     found = dict(values)

@@ -129,9 +129,6 @@ class DeflectionEffect(JointEffect):
 
         Args:
             parameters: (k,) linear parameters.
-
-        Raises:
-            ArgumentError: The class does not say.
         """
         raise ArgumentError(
             f"{self.name} does not say how motor and link are held together: it gives way by "
@@ -151,11 +148,7 @@ class DeflectionEffect(JointEffect):
         return {}
 
     def with_rollout_values(self, values: Values, deviations: Values) -> FittedEffect:
-        """The effect with some `rollout_values`.
-
-        Raises:
-            NotImplementedError: There are such values, and the class does not say.
-        """
+        """The effect with some `rollout_values`."""
         raise NotImplementedError(f"{self.name} does not say what {values} ± {deviations} make.")
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:

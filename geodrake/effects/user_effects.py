@@ -116,11 +116,7 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
 
 
 def candidates_of(effect: type[Effect], *place: Any) -> tuple[Effect, ...]:
-    """What `Effect.candidates` gives at a place.
-
-    Raises:
-        ArgumentError: They are no instances of the effect, or endlessly many.
-    """
+    """What `Effect.candidates` gives at a place."""
     line = line_of(effect, "candidates")
     with telling(effect.name, line):
         made: Any = effect.candidates(*place)
@@ -138,11 +134,7 @@ def candidates_of(effect: type[Effect], *place: Any) -> tuple[Effect, ...]:
 
 
 def check_class(effect: type[Effect]) -> None:
-    """Refuse a class of effects whose class attributes are not what `Effect` says.
-
-    Raises:
-        ArgumentError: One is not.
-    """
+    """Refuse a class of effects whose class attributes are not what `Effect` says."""
     _check_names(effect)
 
     def check(holds: bool, has: str, wanted: str) -> None:

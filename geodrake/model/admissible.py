@@ -23,11 +23,7 @@ _LEAST = 1e-9  # of a parameter beyond a bound, in its unit
 
 
 def check_body(what: str, phi: Array) -> None:
-    """Refuses inertial parameters (10,) of no body.
-
-    Raises:
-        ModelError: The message has the values.
-    """
+    """Refuses inertial parameters (10,) of no body."""
     _check_finite(what, PARAMETER_NAMES, phi)
     if phi[0] < 1.0 / LARGEST:
         raise ModelError(f"{what} have a mass of {phi[0]:g} kg.")
@@ -40,11 +36,7 @@ def check_body(what: str, phi: Array) -> None:
 
 
 def check_effect(fitted: FittedEffect) -> None:
-    """Refuses parameters beyond the manifold of their effect, as negative friction is.
-
-    Raises:
-        ModelError: The message has the parameter and the value.
-    """
+    """Refuses parameters beyond the manifold of their effect, as negative friction is."""
     effect, what = fitted.effect, f"parameters of {named(fitted)}"
     names = [parameter.name for parameter in effect.parameters]
     for key, value in effect.shape.items():

@@ -23,11 +23,7 @@ Payloads = tuple[KnownPayload, ...]
 
 
 def carried_phi(model: RobotModel, payloads: Payloads) -> Array:
-    """Return (nb, 10) inertial parameters that known payloads add to the bodies of a model.
-
-    Raises:
-        ArgumentError: The model has no such body, or it does not move.
-    """
+    """Return (nb, 10) inertial parameters that known payloads add to the bodies of a model."""
     phi = np.zeros_like(model.phi)
     for payload in payloads:
         index, own = _in_frame_of_body(lumped_bodies(model.plant), payload)
@@ -61,11 +57,7 @@ def joints_with_known_gain(model: RobotModel, logs: Sequence[Payloads]) -> tuple
 
 
 def payload_notes(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
-    """What is done about known payloads, in words.
-
-    Raises:
-        ArgumentError: The model has no such body, or it does not move.
-    """
+    """What is done about known payloads, in words."""
     notes = [
         f"{log.name}: the effort of {payload.mass:g} kg known at {payload.body} is taken off the "
         "measured one"

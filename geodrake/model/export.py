@@ -68,12 +68,7 @@ def save_export(model: RobotModel, path: str | Path) -> Export:
 
 
 def check_export(model: RobotModel, path: Path) -> None:
-    """Refuse a model, or a name for its copy, before the work.
-
-    Raises:
-        ModelError: The model is put together from several files.
-        OutputError: The name has the suffix of another format.
-    """
+    """Refuse a model, or a name for its copy, before the work."""
     kind = file_kind(model)
     if path.suffix.lower() not in _SUFFIXES[kind]:
         raise OutputError(
@@ -116,11 +111,7 @@ def export_model(model: RobotModel) -> Export:
 
 
 def export_bodies(model: RobotModel) -> Export:
-    """As `export_model`, with notes on bodies alone.
-
-    Raises:
-        ModelError: The model's file cannot take the inertias.
-    """
+    """As `export_model`, with notes on bodies alone."""
     kind, data = file_kind(model), read_expanded(model.path, model.given)
     stated, here = _stated_inertias(model), link_names(data, model.path)
     # Settings that change masses change what is written, too: all is written, without them.
@@ -263,11 +254,7 @@ def _body_notes(model: RobotModel, absent: Sequence[str]) -> list[str]:
 
 
 def file_kind(model: RobotModel) -> str:
-    """Return the format of a model's file: urdf, sdf, or xml for MJCF.
-
-    Raises:
-        ModelError: The model is put together from several files.
-    """
+    """Return the format of a model's file: urdf, sdf, or xml for MJCF."""
     if model.path.suffix.lower() in (".yaml", ".yml"):
         raise ModelError(
             f"{model.path} puts several model files together, and there is no one file to write "

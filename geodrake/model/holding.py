@@ -138,11 +138,7 @@ def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
 def _at_joints(
     model: RobotModel, held: Mapping[str, float]
 ) -> tuple[dict[str, float], tuple[Drive, ...]]:
-    """Where joints of the plant are held when some of the model's are, and the drives that stay.
-
-    Raises:
-        ModelError: An actuator is to be held without others that move the same joints.
-    """
+    """Where joints of the plant are held when some of the model's are, and the drives that stay."""
     places, stay = dict(held), []
     for drive in model.transmission:
         own = [name for name in drive.actuators if name in held]

@@ -143,9 +143,6 @@ def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
 
     Args:
         log: A log of the model's joints, and perhaps of those that it holds and that follow.
-
-    Raises:
-        LogError: Log or model has a joint that the other lacks.
     """
     aside = set(model.known_joints).difference(model.joints)
     moving = [joint for joint in log.joints if joint not in aside]
@@ -163,11 +160,7 @@ def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
 
 
 def _with_followers(log: JointLog, model: RobotModel) -> JointLog:
-    """Return the log with τ_q = Jᵀ τ_θ at the joints that lead others, where both were logged.
-
-    Raises:
-        LogError: A closed loop does not close where the log has it, or lacks the effort of a motor.
-    """
+    """Return the log with τ_q = Jᵀ τ_θ at the joints that lead others, where both were logged."""
     efforts, notes = log.effort, list(log.notes)
     for joint, (leader, ratio) in model.led.items():
         if joint in log.joints and leader in log.joints:
@@ -183,11 +176,7 @@ def _with_followers(log: JointLog, model: RobotModel) -> JointLog:
 
 
 def _of_loop(log: JointLog, drive: Drive, loop: LoopTransmission) -> tuple[Array, list[str]]:
-    """What efforts of the other joints of a closed loop are at its free ones, and what is odd.
-
-    Raises:
-        LogError: The loop does not close where the log has it, or the log lacks a motor's effort.
-    """
+    """What efforts of the other joints of a closed loop are at its free ones, and what is odd."""
     free = [log.joints.index(name) for name in drive.actuators]
     others = [joint for joint in loop.joints if joint not in drive.actuators]
     at = {joint: log.joints.index(joint) for joint in others if joint in log.joints}

@@ -601,9 +601,6 @@ def from_loaded_plant(
     Args:
         loaded: The plant of a model file, and what the file says of friction, damping and rotors.
         floating: Whether free roots float instead of being welded to the world.
-
-    Raises:
-        ModelError: The transmission does not fit.
     """
     drives = tuple(d for d in instances(transmission, "transmission", Drive) if not d.is_loop)
     loops = tuple(loop.drive for loop in loaded.loops if loop.map.actuators)

@@ -48,11 +48,7 @@ from geodrake.robot.transmission.statements import Stated
 
 
 def existing_base(path: Path) -> Path:
-    """Return the absolute path of the model file, which a saved model needs to be read again.
-
-    Raises:
-        OutputError: The file is gone, or its path is none that YAML can hold.
-    """
+    """Return the absolute path of the model file, which a saved model needs to be read again."""
     base = path.resolve()
     problem, advice = f"its file {base} is gone", "Put it back."
     if base.is_file():
@@ -71,9 +67,6 @@ def find_base(path: Path, relative: str, absolute: str, sha256: str) -> Path:
     Both may have moved together, or into one folder, or the model file stayed where it was
     (`absolute`, if known). Where there are several files, it is the one that is as it was, by its
     digest.
-
-    Raises:
-        ModelError: There is no such file.
     """
     folder = path.resolve().parent
     places = [
@@ -306,11 +299,7 @@ def save_model(model: RobotModel, path: str | Path) -> None:
 
 
 def saved_text(model: RobotModel, path: str | Path) -> str:
-    """Return what `save_model` writes.
-
-    Raises:
-        OutputError: The model file is gone, or its path is none that YAML can hold.
-    """
+    """Return what `save_model` writes."""
     base = existing_base(instance(model, "model", RobotModel).path)
     folder = Path(path).resolve().parent
     own = [drive for drive in model.transmission if not drive.is_loop]
@@ -563,9 +552,6 @@ def check_model(model: RobotModel) -> None:
     the effect's manifold or its edge, deviations and noise must not be negative, bandwidths
     positive, and the information matrix must be symmetric and positive semidefinite, with
     something known of each parameter.
-
-    Raises:
-        ModelError: The message has the field and the value.
     """
     for body, phi in zip(model.bodies, model.phi, strict=True):
         check_body(f"inertial_parameters of {body!r}", phi)

@@ -313,11 +313,7 @@ def _body(plant: MultibodyPlant, name: str) -> RigidBody:
 
 
 def _root_of(xml: Element, text: ModelText) -> str:
-    """Return the scoped name of the link of a file that no joint moves.
-
-    Raises:
-        ValueError: A joint has a link that the file lacks, which would end Pinocchio.
-    """
+    """Return the scoped name of the link of a file that no joint moves."""
     links = [link.get("name", "") for link in xml.iter("link")]
     ends = {kind: [e.get("link", "") for e in xml.iter(kind)] for kind in _ENDS}
     if xml.tag == "robot" and not set(links).issuperset(e for own in ends.values() for e in own):

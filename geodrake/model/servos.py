@@ -20,9 +20,6 @@ def servo_gains(model: RobotModel) -> tuple[Array, Array, Array, Array]:
     """Stiffness, damping, integral gain and largest effort (n,) of the servos.
 
     They are 0, 0, 0 and ∞ where there is none.
-
-    Raises:
-        ModelError: It has no servos, or a joint of several degrees of freedom.
     """
     servos = servos_of(model)
     if not any(servos):

@@ -210,11 +210,7 @@ class Language:
         return f"{self.module}{_FUNCTIONS.get(name, name)}({', '.join(operands)})"
 
     def number(self, value: float) -> str:
-        """Return a number with all its digits.
-
-        Raises:
-            ModelError: It is not finite.
-        """
+        """Return a number with all its digits."""
         if not np.isfinite(value):
             raise ModelError(
                 f"The formula of the effort has {value:g} in it, which is no number.",
@@ -283,11 +279,7 @@ def is_written(effect: Effect) -> bool:
 def _formulas(
     model: RobotModel, sign_width: ArrayLike
 ) -> tuple[list[Operand], list[str], list[str]]:
-    """Return efforts (nv) as formulas of q, v and vd, effects that they have, and those left out.
-
-    Raises:
-        ModelError: An effect cannot be written.
-    """
+    """Return efforts (nv) as formulas, the effects that they have, and those left out."""
     nv = len(model.joints)
     q = Symbols.inputs("q", model.tree.num_positions)
     v, vd = Symbols.inputs("v", nv), Symbols.inputs("vd", nv)
@@ -393,12 +385,7 @@ class EffortSource:
 
 
 def effort_source(model: RobotModel, language: str, *, sign_width: ArrayLike = 0.0) -> EffortSource:
-    """Return a model's effort as a file in a language, "python" or "cpp"; see `python_source`.
-
-    Raises:
-        ArgumentError: It is another language.
-        ModelError: An effect cannot be written as source code.
-    """
+    """Return a model's effort as a file in a language, "python" or "cpp"; see `python_source`."""
     kind = _LANGUAGES[one_of(language, "language", _LANGUAGES)]
     formulas, included, left_out = _formulas(instance(model, "model", RobotModel), sign_width)
     lines, efforts = straight_line(formulas, kind.operation, kind.number)

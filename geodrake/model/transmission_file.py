@@ -38,12 +38,7 @@ def file_beside(model: Path) -> Path:
 
 
 def read_transmission(path: str | Path) -> tuple[Drive, ...]:
-    """Return the parts of a transmission file.
-
-    Raises:
-        ModelError: It cannot be read, has a list or a field that is none, or its numbers make no
-            transmission.
-    """
+    """Return the parts of a transmission file."""
     path = file_path(path)
     content = yaml_content(path, "transmission file", ModelError, advice="Correct the file there.")
     try:
@@ -64,11 +59,7 @@ def read_transmission(path: str | Path) -> tuple[Drive, ...]:
 
 
 def drives_of(parts: Iterable[tuple[str, Statement]]) -> tuple[Drive, ...]:
-    """Return the drives that parts make; each comes with where it is, such as `gears[0]`.
-
-    Raises:
-        ModelError: The numbers or names of a part make none.
-    """
+    """Return the drives that parts make; each comes with where it is, such as `gears[0]`."""
     drives = []
     for place, part in parts:
         for what, names in (("actuator", part.actuator_names()), ("joint", part.joint_names())):
@@ -82,11 +73,7 @@ def drives_of(parts: Iterable[tuple[str, Statement]]) -> tuple[Drive, ...]:
 
 
 def stated_of(drives: Sequence[Drive]) -> Stated:
-    """Return what makes drives again, to be saved.
-
-    Raises:
-        ModelError: A drive is a function of the user's own.
-    """
+    """Return what makes drives again, to be saved."""
     stated = Stated()
     for drive in drives:
         if drive.statement is None:

@@ -236,11 +236,7 @@ FORMATS = {
 
 
 def export_format(name: str) -> ExportFormat:
-    """Return a format by name.
-
-    Raises:
-        ArgumentError: There is no such format.
-    """
+    """Return a format by name."""
     if name not in FORMATS:
         raise ArgumentError(
             f"There is no format {name!r} to export to.",

@@ -66,11 +66,7 @@ class Link:
 
 
 def _links_of(model: RobotModel) -> tuple[Link, ...]:
-    """Return the links of a model from the base on, each after its parent, payloads included.
-
-    Raises:
-        ModelError: It has joints that turn about or slide along more than one axis, or backwards.
-    """
+    """Return the links of a model from the base on, each after its parent, payloads included."""
     plant, joints = model.plant, exported_joints(model)
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, np.zeros(plant.num_positions()))
@@ -134,9 +130,6 @@ def from_plant(model: RobotModel, kind: str, gravity: Array) -> bytes:
     Args:
         model: The model, of effects that the format holds.
         gravity: (3,) acceleration of gravity in the frame of the base, for a format that has it.
-
-    Raises:
-        ModelError: The robot floats, or has joints that no other format has alike.
     """
     if model.floating:
         raise ModelError(
@@ -326,9 +319,6 @@ def model_file(
         model: The model, of effects that the format holds.
         folder: Where the file will be: relative paths in it lead from there.
         stands: Whether the model has the effects of its own file.
-
-    Raises:
-        ModelError: The file cannot take the numbers, or the robot cannot be written anew.
     """
     name = f"{model.path.name.partition('.')[0]}{SUFFIXES[kind]}"
     if own_kind(model) == kind:

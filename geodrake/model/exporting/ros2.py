@@ -33,9 +33,6 @@ def ros2_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
     """Return a package for colcon with a chainable controller.
 
     Its efforts are those of the exported C++ function at no acceleration.
-
-    Raises:
-        ModelError: The robot has joints of several degrees of freedom.
     """
     count = len(model.joints)
     if len(model.single_joints) != count or model.tree.num_positions != count:

@@ -24,11 +24,7 @@ _DIGITS = 15  # of a rotation, whose zeros and ones come out with rounding error
 
 
 def joint_formulas(tree: RobotTree, q: Formulas) -> Formulas:
-    """Return positions (nq of the tree of joints) as formulas of the robot's (nq).
-
-    Raises:
-        ModelError: Ratios of the transmission change with the position.
-    """
+    """Return positions (nq of the tree of joints) as formulas of the robot's (nq)."""
     if not isinstance(tree, DrivenTree):
         return q
     actuation = tree.actuation
@@ -51,11 +47,7 @@ def joint_formulas(tree: RobotTree, q: Formulas) -> Formulas:
 def inverse_dynamics_formula(
     tree: RobotTree, q: Formulas, v: Formulas, vd: Formulas, phi: Array
 ) -> Formulas:
-    """Return the effort (nv,) of the bodies φ (nb, 10), at the actuators of a transmission if any.
-
-    Raises:
-        ModelError: Ratios of the transmission change with the position.
-    """
+    """Return the effort (nv,) of the bodies φ (nb, 10), at the actuators if there are any."""
     if not isinstance(tree, DrivenTree):
         return _joint_efforts(tree, q, v, vd, phi)
     theta, J = joint_formulas(tree, q), tree.actuation.jacobian(np.zeros((1, len(q))))[0]

@@ -66,11 +66,7 @@ _MADE_OF: dict[str, Callable[..., Operand]] = {  # what is written by other oper
 
 
 def record(name: str, *operands: Operand) -> Operand:
-    """Return an operation, by NumPy's name; a number where no operand is a symbol.
-
-    Raises:
-        ArgumentError: It is none of those that can be written.
-    """
+    """Return an operation, by NumPy's name; a number where no operand is a symbol."""
     name = _SAME.get(name, name)
     if name in _MADE_OF:
         return _MADE_OF[name](*operands)
@@ -266,9 +262,6 @@ def recorded_rows(
     Args:
         motion: One sample of symbols; with time and hidden states where it has any.
         with_past: Whether the sample has these; without, the effect is as if it had settled.
-
-    Raises:
-        ModelError: It does not compute them by NumPy's functions alone.
     """
     with_past = with_past and bool(effect.depends_on & BEYOND_MOTION)
     try:

@@ -93,9 +93,6 @@ class Driving:
         Args:
             effort: (nv,) efforts of the model, N·m or N.
             time: Time since the log began, s.
-
-        Raises:
-            ModelError: Load-dependent friction does not settle.
         """
         q, v = self.model_state(state)
         J, rate = self._jacobians(q, v)
@@ -115,9 +112,6 @@ class Driving:
         """Return q̈ (nv,) at q (nq,) and v (nv,) under efforts (nv,) that act at the actuators.
 
         What is needed is affine in q̈, but for friction that depends on the load.
-
-        Raises:
-            ModelError: Load-dependent friction does not settle.
         """
         M, needed = self.mass_and_drift(q, v, time)
         size = 1.0 + np.abs(effort).max()

@@ -243,9 +243,6 @@ class ForceLaw:
 
         Args:
             u: (nv,) efforts that act on motors, N·m or N.
-
-        Raises:
-            ModelError: Friction in proportion to the load holds its own load.
         """
         motor = self.at_motors(state)
         direct = self.motors.direct.direct(motor, parameters)
@@ -310,12 +307,7 @@ class ForceLaw:
         return lag
 
     def check_symbolic(self) -> None:
-        """Refuses what is no formula of state and time; records the rest.
-
-        Raises:
-            ModelError: It has effects of accelerations, loads or temperatures, or soft joints; or
-                an effect is no formula.
-        """
+        """Refuses what is no formula of state and time; records the rest."""
         if self.implicit:
             raise ModelError(
                 "Effects that depend on accelerations or loads, and soft joints, have no formulas: "
@@ -339,11 +331,7 @@ class ForceLaw:
 
 
 def admissible(effect: Effect, values: ArrayLike) -> Array:
-    """Return linear parameters (k,) that the effect can have.
-
-    Raises:
-        ArgumentError: They are beyond its manifold, or not as many.
-    """
+    """Return linear parameters (k,) that the effect can have."""
     fitted = FittedEffect(effect, real_array(values, f"parameters of {effect.name}").copy())
     try:
         check_effect(fitted)

@@ -332,11 +332,7 @@ class Terms:
         return rates
 
     def record(self, states: int, parameters: Parameters) -> Formulas:
-        """Return the effort (nv,) as formulas; inertial parameters are numbers in them.
-
-        Raises:
-            ModelError: An effect cannot be recorded.
-        """
+        """Return the effort (nv,) as formulas; inertial parameters are numbers in them."""
         mu, phi = parameters
         key = phi.tobytes()
         if key not in self._recorded:
