@@ -37,6 +37,7 @@ from geodrake.robot.files.source_text import comment_words
 from geodrake.robot.files.values import UPPER, tensor_words, words
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.holding import moving_joints
+from geodrake.robot.plant import joint_names, motor_joints, scoped_joint_names
 
 _DRAKE = "http://drake.mit.edu"
 _UNLIMITED = 1e9  # effort and speed, where a URDF must state some
@@ -362,11 +363,12 @@ def _edited(model: RobotModel, folder: Path, stands: bool) -> tuple[bytes, tuple
         f"meshes and other files that {path.name} names stay where they are; the copy names them "
         "from its folder"
     )
-    return moved, (*exported.notes, *acting, *([elsewhere] if moved != data else ()))
+    acting = (*acting, *_notes_on_motors(model), *([elsewhere] if moved != data else ()))
+    return moved, (*exported.notes, *acting)
 
 
 def _notes_on_limits(model: RobotModel) -> tuple[str, ...]:
-    """Return notes on limits of effort and motors that logs contradict, and a file keeps."""
+    """Return a note on limits of effort that logs told, and that the user's file does not have."""
     known = model.known_effort_limits
     less = [
         f"{joint} {limit:.3g} {'N' if joint in model.sliding_joints else 'N·m'}"
@@ -374,9 +376,18 @@ def _notes_on_limits(model: RobotModel) -> tuple[str, ...]:
         if limit != of_file
     ]
     stay = f"limits of effort in {model.path.name} stay as they are; the model knows of less: "
-    idle = ", ".join(model.motorless)
-    none = f"{idle} had no motor in logs; {model.path.name} stays as it is there"
-    return (*([f"{stay}{', '.join(less)}"] if less else []), *([none] if idle else []))
+    return (f"{stay}{', '.join(less)}",) if less else ()
+
+
+def _notes_on_motors(model: RobotModel) -> tuple[str, ...]:
+    """Return a note on motors and limits that the user's file states where logs had no motor."""
+    names = zip(joint_names(model.plant), scoped_joint_names(model.plant), strict=True)
+    motors = {name for name, scoped in names if scoped in motor_joints(model.plant)}
+    limited = zip(model.joints, np.isfinite(model.effort_limits), strict=True)
+    motors |= {joint for joint, has_limit in limited if has_limit}
+    idle = ", ".join(joint for joint in model.motorless if joint in motors)
+    stay = f"{idle} had no motor in logs; {model.path.name} states one, which stays in the copy"
+    return (stay,) if idle else ()
 
 
 def _tilted_gravity(model: RobotModel) -> Array:
