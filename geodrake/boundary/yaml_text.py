@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import yaml  # type: ignore[import-untyped]
 
 from geodrake.boundary.escaping import one_line
 from geodrake.boundary.input_files import read_regular
-from geodrake.errors import ArgumentError, GeodrakeError, ModelError
+from geodrake.errors import GeodrakeError, ModelError
 
 LARGEST_FILE = 100_000_000  # bytes
 _MOST_NODES = 1_000_000  # with aliases unfolded
@@ -59,28 +57,6 @@ def yaml_content(path: Path, what: str, error: type[GeodrakeError], *, advice: s
         raise error(
             f"The {what} {path} is not valid YAML: {one_line(problem)}.", advice=advice, path=path
         ) from problem
-
-
-def yaml_table(
-    content: object, keys: Sequence[str] | None, what: str, *, advice: str, least: int = 1
-) -> Mapping[Any, Any]:
-    """Return what a YAML file has in a place, if that is a table.
-
-    Args:
-        keys: The keys that it may have; None for any.
-        what: What messages call it.
-
-    Raises:
-        ArgumentError: It is none, or has another key.
-    """
-    if not isinstance(content, dict) or len(content) < least:
-        raise ArgumentError(f"{what} is {content!r:.60}, no table of keys.", advice=advice)
-    for key in content:
-        if keys is not None and key not in keys:
-            raise ArgumentError(
-                f"{what} has the key {key!r:.60}.", advice=f"It may have {', '.join(keys)}."
-            )
-    return content
 
 
 def _refuse_repeated(node: yaml.Node | None) -> None:

@@ -91,7 +91,7 @@ def test_memory_grows_with_the_log_alone(monkeypatch, tmp_path):
 
 
 def test_csv_is_read_in_stretches(monkeypatch, tmp_path):
-    monkeypatch.setattr("geodrake.logs.files.text_file._LINES", 7)
+    monkeypatch.setattr("geodrake.logs.files.text_file._LETTERS", 300)
     log = long_log(50)
     path = tmp_path / "log.csv"
     write_log(log, path)

@@ -187,6 +187,33 @@ def test_a_row_a_joint_with_what_was_commanded_and_other_units(tmp_path):
     np.testing.assert_allclose(log.effort, EFFORT, atol=1e-9)
 
 
+@pytest.mark.parametrize("first", [0.0, 5.0])  # s at which the second joint begins
+def test_one_joint_after_the_other_is_no_row_a_joint(tmp_path, first):
+    """Of joints that move one at a time, nobody knows where the others stand."""
+    rows = [
+        [j * first + (1.0 + 0.1 * j) * TIME[k], joint, POSITION[k, j], EFFORT[k, j]]
+        for j, joint in enumerate(JOINTS)
+        for k in range(ROWS)
+    ]
+    path = _write(tmp_path / "one.csv", ["time", "joint", "position", "effort"], rows)
+    with pytest.raises(LogError, match=r"one joint after the other, as 'joint' says"):
+        read_log(path)
+    together = [[TIME[k % ROWS], *row[1:]] for k, row in enumerate(rows)]
+    path = _write(tmp_path / "all.csv", ["time", "joint", "position", "effort"], together)
+    np.testing.assert_allclose(read_log(path, joints=JOINTS).effort, EFFORT)
+
+
+@pytest.mark.parametrize(
+    ("write", "old", "new", "row"),
+    [(_long, f"{TIME[3]},elbow,", f"{TIME[3]},,", 8), (_named_cells, "base,elbow", "base,", 1)],
+)
+def test_cells_without_a_name_are_said(tmp_path, write, old, new, row):
+    path = write(tmp_path)
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(LogError, match=rf"Row {row} .* names no joint in column '"):
+        read_log(path)
+
+
 @pytest.mark.parametrize("kind", ["json", "parquet"])
 def test_lists_that_are_missing_in_some_rows(tmp_path, kind):
     content = {"time": TIME.tolist(), "q": POSITION.tolist(), "tau": EFFORT.tolist()}

@@ -56,9 +56,25 @@ def test_names_of_other_loggers(form):
     np.testing.assert_array_equal(log.temperature, WARMTH)
 
 
+@pytest.mark.parametrize(
+    ("form", "other"),
+    [("temp_J [°F]", lambda c: 1.8 * c + 32.0), ("temp_J [degF]", lambda c: 1.8 * c + 32.0)],
+)
+def test_degrees_of_fahrenheit_are_read(form, other):
+    frame = {"time": TIME}
+    for quantity, values in (("q_J", Q), ("tau_J", np.cos(Q)), (form, other(WARMTH))):
+        frame |= {quantity.replace("J", str(k)): values[:, k] for k in range(2)}
+    log = log_of_frame(frame, joints=JOINTS)
+    np.testing.assert_allclose(log.temperature, WARMTH, rtol=1e-12)
+    assert "temperature is in °F, by the names of columns: converted" in log.notes
+    frame = {key.replace("[°F]", "").replace("[degF]", ""): x for key, x in frame.items()}
+    log = log_of_frame(frame, joints=JOINTS, reading=Reading(units={"temperature": "F"}))
+    np.testing.assert_allclose(log.temperature, WARMTH, rtol=1e-12)
+
+
 def test_another_unit_is_refused():
-    with pytest.raises(ArgumentError, match=r"'K' is no known unit of temperature.*°C"):
-        log_of_frame(log_with(WARMTH).columns(), reading=Reading(units={"temperature": "K"}))
+    with pytest.raises(ArgumentError, match=r"'R' is no known unit of temperature.*°C"):
+        Reading(units={"temperature": "R"})
 
 
 def test_limits_and_boards_are_no_temperatures_of_joints():

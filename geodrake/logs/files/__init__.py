@@ -10,7 +10,7 @@ understood as well, by `recognition`, or by what the user says of them, a `Readi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -87,44 +87,35 @@ def understand(
     parts = parts_of(path)
     for part in parts:
         check_log(part)
-    log, columns = _read(path, parts, joints, reading, partial=partial)
+
+    def read(how: Reading) -> tuple[JointLog, Columns]:
+        try:
+            table = joined_table(parts, how) if len(parts) > 1 else table_of(path, how, joints)
+            return _understood(table, joints, how, partial=partial)
+        except UnicodeDecodeError as error:
+            raise LogError(
+                f"Log {str(path)!r} is no text in UTF-8: {error.reason} at byte {error.start}.",
+                advice="Save it as CSV in UTF-8, or as .npz.",
+            ) from error
+        except (OSError, MemoryError) as error:
+            raise LogError(
+                f"Log {str(path)!r} cannot be read: {error}.",
+                advice="Check the file's permissions, and that there is memory for it.",
+            ) from error
+
+    return _of_use(read, reading)
+
+
+def _of_use(
+    read: Callable[[Reading], tuple[JointLog, Columns]], reading: Reading
+) -> tuple[JointLog, Columns]:
+    """Read a log, and once more without columns of efforts that say nothing of them."""
+    log, columns = read(reading)
     if not (useless := without_use(log, columns)):
         return log, columns
-    log, columns = _read(path, parts, joints, _ignoring(reading, useless), partial=partial)
-    return _noting(log, useless), columns
-
-
-def _ignoring(reading: Reading, columns: frozenset[str]) -> Reading:
-    return replace(reading, ignored=reading.ignored | columns)
-
-
-def _noting(log: JointLog, useless: frozenset[str]) -> JointLog:
+    log, columns = read(replace(reading, ignored=reading.ignored | useless))
     words = f"columns {listed(sorted(useless))} say nothing of efforts, and are not used"
-    return replace(log, notes=(*log.notes, words))
-
-
-def _read(
-    path: Path,
-    parts: Sequence[Path],
-    joints: Sequence[str] | None,
-    reading: Reading,
-    *,
-    partial: bool,
-) -> tuple[JointLog, Columns]:
-    """Return the log in a file, or in several, and what its columns were taken for."""
-    try:
-        table = joined_table(parts, reading) if len(parts) > 1 else table_of(path, reading, joints)
-        return _understood(table, joints, reading, partial=partial)
-    except UnicodeDecodeError as error:
-        raise LogError(
-            f"Log {str(path)!r} is no text in UTF-8: {error.reason} at byte {error.start}.",
-            advice="Save it as CSV in UTF-8, or as .npz.",
-        ) from error
-    except (OSError, MemoryError) as error:
-        raise LogError(
-            f"Log {str(path)!r} cannot be read: {error}.",
-            advice="Check the file's permissions, and that there is memory for it.",
-        ) from error
+    return replace(log, notes=(*log.notes, words)), columns
 
 
 @typed
@@ -145,12 +136,8 @@ def log_of(
     Raises:
         LogError: A needed column or joint is missing or there twice, or time does not increase.
     """
-    reading = reading or Reading()
-    log, columns = _understood(table, joints, reading, partial=partial)
-    if not (useless := without_use(log, columns)):
-        return log
-    reading = _ignoring(reading, useless)
-    return _noting(_understood(table, joints, reading, partial=partial)[0], useless)
+    how = reading or Reading()
+    return _of_use(lambda each: _understood(table, joints, each, partial=partial), how)[0]
 
 
 def _understood(

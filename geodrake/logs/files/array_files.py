@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 import math
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,20 +17,17 @@ from scipy.io import loadmat
 
 from geodrake.boundary.input_files import open_regular, open_text
 from geodrake.boundary.optional_packages import optional_package
-from geodrake.errors import GeodrakeError, LogError
+from geodrake.errors import LogError
 from geodrake.logs.files.column_mapping import check_once, is_used
-from geodrake.logs.files.name_rules import is_time, meaning_of, names_joints
+from geodrake.logs.files.name_rules import meaning_of
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import (
-    Groups,
     LogTable,
-    Part,
-    TornRows,
     check_room,
-    dates,
     numeric_table,
     readable,
     rows_of,
+    spread,
 )
 
 _LINES = (".jsonl", ".ndjson")
@@ -48,13 +44,13 @@ def read_json(path: Path, reading: Reading) -> LogTable:
         else:
             content = json.load(file)
     if isinstance(content, Mapping):
-        found = {name: values for name, values in _lists(content) if len(values) > 1}
-        return numeric_table(path, found, rows_of(found))
+        lists = {n: x for n, x in _fields(content) if isinstance(x, list) and len(x) > 1}
+        return numeric_table(path, lists, rows_of(lists))
     if not isinstance(content, list) or not all(isinstance(row, Mapping) for row in content):
         raise LogError(f"Log {str(path)!r} is neither an object nor records.", advice=_JSON_ADVICE)
     columns = dict[str, list[Any]]()
     for k, record in enumerate(content):
-        for name, value in _fields(record):
+        for name, value in _fields(record, lists=True):
             columns.setdefault(name, [None] * k).append(value)
             check_room(path, len(content) * len(columns), f"{len(columns)} fields")
         for values in columns.values():
@@ -63,23 +59,16 @@ def read_json(path: Path, reading: Reading) -> LogTable:
     return numeric_table(path, arrays, len(content))
 
 
-def _lists(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, list[Any]]]:
-    """Yield the arrays of an object, and of those in it, by their paths."""
-    for name, value in content.items():
-        if isinstance(value, Mapping):
-            yield from _lists(value, f"{prefix}{name}.")
-        elif isinstance(value, list):
-            yield f"{prefix}{name}", value
-
-
-def _fields(record: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the numbers and words of a record by their paths."""
+def _fields(
+    record: Mapping[str, Any], prefix: str = "", *, lists: bool = False
+) -> Iterator[tuple[str, Any]]:
+    """Yield what is in nested tables by its path; of lists each item, if these are fields, too."""
     for name, value in record.items():
-        if isinstance(value, Mapping):
-            yield from _fields(value, f"{prefix}{name}.")
-        elif isinstance(value, list):
-            inner = {f"{name}[{k}]": each for k, each in enumerate(value)}
-            yield from _fields(inner, prefix)
+        if lists and isinstance(value, list):
+            items = {f"[{k}]": each for k, each in enumerate(value)}
+            yield from _fields(items, f"{prefix}{name}", lists=lists)
+        elif isinstance(value, Mapping):
+            yield from _fields(value, f"{prefix}{name}.", lists=lists)
         else:
             yield f"{prefix}{name}", value
 
@@ -95,7 +84,7 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
     with readable(path, "MATLAB file", _MAT_ADVICE):
         variables = _of_hdf5(path) if _is_hdf5(path) else loadmat(path, simplify_cells=True)
     own = {name: value for name, value in variables.items() if not name.startswith(("__", "#"))}
-    arrays = dict(_flattened(own))
+    arrays = _arrays(own)
     rows = max((max(array.shape) for array in arrays.values()), default=0)
     sides = {name: _upright(array, rows) for name, array in arrays.items()}
     table = numeric_table(path, sides, rows)
@@ -111,7 +100,7 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
 def read_hdf5(path: Path, reading: Reading) -> LogTable:
     """Return the arrays of an HDF5 file by their paths; images and the like are left out."""
     with readable(path, "HDF5 file"):
-        arrays = dict(_flattened(_of_hdf5(path, matlab=False)))
+        arrays = _arrays(_of_hdf5(path, matlab=False))
     return numeric_table(path, arrays, rows_of(arrays))
 
 
@@ -159,15 +148,11 @@ def _of_hdf5(path: Path, *, matlab: bool = True) -> dict[str, Any]:
     return variables
 
 
-def _flattened(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Arrays with one number or more, fields of structs by their paths."""
-    inner = [value for value in values.values() if isinstance(value, Mapping)]
-    for name, value in values.items():
-        if isinstance(value, Mapping):  # a struct around all else says nothing
-            around = not prefix and len(values) == len(inner) == 1
-            yield from _flattened(value, "" if around else f"{prefix}{name}.")
-        elif isinstance(value, np.ndarray) and value.size > 1:
-            yield f"{prefix}{name}", value
+def _arrays(variables: dict[str, Any]) -> dict[str, Any]:
+    """Return arrays with two numbers or more; a struct around all else says nothing."""
+    while len(variables) == 1 and isinstance(inner := next(iter(variables.values())), Mapping):
+        variables = dict(inner)
+    return {n: x for n, x in _fields(variables) if isinstance(x, np.ndarray) and x.size > 1}
 
 
 def _upright(array: Any, rows: int) -> Any:
@@ -222,174 +207,62 @@ _MOST_JOINTS = 1000  # columns of a matrix
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
-def read_npz(path: Path) -> LogTable:
-    """Return the columns of an NPZ file, of which nothing is unpacked before it is asked for."""
-    with _archive(path) as archive:
-        places = [place for entry in archive.infolist() for place in _places(archive, entry)]
-        table = ArchiveTable(path, places, _origins(archive, places))
-    lists = (name for name in table.names if names_joints(name) and meaning_of(name) is None)
-    return table.loaded() if any(lists) else table
-
-
-class ArchiveTable(LogTable):
-    """A table whose columns are members of an archive, read one by one."""
-
-    def __init__(self, path: Path, places: Sequence[_Place], origins: Mapping[str, int]) -> None:
-        super().__init__(path, {}, origins=origins)
-        self._places = places
-
-    @property
-    def names(self) -> Sequence[str]:
-        """Names of the columns."""
-        return [place.name for place in self._places]
-
-    def rows(self, names: Sequence[str]) -> int:
-        """Return the length that some columns have, by their headers."""
-        places = {name: self._places[self.names.index(name)] for name in names}
-        with _archive(self.path) as archive:
-            lengths = {n: _length(self.path, archive, n, place) for n, place in places.items()}
-        return _common(self.path, lengths)
-
-    def parts(self, groups: Groups, torn: TornRows) -> Iterator[Part]:
-        """Yield the numbers of each group in all rows; see `LogTable`."""
-        places, last = {place.name: place for place in reversed(self._places)}, _Read()
-        with _archive(self.path) as archive:
-            for group in groups:
-                numbers = {name: last.column(archive, places[name]) for name in group}
-                yield slice(0, len(numbers[group[0]])), numbers
-
-    def loaded(self) -> LogTable:
-        """Return the table of all arrays of numbers; others are left out."""
-        arrays: dict[str, Any] = {}
-        with _archive(self.path) as archive:
-            for entry in archive.infolist():
-                name = entry.filename.removesuffix(".npy").strip()
-                shape, dtype = _declared(self.path, archive, name, entry)
-                if not dtype.hasobject and shape:
-                    with archive.open(entry) as file:
-                        arrays[name] = npy.read_array(file, allow_pickle=False)
-        return numeric_table(self.path, arrays, max(map(len, arrays.values()), default=0))
-
-
-@dataclass(frozen=True)
-class _Place:
-    """Where the numbers of a column are: in an array, or in a column of one.
-
-    Attributes:
-        column: Which column of a matrix; None for an array of numbers.
-    """
-
-    name: str
-    entry: zipfile.ZipInfo
-    column: int | None = None
-
-
-class _Read:
-    """The array that was read last, of which further columns may be asked for."""
-
-    def __init__(self) -> None:
-        self._entry: zipfile.ZipInfo | None = None
-        self._array: Array = np.empty(0)
-
-    def column(self, archive: zipfile.ZipFile, place: _Place) -> Array:
-        if place.entry is not self._entry:
-            self._array = np.empty(0)  # its memory is free before the next is read
-            with archive.open(place.entry) as file, np.errstate(over="ignore"):  # of long doubles
-                array = npy.read_array(file, allow_pickle=False)
-                self._array = (
-                    dates(array)[0] if array.dtype.kind == "M" else np.asarray(array, float)
+def read_npz(path: Path, reading: Reading) -> LogTable:
+    """Return the columns of an NPZ file: what it declares is checked before it is unpacked."""
+    arrays: dict[str, Any] = {}
+    with (
+        readable(path, "NPZ archive", f"Write it by numpy.savez. {_NPZ_ADVICE}"),
+        open_regular(path, "log", LogError) as file,
+        zipfile.ZipFile(file) as archive,
+    ):
+        declared = {entry: _declared(path, archive, entry) for entry in archive.infolist()}
+        declared = {entry: said for entry, said in declared.items() if len(said[0]) <= 2}
+        size = sum(math.prod(shape) for shape, _ in declared.values())
+        check_room(path, size, f"{size} numbers")
+        for entry, (shape, dtype) in declared.items():
+            name = _member(entry)
+            if is_used(name) and len(shape) != 1:
+                raise LogError(
+                    f"Array {name!r} of log {str(path)!r} is not 1-D: its shape is {shape}.",
+                    advice=_NPZ_ADVICE,
                 )
-            self._entry = place.entry
-        return self._array if place.column is None else self._array[:, place.column]
+            if not dtype.hasobject and shape:
+                with archive.open(entry) as member, np.errstate(over="ignore"):  # of long doubles
+                    arrays[name] = npy.read_array(member, allow_pickle=False)
+                    if dtype.kind in "fiu":
+                        arrays[name] = np.asarray(arrays[name], float)
+    numeric = {n: values for n, values in arrays.items() if values.dtype.kind in "fiubmM"}
+    rows = rows_of(numeric)
+    odd = {n: values for n, values in numeric.items() if len(values) != rows}
+    table = numeric_table(path, {n: v for n, v in arrays.items() if n not in odd}, rows)
+    silent = {n: f"holds {arrays[n].dtype}, not real numbers" for n in table.silent}
+    objects = [_member(entry) for entry, (_, dtype) in declared.items() if dtype.hasobject]
+    silent |= dict.fromkeys(objects, "holds objects, not real numbers")
+    columns = dict(table.columns)
+    for name, values in odd.items():  # of which those without a meaning are ignored by name
+        known = meaning_of(name) is not None
+        columns |= spread(name, np.asarray(values if known else values.ravel(), float))
+    return replace(table, columns=columns, silent=silent)
 
 
-def _origins(archive: zipfile.ZipFile, places: Sequence[_Place]) -> dict[str, int]:
-    """Columns of dates -> the first, ns since 1970."""
-    found = {}
-    for place in places:
-        if not is_time(place.name):
-            continue
-        with (
-            suppress(Exception),
-            archive.open(place.entry) as file,
-        ):  # what is damaged is said later
-            if _HEADERS[npy.read_magic(file)](file)[2].kind == "M":
-                file.seek(0)
-                found[place.name] = dates(npy.read_array(file, allow_pickle=False))[1]
-    return found
-
-
-def _places(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> list[_Place]:
-    """Return the columns of a member: those of a matrix (N, n) are `q[0]`, `q[1]` and so on."""
-    name = entry.filename.removesuffix(".npy").strip()
-    shape: tuple[int, ...] = ()
-    if not is_used(name) and meaning_of(name) is not None:
-        with suppress(Exception), archive.open(entry) as file:  # what is damaged is said later
-            version = npy.read_magic(file)
-            shape = _HEADERS[version](file)[0]
-    if len(shape) == 2 and 0 < shape[1] <= _MOST_JOINTS:
-        return [_Place(f"{name}[{k}]", entry, k) for k in range(shape[1])]
-    return [_Place(name, entry)]
-
-
-@contextmanager
-def _archive(path: Path) -> Iterator[zipfile.ZipFile]:
-    """Open an archive; whatever it raises that is damaged, or made to do harm, is a `LogError`."""
-    try:
-        with open_regular(path, "log", LogError) as file, zipfile.ZipFile(file) as archive:
-            yield archive
-    except (GeodrakeError, MemoryError):
-        raise
-    except Exception as error:  # of zipfile, its decompressors and numpy: no list would be whole
-        raise LogError(
-            f"Log {str(path)!r} is no NPZ archive that can be read: {str(error).rstrip('.')}.",
-            advice=f"Write it by numpy.savez. {_NPZ_ADVICE}",
-        ) from error
-
-
-def _length(path: Path, archive: zipfile.ZipFile, name: str, place: _Place) -> int:
-    """Return how many rows a member has, by its header and by its declared size."""
-    shape, dtype = _declared(path, archive, name, place.entry)
-    if len(shape) != (1 if place.column is None else 2):
-        raise LogError(
-            f"Array {name!r} of log {str(path)!r} is not 1-D: its shape is {shape}.",
-            advice=_NPZ_ADVICE,
-        )
-    if dtype.kind not in ("iufM" if is_time(name) else "iuf"):
-        raise LogError(
-            f"Array {name!r} of log {str(path)!r} holds {dtype}, not real numbers.",
-            advice="Store numbers such as float64, in SI units.",
-        )
-    return int(shape[0])
+def _member(entry: zipfile.ZipInfo) -> str:
+    return entry.filename.removesuffix(".npy").strip()
 
 
 def _declared(
-    path: Path, archive: zipfile.ZipFile, name: str, entry: zipfile.ZipInfo
+    path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo
 ) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Shape and type of a member by its header, which its size must be of."""
+    """Return shape and type of a member by its header, which its size must be of."""
     with archive.open(entry) as file:
         version = npy.read_magic(file)
         if version not in _HEADERS:
-            raise ValueError(f"array {name!r} is of version {version} of the NPY format")
+            raise ValueError(f"array {_member(entry)!r} is of version {version} of the NPY format")
         shape, _, dtype = _HEADERS[version](file)
         header = file.tell()
     if not dtype.hasobject and header + dtype.itemsize * math.prod(shape) != entry.file_size:
         raise LogError(
-            f"Array {name!r} of log {str(path)!r} is to have {math.prod(shape)} numbers of "
-            f"{dtype.itemsize} bytes, but takes {entry.file_size - header} bytes.",
+            f"Array {_member(entry)!r} of log {str(path)!r} is to have {math.prod(shape)} numbers "
+            f"of {dtype.itemsize} bytes, but takes {entry.file_size - header} bytes.",
             advice="The file is damaged: write it again.",
         )
     return shape, dtype
-
-
-def _common(path: Path, lengths: Mapping[str, int]) -> int:
-    """Return the length that all arrays have."""
-    first, rows = next(iter(lengths.items()))
-    for name, length in lengths.items():
-        if length != rows:
-            raise LogError(
-                f"The arrays of log {str(path)!r} are not of one length: {first!r} has {rows} "
-                f"numbers and {name!r} has {length}.",
-                advice=_NPZ_ADVICE,
-            )
-    return rows

@@ -322,7 +322,8 @@ def unit_words(sources: Mapping[str, Source], reading: Reading) -> Iterator[str]
         same[source.kind if quantity == "effort" else quantity][name] = source
     for quantity in ("time", *QUANTITIES, *SIGNAL_KINDS):
         columns = same[quantity].values()
-        units = dict.fromkeys(s.unit.name for s in columns if s.unit and s.unit.factor != 1.0)
+        found = [s.unit for s in columns if s.unit]
+        units = dict.fromkeys(unit.name for unit in found if unit.factor != 1.0 or unit.offset)
         if units:
             asked = {quantity, _UNITS_WITH.get(quantity, quantity)}.intersection(reading.units)
             told = "as asked for" if asked else "by the names of columns"

@@ -33,6 +33,7 @@ TEXT = (".csv", ".txt", ".dat", ".tsv", ".log")
 """Suffixes of tables of text."""
 
 SUFFIXES: Mapping[str, Reader] = {
+    ".npz": read_npz,
     ".bag": read_bag,
     ".mcap": read_bag,
     ".db3": read_bag,
@@ -47,7 +48,7 @@ SUFFIXES: Mapping[str, Reader] = {
     ".hdf5": read_hdf5,
     **dict.fromkeys((".json", ".jsonl", ".ndjson"), read_json),
 }
-"""Reader of files beside text and NPZ, by their suffix."""
+"""Reader of files beside text, by their suffix."""
 
 FOLDERS: Mapping[str, Reader] = {
     "metadata.yaml": read_bag,
@@ -70,16 +71,18 @@ def table_of(
         joints: Names of the model's joints, if there is a model, for a proposed mapping.
     """
     kind = path.suffix.lower()
-    if kind not in (*TEXT, ".npz"):
+    if kind in TEXT:
+        table = read_text(path, reading, joints, numbered=numbered)
+    else:
         reader = reader_of(check_log(path))
         if reader is None:
             raise LogError(
                 f"Log {str(path)!r} ends in {path.suffix!r}, which geodrake does not read.",
                 advice=f"Convert it to .csv, .npz or one of {', '.join(SUFFIXES)}.",
             )
-        return reader(path, reading)
-    is_text = kind in TEXT
-    table = read_text(path, reading, joints, numbered=numbered) if is_text else read_npz(path)
+        table = reader(path, reading)
+        if kind != ".npz":
+            return table
     said = {"topic": ", ".join(reading.topics) or None, "episode": reading.episode}
     notes = [
         f"{path.name} has no {name}s, so that {value!r} chooses nothing in it"

@@ -56,15 +56,25 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
     periods = [float(np.nanmedian(np.diff(time))) if len(time) > 1 else np.nan for time in known]
     slowest = _ALIKE * np.nanmax(periods)
     base = next(k for k, period in enumerate(periods) if period >= slowest)
-    _check_rates(log, tables, periods)
-    _check_meet(log, known)
+    if max(periods) > _MIXED * min(periods):
+        rates = (f"{t.path} {1 / p:.4g} Hz" for t, p in zip(tables, periods, strict=True))
+        raise LogError(
+            f"The parts of log {str(log)!r} are of mixed rates: {', '.join(rates)}.",
+            advice=f"Log them at rates that differ by a factor of {_MIXED:g} at most.",
+        )
+    if not max(map(np.nanmin, known)) < min(map(np.nanmax, known)):
+        spans = (f"{np.nanmin(t):.6g} to {np.nanmax(t):.6g} s" for t in known)
+        raise LogError(
+            f"The parts of log {str(log)!r} are of times that do not meet: {', '.join(spans)}.",
+            advice="Use one clock for both.",
+        )
     columns = {"time": known[base]}
     for table, time in zip(tables, known, strict=True):
         for column, values in table.columns.items():
             if not is_time(column):
                 meaning = meaning_of(column)
                 holds = meaning is not None and meaning.quantity == "command"
-                columns[column] = _at(known[base], time, values, holds=holds)
+                columns[column] = at_instants(known[base], time, values, holds=holds)
     rate = 1.0 / periods[base]
     note = f"joined by time, at the {rate:.4g} rows a second of {tables[base].path}"
     notes = (note, *unit_notes, *noted)
@@ -131,26 +141,7 @@ def _side_by_side(log: Path, tables: Sequence[LogTable]) -> dict[str, Array]:
     return columns
 
 
-def _check_rates(log: Path, tables: Sequence[LogTable], periods: Sequence[float]) -> None:
-    if max(periods) > _MIXED * min(periods):
-        rates = (f"{t.path} {1 / p:.4g} Hz" for t, p in zip(tables, periods, strict=True))
-        raise LogError(
-            f"The parts of log {str(log)!r} are of mixed rates: {', '.join(rates)}.",
-            advice=f"Log them at rates that differ by a factor of {_MIXED:g} at most.",
-        )
-
-
-def _check_meet(log: Path, times: Sequence[Array]) -> None:
-    first, last = max(np.nanmin(t) for t in times), min(np.nanmax(t) for t in times)
-    if not first < last:
-        spans = (f"{np.nanmin(t):.6g} to {np.nanmax(t):.6g} s" for t in times)
-        raise LogError(
-            f"The parts of log {str(log)!r} are of times that do not meet: {', '.join(spans)}.",
-            advice="Use one clock for both.",
-        )
-
-
-def _at(instants: Array, time: Array, values: Array, *, holds: bool) -> Array:
+def at_instants(instants: Array, time: Array, values: Array, *, holds: bool = False) -> Array:
     """Values at other instants: between the neighbours; NaN outside, in gaps, and beside NaN.
 
     Args:
@@ -176,6 +167,7 @@ Texts = NDArray[np.object_]
 
 _NAMES = frozenset(["name", "names"])
 _ITEM = re.compile(r"[^\s,;'\"\[\]()]+")  # of a list of names
+_MOST_CHANGES = 0.05  # of the rows, after which another joint follows in tables of one at a time
 _MOST_JOINTS = 200  # more different words are no names of joints
 
 
@@ -186,7 +178,7 @@ def reshaped(table: LogTable, reading: Reading) -> LogTable:
         table: One whose cells may name joints; other tables are returned as they are.
     """
     words = {n: w for column, cells in table.words.items() for n, w in _items(column, cells)}
-    naming = {n: w for n, w in words.items() if names_joints(n) and _are_names(w)}
+    naming = {n: w for n, w in words.items() if names_joints(n) and len({*w}) <= _MOST_JOINTS}
     numbered = {n: w for n, w in naming.items() if number_of(n) is not None}
     if reading.mapping is not None or not naming:
         return table
@@ -206,8 +198,16 @@ def _items(column: str, cells: Texts) -> Iterator[tuple[str, Texts]]:
     yield column, cells
 
 
-def _are_names(words: Texts) -> bool:
-    return all(words) and len(set(words)) <= _MOST_JOINTS
+def _check_names(table: LogTable, column: str, words: Texts) -> None:
+    """Refuse cells without a name, of a column that is to say whose the numbers are."""
+    if not all(words):
+        row = 1 + next(k for k, word in enumerate(words) if not word)
+        raise LogError(
+            f"Row {row} of log {str(table.path)!r} names no joint in column {column!r}.",
+            advice="Write the joint's name there, or leave that row out.",
+            row=row,
+            column=column,
+        )
 
 
 def _named(table: LogTable, naming: Mapping[str, Texts]) -> LogTable:
@@ -219,6 +219,8 @@ def _named(table: LogTable, naming: Mapping[str, Texts]) -> LogTable:
     used = _likeliest(found, lambda m: (m.quantity, m.number))
     if not used:
         return table
+    for name, words in naming.items():
+        _check_names(table, name, words)
     columns = {n: values for n, values in table.columns.items() if n not in found}
     units = {n: unit for n, unit in table.units.items() if n not in found}
     for column, meaning in used.items():
@@ -261,6 +263,8 @@ def _pivoted(table: LogTable, naming: str, words: Texts, reading: Reading) -> Lo
     joints = list(dict.fromkeys(words.tolist()))
     if not own or any(m.words for m in own.values()) or len(joints) == len(words):
         return table
+    _check_names(table, naming, words)
+    _check_at_once(table, naming, words)
     parts = []
     for joint in joints:
         here = words == joint
@@ -279,3 +283,22 @@ def _pivoted(table: LogTable, naming: str, words: Texts, reading: Reading) -> Lo
         ) from error
     note = f"a row for each joint in {naming!r}: one for each instant is made of them"
     return replace(joined, notes=(note, *table.notes, *joined.notes))
+
+
+def _check_at_once(table: LogTable, naming: str, words: Texts) -> None:
+    """Refuse a table of one joint after the other: nobody knows where the others were meanwhile.
+
+    Tables may also have all rows of a joint together, at the same instants as those of the others.
+    """
+    changes = np.count_nonzero(words[1:] != words[:-1])
+    time = next((values for name, values in table.columns.items() if is_time(name)), None)
+    if time is None or changes > _MOST_CHANGES * len(words):
+        return
+    first, *others = (time[words == joint] for joint in dict.fromkeys(words.tolist()))
+    if not all(np.array_equal(first, other, equal_nan=True) for other in others):
+        raise LogError(
+            f"Log {str(table.path)!r} has one joint after the other, as {naming!r} says, and not "
+            "all of them at each instant.",
+            advice="Give the rows of each joint as a log of its own, with where the others stand.",
+            column=naming,
+        )

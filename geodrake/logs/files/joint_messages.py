@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
+from geodrake.logs.files.joined_tables import at_instants
 from geodrake.logs.motion import EFFORT_KINDS
 
 Array = NDArray[np.float64]
@@ -19,7 +20,6 @@ JointKey = str | int
 """The name of a joint, or its number from 0 on in messages without names."""
 
 _LARGEST_RATIO = 2.0  # of two rates that can be brought together
-_LONGEST_BRIDGE = 5.0  # periods between two samples that are interpolated
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,28 +34,6 @@ class JointSeries:
     joints: tuple[JointKey, ...]
     stamps: Stamps
     values: Mapping[str, Array]
-
-    @classmethod
-    def of(
-        cls,
-        joints: tuple[JointKey, ...],
-        quantities: Sequence[str],
-        stamps: Stamps,
-        numbers: Array,
-    ) -> JointSeries:
-        """The series of numbers that stand one message after the other.
-
-        Args:
-            stamps: (N,) when messages were measured, ns.
-            numbers: (N·m·n,) their numbers.
-        """
-        table = numbers.reshape(len(stamps), len(quantities), len(joints))
-        return cls(joints, stamps, {name: table[:, k] for k, name in enumerate(quantities)})
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether it has positions and efforts, or commands in the place of these."""
-        return is_complete(self.values)
 
 
 def is_complete(quantities: Iterable[str]) -> bool:
@@ -80,14 +58,8 @@ class _Track:
         """Interpolated at other instants; nothing where its samples are far apart."""
         if np.array_equal(stamps, self.stamps):
             return self
-        since = (self.stamps - stamps[0]).astype(float)
-        instants = (stamps - stamps[0]).astype(float)
-        after = np.clip(np.searchsorted(since, instants), 1, len(since) - 1)
-        far = np.diff(since)[after - 1] > _LONGEST_BRIDGE * 1e9 * self.period
-        values = {}
-        for quantity, numbers in self.values.items():
-            found = np.interp(instants, since, numbers, left=np.nan, right=np.nan)
-            values[quantity] = np.where(far & (since[after] != instants), np.nan, found)
+        since, instants = 1e-9 * (self.stamps - stamps[0]), 1e-9 * (stamps - stamps[0])
+        values = {q: at_instants(instants, since, numbers) for q, numbers in self.values.items()}
         return _Track(stamps, values)
 
 
@@ -103,7 +75,7 @@ def joint_columns(
         The columns, what was noticed, in words, and when time is zero, ns since 1970. Joints
         without names are `position[0]`, ….
     """
-    complete = [each for each in series if (each.values if part else each.is_complete)]
+    complete = [each for each in series if (each.values if part else is_complete(each.values))]
     notes = _order_notes(complete, topic)
     heard = {joint for each in complete for joint in each.joints}
     silent = dict.fromkeys(j for each in series for j in each.joints if j not in heard)
@@ -112,7 +84,9 @@ def joint_columns(
     once = [_without_repeats(each, topic, notes) for each in complete]
     tracks = _tracks(once)
     base_joint, base = max(tracks.items(), key=lambda item: len(item[1].stamps))
-    others = [joint for joint, track in tracks.items() if not _goes_with(track, base)]
+    others = [
+        joint for joint, track in tracks.items() if not np.array_equal(track.stamps, base.stamps)
+    ]
     for joint in others:
         _check_rates(topic, (joint, tracks[joint]), (base_joint, base))
     if others:
@@ -177,10 +151,6 @@ def _joined(parts: Sequence[_Track]) -> _Track:
         there = [p.values.get(quantity, np.full(len(p.stamps), np.nan)) for p in parts]
         values[quantity] = np.concatenate(there)[first]
     return _Track(stamps, values)
-
-
-def _goes_with(track: _Track, base: _Track) -> bool:
-    return track.stamps is base.stamps or np.array_equal(track.stamps, base.stamps)
 
 
 def _check_rates(topic: str, one: tuple[JointKey, _Track], other: tuple[JointKey, _Track]) -> None:
@@ -366,7 +336,7 @@ class MessageRows:
     @property
     def quantities(self) -> frozenset[str]:
         """Return what some joint has in one message."""
-        best = max((q for _, q in self._groups), key=_completeness, default=())
+        best = max((q for _, q in self._groups), key=lambda q: (is_complete(q), len(q)), default=())
         return frozenset(best)
 
     @property
@@ -391,16 +361,14 @@ class MessageRows:
 
     def series(self) -> list[JointSeries]:
         """Return what was measured, by groups of joints that came together, each in order."""
-        stamped = self.all_stamped
-        return [
-            JointSeries.of(
-                joints,
-                quantities,
-                np.frombuffer(group.stamps if stamped else group.received, np.int64),
-                np.frombuffer(group.numbers),
-            )
-            for (joints, quantities), group in self._groups.items()
-        ]
+        found, stamped = [], self.all_stamped
+        for (joints, quantities), group in self._groups.items():
+            stamps = np.frombuffer(group.stamps if stamped else group.received, np.int64)
+            size = len(stamps), len(quantities), len(joints)
+            table = np.frombuffer(group.numbers).reshape(size)
+            values = {name: table[:, k] for k, name in enumerate(quantities)}
+            found.append(JointSeries(joints, stamps, values))
+        return found
 
 
 @dataclass
@@ -410,10 +378,6 @@ class _Messages:
     stamps: array[int] = field(default_factory=lambda: array("q"))
     received: array[int] = field(default_factory=lambda: array("q"))
     numbers: array[float] = field(default_factory=lambda: array("d"))
-
-
-def _completeness(quantities: Sequence[str]) -> tuple[bool, int]:
-    return is_complete(quantities), len(quantities)
 
 
 def _at(message: Any, path: Sequence[str]) -> Any:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import yaml  # type: ignore[import-untyped]
 
 from geodrake.boundary.arguments import typed
-from geodrake.boundary.yaml_text import yaml_content, yaml_table
+from geodrake.boundary.yaml_schema import Schema, as_schema
+from geodrake.boundary.yaml_text import yaml_content
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files.name_rules import DESIRED, OF_JOINTS, Meaning, matched, meaning_of
 from geodrake.logs.files.reading import (
@@ -23,7 +23,6 @@ from geodrake.logs.files.units import UNITS, unit_of
 from geodrake.logs.motion import EFFORT_KINDS, PASSIVE
 
 MOST_COLUMNS = 500  # of a file for which a mapping is proposed
-_KEYS = tuple(quantity for quantity in OF_JOINTS if quantity != PASSIVE)  # of a joint
 _ASKED = ("position", "velocity", "effort")
 _FORM = (
     "Write `time: COLUMN` or `rate: HZ`, and `joints:`, each with `position:` and `effort:` (or "
@@ -44,47 +43,70 @@ def read_mapping(path: Path) -> ColumnMapping:
     try:
         return mapping_of(path, content)
     except ArgumentError as error:
-        raise LogError(f"Mapping {path}: {error.problem}", advice=error.advice) from error
+        advice = error.advice or _FORM
+        raise LogError(f"Mapping {path}: {error.problem}", advice=advice) from error
+
+
+class _ColumnSchema(Schema):
+    """A column as the file has it; see `MappedColumn`."""
+
+    column: str | int
+    unit: str | None = None
+    gain: float | str = 1.0
+
+
+_Column = str | int | _ColumnSchema | None
+
+
+class _JointSchema(Schema):
+    """Columns of a joint as the file has them."""
+
+    position: _Column = None
+    velocity: _Column = None
+    acceleration: _Column = None
+    effort: _Column = None
+    command: _Column = None
+    temperature: _Column = None
+    current: _Column = None
+    voltage: _Column = None
+    pwm: _Column = None
+
+
+class _MappingSchema(Schema):
+    """What a mapping file holds."""
+
+    joints: dict[str | int, _JointSchema]
+    time: _Column = None
+    rate: float | None = None
 
 
 def mapping_of(path: Path, content: object) -> ColumnMapping:
     """Return what the content of a mapping file says; see `read_mapping`."""
-    content = _table(content, ("time", "rate", "joints"), "it")
+    said = as_schema(content, _MappingSchema)
     joints = {
         str(joint): {
             quantity: _column(column, quantity, f"{joint}.{quantity}")
-            for quantity, column in _table(columns, _KEYS, f"joint {joint!r}").items()
-            if column is not None
+            for quantity in columns.__struct_fields__
+            if (column := getattr(columns, quantity)) is not None
         }
-        for joint, columns in _table(content.get("joints"), None, "`joints`").items()
+        for joint, columns in said.joints.items()
     }
-    time = content.get("time")
-    rate = content.get("rate")
-    check_rate(rate, "`rate`")
-    mapping = ColumnMapping(
-        joints, None if time is None else _column(time, "time", "time"), rate, f"mapping {path}"
-    )
+    check_rate(said.rate, "`rate`")
+    if not joints:
+        raise ArgumentError("`joints` is empty.", advice=_FORM)
+    time = None if said.time is None else _column(said.time, "time", "time")
+    mapping = ColumnMapping(joints, time, said.rate, f"mapping {path}")
     _check_once(mapping)
-    if time is None and rate is None:
+    if said.time is None and said.rate is None:
         raise ArgumentError("it has neither `time` nor `rate`.", advice=_FORM)
     return mapping
 
 
-def _table(content: object, keys: Sequence[str] | None, what: str) -> Mapping[Any, Any]:
-    return yaml_table(content, keys, what, advice=_FORM)
-
-
-def _column(content: object, quantity: str, what: str) -> MappedColumn:
-    if not isinstance(content, dict):
-        content = {"column": content}
-    _table(content, ("column", "unit", "gain"), f"{what!r}")
-    column, unit = content.get("column"), content.get("unit")
-    gain: Any = content.get("gain", 1.0)
-    if isinstance(column, bool) or not isinstance(column, str | int):
-        raise ArgumentError(f"{what!r} has the column {column!r}, no name or number.", advice=_FORM)
-    if unit is not None:
-        unit_of(str(unit), quantity)
-    deviation = None
+def _column(said: str | int | _ColumnSchema, quantity: str, what: str) -> MappedColumn:
+    said = said if isinstance(said, _ColumnSchema) else _ColumnSchema(said)
+    if said.unit is not None:
+        unit_of(said.unit, quantity)
+    gain, deviation = said.gain, None
     if isinstance(gain, str):
         gain, deviation = parsed_gain(gain, f"the gain of {what!r}")
     check_gain(gain, f"the gain of {what!r}", deviation)
@@ -93,7 +115,7 @@ def _column(content: object, quantity: str, what: str) -> MappedColumn:
             f"the gain of {what!r} has a deviation, which only gains to efforts have.",
             advice="Write it with `effort:`.",
         )
-    return MappedColumn(column, None if unit is None else str(unit), float(gain), deviation)
+    return MappedColumn(said.column, said.unit, float(gain), deviation)
 
 
 def _check_once(mapping: ColumnMapping) -> None:

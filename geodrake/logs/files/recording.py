@@ -69,7 +69,8 @@ class Recording:
             if self._start is None:
                 self._start = float(values[np.isfinite(values)][:1].sum())
             values = (values - self._start) + 1e-9 * numbers[source.nanoseconds]
-        return values if source.factor == 1.0 else source.factor * values
+        values = values if source.factor == 1.0 else source.factor * values
+        return values + source.unit.offset if source.unit and source.unit.offset else values
 
     def log(self, rows: int) -> JointLog:
         """Return the log of the first so many rows."""

@@ -278,8 +278,21 @@ class LogTable:
         return list(self.columns)
 
     def rows(self, names: Sequence[str]) -> int:
-        """Return how many rows some columns have at most, before they are read."""
-        return len(self)
+        """Return how many rows some columns have at most, before they are read.
+
+        Raises:
+            LogError: They are not equally long.
+        """
+        lengths = {name: len(self.columns[name]) for name in names}
+        first, rows = next(iter(lengths.items()), ("", 0))
+        for name, length in lengths.items():
+            if length != rows:
+                raise LogError(
+                    f"The arrays of log {str(self.path)!r} are not of one length: {first!r} has "
+                    f"{rows} numbers and {name!r} has {length}.",
+                    advice="Store columns that are all equally long.",
+                )
+        return rows
 
     def parts(self, groups: Groups, torn: TornRows) -> Iterator[Part]:
         """Yield rows, and the numbers of some columns in them; those of a group come together.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -254,7 +255,7 @@ def _names_in_comment(cells: Sequence[str], comment: str) -> Sequence[str] | Non
 
 Array = NDArray[np.float64]
 
-_LINES = 50_000  # that are read at once
+_LETTERS = 8_000_000  # that are read at once
 _MANY = 100_000  # lines, from which on pandas is quicker
 _BLOCK = 1 << 20  # bytes in which line ends are looked for
 _LONGEST_LINE = 8  # blocks, which hold 400,000 numbers
@@ -279,52 +280,18 @@ class TextTable(LogTable):
     def parts(self, groups: Groups, torn: TornRows) -> Iterator[Part]:
         """Yield rows, and the numbers of some columns in them; see `LogTable`."""
         names = list(dict.fromkeys(name for group in groups for name in group))
-        layout, row = self._read[0], 0
-        if self._read[1] > _MANY and find_spec("pandas"):
-            with suppress(ValueError):  # of something else than numbers: told cell by cell
-                yield from self._quickly(names)
-                return
-        with open_text(self.path, "log", LogError, newline="") as file:
-            lines = islice(file, layout.lines, None)
-            for table in _blocks(self.path, layout, lines, names, torn):
-                yield slice(row, row + len(table)), dict(zip(names, table.T, strict=True))
-                row += len(table)
-
-    def _quickly(self, names: Sequence[str]) -> Iterator[Part]:
-        """Yield the parts of a table that has nothing but numbers; else raise a ValueError."""
-        import pandas
-
-        layout, row = self._read[0], 0
-        places = [layout.places[name] for name in names]
-        cells = [cell for cell, item in places if item is None]
-        if layout.separator is None or len(cells) < len(names) or layout.origins:
-            raise ValueError("not of numbers alone")
-        exact: dict[str, Any] = (
-            {} if pandas.__version__ >= "3" else {"float_precision": "round_trip"}
-        )
-        last = len(layout.names) - 1
-        kinds = {k: float if k in {*cells, last} else str for k in range(last + 1)}
+        layout, most, _ = self._read
+        places, row, line = [layout.places[name] for name in names], 0, layout.lines
+        quick = most > _MANY and find_spec("pandas") is not None
         with open_text(self.path, "log", LogError, newline="") as file:
             for _ in range(layout.lines):
                 file.readline()
-            frames = pandas.read_csv(
-                file,
-                sep=layout.separator,
-                decimal=layout.decimal,
-                header=None,
-                dtype=kinds,
-                keep_default_na=False,
-                na_values=["", "nan", "NaN"],
-                chunksize=_MANY,
-                **exact,
-            )
-            for frame in frames:
-                if frame.shape[1] != last + 1 or frame[last].isna().any():
-                    raise ValueError("a row may be cut off")
-                numbers = frame[cells].to_numpy()
-                part = slice(row, row + len(numbers))
-                yield part, dict(zip(names, numbers.T, strict=True))
-                row = part.stop
+            while block := file.readlines(_LETTERS):
+                table = _numbers(layout, block, places, quick=quick)
+                if table is None:
+                    table = _cells(self.path, layout, names, block, before=(row, line), torn=torn)
+                yield slice(row, row + len(table)), dict(zip(names, table.T, strict=True))
+                row, line = row + len(table), line + len(block)
 
     def loaded(self) -> LogTable:
         """Return the table with all its columns read, those of words as texts."""
@@ -333,8 +300,6 @@ class TextTable(LogTable):
         names = [name for name in layout.columns if name not in layout.texts]
         blocks = list[Part]()
         for part in self.parts([tuple(names)], torn):
-            if part[0].start == 0:
-                blocks.clear()  # of a quick reading that did not come to the end
             blocks.append(part)
         rows = blocks[-1][0].stop if blocks else 0
         kept, notes = torn.settle(np.arange(float(rows)))
@@ -377,20 +342,6 @@ def read_text(
     return table.loaded() if any(map(names_joints, layout.texts)) else table
 
 
-def _blocks(
-    path: Path, layout: TextLayout, lines: Iterator[str], used: Sequence[str], torn: TornRows
-) -> Iterator[Array]:
-    """(K, used) numbers of some columns, block by block; NaN in the rows that are `torn`."""
-    places = [layout.places[name] for name in used]
-    rows, line = 0, layout.lines
-    while block := list(islice(lines, _LINES)):
-        table = _numbers(layout, block, places)
-        if table is None:
-            table = _cells(path, layout, used, block, before=(rows, line), torn=torn)
-        yield table
-        rows, line = rows + len(table), line + len(block)
-
-
 def _count_lines(path: Path) -> int:
     """Line ends of any system; one more where a block ends between the two of a pair."""
     count = without = 0
@@ -407,25 +358,53 @@ def _count_lines(path: Path) -> int:
 
 
 def _numbers(
-    layout: TextLayout, lines: Sequence[str], places: Sequence[tuple[int, int | None]]
+    layout: TextLayout,
+    lines: Sequence[str],
+    places: Sequence[tuple[int, int | None]],
+    *,
+    quick: bool,
 ) -> Array | None:
-    """(K, places) of lines whose cells there are nothing but numbers; None for others."""
+    """(K, places) of lines whose cells there are nothing but numbers; None for others.
+
+    Args:
+        quick: Whether pandas reads them, which is quicker for many, and takes time to import.
+    """
     if not any(line.strip() for line in lines):
         return np.empty((0, len(places)))
-    mark, columns = layout.separator, [cell for cell, _ in places]
+    mark, columns, last = layout.separator, [cell for cell, _ in places], len(layout.names) - 1
     if {*columns} & {layout.names.index(name) for name in (*layout.lists, *layout.origins)}:
         return None
-    plain = [line.replace(",", ".") for line in lines] if layout.decimal == "," else lines
-    cells = len(layout.names) - 1
-    if mark and any('"' in line or (line.count(mark) != cells and line.strip()) for line in plain):
-        return None
-    try:
-        table = np.loadtxt(
-            plain, delimiter=mark, comments=None, ndmin=2, usecols=columns if mark else None
-        )
+    try:  # empty cells, text and ragged rows are told cell by cell
+        if quick:
+            return _by_pandas(lines, layout, columns)
+        plain = [line.replace(",", ".") for line in lines] if layout.decimal == "," else lines
+        if mark and any('"' in x or (x.count(mark) != last and x.strip()) for x in plain):
+            return None
+        used = columns if mark else None
+        table = np.loadtxt(plain, delimiter=mark, comments=None, ndmin=2, usecols=used)
     except ValueError:
-        return None  # empty cells, text or ragged rows: distinguished cell by cell
-    return table if mark else table[:, columns] if table.shape[1] == cells + 1 else None
+        return None
+    return table if mark else table[:, columns] if table.shape[1] == last + 1 else None
+
+
+def _by_pandas(lines: Sequence[str], layout: TextLayout, columns: Sequence[int]) -> Array | None:
+    import pandas
+
+    last = len(layout.names) - 1
+    exact: dict[str, Any] = {} if pandas.__version__ >= "3" else {"float_precision": "round_trip"}
+    frame = pandas.read_csv(
+        io.BytesIO("".join(lines).encode()),
+        sep=layout.separator or r"\s+",
+        decimal=layout.decimal,
+        header=None,
+        dtype={k: float if k in columns else str for k in range(last + 1)},
+        keep_default_na=False,
+        na_values=["", "nan", "NaN"],
+        **exact,
+    )
+    if frame.shape[1] != last + 1 or frame[last].isna().any():  # a row may be cut off
+        return None
+    return np.asarray(frame[list(columns)].to_numpy())
 
 
 def _cells(
@@ -442,24 +421,20 @@ def _cells(
     `before` counts the rows and the lines of the file that come before them.
     """
     values: list[list[float]] = []
-    places = [(name, *layout.places[name]) for name in used]
+    places = [layout.places[name] for name in used]
     try:
         for line, cells in layout.cells(lines):
             row = before[0] + len(values)
             try:
-                _check_count(path, layout, cells, row + 1, before[1] + line)
-                lists = {
-                    k: _list_cell(cells[k], path, row + 1, layout, k)
-                    for k in {cell for _, cell, item in places if item is not None}
-                }
-                values.append(
-                    [
-                        _value(cells[cell], path, row + 1, layout, cell)
-                        if item is None
-                        else lists[cell][item]
-                        for _, cell, item in places
-                    ]
-                )
+                if len(cells) != len(layout.names):
+                    raise LogError(
+                        f"Row {row + 1} of log {str(path)!r} (line {before[1] + line}) has "
+                        f"{len(cells)} cells; the header has {len(layout.names)}.",
+                        advice="Was the recording cut off? Remove or repair that line.",
+                        row=row + 1,
+                    )
+                found = {k: _numbers_of(cells[k], path, row + 1, layout, k) for k, _ in places}
+                values.append([found[cell][item or 0] for cell, item in places])
             except LogError as error:
                 torn.add(row, error)
                 values.append([np.nan] * len(places))
@@ -471,63 +446,40 @@ def _cells(
     return np.array(values, float).reshape(-1, len(places))
 
 
-def _list_cell(cell: str, path: Path, row: int, layout: TextLayout, place: int) -> list[float]:
-    """Return the numbers of a list in a cell; NaN where the cell is empty."""
-    column = layout.names[place]
-    is_empty = cell.strip() in ("", "[]", "()")
-    count, found = layout.lists[column], None if is_empty else list_of(cell)
-    if is_empty:
-        return [np.nan] * count
-    if found is None or len(found) != count:
-        raise LogError(
-            f"Row {row}, column {column!r} of log {str(path)!r} holds {cell.strip()[:60]!r}, which "
-            f"is no list of {count} numbers as above it.",
-            advice="Write all lists of a column equally long, or leave the cell empty.",
-            row=row,
-            column=column,
-        )
-    return found
-
-
-def _check_count(path: Path, layout: TextLayout, cells: Sequence[str], row: int, line: int) -> None:
-    if len(cells) != len(layout.names):
-        raise LogError(
-            f"Row {row} of log {str(path)!r} (line {line}) has {len(cells)} cells; the header has "
-            f"{len(layout.names)}.",
-            advice="Was the recording cut off? Remove or repair that line.",
-            row=row,
-        )
-
-
-def _value(cell: str, path: Path, row: int, layout: TextLayout, place: int) -> float:
-    """Return the number in a cell, or the seconds since the first date in its column."""
-    column = layout.names[place]
-    origin = layout.origins.get(column)
-    if origin is None or not cell.strip():
-        return _number(cell, path, row, column)
-    date = date_of(cell)
-    if date is None:
-        raise LogError(
-            f"Row {row}, column {column!r} of log {str(path)!r} holds {cell.strip()[:60]!r}, which "
-            "is no date as above it.",
-            advice="Write dates as 2026-05-01T12:00:00.25Z, or leave the cell empty.",
-            row=row,
-            column=column,
-        )
-    return (date - origin) / 1e9
-
-
-def _number(cell: str, path: Path, row: int, column: str) -> float:
-    try:
-        if "_" in cell:  # which Python takes in its own numbers
-            raise ValueError(cell)
-        return float(cell) if cell and not cell.isspace() else np.nan
-    except ValueError:
+def _numbers_of(cell: str, path: Path, row: int, layout: TextLayout, place: int) -> list[float]:
+    """Return the number in a cell, or those of a list, or the seconds since the first date."""
+    column, text = layout.names[place], cell.strip()
+    count, origin = layout.lists.get(column), layout.origins.get(column)
+    if count is not None:
+        numbers = [np.nan] * count if text in ("", "[]", "()") else list_of(cell) or []
+        wrong = len(numbers) != count
+        is_none = f"no list of {count} numbers as above it"
+        advice = "Write all lists of a column equally long, or leave the cell empty."
+    elif origin is not None and text:
+        date = date_of(cell)
+        numbers, wrong = [((date or 0) - origin) / 1e9], date is None
+        is_none = "no date as above it"
+        advice = "Write dates as 2026-05-01T12:00:00.25Z, or leave the cell empty."
+    else:
+        number = _number(text)
+        numbers, wrong = [0.0 if number is None else number], number is None
+        is_none = "not a number"
         dates = " A column of dates has them from its first row on." if is_time(column) else ""
+        advice = f"Leave a cell empty, or write nan, where nothing was measured.{dates}"
+    if wrong:
         raise LogError(
-            f"Row {row}, column {column!r} of log {str(path)!r} holds {cell.strip()[:60]!r}, which "
-            "is not a number.",
-            advice=f"Leave a cell empty, or write nan, where nothing was measured.{dates}",
+            f"Row {row}, column {column!r} of log {str(path)!r} holds {text[:60]!r}, which is "
+            f"{is_none}.",
+            advice=advice,
             row=row,
             column=column,
-        ) from None
+        )
+    return numbers
+
+
+def _number(text: str) -> float | None:
+    """Return the number that a text is, NaN for nothing; None for others."""
+    try:
+        return None if "_" in text else float(text or "nan")  # which Python takes in its own
+    except ValueError:
+        return None

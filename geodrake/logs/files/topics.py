@@ -155,9 +155,10 @@ def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> To
             topic=name,
         )
     if found:
+        fitting = [topic for topic in topics if topic.fits]
         raise LogError(
             f"Topic {found[0]} of log {str(path)!r} has not both positions and efforts of joints.",
-            advice=_offer([topic for topic in topics if topic.fits]),
+            advice=f"Those that do: {_listed(fitting)}." if fitting else "No topic of it has both.",
             topic=name,
         )
     names = [topic.name for topic in topics]
@@ -170,10 +171,6 @@ def _named(path: Path, topics: Sequence[Topic], name: str, *, alone: bool) -> To
         "taken.",
         topic=name,
     )
-
-
-def _offer(fitting: Sequence[Topic]) -> str:
-    return f"Those that do: {_listed(fitting)}." if fitting else "No topic of it has both."
 
 
 def _listed(topics: Sequence[Topic]) -> str:

@@ -30,9 +30,11 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "effort": _EFFORTS | _SIGNALS["current"] | _SIGNALS["voltage"],
     **_SIGNALS,
     "command": _ANGLES | _LENGTHS,
-    "temperature": {"°C": 1.0},
+    "temperature": {"°C": 1.0, "°F": 5.0 / 9.0, "K": 1.0},
 }
 """Quantity -> unit -> how many rad, m, s, N·m, N, A, V, shares of the supply or °C it is."""
+
+_OFFSETS = {"°F": -160.0 / 9.0, "K": -273.15}  # °C at 0 of them
 
 _SPELLINGS = {
     "°": "deg",
@@ -71,6 +73,10 @@ _SPELLINGS = {
     "c": "°C",
     "degc": "°C",
     "celsius": "°C",
+    "f": "°F",
+    "degf": "°F",
+    "fahrenheit": "°F",
+    "kelvin": "K",
 }
 
 
@@ -80,6 +86,7 @@ class Unit:
 
     name: str
     factor: float
+    offset: float = 0.0  # what 0 of it is in SI units: of temperatures alone
 
     @property
     def signal(self) -> str | None:
@@ -113,7 +120,7 @@ def find_unit(text: str, quantity: str) -> Unit | None:
     known = UNITS.get(quantity, {})
     for name in _spelled(text.strip()) if text else ():
         if name in known:
-            return Unit(name, known[name])
+            return Unit(name, known[name], _OFFSETS.get(name, 0.0))
     return None
 
 
