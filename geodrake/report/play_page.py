@@ -178,6 +178,7 @@ def _moment(moment: Moment, playback: Playback, units: Units) -> dict[str, Any]:
     return {
         "frame": moment.frame,
         "joint": joint,
+        "place": moment.joint,
         "played": moment.played,
         "error": f"{number(moment.error)} {units.effort([joint])}",
         "relative": percent(moment.relative),
@@ -205,6 +206,10 @@ def _data(
         "speed": speed,
         "several": _several(playback),
         "joints": [printable(joint) for joint in playback.joints],
+        "first": playback.moments[0].joint if playback.moments else 0,
+        "positions": _packed(playback.q.astype("<f4")),
+        "angles": [units.at(joint, "rad") for joint in playback.joints],
+        "inks": {"measured": MEASURED, "predicted": style.AFTER, "before": style.BEFORE},
         "units": [units.effort([joint]) for joint in playback.joints],
         "colors": COLORS,
         "excerpts": [

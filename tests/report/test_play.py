@@ -260,6 +260,16 @@ def chromium():
     return playwright.sync_playwright, path
 
 
+PLOTTED = """() => {
+    const canvas = document.getElementById("gd-plots");
+    const {data} = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    const colors = new Set();
+    for (let k = 0; k < data.length; k += 4)
+        if (data[k + 3] === 255) colors.add(data.slice(k, k + 3).join());
+    return colors.size;
+}"""
+
+
 SHOWN = """() => {
     const paint = object => {
         let color = null;
@@ -285,7 +295,7 @@ def test_a_browser_opens_it_and_jumps(tmp_path, page, short):
         arguments = ["--no-sandbox", "--disable-background-networking", "--use-angle=swiftshader"]
         arguments.append("--enable-unsafe-swiftshader")
         browser = playwright.chromium.launch(executable_path=path, args=arguments)
-        view = browser.new_page(viewport={"width": 640, "height": 480})
+        view = browser.new_page(viewport={"width": 640, "height": 700})
         view.on("console", lambda m: seen.append(m.text) if m.type == "error" else None)
         view.on("pageerror", lambda error: seen.append(str(error)))
         view.on("request", lambda r: seen.append(r.url) if r.url.startswith("http") else None)
@@ -298,11 +308,25 @@ def test_a_browser_opens_it_and_jumps(tmp_path, page, short):
         view.locator("#gd-now", has_text=f"{joint} errs most").wait_for()  # at the next frame
         time, length, color = view.evaluate(SHOWN % (arrow, f"{body}/shapes"))
         assert view.locator("#gd-play").inner_text() == "Play"
+        chosen = view.locator("#gd-joint option:checked").inner_text()
+        before = view.evaluate("viewer.camera.position.toArray()")
+        view.keyboard.press("4")
+        above = view.evaluate("viewer.camera.position.toArray()")
+        view.keyboard.press("ArrowRight")
+        view.wait_for_timeout(300)
+        later = view.evaluate("viewer.animator.time")
+        view.locator("body").press(" ")
+        view.locator("#gd-play", has_text="Pause").wait_for()
+        drawn_plots = view.evaluate(PLOTTED)
         browser.close()
     assert not seen
     assert time == pytest.approx(moment.frame / FRAMES, abs=1e-3)
     expected = tracks(page)[arrow, "scale"][1][moment.frame][2]
     assert length == pytest.approx(expected, abs=1e-5)
+    assert chosen == joint  # whose effort, residual and position are plotted
+    assert later == pytest.approx(time + 1 / FRAMES, abs=1e-3)
+    assert above[1] > before[1] and np.hypot(above[0], above[2]) < np.hypot(before[0], before[2])
+    assert drawn_plots > 3
     if joint in link:
         assert f"#{color}" == COLORS[-1]
 
