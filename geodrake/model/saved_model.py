@@ -9,6 +9,7 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain, combinations
 from pathlib import Path
 from typing import TypeVar
@@ -45,63 +46,6 @@ from geodrake.robot.files import Given, read_description
 from geodrake.robot.files.named_robots import robot_file
 from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.statements import Stated
-
-
-def existing_base(path: Path) -> Path:
-    """Return the absolute path of the model file, which a saved model needs to be read again."""
-    base = path.resolve()
-    problem, advice = f"its file {base} is gone", "Put it back."
-    if base.is_file():
-        try:
-            str(base).encode()
-            return base
-        except UnicodeEncodeError:
-            problem = f"the path of its file {base} is not UTF-8"
-            advice = "Rename the file or its folder."
-    raise OutputError(f"Cannot save the model: {problem}.", advice=advice, path=base)
-
-
-def find_base(path: Path, relative: str, absolute: str, sha256: str) -> Path:
-    """Return the model file that the saved model `path` is based on, wherever both are now.
-
-    Both may have moved together, or into one folder, or the model file stayed where it was
-    (`absolute`, if known). Where there are several files, it is the one that is as it was, by its
-    digest.
-    """
-    folder = path.resolve().parent
-    places = [
-        folder / relative,
-        folder / Path(relative).name,
-        *([Path(absolute)] if absolute else ()),
-    ]
-    there = [place for place in places if is_file(place)] or places[:1]
-    alike = [place for place in there if digest(place) == sha256] if there[1:] else []
-    base = [*alike, *there][0]
-    try:
-        return regular_file(base, "file", ModelError)
-    except ModelError as error:
-        raise ModelError(
-            f"{path} is based on {relative!r}, which cannot be read. {error.problem}",
-            advice="Move it back or beside the saved model, or change base_model there.",
-            base=base,
-        ) from error
-
-
-def is_file(path: Path) -> bool:
-    """Return whether there is a file; no name that no file can have is an error."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
-def digest(path: Path) -> str:
-    """Return the SHA-256 of a file; nothing if it cannot be read."""
-    try:
-        return sha256_of(path)
-    except GeodrakeError:
-        return ""
-
 
 T = TypeVar("T")
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # those of LibYAML, where it is
@@ -194,7 +138,7 @@ class SavedModel(Schema):
     effort_noise: dict[str, float] = {}
     fading_speed: dict[str, float] = {}
     fitted_to: list[str] = []
-    bandwidths: dict[str, list[float]] = {}
+    bandwidths: dict[str, tuple[float, float]] = {}
     information: list[list[float]] = []
 
 
@@ -300,13 +244,20 @@ def save_model(model: RobotModel, path: str | Path) -> None:
 
 def saved_text(model: RobotModel, path: str | Path) -> str:
     """Return what `save_model` writes."""
-    base = existing_base(instance(model, "model", RobotModel).path)
-    folder = Path(path).resolve().parent
+    base, folder = instance(model, "model", RobotModel).path.resolve(), Path(path).resolve().parent
+    problem, advice = "", "Put it back."
+    try:
+        str(base).encode()
+        problem = "" if base.is_file() else f"its file {base} is gone"
+    except UnicodeEncodeError:
+        problem, advice = f"the path of its file {base} is not UTF-8", "Rename it, or its folder."
+    if problem:
+        raise OutputError(f"Cannot save the model: {problem}.", advice=advice, path=base)
     own = [drive for drive in model.transmission if not drive.is_loop]
     saved = SavedModel(
         base_model=os.path.relpath(base, folder),
         base_absolute=str(base),
-        base_sha256=digest(base),
+        base_sha256=_digest(base),
         floating=model.floating,
         robot=model.given.robot or "",
         held={joint: float(value) for joint, value in model.held.items()},
@@ -325,7 +276,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
         effort_noise=_by_joint(model, model.effort_noise),
         fading_speed=_by_joint(model, model.fading_speed),
         fitted_to=list(model.fitted_to),
-        bandwidths={log: list(both) for log, both in model.bandwidths.items()},
+        bandwidths=dict(model.bandwidths),
         information=[] if model.information is None else model.information.tolist(),
     )
     plain = to_builtins(saved, enc_hook=lambda value: value.item())  # of NumPy's numbers
@@ -338,8 +289,12 @@ def _by_joint(model: RobotModel, values: NDArray[np.float64] | None) -> dict[str
 
 
 def _saved_effect(fitted: FittedEffect, folder: Path) -> SavedEffect:
-    effect, kind = fitted.effect, type(fitted.effect)
-    own = {} if of_geodrake(kind) else {"class_name": kind.__name__, "file": _file_of(kind, folder)}
+    effect, kind, own = fitted.effect, type(fitted.effect), dict[str, str]()
+    if not of_geodrake(kind):
+        file = getattr(sys.modules.get(kind.__module__), "__file__", None)
+        relative = "" if file is None else os.path.relpath(Path(file).resolve(), folder)
+        file = relative if relative.isprintable() else ""
+        own = {"class_name": kind.__name__, "file": file}
     return SavedEffect(
         name=effect.name,
         where=list(effect.where),
@@ -350,21 +305,16 @@ def _saved_effect(fitted: FittedEffect, folder: Path) -> SavedEffect:
     )
 
 
-def _file_of(kind: type[Effect], folder: Path) -> str:
-    """Return the path of the file that defines a class, from a folder; empty if not to be told."""
-    file = getattr(sys.modules.get(kind.__module__), "__file__", None)
-    relative = "" if file is None else os.path.relpath(Path(file).resolve(), folder)
-    return relative if relative.isprintable() else ""
-
-
 def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel:
+    again = "Save the model again."
     try:
         saved = as_schema(yaml.load(yaml_text(path), Loader=_Loader), SavedModel)
+        if saved.format.startswith("geodrake model") and not _DIGEST.fullmatch(saved.base_sha256):
+            raise ArgumentError(f"base_sha256 = {saved.base_sha256[:80]!r} is no SHA-256 digest.")
     except (ArgumentError, yaml.YAMLError, ValueError, RecursionError) as error:
         problem = error.problem if isinstance(error, ArgumentError) else f"{one_line(error)}."
-        raise ModelError(
-            f"{path} is no geodrake model: {problem}", advice="Save the model again.", path=path
-        ) from error
+        problem = f"{path} is no geodrake model: {problem}"
+        raise ModelError(problem, advice=again, path=path) from error
     if saved.format != FORMAT:
         raise ModelError(
             f"{path} has the format {saved.format!r}; this version of geodrake reads {FORMAT!r}.",
@@ -372,15 +322,12 @@ def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel
             path=path,
         )
     _check_effects(path, saved, extra)
-    base = _base_of_saved(path, saved)
-    given = _given_with(path, saved, given)
-    model = load_description(base, floating=saved.floating, held=saved.held, given=given)
+    base, given = _base_of_saved(path, saved), _given_with(path, saved, given)
+    how = partial(load_description, base, floating=saved.floating, held=saved.held, given=given)
+    model = how()
     try:
         if saved.transmission is not None:
-            drives = drives_of(saved.transmission.parts())
-            model = load_description(
-                base, floating=saved.floating, held=saved.held, given=given, transmission=drives
-            )
+            model = how(transmission=drives_of(saved.transmission.parts()))
         loaded = _with_parameters(model, saved, base, extra)
         check_model(loaded)
     except GeodrakeError as error:
@@ -416,40 +363,63 @@ def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]])
         except ArgumentError as error:
             near = error.evidence.get("nearest")
             own = f", of the class {effect.class_name}" if effect.class_name else ""
+            file = path.parent / effect.file
+            how = f"Give its file, which was {file.name!r}: --effects FILE.py"
+            if not effect.file:
+                how = "If it is one of your own, give its file: --effects FILE.py"
+            elif _is_file(file):
+                how = f"Give its file: --effects {shlex.quote(os.path.relpath(file))}"
             raise ModelError(
                 f"{path} has the effect {effect.name!r}{own}, which geodrake does not know.",
-                advice=f"{_how_to_give(path, effect)} (from Python: load_model(path, extra=…))."
+                advice=f"{how} (from Python: load_model(path, extra=…))."
                 + (f" Or was {', '.join(near)} meant?" if near and not effect.file else ""),
                 path=path,
             ) from error
 
 
-def _how_to_give(path: Path, effect: SavedEffect) -> str:
-    """Return how to give the file of an effect of the user's own."""
-    if not effect.file:
-        return "If it is one of your own, give its file: --effects FILE.py"
-    file = path.parent / effect.file
-    if is_file(file):
-        return f"Give its file: --effects {shlex.quote(os.path.relpath(file))}"
-    return f"Give its file, which was {file.name!r}: --effects FILE.py"
-
-
 def _base_of_saved(path: Path, saved: SavedModel) -> Path:
-    """Return the model file that a saved model is based on, wherever it is now."""
-    if not _DIGEST.fullmatch(saved.base_sha256):
+    """Return the model file that a saved model is based on, wherever both are now.
+
+    Both may have moved together, or into one folder, or the model file stayed where it was. Where
+    there are several files, it is the one that is as it was, by its digest.
+    """
+    folder, relative = path.resolve().parent, saved.base_model
+    places = [folder / relative, folder / Path(relative).name]
+    places += [Path(saved.base_absolute)] if saved.base_absolute else []
+    there = [place for place in places if _is_file(place)] or places[:1]
+    alike = [p for p in there if _digest(p) == saved.base_sha256] if there[1:] else []
+    base = [*alike, *there][0]
+    try:
+        base = regular_file(base, "file", ModelError)
+    except ModelError as error:
         raise ModelError(
-            f"{path} has base_sha256 = {saved.base_sha256[:80]!r}, which is no SHA-256 digest.",
-            advice="Save the model again.",
-            path=path,
-        )
-    base = find_base(path, saved.base_model, saved.base_absolute, saved.base_sha256)
+            f"{path} is based on {relative!r}, which cannot be read. {error.problem}",
+            advice="Move it back or beside the saved model, or change base_model there.",
+            base=base,
+        ) from error
     if is_saved_model(base):
         raise ModelError(
-            f"{path} is based on {saved.base_model!r}, which is a saved model itself.",
+            f"{path} is based on {relative!r}, which is a saved model itself.",
             advice="Change base_model to the URDF, SDF, MJCF or directives file.",
             base=base,
         )
     return base
+
+
+def _is_file(path: Path) -> bool:
+    """Return whether there is a file; no name that no file can have is an error."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _digest(path: Path) -> str:
+    """Return the SHA-256 of a file; nothing if it cannot be read."""
+    try:
+        return sha256_of(path)
+    except GeodrakeError:
+        return ""
 
 
 def _with_parameters(
@@ -466,7 +436,6 @@ def _with_parameters(
         if joint not in model.joints:
             raise _foreign(f"it says that {joint!r} has no motor", model.joints)
     changed = f"{base.name} has changed since the model was saved."
-    bandwidths = {log: _numbers("bandwidths", x, 2) for log, x in saved.bandwidths.items()}
     return replace(
         model,
         phi=phi,
@@ -477,11 +446,11 @@ def _with_parameters(
         effort_noise=_of_joints(model, "effort_noise", saved.effort_noise),
         fading_speed=_of_joints(model, "fading_speed", saved.fading_speed),
         fitted_to=tuple(saved.fitted_to),
-        bandwidths={log: (float(x), float(y)) for log, (x, y) in bandwidths.items()},
+        bandwidths=saved.bandwidths,
         notes=(
             *model.notes,
             *held_notes(model.held),
-            *([] if digest(base) == saved.base_sha256 else [changed]),
+            *([] if _digest(base) == saved.base_sha256 else [changed]),
         ),
     )
 
