@@ -27,8 +27,14 @@ from geodrake.errors import ArgumentError
 from geodrake.robot.files.values import rotation
 
 
+class _Stated:
+    """What has no shape that data choose, as a file states it."""
+
+    free_shapes = 0
+
+
 @dataclass(frozen=True)
-class PolynomialSpring(JointEffect):
+class PolynomialSpring(_Stated, JointEffect):
     """Spring across a joint as MuJoCo states it: effort = p + k₁ x + k₂ x² + k₃ x³, x = q − q_c.
 
     No coefficient has a sign of its own, unlike those of `joint_spring`.
@@ -51,11 +57,6 @@ class PolynomialSpring(JointEffect):
     )
     signature = "follows the joint's position, whatever its speed"
     depends_on = frozenset({"q"})
-
-    @property
-    def free_shapes(self) -> int:
-        """None: the file says where the polynomial is written about."""
-        return 0
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[1, x, x², x³]."""
@@ -102,17 +103,14 @@ class JointCoupling(JointPairEffect):
 
 
 @dataclass(frozen=True)
-class CarriedWeight(BodyEffect):
+class CarriedWeight(_Stated, BodyEffect):
     """Weight of a body that needs no effort: compensated gravity, buoyancy, gravity switched off.
 
     effort = m J_Pᵀ g, with the mass m in kg at the point P of the body and gravity g, against the
     weight −m J_Pᵀ g that the body has in the model.
 
     Attributes:
-        body: Name of the body.
-        x: Position of P from Bo along x of the body's frame, m.
-        y: The same along y.
-        z: The same along z.
+        x: Position of P from Bo along x of the body's frame, m; y and z follow.
     """
 
     x: float = 0.0
@@ -127,11 +125,6 @@ class CarriedWeight(BodyEffect):
     signature = "follows the posture at all joints up to a body, as if it weighed less"
     depends_on = frozenset({"q", "bodies"})
 
-    @property
-    def free_shapes(self) -> int:
-        """None: the file says where the weight is carried."""
-        return 0
-
     def rows(self, motion: RobotMotion) -> Rows:
         """[J_Pᵀ g] at the joints that move the body."""
         bodies = motion.body_motions(self.name)
@@ -141,11 +134,8 @@ class CarriedWeight(BodyEffect):
         return {motion.joints[dof]: column[:, dof, None] for dof in body.dofs}
 
 
-_WIND = ("wind_x", "wind_y", "wind_z")
-
-
 @dataclass(frozen=True)
-class MediumDrag(BodyEffect):
+class MediumDrag(_Stated, BodyEffect):
     """Drag of air or water on a body that counts as the box with its inertia (MuJoCo, "Fluid").
 
     With v and ω of the box against the medium, along its axes, at its centre P, force and moment of
@@ -157,7 +147,6 @@ class MediumDrag(BodyEffect):
     and effort = −J_Pᵀ f − J_ωᵀ g.
 
     Attributes:
-        body: Name of the body.
         size_x: b₁, m; b₂ and b₃ follow.
         x: Position of P from Bo along x of the body's frame, m; y and z follow.
         turn_w: Real part of the quaternion of the box's axes in the body's frame; its vector
@@ -185,7 +174,7 @@ class MediumDrag(BodyEffect):
     shapes = (
         *(Shape(name, "m") for name in ("size_x", "size_y", "size_z", "x", "y", "z")),
         *(Shape(f"turn_{axis}") for axis in "wxyz"),
-        *(Shape(name, "m/s") for name in _WIND),
+        *(Shape(name, "m/s") for name in ("wind_x", "wind_y", "wind_z")),
     )
     parameters = (
         Parameter("density", "kg/m³", lower=0.0),
@@ -193,11 +182,6 @@ class MediumDrag(BodyEffect):
     )
     signature = "grows with a body's speed and its square, at all joints up to it"
     depends_on = frozenset({"q", "v", "bodies"})
-
-    @property
-    def free_shapes(self) -> int:
-        """None: the file says what the box is."""
-        return 0
 
     @property
     def reported_shape(self) -> dict[str, float]:
@@ -229,7 +213,7 @@ _LEAST_LENGTH = 1e-150  # m, whose inverse is a number
 
 
 @dataclass(frozen=True)
-class Strut(Effect):
+class Strut(_Stated, Effect):
     """Spring and damper between a point P of a body and a point Q of another one, or of the world.
 
     With L the distance of the two, effort = (k L + p + d L̇) ∂L/∂q: a counterbalance or a gas spring
@@ -266,11 +250,6 @@ class Strut(Effect):
         super().__post_init__()
         if len(self.bodies) != 2 or self.bodies[0] == self.bodies[1]:
             raise ArgumentError(f"{self.name} needs two different bodies; it got {self.bodies}.")
-
-    @property
-    def free_shapes(self) -> int:
-        """None: the file says where the points are."""
-        return 0
 
     def rows(self, motion: RobotMotion) -> Rows:
         """Columns of stiffness, preload and damping at the joints that move either body."""

@@ -177,7 +177,11 @@ def with_actuators(
     step = min(text.timestep, SHORTEST_STEP)
     sections = {
         "actuator": [_actuator(each, step) for each in adds],
-        "sensor": [_sensor(each, step) for each in late],
+        "sensor": [
+            f"<jointactuatorfrc name={quoteattr(f'{each.name}_effort')} "
+            f"joint={quoteattr(each.name)} {_delay(each.measured_late, step)}/>"
+            for each in late
+        ],
     }
     data = with_sections(data, path, sections, [each.name for each in (*adds, *late)])
     return data, (*notes, *_notes(adds, late, step, text.timestep))
@@ -205,11 +209,6 @@ def _actuator(joint: ExportedJoint, step: float) -> str:
 
 def _gains(joint: ExportedJoint) -> str:
     return f'kp="{words(joint.kp)}" kv="{words(joint.kd)}"'
-
-
-def _sensor(joint: ExportedJoint, step: float) -> str:
-    name, of = quoteattr(f"{joint.name}_effort"), quoteattr(joint.name)
-    return f"<jointactuatorfrc name={name} joint={of} {_delay(joint.measured_late, step)}/>"
 
 
 def _delay(delay: float, step: float) -> str:

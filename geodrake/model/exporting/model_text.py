@@ -71,7 +71,11 @@ def _links_of(model: RobotModel) -> tuple[Link, ...]:
     plant, joints = model.plant, exported_joints(model)
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, np.zeros(plant.num_positions()))
-    lumps, moving = lumped_bodies(plant), _moving_joints(model)
+    lumps = lumped_bodies(plant)
+    moving = sorted(moving_joints(plant), key=lambda joint: joint.velocity_start())
+    for joint in moving:
+        if joint.type_name() not in ("revolute", "prismatic"):
+            raise _refusal(joint, f"is of the type {joint.type_name()}")
     names = [body.name.replace("::", "_") for body in lumps]
     owner = {int(m.index): k for k, body in enumerate(lumps) for m in body.members}
     inboard = {owner[int(joint.child_body().index())]: joint for joint in moving}
@@ -91,29 +95,18 @@ def _links_of(model: RobotModel) -> tuple[Link, ...]:
             X_WP = RigidTransform() if above is None else X_WL[above]
             X_WR = plant.get_body(lumps[k].body_index).body_frame().CalcPoseInWorld(context)
             X_LR = X_WL[k].inverse() @ X_WR
+            turns = joint.type_name() == "revolute"
+            axis = joint.revolute_axis() if turns else joint.translation_axis()
             found[k] = Link(
                 names[k],
                 None if above is None else names[above],
                 joints[model.joints[model.coordinates.velocity_of(joint)]],
                 X_WP.inverse() @ X_WL[k],
-                _axis(joint),
+                np.array(axis),
                 (float(joint.position_lower_limits()[0]), float(joint.position_upper_limits()[0])),
                 change_frame(model.total_phi[k], X_LR.rotation().matrix(), X_LR.translation()),
             )
     return tuple(found.values())
-
-
-def _axis(joint: Joint) -> Array:
-    turns = joint.type_name() == "revolute"
-    return np.array(joint.revolute_axis() if turns else joint.translation_axis())
-
-
-def _moving_joints(model: RobotModel) -> list[Joint]:
-    moving = moving_joints(model.plant)
-    for joint in moving:
-        if joint.type_name() not in ("revolute", "prismatic"):
-            raise _refusal(joint, f"is of the type {joint.type_name()}")
-    return sorted(moving, key=lambda joint: joint.velocity_start())
 
 
 def _refusal(joint: Joint, problem: str) -> ModelError:
