@@ -22,7 +22,7 @@ from PIL import Image
 from geodrake import load_model, save_model
 from geodrake.diagnosis import Explanation, explain
 from geodrake.logs.files import read_log
-from geodrake.report import effort_figure, save_figures, step_figure
+from geodrake.report import figures_of, page_of, save_figures
 
 ROOT = Path(__file__).parents[1]
 
@@ -80,10 +80,8 @@ def main() -> None:
     parser.add_argument("--pages", action="store_true", help="pictures of pages, too")
     options = parser.parse_args()
     found = explain_demo(quick=options.quick)
-    figures = {
-        "demo_efforts": effort_figure(found.before, after=found.after, most=3),
-        "demo_steps": step_figure(found),
-    }
+    drawn = figures_of(page_of(found))
+    figures = {f"demo_{name}": drawn[name] for name in ("efforts", "steps")}
     for path in save_figures(figures, options.figures):
         print(path)
     if options.pages:

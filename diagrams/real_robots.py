@@ -315,10 +315,10 @@ def main() -> None:
 
 def write_figures(study: Study, explanation: Explanation, folder: Path) -> None:
     """Write the figures of a study's report."""
-    from geodrake.report import report_figures
+    from geodrake.report import figures_of, page_of
 
     folder.mkdir(parents=True, exist_ok=True)
-    for name, figure in report_figures(explanation).items():
+    for name, figure in figures_of(page_of(explanation)).items():
         figure.savefig(folder / f"{study.name.replace(' ', '_')}_{name}.png", dpi=120)
 
 

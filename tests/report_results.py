@@ -1,5 +1,6 @@
 """Results without a robot behind them, for tests of reports."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,9 +13,15 @@ from geodrake.identification.logs.model_errors import (
     JointError,
     Series,
 )
+from geodrake.report import About, page_of, render
 
-NAMES = {"title": "arm: explain", "model_name": "arm.urdf", "log_names": ["a.csv", "b.csv"]}
+ABOUT = About("arm.urdf", ("a.csv", "b.csv"), "explain")
 BLOCKS = (("a 0.00–4.00 s", 0.0), ("a 5.00–9.00 s", 5.0), ("b 2.00–6.00 s", 2.0))
+
+
+def page(result, **about):
+    """The HTML page of a result."""
+    return render(page_of(result, replace(ABOUT, **about)))
 
 
 def joint_names(count):

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
-from typing import Any, TypeVar
+from dataclasses import asdict
+from typing import Any
 
-from rich.console import Console
-
-from geodrake.cli.tables import show_list
 from geodrake.diagnosis.columns import MOST_JOINTS, ColumnFinding, check_columns
 from geodrake.errors import GeodrakeError
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
-R = TypeVar("R")
-
-_HEAD = "First of all: columns of the logs are not what they seem"
 _UNCORRECTED = (
     "The rest goes on with the columns as they are; --correct-columns corrects them first."
 )
@@ -42,11 +36,6 @@ def column_words(columns: Sequence[ColumnFinding], *, corrected: bool) -> list[s
     return [*map(str, columns), *last]
 
 
-def show_columns(console: Console, columns: Sequence[ColumnFinding], *, corrected: bool) -> None:
-    """The findings, before all else; nothing if there are none."""
-    show_list(console, _HEAD, column_words(columns, corrected=corrected))
-
-
 def unchecked_words(model: RobotModel) -> list[str]:
     """Return that the columns of a robot were not checked, where it has too many joints."""
     count = len(model.joints)
@@ -67,13 +56,3 @@ def columns_list(columns: Sequence[ColumnFinding]) -> list[dict[str, Any]]:
         }
         for finding in columns
     ]
-
-
-def with_first_notes(result: R, words: Sequence[str]) -> R:
-    """A result whose notes begin with some words, for its page."""
-    if not words:
-        return result
-    found: Any = result
-    if hasattr(result, "notes"):
-        return replace(found, notes=(*words, *found.notes))
-    return replace(found, explanation=with_first_notes(found.explanation, words))

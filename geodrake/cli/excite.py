@@ -1,29 +1,19 @@
-"""The command `geodrake excite`: the most informative motion that a robot can execute."""
+"""The commands `excite` and `identifiable`: what motions and logs can tell of a model."""
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-import typer
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from geodrake.boundary.version import version
-from geodrake.cli.excitation_options import ExciteOptions
-from geodrake.cli.excite_tables import show_excitation
-from geodrake.cli.guard import INTERRUPTED
 from geodrake.cli.identify import named_effects
-from geodrake.cli.model_options import read_model
 from geodrake.cli.option_values import joint_values, limits_of, split_effects
-from geodrake.cli.progress import STOPPING, Activity, progress
-from geodrake.cli.session import Maker, own_effects
-from geodrake.cli.surroundings import print_whole, printing
-from geodrake.cli.tables import make_console, show_saved
-from geodrake.cli.targets import STDOUT, Targets
-from geodrake.cli.tell_apart import check_alone, separation_of
-from geodrake.effects import Effect
+from geodrake.cli.options import ExciteOptions, IdentifiableOptions
+from geodrake.cli.progress import STOPPING, Activity
+from geodrake.cli.session import Command, Input, run
+from geodrake.effects import Effect, effect_class
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.excitation import (
     CRITERIA,
@@ -37,9 +27,11 @@ from geodrake.excitation import (
     MotionFamily,
     MotionLimits,
     Objective,
+    Separation,
     SplineMotion,
-    Target,
     floor_of,
+    make_rival,
+    make_separation,
     make_target,
 )
 from geodrake.excitation.budget import Budget
@@ -47,12 +39,18 @@ from geodrake.excitation.collision_geometry import FLOOR
 from geodrake.excitation.design import design_objective
 from geodrake.excitation.design_results import DesignProgress
 from geodrake.excitation.effect_sizes import SIZE_WORDS, sized_effects
+from geodrake.excitation.identifiability import LogIdentifiability, log_identifiability
+from geodrake.excitation.rivals import Rival
 from geodrake.excitation.trajectory import joint_order
 from geodrake.excitation.trajectory_files import trajectory_content
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.excitation_json import excitation_dict
-from geodrake.report.json_output import to_json
+from geodrake.report.exciting import (
+    excitation_dict,
+    excitation_page,
+    identifiability_page,
+    identifiable_dict,
+)
 from geodrake.robot.files import read_description
 from geodrake.robot.files.meshes import mesh_notes
 
@@ -66,11 +64,13 @@ _LEAST_SECONDS = 1e-3  # when collision geometry took all
 _UPDATED_EVERY = 5  # evaluations
 _SAMPLES = 300
 _FARTHEST, _LAST_SEED = 100.0, 1 << 32
+_SIGN_SHARE = 0.02  # of the fastest that is allowed, over which friction changes sign
+_FORM = "Write EFFECT,EFFECT; a place may follow either: EFFECT@elbow."
 _REPEATS = 3  # of a motion that distinguishes effects: a diagnosis holds out blocks of its log
 
 
 def run_excite(options: ExciteOptions) -> None:
-    """Run the command.
+    """Design a motion.
 
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
@@ -79,43 +79,54 @@ def run_excite(options: ExciteOptions) -> None:
     _check(options)
     files, names = split_effects(options.effects)
     check_alone(options, names)
-    more = {"save": options.save, "meshcat": options.meshcat}
-    targets = Targets(None, options.json, options.report, more, {"save": _SAVE})
-    targets.check([options.model, *files, *options.transmission_files])
-    # matplotlib is slow to import and only the page needs it
-    pages = importlib.import_module("geodrake.report") if options.report else None
-    with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
-        extra = own_effects(files)
-        model = read_model(options.model, options, update, extra)
-        targets.check([options.model, *files, model.path])  # a saved model reads another one
-        result = _designed(options, model, _Effects(names, extra), family, update)
-        update("Writing")
-        numbers = to_json({"version": version(), "command": "excite", **excitation_dict(result)})
-
-        def page() -> str:
-            name = options.model.name
-            return str(pages.render_excitation(result, title=f"{name}: excite", model_name=name))  # type: ignore[union-attr]
-
-        makers: dict[str, Maker] = {
-            "json": lambda: numbers,
-            "report": page,
+    command = Command(
+        "excite",
+        "Designing",
+        lambda given: _designed(options, given, names, family),
+        excitation_dict,
+        excitation_page,
+        more={"meshcat": options.meshcat},
+        suffixes={"save": _SAVE},
+        makers=lambda found: {
             "save": lambda: trajectory_content(
-                result.trajectory,
+                found.trajectory,
                 options.save or "motion.csv",
-                result.objective.target.model,
+                found.objective.target.model,
                 rate=options.rate,
             ),
-            "meshcat": lambda: _replay(result),
-        }
-        written = targets.write(model, makers)
-    with printing():
-        if options.json == STDOUT:
-            print_whole(numbers)
-        console = make_console(stderr=options.json == STDOUT)
-        show_excitation(console, result, options.model.name)
-        show_saved(console, written, {"save": "motion", "meshcat": "replay of the motion"})
-    if result.is_interrupted:
-        raise typer.Exit(INTERRUPTED)
+            "meshcat": lambda: _replay(found),
+        },
+        saved={"save": "motion", "meshcat": "replay of the motion"},
+    )
+    run(command, replace(options, effects=files))
+
+
+def run_identifiable(options: IdentifiableOptions) -> None:
+    """Say what is identifiable from logs.
+
+    Raises:
+        GeodrakeError: Something about the input, or about the targets, does not do.
+    """
+    if not 0 < options.threshold < np.inf:
+        raise ArgumentError(f"A threshold is a positive variance; got {options.threshold}.")
+    files, names = split_effects(options.effects)
+
+    def decomposed(given: Input) -> LogIdentifiability:
+        text, model = options.noise, given.model
+        return log_identifiability(
+            model,
+            given.logs,
+            effects=named_effects(names, model, given.extra),
+            threshold=options.threshold,
+            noise=None if text is None else joint_values(text, model, "--noise"),
+            progress=given.progress,
+            **given.settings,
+        )
+
+    command = Command(
+        "identifiable", "Reading the logs", decomposed, identifiable_dict, identifiability_page
+    )
+    run(command, replace(options, effects=files))
 
 
 def family_of(options: ExciteOptions) -> MotionFamily:
@@ -179,22 +190,11 @@ def _check(options: ExciteOptions) -> None:
         raise ArgumentError(f"--seed is not negative, and below 2^32; got {options.seed}.")
 
 
-@dataclass(frozen=True)
-class _Effects:
-    """Effects that are asked for by name, and those of the user's own."""
-
-    names: Sequence[str]
-    extra: tuple[type[Effect], ...]
-
-
 def _designed(
-    options: ExciteOptions,
-    model: RobotModel,
-    effects: _Effects,
-    family: MotionFamily,
-    update: Activity,
+    options: ExciteOptions, given: Input, names: Sequence[str], family: MotionFamily
 ) -> ExcitationResult:
     """Return the design that options ask for."""
+    model, update = given.model, given.progress
     budget = Budget.of(options.seconds)
     limits, margins = limits_of(options.limits, model), tuple[str, ...]()
     said = [part for text in options.limits or () for part in text.split(",") if part]
@@ -206,7 +206,7 @@ def _designed(
     collisions, notes = _collisions(options, model, limits, start)
     if options.meshcat is not None:
         notes = (*notes, *mesh_notes(read_description(model.path, model.given)))
-    objective, more = _objective(options, model, limits, effects)
+    objective, more = _objective(options, given, limits, names)
     design = DesignOptions(
         samples=_SAMPLES if options.samples is None else options.samples,
         start=start,
@@ -228,30 +228,22 @@ def _designed(
 
 
 def _objective(
-    options: ExciteOptions, model: RobotModel, limits: MotionLimits, effects: _Effects
+    options: ExciteOptions, given: Input, limits: MotionLimits, names: Sequence[str]
 ) -> tuple[Objective, tuple[str, ...]]:
     """Return what the motion is for, and what to say of that."""
+    model, (noise, notes) = given.model, noise_of(options.noise, given.model)
     if options.tell_apart is not None:
-        noise, notes = noise_of(options.noise, model)
         separation, more = separation_of(
-            options.tell_apart, model, limits, noise=noise, extra=effects.extra
+            options.tell_apart, model, limits, noise=noise, extra=given.extra
         )
         return separation, (*notes, *more)
-    target, notes = _target(options, model, named_effects(effects.names, model, effects.extra))
-    return Objective(target, Criterion(options.criterion), options.normalization), notes
-
-
-def _target(
-    options: ExciteOptions, model: RobotModel, effects: tuple[Effect, ...]
-) -> tuple[Target, tuple[str, ...]]:
-    """Return what is unknown and how well it is measured, and what to say of that."""
     known = [fitted for fitted in model.effects if not is_payload(fitted.effect)]
-    noise, notes = noise_of(options.noise, model)
+    effects = named_effects(names, model, given.extra)
     if effects:
-        target = make_target(model, noise=noise, effects=effects)
-        known += sized_effects(target)
+        known += sized_effects(make_target(model, noise=noise, effects=effects))
         notes = (*notes, f"effects of unknown size are thought to take {SIZE_WORDS}")
-    return make_target(model, noise=noise, effects=known), notes
+    target = make_target(model, noise=noise, effects=known)
+    return Objective(target, Criterion(options.criterion), options.normalization), notes
 
 
 def noise_of(text: str | None, model: RobotModel) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -327,3 +319,92 @@ def _replay(result: ExcitationResult) -> str:
     times = result.trajectory.instants(FRAMES)
     motion = result.trajectory.motion(times)
     return replay_page(result.objective.target.model, times, motion.q)
+
+
+def check_alone(options: ExciteOptions, names: Sequence[str]) -> None:
+    """Refuses what says otherwise than --tell-apart what a motion is for."""
+    if options.tell_apart is None:
+        return
+    usual = {name: getattr(ExciteOptions, name) for name in ("criterion", "normalization")}
+    wrong = [name for name, value in usual.items() if getattr(options, name) != value]
+    if wrong:
+        raise ArgumentError(
+            f"--{wrong[0]} is a measure of all parameters, and --tell-apart has its own.",
+            advice=f"Leave --{wrong[0]} out.",
+        )
+    if names:
+        raise ArgumentError(
+            f"With --tell-apart, --effects brings a FILE.py alone; got {', '.join(names)}.",
+            advice="Add effects that the robot has to its model first: geodrake add EFFECT MODEL "
+            "LOG --save model.yaml.",
+        )
+    rivals_in(options.tell_apart)
+
+
+def rivals_in(text: str) -> tuple[tuple[str, tuple[str, ...]], tuple[str, tuple[str, ...]]]:
+    """Names and places of two effects, `a@elbow,b@j1+j2`; a place that is not said is empty.
+
+    Raises:
+        ArgumentError: There are not two.
+    """
+    parts = [part.strip().partition("@") for part in text.split(",")]
+    if len(parts) != 2 or not all(name for name, _, _ in parts):
+        raise ArgumentError(f"--tell-apart takes two effects; got {text!r}.", advice=_FORM)
+    (first, _, there), (second, _, here) = parts
+    return (first, tuple(filter(None, there.split("+")))), (
+        second,
+        tuple(filter(None, here.split("+"))),
+    )
+
+
+def placed_rivals(
+    text: str, model: RobotModel, limits: MotionLimits, *, extra: Sequence[type[Effect]] = ()
+) -> tuple[Rival, Rival]:
+    """The two effects at their places.
+
+    Args:
+        text: What the option was given. A place said of one is that of the other too, if both are
+            at places of one kind.
+
+    Raises:
+        ArgumentError: There are no such effects or places.
+    """
+    (first, there), (second, here) = rivals_in(text)
+    if effect_class(first, extra).places == effect_class(second, extra).places:
+        there, here = there or here, here or there
+    return (
+        make_rival(first, model, limits, where=there, extra=extra),
+        make_rival(second, model, limits, where=here, extra=extra),
+    )
+
+
+def separation_of(
+    text: str,
+    model: RobotModel,
+    limits: MotionLimits,
+    *,
+    noise: ArrayLike,
+    extra: Sequence[type[Effect]] = (),
+) -> tuple[Separation, tuple[str, ...]]:
+    """What distinguishing two effects amounts to, and what to say of it.
+
+    Raises:
+        ArgumentError: There are no such effects or places, or these cannot be distinguished.
+    """
+    rivals = placed_rivals(text, model, limits, extra=extra)
+    first, second = (rival.name for rival in rivals)
+    width = _SIGN_SHARE * limits.velocity
+    separation = make_separation(model, *rivals, noise=noise, sign_width=width)
+    named = {pair.truth.partition(" (")[0] for pair in separation.pairs}
+    notes = [
+        f"{other} explains all that {name} does: they can be distinguished the other way around "
+        "only"
+        for name, other in ((first, second), (second, first))
+        if name not in named
+    ]
+    known = {fitted.effect for fitted in model.effects if fitted.parameters.any()}
+    if any(known.intersection(rival.effects) for rival in rivals):
+        sizes = "effects are as large as the model has them, rivals as like them as can be"
+    else:
+        sizes = f"effects of unknown size are thought to take {SIZE_WORDS}"
+    return separation, (*notes, sizes)

@@ -1,83 +1,119 @@
-"""`geodrake explain`: the steps, and in a few words what they leave."""
+"""The commands `compare`, `diagnose`, `add` and `explain`."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-from rich.console import Console
-
-from geodrake.cli.options import Options
+from geodrake.cli.options import AddOptions, ExplainOptions, Options
 from geodrake.cli.progress import step_teller
-from geodrake.cli.session import Command, Input, run
-from geodrake.cli.tables import head, show_explanation, show_table
+from geodrake.cli.session import Command, Input, Maker, run
 from geodrake.control.rollout import Rollout, commanded_motions
-from geodrake.diagnosis.drafting import Correlate, rest_correlates
+from geodrake.diagnosis.add import add
+from geodrake.diagnosis.diagnose import diagnose
+from geodrake.diagnosis.drafting import draft_effects, rest_correlates, source_of
 from geodrake.diagnosis.explain import investigate
 from geodrake.diagnosis.results import Explanation
 from geodrake.errors import LogError, ModelError
 from geodrake.identification.logs.case import open_case
-from geodrake.model.robot_model import RobotModel
-from geodrake.report.json_output import correlates_list, explanation_dict, motions_dict
-from geodrake.report.numbers import Units
-from geodrake.report.tables import departures_table
-from geodrake.report.words import MOTIONS, correlate_words
+from geodrake.identification.logs.compare import compare
+from geodrake.report.explaining import (
+    Explained,
+    comparison_page,
+    diagnosis_page,
+    explanation_page,
+)
+from geodrake.report.json_output import (
+    comparison_dict,
+    correlates_list,
+    diagnosis_dict,
+    draft_dict,
+    explanation_dict,
+    motions_dict,
+)
 
 
-@dataclass(frozen=True, eq=False)
-class _Explained:
-    """What the command found."""
-
-    explanation: Explanation
-    correlates: tuple[Correlate, ...]
-    motions: tuple[Rollout, ...] | None = None
-
-    @property
-    def model(self) -> RobotModel:
-        """The model to save."""
-        return self.explanation.model
-
-    @property
-    def is_interrupted(self) -> bool:
-        """Whether this is what was found by an interrupt."""
-        return self.explanation.is_interrupted
+def run_compare(options: Options) -> None:
+    """Compare a model with logs."""
+    run(
+        Command(
+            "compare",
+            "Comparing",
+            lambda given: compare(given.model, given.logs, **given.settings),
+            comparison_dict,
+            comparison_page,
+        ),
+        options,
+    )
 
 
-def run_explaining(options: Options, promise: str = "") -> None:
-    """Run the command.
+def run_diagnose(options: Options) -> None:
+    """Find the effect that a model lacks most."""
+    run(
+        Command(
+            "diagnose",
+            "Diagnosing",
+            lambda given: diagnose(given.model, given.logs, extra=given.extra, **given.settings),
+            diagnosis_dict,
+            diagnosis_page,
+        ),
+        options,
+    )
 
-    Raises:
-        GeodrakeError: Something about the input, or about the targets, does not do.
-    """
+
+def run_add(options: AddOptions) -> None:
+    """Add an effect to a model."""
+    effect, where = options.addition
+
+    def added(given: Input) -> Explained:
+        found = add(
+            effect, given.model, given.logs, where=where, extra=given.extra, **given.settings
+        )
+        return Explained(found, added=True)
+
+    run(Command("add", f"Adding {effect}", added, _numbers, explanation_page), options)
+
+
+def run_explain(options: ExplainOptions | Options, promise: str = "") -> None:
+    """Explain logs, with formulas for the rest if these are asked for."""
+    target: Path | None = getattr(options, "draft_effect", None)
     command = Command(
         "explain",
         "Explaining",
-        _explained,
-        lambda found: {
-            **explanation_dict(found.explanation),
-            "correlates": correlates_list(found.correlates),
-            **motions_dict(found.motions),
-        },
-        "render_explained",
-        _show,
-        paged=lambda found: (found.explanation, found.correlates, found.motions),
-        sampled=lambda found: found.explanation,
+        _explained if target is None else _drafted,
+        _numbers,
+        explanation_page,
+        more={"draft-effect": target},
+        makers=_makers,
         promise=promise,
     )
     run(command, options)
 
 
-def _explained(given: Input) -> _Explained:
+def _drafted(given: Input) -> Explained:
+    explanation, draft = draft_effects(
+        given.model,
+        given.logs,
+        extra=given.extra,
+        progress=step_teller(given.progress),
+        **given.settings,
+    )
+    return Explained(explanation, draft=draft)
+
+
+def _explained(given: Input) -> Explained:
     case = open_case(given.model, given.logs, candidates=True, extra=given.extra, **given.settings)
     found = investigate(case, progress=step_teller(given.progress))
     explanation = found.explanation
     if explanation.is_interrupted:
-        return _Explained(explanation, ())
+        return Explained(explanation)
     motions = _motions(given, explanation)
     if explanation.verdict != "unexplained":
-        return _Explained(explanation, (), motions)
+        return Explained(explanation, (), motions)
     given.progress("Looking what the rest goes with")
-    return _Explained(explanation, rest_correlates(found), motions)
+    return Explained(explanation, rest_correlates(found), motions)
 
 
 def _motions(given: Input, found: Explanation) -> tuple[Rollout, ...] | None:
@@ -89,10 +125,16 @@ def _motions(given: Input, found: Explanation) -> tuple[Rollout, ...] | None:
     return None
 
 
-def _show(console: Console, found: _Explained, units: Units) -> None:
-    rest = [*map(correlate_words, found.correlates)]
-    show_explanation(console, found.explanation, units, rest=rest)
-    if found.motions is not None:
-        before, *between, after = found.motions
-        head(console, f"{MOTIONS}, RMS in windows of {after.horizon:g} s")
-        show_table(console, departures_table(after, before, units, between))
+def _makers(found: Explained) -> Mapping[str, Maker]:
+    draft = found.draft
+    return {} if draft is None or not draft.effects else {"draft-effect": lambda: source_of(draft)}
+
+
+def _numbers(found: Explained) -> dict[str, Any]:
+    numbers = explanation_dict(found.explanation)
+    if found.draft is not None:
+        return numbers | {"draft": draft_dict(found.draft)}
+    if found.added:
+        return numbers
+    correlates = correlates_list(found.correlates)
+    return {**numbers, "correlates": correlates, **motions_dict(found.motions)}

@@ -1,75 +1,77 @@
-"""The command `geodrake export`: the model as files for simulators, with proof."""
+"""The commands `export` and `check`: the model as other programs have it, with proof."""
 
 from __future__ import annotations
 
-import importlib
-from pathlib import Path
-
-from geodrake.boundary.version import version
-from geodrake.boundary.whole_files import Content
-from geodrake.cli.export_options import ExportOptions
-from geodrake.cli.export_tables import show_export
-from geodrake.cli.model_options import read_model
-from geodrake.cli.progress import progress
-from geodrake.cli.session import check_logs, own_effects
-from geodrake.cli.surroundings import print_whole, printing
-from geodrake.cli.tables import make_console, show_saved
-from geodrake.cli.targets import STDOUT, Targets
-from geodrake.control.export_proof.export import check_folder, export_with_proof, write_files
-from geodrake.logs.files import parts_of, read_log
+from geodrake.cli.guard import INTERNAL_ERROR
+from geodrake.cli.options import CheckOptions, ExportOptions
+from geodrake.cli.session import Command, Input, inputs_of, run
+from geodrake.cli.targets import STDOUT
+from geodrake.control.export_proof.export import (
+    ProvenExport,
+    check_folder,
+    export_with_proof,
+    write_files,
+)
+from geodrake.model.dynamics_check import check_dynamics
 from geodrake.model.exporting.formats import export_format
-from geodrake.model.logged_joints import model_of_logs, reading_for
-from geodrake.report.export_json import export_dict
-from geodrake.report.json_output import to_json
-from geodrake.report.numbers import Units
+from geodrake.model.robot_model import RobotModel
+from geodrake.report.exports import CheckedModel, check_dict, check_page, export_dict, export_page
 
 
 def run_export(options: ExportOptions) -> None:
-    """Run the command.
+    """Write a model for a simulator.
 
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """
-    form, logs, folder = export_format(options.to), options.logs or [], options.folder
-    parts = [part for log in logs for part in parts_of(log)]
-    check_logs(parts)
-    read = [options.model, *parts, *options.transmission_files, *(options.effects or ())]
-    targets = Targets(json=options.json, report=options.report)
-    targets.check(read)
-    pages = importlib.import_module("geodrake.report.export_page") if options.report else None
-    with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
-        extra = own_effects(options.effects or ())
-        model = read_model(options.model, options, update, extra)
-        known, reading = model.known_joints, reading_for(model, options.reading)
-        read_logs = [read_log(log, joints=known, partial=True, reading=reading) for log in logs]
-        model = model_of_logs(model, read_logs, hold_resting=False) if logs else model
-        targets.check([*read, model.path])
-        check_folder(model, form, folder, [*read, *targets.files.values()], force=options.force)
-        update(f"Exporting to {form.name}")
-        found = export_with_proof(
-            model, form, folder, read_logs, bandwidth=options.bandwidth, progress=update
+    form, folder = export_format(options.to), options.folder
+
+    def check(model: RobotModel) -> None:
+        beside = [p for p in (options.json, options.report) if p not in (None, STDOUT)]
+        taken = [*inputs_of(options), *filter(None, beside)]
+        check_folder(model, form, folder, taken, force=options.force)
+
+    def exported(given: Input) -> ProvenExport:
+        return export_with_proof(
+            given.model,
+            form,
+            folder,
+            given.logs,
+            bandwidth=options.bandwidth,
+            progress=given.progress,
         )
-        update("Writing")
-        numbers = to_json({"version": version(), "command": "export", **export_dict(found)})
-        beside: dict[Path, Content] = {}
-        if "json" in targets.files:
-            beside[targets.files["json"]] = numbers
-        if pages is not None:
-            beside[targets.files["report"]] = pages.render_export(
-                found,
-                title=f"{options.model.name}: export to {form.name}",
-                model_name=options.model.name,
-                log_names=[path.name for path in logs],
-                units=Units.of(model, extra),
-            )
-        written = write_files(found, folder, beside)
-    with printing():
-        if options.json == STDOUT:
-            print_whole(numbers)
-        console = make_console(stderr=options.json == STDOUT)
-        console.print(f"{options.model.name} to {form.name}", soft_wrap=True)
-        show_export(console, found, Units.of(model, extra))
-        console.print()
-        for path in written:
-            console.print(f"Saved: {path}", soft_wrap=True)
-        show_saved(console, targets.files)
+
+    command = Command(
+        "export",
+        f"Exporting to {form.name}",
+        exported,
+        export_dict,
+        export_page,
+        check=check,
+        write=lambda found, contents: write_files(found, folder, contents),
+    )
+    run(command, options)
+
+
+def run_check(options: CheckOptions) -> None:
+    """Compare a model's dynamics with MultibodyPlant's.
+
+    Raises:
+        GeodrakeError: Something about the input, or about the target, does not do.
+        Exit: The two do not agree on the file as it stands.
+    """
+
+    def checked(given: Input) -> CheckedModel:
+        found = check_dynamics(given.model, samples=options.samples, seed=options.seed)
+        notes = dict.fromkeys((*found.repairs, *given.model.notes))
+        return CheckedModel(found, tuple(notes))
+
+    command = Command(
+        "check",
+        "Comparing with MultibodyPlant, and with a program that reads the file itself",
+        checked,
+        check_dict,
+        check_page,
+        code=lambda found: 0 if found.check.holds else INTERNAL_ERROR,
+    )
+    run(command, options)

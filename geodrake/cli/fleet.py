@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -11,138 +12,94 @@ import typer
 from geodrake.boundary.arguments import number
 from geodrake.boundary.version import version
 from geodrake.boundary.whole_files import Content, write_together
-from geodrake.cli.fleet_options import FleetOptions
 from geodrake.cli.model_options import repairs_in_short
-from geodrake.cli.progress import progress
-from geodrake.cli.surroundings import print_whole, printing, results, warn
-from geodrake.cli.tables import head, make_console, say, show_list, show_saved, show_table
+from geodrake.cli.options import FleetOptions
+from geodrake.cli.progress import Activity, progress
+from geodrake.cli.session import Command, Input, run
+from geodrake.cli.surroundings import printing, results, warn
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet.fleet_file import Fleet, read_fleet
 from geodrake.fleet.fleet_logs import FleetDigests
-from geodrake.fleet.fleet_result import FleetFinding, FleetResult, keep_told, new_findings
+from geodrake.fleet.fleet_result import FleetResult, keep_told, new_findings
 from geodrake.fleet.fleet_run import FleetWork, fleet_result, run_fleet, take_in_logs
 from geodrake.report.fleet_json import finding_line, fleet_dict, parquet_contents
-from geodrake.report.fleet_tables import (
-    MOST_ROBOTS,
-    findings_table,
-    fleet_verdict,
-    robots_table,
-    unused_list,
-)
+from geodrake.report.fleets import WatchedFleet, fleet_page
+from geodrake.report.html import render
 from geodrake.report.json_output import to_json
+from geodrake.report.page import About
 
 NEW_FINDING = 3
 """Exit code of `--once` where there is a finding that was not told before."""
 
 _RESULT = "fleet.json"
-_MOST_UNUSED = 20  # logs that a terminal lists
 _SHORTEST, _LONGEST = 0.1, 1e6  # s between two looks
 
 
 def run_fleet_command(options: FleetOptions) -> None:
-    """Run the command.
+    """Look at a fleet once, or again and again.
 
     Raises:
         GeodrakeError: The fleet file, a model, a log's place or the scheduler does not do.
+        Exit: With `--once` there is a new finding.
     """
-    targets = Targets(json=options.json, report=options.report)
     fleet = read_fleet(options.fleet)
-    targets.check(fleet.files)
     work = FleetWork(options.workers, options.scheduler, options.false_alarms)
     number(options.every, "--every", lower=_SHORTEST, upper=_LONGEST)
     if options.watch and options.once:
         raise ArgumentError("--watch goes on and --once does not.", advice="Leave one of them out.")
-    if options.json == STDOUT and (options.watch or options.once):
-        raise ArgumentError(
-            "--json - and the lines of findings would both go to standard output.",
-            advice="Name a file.",
-        )
-    if options.watch:
+    if options.watch or options.once:
+        if options.json == STDOUT:
+            raise ArgumentError(
+                "--json - and the lines of findings would both go to standard output.",
+                advice="Name a file.",
+            )
+        targets = Targets({"json": options.json, "report": options.report})
+        targets.check(fleet.files)
         _watch(fleet, work, options, targets)
         return
-    result, digests = _looked(fleet, work, options)
-    numbers, written = _written(fleet, result, options, targets)
-    if options.once:
-        if _tell_new(fleet, result):
-            raise typer.Exit(NEW_FINDING)
-        return
-    with printing():
-        if options.json == STDOUT:
-            print_whole(numbers)
-        _show(result, digests, written, fleet, to_stderr=options.json == STDOUT)
+
+    def looked(given: Input) -> WatchedFleet:
+        result, digests = run_fleet(fleet, work, told=given.progress, said=given.progress.history)
+        _tell_repairs(digests, given.progress)
+        known = sum(map(len, digests.records.values()))
+        words = f"{len(fleet.robots)} robots, {known} logs, {digests.made} of them new"
+        return WatchedFleet(result, str(fleet.folder), words)
+
+    def write(found: WatchedFleet, contents: Mapping[Path, Content]) -> tuple[Path, ...]:
+        write_together({**_own_contents(fleet, found.result), **contents})
+        return ()
+
+    command = Command(
+        "fleet",
+        "Looking at the fleet",
+        looked,
+        lambda found: fleet_dict(found.result),
+        fleet_page,
+        inputs=fleet.files,
+        write=write,
+    )
+    run(command, options)
 
 
-def _looked(
-    fleet: Fleet, work: FleetWork, options: FleetOptions
-) -> tuple[FleetResult, FleetDigests]:
-    with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
-        found = run_fleet(fleet, work, told=update, said=update.history)
-    _warn(found[1])
-    return found
-
-
-def _warn(digests: FleetDigests) -> None:
+def _tell_repairs(digests: FleetDigests, told: Activity) -> None:
     """Say what of the model files is not believed."""
     for repair in repairs_in_short(digests.repairs):
-        warn(f"Warning: a model file is not used as it stands. {repair}")
+        told.warning(f"Warning: a model file is not used as it stands. {repair}")
 
 
-def _written(
-    fleet: Fleet, result: FleetResult, options: FleetOptions, targets: Targets
-) -> tuple[str, dict[str, Path]]:
-    """Write the results into the fleet's folder, and what was asked for; all files or none."""
-    said = {"version": version(), "command": "fleet", **fleet_dict(result)}
-    numbers = to_json(said)
-    contents: dict[Path, Content] = {
-        fleet.folder / _RESULT: numbers,
-        **(parquet_contents(result, fleet.folder) if find_spec("pyarrow") else {}),
-    }
-    if "json" in targets.files:
-        contents[targets.files["json"]] = numbers
-    if "report" in targets.files:
-        from geodrake.report.fleet_page import render_fleet  # as the page alone needs it
-
-        title = f"{options.fleet.name}: fleet"
-        contents[targets.files["report"]] = render_fleet(result, title=title)
-    write_together(contents)
-    return numbers, targets.files
+def _numbers(result: FleetResult) -> str:
+    return to_json({"version": version(), "command": "fleet", **fleet_dict(result)})
 
 
-def _show(
-    result: FleetResult,
-    digests: FleetDigests,
-    written: dict[str, Path],
-    fleet: Fleet,
-    *,
-    to_stderr: bool,
-) -> None:
-    console = make_console(stderr=to_stderr)
-    known = sum(map(len, digests.records.values()))
-    console.print(
-        f"{fleet.path.name}: {len(fleet.robots)} robots, {known} logs, {digests.made} of them new",
-        soft_wrap=True,
-    )
-    if result.findings:
-        head(console, "What changed, worst first")
-        show_table(console, findings_table(result.findings))
-    steady = [robot for robot in result.robots if not robot.findings]
-    if steady:
-        head(console, "Robots in which nothing was found, the farthest from others first")
-        show_table(console, robots_table(steady[:MOST_ROBOTS]))
-        if len(steady) > MOST_ROBOTS:
-            console.print(f"and {len(steady) - MOST_ROBOTS} more, in {fleet.folder / _RESULT}")
-    show_list(console, "Notes", result.repairs)
-    unused = unused_list(result)
-    more = len(unused) - _MOST_UNUSED
-    rest = [f"and {more} more, in {fleet.folder / _RESULT}"] if more > 0 else []
-    show_list(console, "Logs that are not used", [*unused[:_MOST_UNUSED], *rest])
-    say(console, "Result", f"{fleet_verdict(result)} All of it is in {fleet.folder}.")
-    show_saved(console, written)
+def _own_contents(fleet: Fleet, result: FleetResult) -> dict[Path, Content]:
+    """Return what goes into the fleet's own folder."""
+    tables = parquet_contents(result, fleet.folder) if find_spec("pyarrow") else {}
+    return {fleet.folder / _RESULT: _numbers(result), **tables}
 
 
 def _watch(fleet: Fleet, work: FleetWork, options: FleetOptions, targets: Targets) -> None:
-    """Look for new logs again and again, until the command is ended.
+    """Look for new logs once, or again and again until the command is ended.
 
     What fails at the first look is a mistake of the fleet file. Later, places of logs and
     schedulers that do not answer may do so again.
@@ -153,7 +110,11 @@ def _watch(fleet: Fleet, work: FleetWork, options: FleetOptions, targets: Target
     seen: FleetDigests | None = None
     while True:
         try:
-            seen = _look(fleet, work, options, targets, seen)
+            seen, is_new = _look(fleet, work, options, targets, seen)
+            if options.once:
+                if is_new:
+                    raise typer.Exit(NEW_FINDING)
+                return
         except FleetError as error:
             if seen is None:
                 raise
@@ -167,28 +128,29 @@ def _look(
     options: FleetOptions,
     targets: Targets,
     seen: FleetDigests | None,
-) -> FleetDigests:
-    """Take in new logs; statistics only if something is not as it was seen before."""
+) -> tuple[FleetDigests, bool]:
+    """Take in new logs, and tell new findings; statistics only if something is not as before."""
     with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
         failed = () if seen is None else seen.failed
         digests = take_in_logs(fleet, work, failed=failed, told=update, said=update.history)
         known = (digests.records, digests.failed)
         if seen is not None and not digests.made and known == (seen.records, seen.failed):
-            return digests
+            return digests, False
         result = fleet_result(fleet, digests, work, update)
-    if seen is None:
-        _warn(digests)
-    _written(fleet, result, options, targets)
-    _tell_new(fleet, result)
-    return digests
-
-
-def _tell_new(fleet: Fleet, result: FleetResult) -> list[FleetFinding]:
-    """Print a line for each finding that was not told before, and remember it."""
+        if seen is None:
+            _tell_repairs(digests, update)
+    contents = _own_contents(fleet, result)
+    if "json" in targets.files:
+        contents[targets.files["json"]] = _numbers(result)
+    if "report" in targets.files:
+        about = About(fleet.path.name, (), "fleet")
+        page = fleet_page(WatchedFleet(result, str(fleet.folder)), about)
+        contents[targets.files["report"]] = render(page)
+    write_together(contents)
     new = new_findings(fleet.folder, result.findings)
     with printing():
         for finding in new:
             print(finding_line(finding), file=results(), flush=True)
     if new:
         keep_told(fleet.folder, new)
-    return new
+    return digests, bool(new)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from geodrake.cli.identify_tables import show_identification
 from geodrake.cli.option_values import split_effects
 from geodrake.cli.options import IdentifyOptions
 from geodrake.cli.session import Command, Input, Maker, run
@@ -18,15 +16,15 @@ from geodrake.identification.models import (
     ModelIdentification,
     identify_model,
 )
-from geodrake.inertia import PARAMETER_NAMES
 from geodrake.model.export import check_export, export_model
 from geodrake.model.holding import why_no_place
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.json_output import bodies_dict, certificate_dict, number_or
+from geodrake.report.identifying import identification_page
+from geodrake.report.json_output import identification_dict
 
 
 def run_identify(options: IdentifyOptions) -> None:
-    """Run the command.
+    """Fit a model's inertias and effects.
 
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
@@ -61,13 +59,8 @@ def run_identify(options: IdentifyOptions) -> None:
         "Identifying",
         identified,
         identification_dict,
-        "render_identification",
-        show_identification,
-        more={
-            "export": options.export,
-            "ellipsoids": options.ellipsoids,
-            "meshcat": options.meshcat,
-        },
+        identification_page,
+        more={name: getattr(options, name) for name in ("export", "ellipsoids", "meshcat")},
         makers=lambda found: _makers(found, options),
         check=check,
     )
@@ -119,58 +112,6 @@ def named_effects(
     return tuple(found)
 
 
-def identification_dict(found: ModelIdentification) -> dict[str, Any]:
-    """An identification as plain numbers, for JSON."""
-    names = [joint.joint for joint in found.after.joints]
-    model = found.model
-    return {
-        "regularizer": found.regularizer,
-        "gamma": number_or(found.gamma, "any weight meets the bound on the residual"),
-        "sweep": [asdict(tried) for tried in found.sweep],
-        "residual": found.result.residual,
-        "divergence": found.result.divergence,
-        "solver": found.result.solver,
-        "certificate": certificate_dict(found.result.certificate),
-        "error": {
-            "start": found.before.by_joint(),
-            "end": found.after.by_joint(),
-            "floor": dict(zip(names, (j.floor for j in found.after.joints), strict=True)),
-            "start_nrms": found.before.nrms,
-            "end_nrms": found.after.nrms,
-            "floor_nrms": found.after.floor_nrms,
-        },
-        "bodies": bodies_dict(found.bodies),
-        "inertial_parameters": {
-            body: dict(zip(PARAMETER_NAMES, phi, strict=True))
-            for body, phi in zip(model.bodies, model.phi, strict=True)
-        },
-        "effects": [_effect_dict(fitted) for fitted in model.effects if len(fitted.parameters)],
-        "comparison": [
-            {
-                "regularizer": other.regularizer,
-                "gamma": other.gamma,
-                "residual": other.residual,
-                "nrms": other.errors.nrms,
-                "joints": other.errors.by_joint(),
-                "at_boundary": other.at_boundary,
-            }
-            for other in found.alternatives
-        ],
-        "notes": list(found.notes),
-    }
-
-
-def _effect_dict(fitted: Any) -> dict[str, Any]:
-    names = [parameter.name for parameter in fitted.effect.parameters]
-    deviations = [None] * len(names) if fitted.deviations is None else fitted.deviations
-    return {
-        "effect": fitted.effect.name,
-        "where": fitted.effect.where,
-        "parameters": dict(zip(names, fitted.parameters, strict=True)),
-        "deviations": dict(zip(names, deviations, strict=True)),
-    }
-
-
 def _check_places(places: Sequence[str], model: RobotModel, *, on_bodies: bool) -> None:
     known = model.bodies if on_bodies else model.joints
     for place in places:
@@ -183,22 +124,21 @@ def _check_places(places: Sequence[str], model: RobotModel, *, on_bodies: bool) 
 
 def _makers(found: ModelIdentification, options: IdentifyOptions) -> Mapping[str, Maker]:
     """What makes the files that only this command writes."""
-
-    def export() -> bytes:
-        return export_model(found.model).content
+    from geodrake.report.ellipsoids import identification_sets
 
     def figure() -> bytes:
         from geodrake.report.ellipsoid_figure import ellipsoid_figure, figure_bytes
-        from geodrake.report.ellipsoids import identification_sets
 
-        sets = identification_sets(found)
         kind = (options.ellipsoids or Path("a.png")).suffix.lower().lstrip(".")
-        return figure_bytes(ellipsoid_figure(found.model.plant, sets), kind)
+        return figure_bytes(ellipsoid_figure(found.model.plant, identification_sets(found)), kind)
 
     def page() -> str:
-        from geodrake.report.ellipsoids import identification_sets
         from geodrake.report.meshcat_ellipsoids import ellipsoid_page
 
         return ellipsoid_page(found.model.plant, identification_sets(found))
 
-    return {"export": export, "ellipsoids": figure, "meshcat": page}
+    return {
+        "export": lambda: export_model(found.model).content,
+        "ellipsoids": figure,
+        "meshcat": page,
+    }

@@ -1,178 +1,35 @@
-"""Options that commands share, as dataclasses that typer reads like function parameters."""
+"""Options of each command, as dataclasses that typer reads like function parameters."""
 
 from __future__ import annotations
 
-import functools
-import inspect
-from collections.abc import Callable
-from copy import copy
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_type_hints
+from typing import Annotated, Any
 
 import typer
 
-from geodrake.cli.axis_model import AxisOptions
-from geodrake.cli.guard import guarded
 from geodrake.cli.model_options import ModelOptions
 from geodrake.cli.reading_options import ReadingOptions
+from geodrake.cli.shared_options import (
+    Debug,
+    EffectFiles,
+    EffectNames,
+    JsonFile,
+    KnownPayloads,
+    LogFiles,
+    LogOptions,
+    ModelFile,
+    Options,
+    Quiet,
+    ReportFile,
+    SeriesFile,
+    ValidationOptions,
+)
 from geodrake.errors import ArgumentError
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
+__all__ = ["Options"]
 
-ModelFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="MODEL",
-        help="URDF, SDF, MJCF or Drake directives file, a model saved with --save, or the name of "
-        "a robot of robot_descriptions, such as ur5e.",
-    ),
-]
-LogFiles = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="LOG...",
-        help="Logs of time, positions and efforts: CSV, NPZ, ROS bag, MCAP, Parquet, LeRobot, "
-        "JSON, HDF5, LCM or .mat; a.csv+b.csv are joined by time.",
-    ),
-]
-JsonFile = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Write the numbers; - is standard output.")
-]
-ReportFile = Annotated[
-    Path | None, typer.Option(metavar="FILE.html", help="Write one page with the figures.")
-]
-SeriesFile = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE.csv|.parquet",
-        help="Write the samples: time, log, and of every joint measured, predicted and residual.",
-    ),
-]
-Quiet = Annotated[
-    bool, typer.Option("--quiet", "-q", help="Show results and errors only, no progress.")
-]
-Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks; GEODRAKE_DEBUG=1 does too.")]
-EffectFiles = Annotated[
-    list[Path] | None,
-    typer.Option(metavar="FILE.py", help="Know the effects of this file too; repeatable."),
-]
-EffectNames = Annotated[
-    list[Path] | None,
-    typer.Option(
-        metavar="NAME[@PLACE],…|FILE.py",
-        help="Effects beside the model's, by their names (an unknown name such as x lists them), "
-        "and the joint or body where they are; a FILE.py brings effects that may be named. "
-        "Repeatable.",
-    ),
-]
-KnownPayloads = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="LOG:BODY:MASS[:X,Y,Z]",
-        help="What the robot carried throughout a log, of known mass, kg, and centre of mass "
-        "in the body's frame, m. With a log without it, gains of efforts are identifiable. "
-        "Repeatable.",
-    ),
-]
-
-
-@dataclass(frozen=True, kw_only=True)
-class LogOptions(AxisOptions, ModelOptions):
-    """Options of all commands on a model and logs."""
-
-    model: ModelFile
-    logs: LogFiles
-    json: JsonFile = None
-    report: ReportFile = None
-    effects: EffectFiles = None
-    bandwidth: Annotated[
-        float | None,
-        typer.Option(
-            metavar="HZ",
-            help="Bandwidth of the filter; if absent, that of the model's fit to the same logs, or "
-            "chosen from the data.",
-        ),
-    ] = None
-    known_payload: KnownPayloads = None
-    quiet: Quiet = False
-    debug: Debug = False
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """How logs are prepared, as keyword arguments."""
-        return {"bandwidth": self.bandwidth}
-
-    @property
-    def log_facts(self) -> dict[str, Any]:
-        """What is known of all logs beside what is in their files, as fields of `JointLog`."""
-        return {}
-
-    @property
-    def model_target(self) -> Path | None:
-        """Where the model goes, if it is saved."""
-        return None
-
-    @property
-    def series_target(self) -> Path | None:
-        """Where the samples go, if they are wanted."""
-        return getattr(self, "series", None)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ValidationOptions(LogOptions):
-    """Options of commands that validate a model on blocks of logs."""
-
-    blocks: Annotated[
-        int | None, typer.Option(metavar="N", help="Blocks that each log is validated on.")
-    ] = None
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """How logs are prepared, as keyword arguments."""
-        return {"bandwidth": self.bandwidth, "blocks": self.blocks}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Options(ValidationOptions):
-    """Options of commands that can save the model, too."""
-
-    save: Annotated[
-        Path | None, typer.Option(metavar="FILE.yaml", help="Write the model, to be used as MODEL.")
-    ] = None
-    series: SeriesFile = None
-    correct_columns: Annotated[
-        bool,
-        typer.Option(
-            "--correct-columns",
-            help="Go on with the columns as they are found to be: signs, units, gains, zeros, "
-            "time, swapped joints. If absent, what is found is said first, and no more.",
-        ),
-    ] = False
-    no_auto_lock: Annotated[
-        bool,
-        typer.Option(
-            "--no-auto-lock",
-            help="Keep joints that hardly move. If absent, those that rest in all logs are held "
-            "where they rest, as --lock does.",
-        ),
-    ] = False
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """How logs are prepared, as keyword arguments."""
-        return {**super().settings, "hold_resting": self.holds_resting}
-
-    @property
-    def holds_resting(self) -> bool:
-        """Whether joints that hardly move are held."""
-        return not self.no_auto_lock
-
-    @property
-    def model_target(self) -> Path | None:
-        """Where the model goes, if it is saved."""
-        return self.save
+_NOISE_HELP = "Deviation of the {what}, N·m or N: one number, or JOINT=NUMBER,…; {default}."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -462,52 +319,337 @@ class DemoOptions:
     debug: Debug = False
 
 
-T = TypeVar("T", bound="DataclassInstance")
+@dataclass(frozen=True, kw_only=True)
+class IdentifiableOptions(ValidationOptions):
+    """Options of identifiable."""
 
-_FIRST = ("save", "report", "json")
-_OF_MODELS = ({field.name for field in fields(ModelOptions)} | {"axis", "mass"}) - {"lock"}
-_RARE = {"bandwidth", "blocks", "debug", "draft_effect", "effort_uncertainty", "known_payload"}
-_RARE |= {"no_auto_lock", "series"}
+    threshold: Annotated[
+        float,
+        typer.Option(
+            metavar="VARIANCE",
+            help="Largest relative variance of what counts as identifiable; 0.01 is a deviation "
+            "of 10 %.",
+        ),
+    ] = 1e-2
+    noise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NOISE",
+            help=_NOISE_HELP.format(
+                what="filtered efforts",
+                default="what the refitted model leaves on held-out data if absent",
+            ),
+        ),
+    ] = None
+    effects: EffectNames = None
 
 
-def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:
-    """Make a function of one options object a command whose parameters are its fields.
+@dataclass(frozen=True, kw_only=True)
+class _Motion:
+    """Which motions excite chooses from."""
 
-    Errors of the command become messages and exit codes. Help shows what is used most, then what
-    says how models and logs are read, and what is rare.
-    """
-    hints = get_type_hints(options, include_extras=True)
-    kinds = {field.name: field for field in fields(options)}
-    names = sorted(kinds, key=lambda name: _FIRST.index(name) if name in _FIRST else len(_FIRST))
-    for name in names:
-        panel = "Models" if name in _OF_MODELS else "Rarely needed" if name in _RARE else None
-        if panel is not None:
-            kind, option = get_args(hints[name])
-            option = copy(option)
-            option.rich_help_panel = panel
-            hints[name] = Annotated[kind, option]
+    trajectory: Annotated[
+        str,
+        typer.Option(
+            metavar="FAMILY",
+            help="fourier, spline, or free: samples that need not follow each other, the best that "
+            "any motion could do.",
+        ),
+    ] = "fourier"
+    duration: Annotated[float, typer.Option(metavar="SECONDS", help="Length of the motion.")] = 10.0
+    harmonics: Annotated[
+        int | None, typer.Option(metavar="N", help="Harmonics of a Fourier motion; 5 if absent.")
+    ] = None
+    frequency: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ",
+            help="Base frequency of a Fourier motion; once in its length if absent, and three "
+            "times with --tell-apart, so that every block of the log shows the difference.",
+        ),
+    ] = None
+    points: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Control points of a spline motion; 16 if absent."),
+    ] = None
+    samples: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Samples by which information is counted; 300 if absent, or 50 free ones.",
+        ),
+    ] = None
 
-    def decorate(run: Callable[[T], None]) -> Callable[..., None]:
-        @functools.wraps(run)
-        def command(**values: Any) -> None:
-            files = values.get("effects") or ()
-            with guarded(debug=values["debug"], effect_files=files):
-                run(options(**values))
 
-        command.__annotations__ = {name: hints[name] for name in names}
-        command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-            [
-                inspect.Parameter(
-                    name,
-                    inspect.Parameter.KEYWORD_ONLY,
-                    default=inspect.Parameter.empty
-                    if kinds[name].default is MISSING
-                    else kinds[name].default,
-                    annotation=hints[name],
-                )
-                for name in names
-            ]
-        )
-        return command
+@dataclass(frozen=True, kw_only=True)
+class _Robot:
+    """What excite may do with the robot."""
 
-    return decorate
+    limits: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="LIMIT,…",
+            help="Limits in place of the model file's: 0.5 for half of all of them, "
+            "velocity=1.5 or velocity=50% for all joints, JOINT.position=-1:0.5 for one; also "
+            "acceleration and effort, and current, voltage and pwm of models fitted to such logs. "
+            "Repeatable.",
+        ),
+    ] = None
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="POSITION", help="Where the motion starts: one number, or JOINT=NUMBER,…"
+        ),
+    ] = None
+    clearance: Annotated[
+        float,
+        typer.Option(metavar="METRES", help="Least distance of the robot from itself."),
+    ] = 0.01
+    collisions: Annotated[
+        bool,
+        typer.Option(
+            "--collisions/--no-collisions",
+            help="Whether the collision geometry of the file counts.",
+        ),
+    ] = True
+    floor: Annotated[
+        bool,
+        typer.Option(
+            "--floor/--no-floor",
+            help="Whether nothing may go below the base, as on a table or a floor. A robot that "
+            "hangs below its base where it starts has none.",
+        ),
+    ] = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Choosing:
+    """How excite judges motions and looks for the best one."""
+
+    criterion: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="e_optimality, a_optimality, d_optimality or condition_number.",
+        ),
+    ] = "e_optimality"
+    normalization: Annotated[
+        str, typer.Option(metavar="NAME", help="geometric, diagonal or none.")
+    ] = "geometric"
+    noise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NOISE",
+            help=_NOISE_HELP.format(
+                what="measured efforts",
+                default="what the model's last fit left, or 1 % of the limits of effort, if absent",
+            ),
+        ),
+    ] = None
+    seeds: Annotated[int, typer.Option(metavar="N", help="Random motions to start from.")] = 3
+    seed: Annotated[int, typer.Option(metavar="N", help="Number of the first of them.")] = 0
+    seconds: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Most time for the whole search.")
+    ] = 180.0
+    iterations: Annotated[
+        int, typer.Option(metavar="N", help="Most iterations of the solver, for each stage.")
+    ] = 300
+    solver: Annotated[str, typer.Option(metavar="NAME", help="snopt or ipopt.")] = "snopt"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExciteOptions(ModelOptions, _Motion, _Robot, _Choosing):
+    """Options of excite."""
+
+    model: ModelFile
+    effects: EffectNames = None
+    tell_apart: Annotated[
+        str | None,
+        typer.Option(
+            metavar="EFFECT,EFFECT[@PLACE]",
+            help="Two effects that logs so far cannot distinguish: the motion on which their "
+            "predictions differ most, once everything else is refitted.",
+        ),
+    ] = None
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv|.npz|.yaml|.drake.yaml",
+            help="Write the motion: a log with the predicted efforts, a ROS JointTrajectory, or a "
+            "Drake BsplineTrajectory.",
+        ),
+    ] = None
+    rate: Annotated[
+        float, typer.Option(metavar="HZ", help="Samples a second of what --save writes.")
+    ] = 100.0
+    json: JsonFile = None
+    report: ReportFile = None
+    meshcat: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="Write a page that replays the motion."),
+    ] = None
+    quiet: Quiet = False
+    debug: Debug = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions(ModelOptions):
+    """Options of check."""
+
+    model: ModelFile
+    samples: Annotated[
+        int, typer.Option(metavar="N", help="Random states, within the limits of the robot.")
+    ] = 100
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the random numbers.")] = 0
+    effects: EffectFiles = None
+    json: JsonFile = None
+    quiet: Quiet = False
+    debug: Debug = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class DigestOptions(ReadingOptions, ModelOptions):
+    """Options of digest."""
+
+    model: ModelFile
+    logs: LogFiles
+    to: Annotated[
+        Path,
+        typer.Option(
+            metavar="FOLDER",
+            help="Folder of the digests, all of logs of robots with this model; made if it is not "
+            "there. The first digest writes the settings that all of them share.",
+        ),
+    ]
+    date: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DATE",
+            help="When logs were recorded whose time stamps are no dates, such as 2026-05-01 or "
+            "2026-05-01T12:00:00+02:00, UTC without a zone; when the file was changed if absent.",
+        ),
+    ] = None
+    effects: EffectFiles = None
+    bandwidth: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ",
+            help="Bandwidth of the filter of all digests, if the folder has no settings yet; if "
+            "absent, that of the model's fit, or chosen from the first log.",
+        ),
+    ] = None
+    blocks: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Blocks that each log is cut into, if the folder has no settings yet; 4 if "
+            "absent.",
+        ),
+    ] = None
+    known_payload: KnownPayloads = None
+    json: JsonFile = None
+    quiet: Quiet = False
+    debug: Debug = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions(ReadingOptions, ModelOptions):
+    """Options of export."""
+
+    model: ModelFile
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="LOG",
+            help="Logs on whose motion what the format lacks is fitted, and the error that it "
+            "costs is measured; without any, random motion within the robot's limits serves.",
+        ),
+    ] = None
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder of the files; made if it is not there.")
+    ]
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="FORMAT",
+            help="urdf, sdf, mjcf, drake (with model directives), isaac (a URDF, and values of "
+            "actuators), python, cpp (a function effort(q, v, vd)), ros2 (a controller of "
+            "ros2_control); an unknown name lists them.",
+        ),
+    ]
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace files of these names that are there.")
+    ] = False
+    json: JsonFile = None
+    report: ReportFile = None
+    quiet: Quiet = False
+    effects: EffectFiles = None
+    bandwidth: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ",
+            help="Bandwidth of the filter of logs; if absent, that of the model's fit to the same "
+            "logs, or chosen from the data.",
+        ),
+    ] = None
+    debug: Debug = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class FleetOptions:
+    """Options of fleet."""
+
+    fleet: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FLEET.yaml",
+            help="Types with a model each, robots with patterns of their logs, and the folder of "
+            "digests and results.",
+        ),
+    ]
+    json: JsonFile = None
+    report: ReportFile = None
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Processes of this machine that work; 0 is the command's own, which also works "
+            "where Dask is not installed. One on each core if absent.",
+        ),
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="A Dask scheduler of your own, such as tcp://10.0.0.5:8786, whose workers see the "
+            "same folders.",
+        ),
+    ] = None
+    false_alarms: Annotated[
+        float,
+        typer.Option(
+            metavar="RATE",
+            help="At most how many robots in which nothing changed are named, a robot-month.",
+        ),
+    ] = 0.01
+    watch: Annotated[
+        bool,
+        typer.Option(
+            "--watch",
+            help="Go on, and take in new logs as they come: each new finding is a line of JSON on "
+            "standard output.",
+        ),
+    ] = False
+    every: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Time between two looks for new logs.")
+    ] = 60.0
+    once: Annotated[
+        bool,
+        typer.Option(
+            "--once",
+            help="Look once and say what a watch would; exit code 3 if there is a new finding, "
+            "for a cron job.",
+        ),
+    ] = False
+    quiet: Quiet = False
+    debug: Debug = False

@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from rich.console import Console
 
 from geodrake.boundary.arguments import positive
 from geodrake.cli.options import PlayOptions
 from geodrake.cli.rollout import other_model
 from geodrake.cli.serving import page_server, serve_page
-from geodrake.cli.session import Command, Input, run
-from geodrake.cli.tables import head, say, show_list
+from geodrake.cli.session import Command, Input, Maker, run
 from geodrake.model.robot_model import RobotModel, read_again
 from geodrake.model.saved_model import is_saved_model
-from geodrake.report.numbers import Units, number, percent
+from geodrake.report.play_page import play_page
+from geodrake.report.playback import play_back
+from geodrake.report.playing import Played, playback_dict, playback_page
+from geodrake.report.posed_links import drawn_shapes
 from geodrake.report.recordings import check_viewer, recording
 from geodrake.report.video import check_video, video
-
-if TYPE_CHECKING:
-    from geodrake.cli.session import Maker
-    from geodrake.report.playback import Moment, Playback
-    from geodrake.robot.shapes import RobotShapes
 
 DEFAULT_OUT = Path("play.html")
 
 
 def run_play(options: PlayOptions) -> None:
-    """Run the command.
+    """Play logs over the robot, as a page or on a port of this machine.
 
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
@@ -44,70 +37,54 @@ def run_play(options: PlayOptions) -> None:
     asked = (options.out, options.live, options.video, recorded)
     out = DEFAULT_OUT if asked == (None,) * 4 else options.out
     server = None if options.live is None else page_server(options.live)
-    found: list[Playback] = []
-    looks: list[RobotShapes] = []
 
-    def played(given: Input) -> Playback:
-        from geodrake.report.playback import play_back
-        from geodrake.report.posed_links import drawn_shapes
+    title, speed = f"{options.model.name}: play", options.speed
 
-        found.append(
-            play_back(
-                given.model,
-                given.logs,
-                before=_before(options, given),
-                extra=given.extra,
-                seconds=options.seconds,
-                **given.settings,
-            )
+    def played(given: Input) -> Played:
+        playback = play_back(
+            given.model,
+            given.logs,
+            before=_before(options, given),
+            extra=given.extra,
+            seconds=options.seconds,
+            **given.settings,
         )
-        looks.append(drawn_shapes(found[0].models[-1].model))
-        return found[0]
+        return Played(playback, drawn_shapes(playback.models[-1].model))
 
-    def page(playback: Playback) -> str:
-        from geodrake.report.play_page import play_page
-
+    def page(found: Played) -> str:
         return play_page(
-            playback,
-            title=f"{options.model.name}: play",
+            found.playback,
+            title=title,
             log_names=[log.name for log in options.logs],
-            units=Units.of(playback.models[-1].model),
-            speed=options.speed,
-            shapes=looks[0],
+            units=found.units,
+            speed=speed,
+            shapes=found.shapes,
         )
 
-    def makers(playback: Playback) -> dict[str, Maker]:
-        title, units = f"{options.model.name}: play", Units.of(playback.models[-1].model)
-        made: dict[str, Maker] = {"out": lambda: page(playback)}
+    def makers(found: Played) -> dict[str, Maker]:
+        playback, shapes, units = found.playback, found.shapes, found.units
+        made: dict[str, Maker] = {"out": lambda: page(found)}
         if (file := options.video) is not None:
-            made["video"] = lambda: video(
-                playback, looks[0], file.suffix.lower(), units=units, speed=options.speed
-            )
+            kind = file.suffix.lower()
+            made["video"] = lambda: video(playback, shapes, kind, units=units, speed=speed)
         if to is not None:
-            made["to"] = lambda: recording(to, playback, looks[0], title=title, units=units)
+            made["to"] = lambda: recording(to, playback, shapes, title=title, units=units)
         return made
 
-    def show(console: Console, playback: Playback, units: Units) -> None:
-        _show(console, playback, looks[0].notes, units)
-
+    command = Command(
+        "play",
+        "Comparing",
+        played,
+        playback_dict,
+        playback_page,
+        more={"out": out, "video": options.video, "to": recorded},
+        makers=makers,
+        saved={"out": "page that plays the logs", "video": "video", "to": "recording"},
+    )
     try:
-        run(
-            Command(
-                "play",
-                "Comparing",
-                played,
-                playback_dict,
-                "render_comparison",
-                show,
-                paged=lambda playback: playback.models[-1].comparison,
-                more={"out": out, "video": options.video, "to": recorded},
-                makers=makers,
-                saved={"out": "page that plays the logs", "video": "video", "to": "recording"},
-            ),
-            options,
-        )
+        found = run(command, options)
         if server is not None:
-            serve_page(server, page(found[0]))
+            serve_page(server, page(found))
     finally:
         if server is not None:
             server.server_close()
@@ -117,63 +94,4 @@ def _before(options: PlayOptions, given: Input) -> RobotModel | None:
     """The model to compare with: the one named, or the file that a saved model is based on."""
     if options.before is not None:
         return other_model(options.before, given)
-    if is_saved_model(options.model):
-        return read_again(given.model)
-    return None
-
-
-def playback_dict(playback: Playback) -> dict[str, Any]:
-    """What is played, and where the models err most, as JSON has it."""
-    return {
-        "models": [
-            {
-                "title": played.title,
-                "file": str(played.model.path),
-                "nrms": played.comparison.errors.nrms,
-                "trained": played.trained,
-                "worst_moments": [
-                    _moment_dict(m, playback) for m in playback.moments if m.played == k
-                ],
-            }
-            for k, played in enumerate(playback.models)
-        ],
-        "excerpts": [
-            {"log": e.log, "start": float(e.time[0]), "end": float(e.time[-1])}
-            for e in playback.excerpts
-        ],
-        "seconds_left_out": playback.seconds_left_out,
-        "notes": list(playback.models[-1].comparison.notes),
-    }
-
-
-def _moment_dict(moment: Moment, playback: Playback) -> dict[str, Any]:
-    log, time = playback.own_time(moment.frame)
-    return {
-        "joint": playback.joints[moment.joint],
-        "log": log,
-        "time": time,
-        "error": moment.error,
-        "relative": moment.relative,
-    }
-
-
-def _show(console: Console, playback: Playback, looks: Sequence[str], units: Units) -> None:
-    head(console, "Worst moments")
-    for k, played in enumerate(playback.models):
-        lines = [_moment_words(m, playback, units) for m in playback.moments if m.played == k]
-        data = "training data" if played.trained else "held-out data"
-        nrms = number(played.comparison.errors.nrms)
-        show_list(console, f"{played.title}, nrms {nrms} on {data}", lines)
-    if playback.seconds_left_out > 0.5:
-        say(console, "Left out", f"{playback.seconds_left_out:.0f} s of the logs; see --seconds.")
-    show_list(console, "Notes", [*looks, *playback.models[-1].comparison.notes])
-
-
-def _moment_words(moment: Moment, playback: Playback, units: Units) -> str:
-    joint = playback.joints[moment.joint]
-    log, time = playback.own_time(moment.frame)
-    error = f"{number(moment.error)} {units.effort([joint])}"
-    return (
-        f"{joint} at {time:.2f} s of {log}: {error} off, {percent(moment.relative)} of the "
-        "deviation of its effort"
-    )
+    return read_again(given.model) if is_saved_model(options.model) else None

@@ -6,43 +6,87 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from geodrake.cli.model_options import tell_repairs
 from geodrake.cli.options import RolloutOptions
-from geodrake.cli.rollout_fit import check_fit, run_rollout_fit
 from geodrake.cli.session import Command, Input, run
-from geodrake.cli.tables import head, say, show_list, show_table
-from geodrake.control.rollout import Rollout, command_rollout, roll_out
+from geodrake.control.rollout import (
+    Rollout,
+    RolloutFit,
+    command_rollout,
+    fit_rollouts,
+    roll_out,
+)
+from geodrake.control.rollout.rollout_values import rollout_values
+from geodrake.errors import ArgumentError
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import is_saved_model, load_model
-from geodrake.report.json_output import rollout_dict
-from geodrake.report.numbers import Units
-from geodrake.report.tables import departures_table
-from geodrake.report.words import departure
+from geodrake.report.json_output import rollout_dict, rollout_fit_dict
+from geodrake.report.rollouts import Simulated, rollout_fit_page, rollout_page
 from geodrake.robot.files.xacro_file import is_xacro
 
-Pair = tuple[Rollout, Rollout | None]
+_SAVED = {"meshcat": "replay of measured and simulated motion"}
 
 
 def run_rollout(options: RolloutOptions) -> None:
-    """Run the command.
+    """Simulate a model under logged efforts or commands, or fit its soft joints and play to them.
 
     Raises:
-        GeodrakeError: Something about the input, or about the targets, does not do.
+        GeodrakeError: Options do not go together, or something about the input does not do.
     """
-    check_fit(options)
+    if options.save is not None and not options.fit:
+        raise ArgumentError(
+            f"Without --fit a rollout changes nothing of the model, so --save {options.save} would "
+            "write what is there.",
+            advice="Add --fit, or leave --save out.",
+        )
+    if options.fit and options.before is not None:
+        raise ArgumentError(
+            "--fit and --before do not go together: a fit begins with the model as it is, and is "
+            "compared with that.",
+            advice="Fit and save the model first, then roll it out with --before.",
+        )
     if options.fit:
-        run_rollout_fit(options)
-        return
+        run(_fitting(options), options)
+    else:
+        run(_simulating(options), options)
 
-    def simulated(given: Input) -> Pair:
+
+def _fitting(options: RolloutOptions) -> Command[RolloutFit]:
+    def fitted(given: Input) -> RolloutFit:
+        return fit_rollouts(
+            given.model,
+            given.logs,
+            horizon=options.horizon,
+            most=options.windows,
+            commands=options.commands,
+            **given.settings,
+            progress=given.progress,
+        )
+
+    return Command(
+        "rollout",
+        "Fitting",
+        fitted,
+        rollout_fit_dict,
+        rollout_fit_page,
+        more={"meshcat": options.meshcat},
+        makers=lambda found: {"meshcat": lambda: _replay(found.model, found.after, found.before)},
+        saved=_SAVED,
+        check=_refuse_rigid,
+    )
+
+
+def _refuse_rigid(model: RobotModel) -> None:
+    rollout_values(model)
+
+
+def _simulating(options: RolloutOptions) -> Command[Simulated]:
+    def simulated(given: Input) -> Simulated:
         before = None
         if options.before is not None:
-            other = other_model(options.before, given)
-            before = rolled_out(other, given, "before: ")
-        return rolled_out(given.model, given, ""), before
+            before = rolled_out(other_model(options.before, given), given, "before: ")
+        return Simulated(rolled_out(given.model, given, ""), before)
 
     def rolled_out(model: RobotModel, given: Input, prefix: str) -> Rollout:
         simulate = command_rollout if options.commands else roll_out
@@ -56,26 +100,16 @@ def run_rollout(options: RolloutOptions) -> None:
         )
 
     model: list[RobotModel] = []
-
-    def replay(found: Pair) -> str:
-        from geodrake.report.replay import rollout_replay_page
-
-        return rollout_replay_page(model[0], *found)
-
-    run(
-        Command(
-            "rollout",
-            "Simulating",
-            simulated,
-            _numbers,
-            "render_rollout",
-            _show,
-            more={"meshcat": options.meshcat},
-            makers=lambda found: {"meshcat": lambda: replay(found)},
-            saved={"meshcat": "replay of measured and simulated motion"},
-            check=model.append,
-        ),
-        options,
+    return Command(
+        "rollout",
+        "Simulating",
+        simulated,
+        _numbers,
+        rollout_page,
+        more={"meshcat": options.meshcat},
+        makers=lambda found: {"meshcat": lambda: _replay(model[0], found.after, found.before)},
+        saved=_SAVED,
+        check=model.append,
     )
 
 
@@ -92,22 +126,12 @@ def other_model(path: Path, given: Input) -> RobotModel:
     return holding(other, {j: place for j, place in model.held.items() if j in other.joints})
 
 
-def _numbers(found: Pair) -> dict[str, Any]:
-    after, before = found
-    numbers = rollout_dict(after)
-    return numbers if before is None else {**numbers, "before": rollout_dict(before)}
+def _numbers(found: Simulated) -> dict[str, Any]:
+    numbers = rollout_dict(found.after)
+    return numbers if found.before is None else {**numbers, "before": rollout_dict(found.before)}
 
 
-def _show(console: Console, found: Pair, units: Units) -> None:
-    after, before = found
-    count = len(after.windows)
-    windows = f"{count} windows of {after.horizon:g} s"
-    head(console, f"Departure from the measured motion, RMS in {windows}")
-    show_table(console, departures_table(after, before, units))
-    words = f"departs by {departure(after.relative)} of the motion within {after.horizon:g} s"
-    if before is not None:
-        words = f"{words}, where {departure(before.relative)} before"
-    if after.broken:
-        words = f"{words}; in {after.broken} of {count} windows the simulation breaks off"
-    say(console, "Verdict", f"the simulated model {words}.")
-    show_list(console, "Notes", after.notes)
+def _replay(model: RobotModel, after: Rollout, before: Rollout | None) -> str:
+    from geodrake.report.replay import rollout_replay_page
+
+    return rollout_replay_page(model, after, before)

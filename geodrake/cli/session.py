@@ -2,39 +2,31 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from types import ModuleType
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 from urllib.parse import quote
 
 import typer
 from rich.console import Console
 
 from geodrake.boundary.version import version
-from geodrake.boundary.whole_files import Content
-from geodrake.cli.axis_model import written_axis
-from geodrake.cli.columns import (
-    column_words,
-    columns_list,
-    found_columns,
-    show_columns,
-    unchecked_words,
-    with_first_notes,
-)
+from geodrake.boundary.whole_files import Content, write_together
+from geodrake.cli.axis_model import AxisOptions, written_axis
+from geodrake.cli.columns import column_words, columns_list, found_columns, unchecked_words
 from geodrake.cli.guard import INTERRUPTED
 from geodrake.cli.known_payloads import with_facts, with_known_payloads
 from geodrake.cli.model_options import read_model
-from geodrake.cli.options import LogOptions, Options
 from geodrake.cli.progress import Activity, progress
 from geodrake.cli.reading_options import proposing
-from geodrake.cli.surroundings import print_whole, printing
-from geodrake.cli.tables import SAVED, make_console, show_saved
-from geodrake.cli.targets import STDOUT, Targets
+from geodrake.cli.shared_options import Options
+from geodrake.cli.surroundings import print_whole, printing, results
+from geodrake.cli.targets import SAVED, STDOUT, Targets
 from geodrake.diagnosis.columns import ColumnFinding, corrected, with_motor_limits
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
@@ -43,14 +35,17 @@ from geodrake.logs.files import Reading, check_log, parts_of, read_log
 from geodrake.logs.motion import JointLog
 from geodrake.model.logged_joints import holding_resting, model_of_logs, reading_for
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.saved_model import saved_text
 from geodrake.report.json_output import to_json
 from geodrake.report.numbers import Units
+from geodrake.report.page import About, Page, Section
 from geodrake.report.series_table import check_series, series_content
+from geodrake.report.terminal import ResultsConsole, show_page, show_saved
 
 R = TypeVar("R")
-
-_WITH_UNITS = ("add", "explain")  # whose pages take units from the model in the result
 Maker = Callable[[], Content]
+
+_PIPE_WIDTH = 160  # room for long names; tables are as wide as what is in them
 
 
 @dataclass(frozen=True)
@@ -58,7 +53,7 @@ class Input:
     """What a command works on.
 
     Attributes:
-        model: The model as it stands.
+        model: The model as it stands; None, which only commands without MODEL see, for none.
         logs: What was read of the logs.
         extra: Effects of the user's own.
         settings: How logs are prepared: bandwidth and, with folds, blocks, as keyword arguments.
@@ -72,6 +67,12 @@ class Input:
     progress: Activity
 
 
+def _write(result: object, contents: Mapping[Path, Content]) -> Sequence[Path]:
+    del result
+    write_together(contents)
+    return ()
+
+
 @dataclass(frozen=True)
 class Command(Generic[R]):
     """The parts in which commands differ.
@@ -80,57 +81,70 @@ class Command(Generic[R]):
         name: What the command is called.
         working: What it does, for the progress bar.
         numbers: The result as a dictionary.
-        page: Name of the function of `geodrake.report` that makes the result HTML.
-        paged: The part of the result that the page shows.
-        more: Options of files that only this command writes, with their paths.
-        makers: What makes the contents of those.
-        saved: Option -> what its file is, in words.
-        check: Refuses a model before the long work.
-        sampled: The part of the result that has samples.
-        promise: How long it will take, said before it begins.
+        page: What there is to say of the result.
+        inputs: Files that are read beside those of the options.
+        reads_logs: Whether the logs are read before the work; else the command does so itself.
+        takes_bad_logs: Whether it says itself what is wrong with logs that are not there.
+        more: Option -> what else the command writes.
+        makers: What makes these files; nothing is written without one.
+        saved: Option -> what its file is, where that is not the usual.
+        check: Refuses a model that the command cannot work on, before the logs are looked at.
+        write: Writes the files, and returns those that no option names.
+        code: The exit code, 0 if all is well.
+        promise: What is said at the start.
+        last: What is said at the end, such as the command that comes next.
     """
 
     name: str
     working: str
     work: Callable[[Input], R]
     numbers: Callable[[R], Mapping[str, Any]]
-    page: str
-    show: Callable[[Console, R, Units], None]
-    paged: Callable[[R], Any] = lambda result: result
+    page: Callable[[R, About], Page]
+    inputs: Sequence[Path] = ()
+    reads_logs: bool = True
+    takes_bad_logs: bool = False
     more: Mapping[str, Path | None] = field(default_factory=dict)
+    suffixes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     makers: Callable[[R], Mapping[str, Maker]] = lambda result: {}
     saved: Mapping[str, str] = field(default_factory=dict)
     check: Callable[[RobotModel], None] = lambda model: None
-    sampled: Callable[[R], Any] = lambda result: result
+    write: Callable[[R, Mapping[Path, Content]], Sequence[Path]] = _write
+    code: Callable[[R], int] = lambda result: 0
     promise: str = ""
+    last: str = ""
 
 
-def run(command: Command[R], options: LogOptions) -> None:
-    """Run a command.
+def run(command: Command[R], options: Any) -> R:
+    """Run a command, and return its result.
 
     Args:
         command: The command.
-        options: Options that the user gave.
+        options: Options that the user gave: a dataclass of `geodrake.cli.options`.
 
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
+        Exit: The exit code is not 0.
     """
-    with proposing(options.logs), written_axis(options, options.model, options.logs[0]):
-        _run(command, options)
+    logs = getattr(options, "logs", None) or []
+    axis: AbstractContextManager[None] = nullcontext()
+    if isinstance(options, AxisOptions):
+        axis = written_axis(options, options.model, logs[0])  # type: ignore[attr-defined]
+    with proposing(logs), axis:
+        return _run(command, options)
 
 
-def _run(command: Command[R], options: LogOptions) -> None:
-    targets, inputs = _checked_targets(command, options)
+def _run(command: Command[R], options: Any) -> R:
+    targets, series = _checked_targets(command, options), getattr(options, "series", None)
     if command.promise and not options.quiet:
         print(command.promise, file=sys.stderr, flush=True)
-    # matplotlib is slow to import and only the page needs it
-    pages = importlib.import_module("geodrake.report") if options.report else None
-    with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
-        given = _read(command, options, targets, inputs, update)
+    name = (_models(options) or options.logs)[0].name
+    with progress(f"Reading {name}", quiet=options.quiet) as update:
+        given = _read(command, options, targets, update)
         given, columns, corrects = _with_columns(options, given, update)
         update(command.working)
         result = command.work(given)
         update("Writing")
+        fitted = getattr(result, "model", given.model)
         unchecked = [] if columns is None else unchecked_words(given.model)
         told: dict[str, Any] = {}
         if columns is not None:
@@ -138,60 +152,126 @@ def _run(command: Command[R], options: LogOptions) -> None:
         numbers = to_json(
             {"version": version(), "command": command.name, **command.numbers(result), **told}
         )
-        about_columns = [*column_words(columns or (), corrected=corrects), *unchecked]
-        noted = with_first_notes(result, about_columns)
-        makers = _makers(command, options, given, noted, pages)
-        fitted = getattr(result, "model", given.model)
-        written = targets.write(fitted, {"json": lambda: numbers, **makers})
+        page = replace(
+            command.page(result, _about(command, options, fitted, given.extra)),
+            first=_first([*column_words(columns or (), corrected=corrects), *unchecked]),
+        )
+        makers: dict[str, Maker] = {
+            "json": lambda: numbers,
+            "report": partial(_html, page),
+            "save": partial(saved_text, fitted, getattr(options, "save", None) or Path()),
+            "series": partial(_samples, result, series or Path()),
+            **command.makers(result),
+        }
+        written = {option: path for option, path in targets.files.items() if option in makers}
+        contents = {path: makers[option]() for option, path in written.items()}
+        others = command.write(result, contents)
     with printing():
         if options.json == STDOUT:
             print_whole(numbers)
         console = make_console(stderr=options.json == STDOUT)
-        names = ", ".join(path.name for path in options.logs)
-        console.print(f"{options.model.name} against {names}", soft_wrap=True)
-        show_columns(console, columns or (), corrected=corrects)
-        for words in unchecked:
-            console.print(words, soft_wrap=True)
-        command.show(console, result, Units.of(fitted, given.extra))
-        show_saved(console, written, command.saved)
-    if getattr(result, "is_interrupted", False):
-        raise typer.Exit(INTERRUPTED)
+        show_page(console, page)
+        show_saved(console, written, {**SAVED, **command.saved}, others)
+        if command.last:
+            console.print(f"\n{command.last}", soft_wrap=True)
+    if code := INTERRUPTED if getattr(result, "is_interrupted", False) else command.code(result):
+        raise typer.Exit(code)
+    return result
 
 
-def _checked_targets(command: Command[R], options: LogOptions) -> tuple[Targets, list[Path]]:
-    """Return where the results go, and the files that are read, none of which is overwritten."""
-    more = {**command.more, "series": options.series_target}
-    targets = Targets(options.model_target, options.json, options.report, more)
-    files = [part for log in options.logs for part in parts_of(log)]
-    more_files = [*options.transmission_files, *filter(None, [options.mapping])]
-    inputs = [options.model, *files, *more_files, *(options.effects or ())]
-    check_logs(files)
-    targets.check(inputs)
-    if options.series_target is not None:
-        check_series(options.series_target)
-    return targets, inputs
+def _html(page: Page) -> str:
+    from geodrake.report.html import render  # as jinja2 takes a while
+
+    return render(page)
 
 
-def _read(
-    command: Command[R],
-    options: LogOptions,
-    targets: Targets,
-    inputs: Sequence[Path],
-    update: Activity,
-) -> Input:
+def _samples(result: Any, target: Path) -> Content:
+    from geodrake.report.views import samples  # which needs all kinds of results
+
+    return series_content(samples(result), target)
+
+
+def _first(words: Sequence[str]) -> Section | None:
+    """Return what is said of mistakes in columns before all else."""
+    return Section("First of all: columns of the logs", items=tuple(words)) if words else None
+
+
+def _about(
+    command: Command[R], options: Any, model: RobotModel, extra: Sequence[type[Effect]]
+) -> About:
+    """Return the names of what a page is of, and its links to the other pages that are written."""
+    save, models = getattr(options, "save", None), _models(options)
+    folder = (getattr(options, "report", None) or Path()).resolve().parent
+    links = {}
+    for option, path in command.more.items():
+        if path is not None and path.suffix.lower() in (".html", ".htm"):
+            words = {**SAVED, **command.saved}[option].capitalize()
+            links[words] = quote(Path(os.path.relpath(path.resolve(), folder)).as_posix())
+    return About(
+        models[0].name if models else "",
+        tuple(path.name for path in getattr(options, "logs", None) or ()),
+        command.name,
+        Units() if model is None else Units.of(model, extra),
+        str(save or (models[0] if models else "MODEL")),
+        links,
+    )
+
+
+def _models(options: Any) -> list[Path]:
+    """Return the file of the model, or of the fleet, where one is given."""
+    named = (getattr(options, name, None) for name in ("model", "fleet"))
+    return [path for path in named if path is not None]
+
+
+def inputs_of(options: Any) -> list[Path]:
+    """Return the files that a command reads, none of which it overwrites."""
+    logs = [part for log in getattr(options, "logs", None) or () for part in parts_of(log)]
+    mapping = getattr(options, "mapping", None)
+    return [
+        *_models(options),
+        *logs,
+        *getattr(options, "transmission_files", ()),
+        *filter(None, [mapping]),
+        *(getattr(options, "effects", None) or ()),
+    ]
+
+
+def _checked_targets(command: Command[R], options: Any) -> Targets:
+    """Return where the results go, all of which can be written."""
+    names = ("save", "json", "report", "series")
+    asked = {name: getattr(options, name, None) for name in names} | dict(command.more)
+    targets = Targets(asked, command.suffixes)
+    if not command.takes_bad_logs:
+        check_logs([part for log in getattr(options, "logs", None) or () for part in parts_of(log)])
+    targets.check([*inputs_of(options), *command.inputs])
+    if "series" in targets.files:
+        check_series(targets.files["series"])
+    return targets
+
+
+def _read(command: Command[R], options: Any, targets: Targets, update: Activity) -> Input:
     """Return the model, the logs and what is known of them."""
-    extra = own_effects(options.effects or ())
+    extra = own_effects(getattr(options, "effects", None) or ())
+    settings = getattr(options, "settings", {})
+    if getattr(options, "model", None) is None:
+        return Input(cast("RobotModel", None), (), extra, settings, update)
     model = read_model(options.model, options, update, extra)
-    targets.check([*inputs, model.path])  # a saved model reads another one
-    update("Reading the logs")
-    known, reading = model.known_joints, reading_for(model, options.reading)
-    paths, logs, unread = _readable(options.logs, known, reading)
-    model = model_of_logs(model, logs, hold_resting=_holds_resting(options))
-    model = replace(model, notes=(*unread, *model.notes)) if unread else model
-    command.check(model)
-    carrying = with_known_payloads(paths, logs, options.known_payload or (), model)
-    known_logs = with_facts(carrying, options.log_facts, reading)
-    return Input(model, known_logs, extra, options.settings, update)
+    targets.check([*inputs_of(options), model.path])  # a saved model reads another one
+    logs: tuple[JointLog, ...] = ()
+    given = getattr(options, "logs", None)
+    if command.reads_logs and given:
+        update("Reading the logs")
+        known, reading = model.known_joints, reading_for(model, options.reading)
+        paths, found, unread = _readable(given, known, reading)
+        model = model_of_logs(model, found, hold_resting=_holds_resting(options))
+        model = replace(model, notes=(*unread, *model.notes)) if unread else model
+        payloads = getattr(options, "known_payload", None) or ()
+        command.check(model)
+        carrying = with_known_payloads(paths, found, payloads, model)
+        logs = with_facts(carrying, getattr(options, "log_facts", {}), reading)
+    else:
+        command.check(model)
+    return Input(model, logs, extra, settings, update)
 
 
 def _readable(
@@ -214,13 +294,13 @@ def _readable(
     return kept, logs, [f"{path.name} is left out: {error.problem}" for path, error in errors]
 
 
-def _holds_resting(options: LogOptions) -> bool:
+def _holds_resting(options: Any) -> bool:
     """Return whether joints that hardly move are held: only where efforts are what counts."""
-    return bool(options.settings.get("hold_resting", False))
+    return bool(getattr(options, "settings", {}).get("hold_resting", False))
 
 
 def _with_columns(
-    options: LogOptions, given: Input, update: Activity
+    options: Any, given: Input, update: Activity
 ) -> tuple[Input, tuple[ColumnFinding, ...] | None, bool]:
     """What to work on, mistakes in columns (None if nobody looked), if they are corrected."""
     if not isinstance(options, Options):
@@ -238,50 +318,7 @@ def _with_columns(
     return given, columns, corrects
 
 
-def _makers(
-    command: Command[R], options: LogOptions, given: Input, result: R, pages: ModuleType | None
-) -> dict[str, Maker]:
-    """What makes the contents of the files: the page, the samples, and what the command adds."""
-    units = {}
-    if pages is not None and command.name not in _WITH_UNITS:
-        units["units"] = Units.of(given.model, given.extra)
-
-    def page() -> str:
-        return str(
-            getattr(pages, command.page)(
-                command.paged(result),
-                title=f"{options.model.name}: {command.name}",
-                model_name=options.model.name,
-                log_names=[path.name for path in options.logs],
-                links=_links(command, options.report),
-                **units,
-            )
-        )
-
-    makers: dict[str, Maker] = {"report": page, **command.makers(result)}
-    if options.series_target is not None:
-        target = options.series_target
-        makers["series"] = lambda: _samples(command.sampled(result), target)
-    return makers
-
-
-def _links(command: Command[R], report: Path | None) -> dict[str, str]:
-    """From a report to the other pages that the command writes: words -> relative address."""
-    folder, links = (report or Path()).resolve().parent, {}
-    for option, path in command.more.items():
-        if path is not None and path.suffix.lower() in (".html", ".htm"):
-            words = {**SAVED, **command.saved}[option].capitalize()
-            links[words] = quote(Path(os.path.relpath(path.resolve(), folder)).as_posix())
-    return links
-
-
-def _samples(sampled: Any, target: Path) -> Content:
-    from geodrake.report.views import samples  # which needs all kinds of results
-
-    return series_content(samples(sampled), target)
-
-
-def own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:
+def own_effects(paths: Iterable[Path]) -> tuple[type[Effect], ...]:
     """Effects of all files, each name once."""
     found: dict[str, type[Effect]] = {}
     for path in paths:
@@ -306,3 +343,12 @@ def check_logs(logs: Sequence[Path]) -> None:
                 advice="Name each log once.",
             )
         seen.add((status.st_dev, status.st_ino))
+
+
+def make_console(*, stderr: bool = False) -> Console:
+    """A console that prints names and numbers as they are, without reading markup into them."""
+    file = sys.stderr if stderr else results()
+    console = ResultsConsole(file=file, markup=False, emoji=False, highlight=False)
+    if not console.is_terminal:
+        console.width = _PIPE_WIDTH
+    return console

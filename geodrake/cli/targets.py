@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from geodrake.boundary.whole_files import Content, check_writable, write_together
+from geodrake.boundary.whole_files import check_writable
 from geodrake.errors import OutputError
-
-if TYPE_CHECKING:
-    from geodrake.model.robot_model import RobotModel
 
 STDOUT = Path("-")
 _SUFFIXES = {
@@ -31,33 +26,35 @@ _SUFFIXES = {
 }
 
 
+SAVED = {
+    "save": "model",
+    "json": "numbers",
+    "report": "report",
+    "export": "model file with the identified inertias",
+    "ellipsoids": "ellipsoids",
+    "meshcat": "page of ellipsoids",
+    "draft-effect": "drafted effects",
+    "series": "samples",
+}
+"""Option -> what its file is."""
+
+
 @dataclass(frozen=True)
 class Targets:
-    """Where to write what; None for what is not asked for.
+    """Where to write what.
 
     Attributes:
-        json: The numbers, JSON; `-` is standard output.
-        report: The page with the figures, HTML.
-        more: Option -> what else a command writes.
+        asked: Option -> its file; None for what is not asked for, `-` for standard output.
         suffixes: Option -> suffixes of its file, where they are others than usual.
     """
 
-    save: Path | None = None
-    json: Path | None = None
-    report: Path | None = None
-    more: Mapping[str, Path | None] = field(default_factory=dict)
+    asked: Mapping[str, Path | None]
     suffixes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def files(self) -> dict[str, Path]:
         """Option -> file, those asked for."""
-        return {name: path for name, path in self._named.items() if path != STDOUT}
-
-    @property
-    def _named(self) -> dict[str, Path]:
-        """Option -> what it was given."""
-        named = {"save": self.save, "json": self.json, "report": self.report, **self.more}
-        return {name: path for name, path in named.items() if path is not None}
+        return {name: path for name, path in self.asked.items() if path not in (None, STDOUT)}
 
     def check(self, inputs: Iterable[Path]) -> None:
         """Refuse targets that cannot be written or that would overwrite something else.
@@ -66,8 +63,8 @@ class Targets:
             OutputError: A target has another kind's suffix, is an input or another target, is no
                 regular file, or its folder is missing or cannot be written to.
         """
-        for name, path in self._named.items():
-            if path == STDOUT and name != "json":
+        for name, path in self.asked.items():
+            if path is not None and path == STDOUT and name != "json":
                 reason = "is standard output, which takes --json alone"
                 raise _refusal(name, path, reason, "Name a file.")
         taken = {_place(path): "is an input of this command" for path in inputs}
@@ -79,28 +76,6 @@ class Targets:
             reason, advice = _obstacle(path)
             if reason:
                 raise _refusal(name, path, reason, advice)
-
-    def write(
-        self, model: RobotModel, makers: Mapping[str, Callable[[], Content]]
-    ) -> dict[str, Path]:
-        """Write what was asked for, all files or none; contents are made first.
-
-        Args:
-            makers: Option -> makes the content of its file; nothing is written without one.
-
-        Returns:
-            Option -> file, those written.
-
-        Raises:
-            OutputError: A file cannot be written after all.
-        """
-        from geodrake.model.saved_model import saved_text
-
-        if self.save is not None:
-            makers = {**makers, "save": partial(saved_text, model, self.save)}
-        made = {name: path for name, path in self.files.items() if name in makers}
-        write_together({path: makers[name]() for name, path in made.items()})
-        return made
 
 
 def _place(path: Path) -> str:

@@ -1,25 +1,33 @@
-"""Plots over time as plain data: what the page's script draws, and its picture without one."""
+"""Charts as plain data: curves over an axis, and bars. A page draws them, and matplotlib."""
 
 from __future__ import annotations
 
+import base64
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
-from math import isfinite
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import isfinite, log
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.escaping import printable
-from geodrake.report.curves import decimated, floats, packed
+from geodrake.report.numbers import number
 
 Array = NDArray[np.float64]
 
+MOST_PANELS = 8
+"""Panels that are shown at first, and that figures have."""
 MOST_POINTS = 2000
 """Largest number of points of a curve that a page holds."""
-_MOST_NUMBERS = 16_000
-"""Largest number of points of all curves of a panel together."""
+CUT = 3.0
+"""Residuals are cut off at so many times the largest of the best model."""
+
+_MOST_NUMBERS = 16_000  # points of all curves of a panel together
+_LARGEST, _MISSING = 32767, -32768
+_LEAST = 1e-6  # nrms, so that a perfect model has a place on a logarithmic axis
 
 
 @dataclass(frozen=True)
@@ -28,22 +36,30 @@ class Stage:
 
     Attributes:
         key: Short name, the same in all charts of a page.
-        label: What it is, in words.
         color: Name of the colour in the page's style sheet.
         shown: Whether it is shown at first.
-        wide: Whether its lines are wide, behind the others.
+        look: "line", "wide", which is behind the others, or "dots".
     """
 
     key: str
     label: str
     color: str
     shown: bool = True
-    wide: bool = False
+    look: str = "line"
+
+
+@dataclass(frozen=True, eq=False)
+class Trend:
+    """Mean and RMS of samples in bins: (B,) middles of the bins, mean and RMS there."""
+
+    middle: Array
+    mean: Array
+    rms: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """One axis with curves over the time of its panel.
+    """One axis with curves.
 
     Attributes:
         label: What is shown, with its unit.
@@ -52,6 +68,10 @@ class Plot:
         centred: Whether zero is in the middle, and what is far larger than the best is cut off.
         span: Lowest and highest value shown; None for those of the curves.
         tall: Whether the plot is the taller one of its panel.
+        log: Whether the axis is logarithmic.
+        over: (K,) increasing values that it is drawn over; None for the time of its panel.
+        axis: What these are, with their unit.
+        trends: Stage -> mean and RMS of its curve.
     """
 
     label: str
@@ -61,18 +81,15 @@ class Plot:
     centred: bool = False
     span: tuple[float, float] | None = None
     tall: bool = True
+    log: bool = False
+    over: Array | None = None
+    axis: str = ""
+    trends: Mapping[str, Trend] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Shade:
-    """A stretch of time that is shaded.
-
-    Attributes:
-        stage: The stage of which it is a worst one.
-        start: Beginning on the chart's axis, s.
-        end: End, s.
-        words: What it is, in words.
-    """
+    """A stretch of the axis, from start to end, in which a stage is worst, and why in words."""
 
     stage: str
     start: float
@@ -82,7 +99,7 @@ class Shade:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """The plots of one joint, above each other.
+    """The plots of one joint.
 
     Attributes:
         detail: Its errors, in words.
@@ -102,30 +119,31 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Panels with one common axis of time.
+    """Panels with one common axis, or with plots side by side that have their own.
 
     Attributes:
         name: Short name, different from those of other charts of a page.
         stages: Of which stages the curves are, measured first.
         spans: Name, first and last instant, and shift to the common axis, of every log, s.
-        axis: What the axis is, with its unit.
-        dots: Whether samples are dots, not joined by lines.
+        axis: What the common axis is, with its unit.
         parts: What the panels are of.
+        unit: Unit of the common axis.
+        abreast: Whether the plots of a panel stand side by side, each over an axis of its own.
     """
 
     name: str
     caption: str
     stages: tuple[Stage, ...]
     panels: tuple[Panel, ...]
-    spans: tuple[tuple[str, float, float, float], ...]
+    spans: tuple[tuple[str, float, float, float], ...] = ()
     axis: str = "time in the log, s"
-    dots: bool = False
     parts: str = "Joints"
     unit: str = "s"
+    abreast: bool = False
 
     @property
     def ends(self) -> tuple[float, float]:
-        """First and last instant on the common axis, s."""
+        """First and last instant on the common axis."""
         spans = self.spans or (("", 0.0, 1.0, 0.0),)
         low, high = spans[0][1] + spans[0][3], spans[-1][2] + spans[-1][3]
         return low, (high if high > low else low + 1.0)
@@ -141,10 +159,10 @@ class Chart:
             "ends": self.ends,
             "axis": self.axis,
             "unit": self.unit,
-            "dots": self.dots,
+            "abreast": self.abreast,
             "spans": [(printable(name), *numbers) for name, *numbers in self.spans],
             "stages": [
-                {"key": s.key, "label": printable(s.label), "color": s.color, "wide": s.wide}
+                {"key": s.key, "label": printable(s.label), "color": s.color, "look": s.look}
                 for s in self.stages
             ],
             "panels": [_panel(panel) for panel in self.panels],
@@ -154,15 +172,23 @@ class Chart:
 
 
 def _panel(panel: Panel) -> dict[str, Any]:
-    curves = [values for plot in panel.plots for values in plot.curves.values()]
-    most = min(MOST_POINTS, _MOST_NUMBERS // len(curves))
-    time, thinned = decimated(panel.time, np.array(curves), most)
-    rows = iter(thinned)
-    packs = [{key: packed(next(rows)) for key in plot.curves} for plot in panel.plots]
-    derived = _derived(panel) if len(time) == len(panel.time) else ()
+    on_time = [plot for plot in panel.plots if plot.over is None]
+    time, rows, derived = panel.time, iter(()), tuple[str, ...]()
+    if on_time:
+        curves = np.array([values for plot in on_time for values in plot.curves.values()])
+        time, thinned = decimated(time, curves, min(MOST_POINTS, _MOST_NUMBERS // len(curves)))
+        rows = iter(thinned)
+        derived = _derived(panel) if len(time) == len(panel.time) else ()
+    packs = [
+        {
+            key: packed(values if plot.over is not None else next(rows))
+            for key, values in plot.curves.items()
+        }
+        for plot in panel.plots
+    ]
     return {
         "title": printable(panel.title),
-        "time": floats(time),
+        "time": _encoded(time.astype("<f4")),
         "shades": [[shade.stage, shade.start, shade.end] for shade in panel.shades],
         "plots": [
             {
@@ -172,9 +198,13 @@ def _panel(panel: Panel) -> dict[str, Any]:
                 "centred": plot.centred,
                 "span": plot.span,
                 "tall": plot.tall,
-                "curves": {
-                    key: None if plot is panel.plots[0] and key in derived else values
-                    for key, values in pack.items()
+                "log": plot.log,
+                "axis": printable(plot.axis),
+                "over": None if plot.over is None else packed(plot.over),
+                "curves": pack | (dict.fromkeys(derived) if plot is panel.plots[0] else {}),
+                "trends": {
+                    key: [packed(trend.middle), packed(trend.mean), packed(trend.rms)]
+                    for key, trend in plot.trends.items()
                 },
             }
             for plot, pack in zip(panel.plots, packs, strict=True)
@@ -183,7 +213,7 @@ def _panel(panel: Panel) -> dict[str, Any]:
 
 
 def _derived(panel: Panel) -> tuple[str, ...]:
-    """Stages whose curve is the first one less what the panel's residuals are."""
+    """Return the stages whose curve is the first one less what the panel's residuals are."""
     residuals = next((plot.curves for plot in panel.plots if plot.centred), {})
     first, *others = panel.plots[0].curves.items()
     return tuple(
@@ -191,3 +221,160 @@ def _derived(panel: Panel) -> tuple[str, ...]:
         for key, values in others
         if key in residuals and np.allclose(first[1] - residuals[key], values, equal_nan=True)
     )
+
+
+def _encoded(values: NDArray[Any]) -> str:
+    return base64.b64encode(values.tobytes()).decode()
+
+
+def packed(values: Array) -> tuple[float, float, str]:
+    """Values as 16 bit integers: offset and scale to float, and the integers in base64.
+
+    A value is offset + scale · integer; −32768 stands for a missing one.
+    """
+    known = np.isfinite(values)
+    finite = values[known]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+    offset, scale = 0.5 * (low + high), 0.5 * (high - low) / _LARGEST
+    whole = np.full(len(values), _MISSING, "<i2")
+    whole[known] = np.round((finite - offset) / scale) if scale > 0 else 0
+    return offset, scale, _encoded(whole)
+
+
+def decimated(time: Array, curves: Array, most: int) -> tuple[Array, Array]:
+    """At most so many points of every curve, with each bucket's least and largest value.
+
+    Args:
+        time: (K,) increasing instants.
+        curves: (C, K) values on them; NaN where lines break.
+        most: Most points, at least four.
+
+    Returns:
+        (M,) instants and (C, M) values; two points stand for a bucket, in the order in which a
+        curve has its extremes there.
+    """
+    count = len(time)
+    if count <= most:
+        return time, curves
+    breaks = np.flatnonzero(np.isnan(curves).all(0))
+    if 4 * len(breaks) > most:  # too many gaps to show
+        return decimated(np.delete(time, breaks), np.delete(curves, breaks, axis=1), most)
+    edges = [0, *(breaks + 1).tolist()]
+    ends = [*breaks.tolist(), count]
+    share = (most - 3 * len(edges)) / count
+    times, values = [], []
+    for first, last in zip(edges, ends, strict=True):
+        if last > first:
+            t, v = _extremes(time[first:last], curves[:, first:last], int(share * (last - first)))
+            times.append(t)
+            values.append(v)
+        if last < count:
+            times.append(time[last : last + 1])
+            values.append(curves[:, last : last + 1])
+    return np.concatenate(times), np.concatenate(values, axis=1)
+
+
+def _extremes(time: Array, curves: Array, most: int) -> tuple[Array, Array]:
+    buckets = max(1, most // 2)
+    if len(time) <= 2 * buckets:
+        return time, curves
+    at = np.linspace(0, len(time), buckets + 1).astype(int)
+    times, values = np.empty(2 * buckets), np.empty((len(curves), 2 * buckets))
+    for k, (first, last) in enumerate(pairwise(at.tolist())):
+        part = curves[:, first:last]
+        filled = np.where(np.isnan(part), part[:, :1], part)
+        pair = np.sort([filled.argmin(1), filled.argmax(1)], axis=0)
+        values[:, 2 * k : 2 * k + 2] = np.take_along_axis(part, pair.T, axis=1)
+        times[2 * k : 2 * k + 2] = time[first], time[first + (last - first) // 2]
+    return times, values
+
+
+def gap_filled(time: Array) -> Array:
+    """Instants with those that are missing, where a line breaks, put between their neighbours.
+
+    Args:
+        time: (K,) increasing instants; NaN where a line breaks, never two in a row.
+    """
+    missing = np.isnan(time)
+    index = np.arange(len(time))
+    return np.interp(index, index[~missing], time[~missing]) if (~missing).any() else time[:0]
+
+
+@dataclass(frozen=True)
+class Color:
+    """What a colour of bars stands for.
+
+    Attributes:
+        name: Its name in the style sheet.
+        opacity: How strong it is, from 0 to 1.
+        thin: Whether it is that of a mark rather than of bars.
+    """
+
+    name: str
+    opacity: float = 1.0
+    label: str = ""
+    thin: bool = False
+
+
+NOISE = Color("noise", label="sensor noise", thin=True)
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A bar, or a mark across a row's bars, that ends at a share of the longest there may be."""
+
+    color: Color
+    end: float
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class BarRow:
+    """What belongs to one name."""
+
+    label: str
+    bars: tuple[Bar, ...]
+    marks: tuple[Bar, ...] = ()
+
+
+@dataclass(frozen=True)
+class Bars:
+    """A figure of bars, by a short name; the note is what to know of it, "" for nothing."""
+
+    name: str
+    caption: str
+    legend: tuple[Color, ...]
+    rows: tuple[BarRow, ...]
+    note: str = ""
+
+    @property
+    def letters(self) -> int:
+        """Most letters of a number, for which there is to be room beside the longest bar."""
+        return max((len(bar.text) for row in self.rows for bar in row.bars), default=0)
+
+
+@dataclass(frozen=True)
+class LogAxis:
+    """A logarithmic axis between two values."""
+
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: Sequence[float], floors: Sequence[float]) -> LogAxis:
+        """Return the axis on which errors, and noise where it is known, have their places."""
+        known = [max(x, _LEAST) for x in (*values, *(f for f in floors if f > 0)) if isfinite(x)]
+        known = known or [1.0]
+        return cls(0.6 * min(known), 1.01 * max(known))
+
+    def at(self, value: float) -> float:
+        """A value's place, from 0 to 1."""
+        return log(max(value, _LEAST) / self.low) / log(self.high / self.low)
+
+    def bar(self, color: Color, value: float) -> Bar:
+        """A bar that ends at a value."""
+        return Bar(color, self.at(value), number(value)) if isfinite(value) else Bar(color, 0, "–")
+
+    def marks(self, floor: float) -> tuple[Bar, ...]:
+        """That of the noise, if it is known."""
+        return (Bar(NOISE, self.at(floor)),) if isfinite(floor) and floor > 0 else ()

@@ -1,193 +1,187 @@
-"""Figures of errors: by joint, step by step, and of candidates against each other."""
+"""Charts and bars as matplotlib's figures, and the way to PNG files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
 from geodrake.boundary.arguments import typed
-from geodrake.diagnosis.results import Candidate, Diagnosis, Explanation
-from geodrake.identification.logs.model_errors import ErrorTable
+from geodrake.boundary.escaping import path_part
+from geodrake.boundary.whole_files import made_folder, write_together
 from geodrake.report import style
-from geodrake.report.numbers import number
-from geodrake.report.words import effect_label, places_label, step_place
-from geodrake.report.worst_joints import MOST_JOINTS, of_worst, worst_joints
+from geodrake.report.charts import CUT, MOST_PANELS, Bars, Chart, Color, Panel, Plot, Stage
+from geodrake.report.page import Page
 
-_LEAST = 1e-6  # nrms, so that a perfect model has a place on a logarithmic axis
-_MOST_CANDIDATES = 14
-_MOST_WORDS = 62
-_MOST_UPRIGHT = 110  # letters under an axis
+_LABELS_AT = -0.05  # of the width of the axes
+_LOOKS: dict[str, dict[str, Any]] = {
+    "line": {"linewidth": 1.1},
+    "wide": {"linewidth": 3.2},
+    "dots": {"linewidth": 0, "marker": ".", "markersize": 3},
+}
 
 
-@style.own_look()
+def figures_of(page: Page) -> dict[str, Figure]:
+    """Return the bars and charts of a page as figures, by their names."""
+    sections = page.shown_sections
+    bars = {bars.name: bars_figure(bars) for section in sections for bars in section.bars}
+    return bars | {c.name: chart_figure(c) for section in sections for c in section.charts}
+
+
 @typed
-def joint_error_figure(
-    start: ErrorTable,
-    stages: Sequence[tuple[str, Sequence[float]]] = (),
-    *,
-    most: int = MOST_JOINTS,
-) -> Figure:
-    """Error of each joint over the standard deviation of its effort: start, steps, noise floor.
+def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> tuple[Path, ...]:
+    """Write figures as PNG files, all of them or none.
 
     Args:
-        stages: Words and (nv,) RMS of every joint, N·m or N, after each step.
-        most: Largest number of joints to show: those of largest nrms at the start.
+        figures: Name -> figure.
+        folder: Where `<name>.png` goes; made if it does not exist.
 
-    Returns:
-        One axes with a group of bars for each joint.
+    Raises:
+        OutputError: A file cannot be written.
     """
-    shown = set(worst_joints(start, most))
-    at = [i for i, joint in enumerate(start.joints) if joint.joint in shown]
-    std = np.array([start.joints[i].std for i in at])
-    columns = [("as it stands", np.array([start.joints[i].rms for i in at]))]
-    columns += [(words, np.array([rms[i] for i in at])) for words, rms in stages]
-    floor = np.array([start.joints[i].floor for i in at]) / std
-    figure = style.new_figure(3.7)
-    ax = style.polish(figure.subplots(), grid="y")
-    width = min(0.3, 0.82 / len(columns))
-    colors = _colors(len(columns))
-    tops = np.maximum([rms / std for _, rms in columns], _LEAST)
-    for i, (top, color) in enumerate(zip(tops, colors, strict=True)):
-        shift = (i - 0.5 * (len(columns) - 1)) * width
-        ax.bar(np.arange(len(at)) + shift, top, 0.92 * width, color=color)
-    seen = np.concatenate([tops[np.isfinite(tops)], floor[floor > 0]])
-    ax.set_ylim(0.5 * seen.min(), 1.6 * seen.max())
-    style.log_scale(ax, "y")
-    ax.hlines(
-        np.maximum(floor, _LEAST), np.arange(len(at)) - 0.45, np.arange(len(at)) + 0.45,
-        color=style.FLOOR, linewidth=2,
+    folder = Path(folder)
+    paths = {name: folder / f"{path_part(name)}.png" for name in figures}
+    with made_folder(folder):
+        write_together({paths[name]: style.png(figure) for name, figure in figures.items()})
+    return tuple(paths.values())
+
+
+@style.own_look()
+def chart_figure(chart: Chart, most: int = MOST_PANELS) -> Figure:
+    """Return the panels that a page shows at first.
+
+    Two plots of a panel stand above each other; more, or those with axes of their own, abreast.
+    """
+    panels = [panel for panel in chart.panels if panel.shown][:most]
+    stages = [stage for stage in chart.stages if stage.shown]
+    count = max((len(panel.plots) for panel in panels), default=1)
+    above = count == 2 and not chart.abreast
+    rows, columns = (2 * len(panels), 1) if above else (len(panels), count)
+    figure = style.new_figure(0.8 + (2.25 if above else 1.55) * len(panels))
+    grid = figure.subplots(
+        max(rows, 1), columns, squeeze=False, sharex=not chart.abreast,
+        height_ratios=[2, 1] * len(panels) if above else None,
     )  # fmt: skip
-    names = [style.joint_label(start.joints[i].joint) for i in at]
-    text = style.plain(style.SMALL)
-    if sum(map(len, names)) > _MOST_UPRIGHT:
-        text |= {"rotation": 20, "ha": "right"}
-    ax.set_xticks(range(len(at)), names, **text)
-    ax.set_xlim(-0.6, len(at) - 0.4)
-    ax.tick_params(axis="x", length=0)
-    ax.set_ylabel("RMS error / std of the effort", **style.plain(style.SMALL, style.QUIET))
-    handles = [Patch(color=c, label=w) for (w, _), c in zip(columns, colors, strict=True)]
-    noise = Line2D([], [], color=style.FLOOR, linewidth=2, label="sensor noise")
-    style.legend_above(figure, [*handles, noise], columns=4)
-    style.note_below(figure, of_worst(len(at), len(start.joints)))
+    for k, panel in enumerate(panels):
+        axes = grid[2 * k : 2 * k + 2, 0] if above else grid[k]
+        style.joint_title(axes[0], panel.title, panel.detail)
+        for ax, plot in zip(axes, panel.plots, strict=False):
+            _draw(style.polish(ax), chart, panel, plot, stages)
+        if above:
+            for ax in axes:  # to align labels by their ticks takes seconds
+                ax.yaxis.set_label_coords(_LABELS_AT, 0.5)
+    if not chart.abreast:
+        for ax in grid[-1]:
+            ax.set_xlabel(chart.axis, **style.plain(style.SMALL, style.QUIET))
+    if len(panels) < len(chart.panels):
+        style.note_below(figure, f"{len(panels)} of {len(chart.panels)}.")
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=style.COLORS[s.color], label=s.label, **_LOOKS[s.look]) for s in stages
+    ]
+    if any(plot.floor > 0 for panel in panels for plot in panel.plots):
+        handles.append(Patch(color=style.FLOOR, alpha=0.25, label="± sensor noise"))
+    style.legend_above(figure, handles)
     return figure
 
 
-@typed
-def step_stages(explanation: Explanation) -> list[tuple[str, list[float]]]:
-    """Words and RMS of every joint after each step, as `joint_error_figure` takes them."""
-    joints = [joint.joint for joint in explanation.start.joints]
-    return [
-        (
-            style.label(f"+ {effect_label(step.effect)}"),
-            [step.rms_after.get(j, np.nan) for j in joints],
+def _draw(ax: Axes, chart: Chart, panel: Panel, plot: Plot, stages: list[Stage]) -> None:
+    over = panel.time if plot.over is None else plot.over
+    shown = [stage for stage in stages if stage.key in plot.curves]
+    for stage in shown:
+        color, dots = style.COLORS[stage.color], stage.look == "dots"
+        alpha = 0.4 if dots and plot.trends else 1.0
+        ax.plot(over, plot.curves[stage.key], color=color, alpha=alpha, **_LOOKS[stage.look])
+        if stage.key in plot.trends:
+            trend = plot.trends[stage.key]
+            ax.plot(trend.middle, trend.mean, color=style.INK, linewidth=1.6)
+            ax.plot(trend.middle, trend.rms, color=style.INK, linewidth=0.9, linestyle="--")
+    for shade in panel.shades:
+        color = style.COLORS[chart.color_of(shade.stage)]
+        ax.axvspan(shade.start, shade.end, color=color, alpha=0.14, linewidth=0)
+    for limit in plot.limits:
+        ax.axhline(limit, color=style.INK, linestyle=":", linewidth=1.0)
+    if plot.floor > 0:
+        ax.axhspan(-plot.floor, plot.floor, color=style.FLOOR, alpha=0.25, linewidth=0)
+    if plot.log:
+        style.log_scale(ax, "y")
+    elif plot.span is not None:
+        ax.set_ylim(*plot.span)
+    elif plot.centred:
+        ax.axhline(0.0, color=style.QUIET, linewidth=0.6)
+        curves = [plot.curves[stage.key] for stage in shown]
+        peaks = [float(np.abs(c[np.isfinite(c)]).max(initial=0.0)) for c in curves]
+        peaks = [peak for peak in peaks if peak > 0] or [1.0]
+        most = 1.08 * min(max(peaks), CUT * min(peaks))
+        ax.set_ylim(-most, most)
+        ax.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
+    if plot.label:
+        ax.set_ylabel(plot.label, **style.plain(style.SMALL - 0.5, style.QUIET))
+    if chart.abreast:
+        ax.xaxis.set_major_locator(MaxNLocator(5))
+        ax.set_xlabel(plot.axis, labelpad=2, **style.plain(style.SMALL - 0.5, style.QUIET))
+    elif chart.spans:
+        _label_time(ax, chart)
+
+
+def _label_time(ax: Axes, chart: Chart) -> None:
+    """Label the axis with each log's own time, and draw lines where a log begins."""
+    low, high = chart.ends
+    places: dict[float, str] = {}
+    for _, first, last, shift in chart.spans:
+        locator = MaxNLocator(
+            int(np.clip(10 * (last - first) / (high - low), 1, 10)), steps=[1, 2, 5, 10]
         )
-        for step in explanation.steps
-    ]
+        ticks = np.array(locator.tick_values(first, last))
+        places |= {t + shift: f"{t:g}" for t in ticks if first - 1e-9 <= t <= last}
+        if shift + first > low:
+            start = first + shift - 0.01 * (high - low)
+            ax.axvline(start, color=style.QUIET, linewidth=0.7, linestyle=(0, (4, 3)))
+    ax.xaxis.set_major_locator(FixedLocator(list(places)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda x, _: places.get(x, "")))
+    ax.set_xlim(low - 0.01 * (high - low), high + 0.01 * (high - low))
 
 
 @style.own_look()
-@typed
-def step_figure(explanation: Explanation) -> Figure:
-    """Return how the held-out nrms falls with each step, with the noise floor.
-
-    Returns:
-        One axes with a line for the model as it stands, one for its own parameters refitted, and
-        one for each step.
-    """
-    start, end = explanation.start, explanation.end
-    joints = [joint.joint for joint in start.joints]
-    rows = [("the model as it stands", start.nrms, start.nrms)]
-    if explanation.steps:
-        rows.append(("its own parameters refitted", start.nrms, explanation.refitted.nrms))
-    for step in explanation.steps:
-        words = f"+ {effect_label(step.effect)}, {step_place(step, joints, most=3)}"
-        rows.append((style.label(words, _MOST_WORDS), step.error_before, step.error_after))
-    figure = style.new_figure(1.0 + 0.36 * len(rows))
-    ax = style.polish(figure.subplots(), grid="x")
-    spans = np.maximum([row[1:] for row in rows], _LEAST)
-    for i, (before, after) in enumerate(spans.tolist()):
-        color = style.BEFORE if i == 0 else style.AFTER
-        ax.plot([before, after], [i, i], color=color, linewidth=7, alpha=0.3, solid_capstyle="butt")
-        ax.plot([after], [i], "o", color=color, markersize=7)
-        if i + 1 < len(rows):
-            ax.plot([after, after], [i, i + 1], color=style.QUIET, linewidth=0.8, linestyle=":")
-        ax.annotate(
-            number(after), (after, i), (-8, 0), textcoords="offset points", ha="right",
-            va="center", **style.plain(style.SMALL, fontweight="bold"),
-            bbox={"boxstyle": "square,pad=0.15", "facecolor": "white", "linewidth": 0},
-        )  # fmt: skip
-    if end.floor_nrms > 0:
-        ax.axvline(end.floor_nrms, color=style.FLOOR, linewidth=1.6, linestyle="--")
-    least = min(spans.min(), end.floor_nrms or np.inf)
-    ax.set_xlim(0.6 * least, 1.5 * spans.max())
-    style.log_scale(ax, "x")
-    ax.set_yticks(range(len(rows)), [row[0] for row in rows], **style.plain(style.SMALL + 0.5))
-    ax.set_ylim(len(rows) - 0.4, -0.6)
+def bars_figure(bars: Bars) -> Figure:
+    """Return bars as long as on a page, each with its number."""
+    count = sum(len(row.bars) for row in bars.rows) + len(bars.rows)
+    figure = style.new_figure(1.0 + 0.2 * count)
+    ax = style.polish(figure.subplots(), grid="none")
+    at, ticks = 0.0, []
+    for row in bars.rows:
+        ends = [at + k for k in range(len(row.bars))]
+        for y, bar in zip(ends, row.bars, strict=True):
+            color = style.COLORS[bar.color.name]
+            ax.barh(y, bar.end, 0.86, color=color, alpha=bar.color.opacity)
+            ax.annotate(
+                bar.text, (bar.end, y), (4, 0), textcoords="offset points", va="center",
+                **style.plain(style.SMALL),
+            )  # fmt: skip
+        for mark in row.marks:
+            color = style.COLORS[mark.color.name]
+            ax.vlines(mark.end, ends[0] - 0.6, ends[-1] + 0.6, color=color, linestyle="--")
+        ticks.append(float(np.mean(ends)))
+        at = ends[-1] + 1.8
+    labels = [style.label(row.label, 62) for row in bars.rows]
+    ax.set_yticks(ticks, labels, **style.plain(style.SMALL + 0.5))
+    ax.set_ylim(at - 1.0, -0.8)
+    ax.set_xlim(0.0, 1.12)
+    ax.set_xticks([])
     ax.tick_params(axis="y", length=0)
-    ax.set_xlabel("nrms on held-out data", **style.plain(style.SMALL, style.QUIET))
-    noise = Line2D([], [], color=style.FLOOR, linestyle="--", label="sensor noise")
-    style.legend_above(figure, [noise])
+    style.legend_above(figure, [_handle(color) for color in bars.legend])
+    style.note_below(figure, " ".join(filter(None, (bars.caption, bars.note))))
     return figure
 
 
-@style.own_look()
-@typed
-def candidate_figure(diagnosis: Diagnosis, *, most: int = _MOST_CANDIDATES) -> Figure:
-    """Held-out nrms that each candidate would leave, the chosen one first.
-
-    Returns:
-        One axes with a bar for each candidate; those tied with the best are marked.
-    """
-    shown = diagnosis.candidates[:most]
-    joints = [joint.joint for joint in diagnosis.start.joints]
-    figure = style.new_figure(1.1 + 0.36 * max(len(shown), 1))
-    ax = style.polish(figure.subplots(), grid="x")
-    for i, candidate in enumerate(shown):
-        ax.barh(i, candidate.error_after, 0.62, color=_candidate_color(i, candidate))
-        words = number(candidate.error_after) + (", tied" if i and candidate.tied else "")
-        ax.annotate(
-            words, (candidate.error_after, i), (6, 0), textcoords="offset points", va="center",
-            **style.plain(style.SMALL, fontweight="bold" if i == 0 else "normal"),
-        )  # fmt: skip
-    floor, before = diagnosis.refitted.floor_nrms, diagnosis.refitted.nrms
-    ax.axvline(before, color=style.BEFORE, linewidth=1.6)
-    ax.axvline(floor, color=style.FLOOR, linewidth=1.6, linestyle="--")
-    ax.set_xlim(0, 1.12 * max([before, floor, *(c.error_after for c in shown)]))
-    labels = [f"{effect_label(c.effect)}, {places_label(c.where, joints, most=3)}" for c in shown]
-    ax.set_yticks(
-        range(len(shown)), [style.label(text, _MOST_WORDS) for text in labels],
-        **style.plain(style.SMALL + 0.5),
-    )  # fmt: skip
-    ax.set_ylim(max(len(shown), 1) - 0.4, -0.6)
-    ax.tick_params(axis="y", length=0)
-    ax.set_xlabel("nrms on held-out data", **style.plain(style.SMALL, style.QUIET))
-    style.legend_above(figure, _candidate_legend(any(c.tied for c in shown[1:])))
-    if len(diagnosis.candidates) > most:
-        style.note_below(figure, f"The best {most} of {len(diagnosis.candidates)} candidates.")
-    return figure
-
-
-def _candidate_color(rank: int, candidate: Candidate) -> str:
-    return style.AFTER if rank == 0 else style.TIED if candidate.tied else style.RULE
-
-
-def _candidate_legend(ties: bool) -> list[Patch | Line2D]:
-    handles: list[Patch | Line2D] = [
-        Line2D([], [], color=style.BEFORE, label="without it"),
-        Patch(color=style.AFTER, label="chosen"),
-        Patch(color=style.RULE, label="less likely"),
-        Line2D([], [], color=style.FLOOR, linestyle="--", label="sensor noise"),
-    ]
-    if ties:
-        handles.insert(2, Patch(color=style.TIED, label="as good, as far as the logs show"))
-    return handles
-
-
-def _colors(count: int) -> list[tuple[str, float]]:
-    """Colour and opacity of the start, then from faint to full for what follows."""
-    shades = np.linspace(0.25, 1.0, count - 1) if count > 2 else np.ones(count - 1)
-    return [(style.BEFORE, 1.0), *((style.AFTER, float(shade)) for shade in shades)]
+def _handle(color: Color) -> Patch | Line2D:
+    paint = style.COLORS[color.name]
+    if color.thin:
+        return Line2D([], [], color=paint, linestyle="--", label=color.label)
+    return Patch(color=paint, alpha=color.opacity, label=style.label(color.label))

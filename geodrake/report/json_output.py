@@ -15,9 +15,11 @@ from geodrake.boundary.escaping import json_text
 from geodrake.control.rollout import Rollout, RolloutFit
 from geodrake.diagnosis.drafting import Correlate, Draft
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
+from geodrake.effects import FittedEffect
 from geodrake.identification.fit import Certificate
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing
-from geodrake.identification.models.results import BodyChange
+from geodrake.identification.models.results import BodyChange, ModelIdentification
+from geodrake.inertia import PARAMETER_NAMES
 from geodrake.model.effort_signal import EffortSignal
 
 _APART = "the robot departs further than can be simulated"
@@ -225,6 +227,58 @@ def motions_dict(motions: Sequence[Rollout] | None) -> dict[str, Any]:
         return {}
     before, *between, after = map(rollout_dict, motions)
     return {"motion": {"before": before, "after": after, "steps": between}}
+
+
+def identification_dict(found: ModelIdentification) -> dict[str, Any]:
+    """An identification as plain numbers, for JSON."""
+    names = [joint.joint for joint in found.after.joints]
+    model = found.model
+    return {
+        "regularizer": found.regularizer,
+        "gamma": number_or(found.gamma, "any weight meets the bound on the residual"),
+        "sweep": [asdict(tried) for tried in found.sweep],
+        "residual": found.result.residual,
+        "divergence": found.result.divergence,
+        "solver": found.result.solver,
+        "certificate": certificate_dict(found.result.certificate),
+        "error": {
+            "start": found.before.by_joint(),
+            "end": found.after.by_joint(),
+            "floor": dict(zip(names, (j.floor for j in found.after.joints), strict=True)),
+            "start_nrms": found.before.nrms,
+            "end_nrms": found.after.nrms,
+            "floor_nrms": found.after.floor_nrms,
+        },
+        "bodies": bodies_dict(found.bodies),
+        "inertial_parameters": {
+            body: dict(zip(PARAMETER_NAMES, phi, strict=True))
+            for body, phi in zip(model.bodies, model.phi, strict=True)
+        },
+        "effects": [_effect_dict(fitted) for fitted in model.effects if len(fitted.parameters)],
+        "comparison": [
+            {
+                "regularizer": other.regularizer,
+                "gamma": other.gamma,
+                "residual": other.residual,
+                "nrms": other.errors.nrms,
+                "joints": other.errors.by_joint(),
+                "at_boundary": other.at_boundary,
+            }
+            for other in found.alternatives
+        ],
+        "notes": list(found.notes),
+    }
+
+
+def _effect_dict(fitted: FittedEffect) -> dict[str, Any]:
+    names = [parameter.name for parameter in fitted.effect.parameters]
+    deviations = [None] * len(names) if fitted.deviations is None else fitted.deviations
+    return {
+        "effect": fitted.effect.name,
+        "where": fitted.effect.where,
+        "parameters": dict(zip(names, fitted.parameters, strict=True)),
+        "deviations": dict(zip(names, deviations, strict=True)),
+    }
 
 
 def to_json(result: Mapping[str, Any]) -> str:

@@ -1,52 +1,89 @@
-"""A page of a report: its parts as plain data, and the way to one self-contained HTML file."""
+"""What there is to say of a result, once: a terminal, an HTML page and a notebook print it."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib.resources import files
-from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup, escape
-
-from geodrake.boundary.escaping import printable
-from geodrake.errors import ArgumentError
-from geodrake.report.bars import Bars
-from geodrake.report.charts import Chart
-from geodrake.report.dependence import Dependence
-from geodrake.report.frame import HEIGHT, WIDTH
-from geodrake.report.static_plot import static_plots
-from geodrake.report.tables import Table
-
-_TEMPLATE = "report.html.jinja"
+from geodrake.report.charts import Bars, Chart
+from geodrake.report.numbers import Units
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A figure on a page.
+class About:
+    """What a result is of.
 
     Attributes:
-        source: The image as a data URI; "" where it is SVG.
-        caption: What it shows; also read out by screen readers.
-        svg: The image as an SVG element in the page's colours; "" where it has pixels.
+        model: What the model is called.
+        logs: What the logs are called.
+        command: What made the result, for the title.
+        units: Units of the model's joints and effects.
+        saved: How commands call the model from now on: where it was saved.
+        links: Words -> address of further pages, such as a replay.
     """
 
-    source: str
-    caption: str
-    svg: str = ""
+    model: str = "the model"
+    logs: tuple[str, ...] = ()
+    command: str = "report"
+    units: Units = field(default_factory=Units)
+    saved: str = "MODEL"
+    links: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """Return the title of a page."""
+        return f"{self.model}: {self.command}"
+
+    @property
+    def against(self) -> str:
+        """Return what was compared with what, in words."""
+        return f"{self.model} against {', '.join(self.logs)}"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """An entry of a table.
+
+    Attributes:
+        text: What it says, in lines.
+        note: What stands under it in small letters on an HTML page.
+        bar: Share in [0, 1] that an HTML page draws as a bar beside the text; None for no bar.
+        typed: How commands call it, which terminals and notebooks show in place of the text.
+    """
+
+    text: str
+    note: str = ""
+    bar: float | None = None
+    typed: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of words and numbers.
+
+    Attributes:
+        rows: The rows, as long as the head.
+        words: How many columns from the left hold words; the others hold numbers.
+        total: How many of the last rows sum the others up.
+        detailed: Whether HTML pages alone have it.
+    """
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    words: int = 1
+    title: str = ""
+    total: int = 0
+    detailed: bool = False
+
+
+def cells(*texts: str | Cell) -> tuple[Cell, ...]:
+    """Return a row of a table."""
+    return tuple(text if isinstance(text, Cell) else Cell(text) for text in texts)
 
 
 @dataclass(frozen=True)
 class ColoredList:
-    """A list about one of the page's models.
-
-    Attributes:
-        color: Name of the model's colour in the style sheet.
-    """
+    """A list about one of the models; `color` is the model's in the style sheet."""
 
     title: str
     color: str
@@ -58,36 +95,38 @@ class Section:
     """A part of a page under a heading.
 
     Attributes:
-        abreast: Whether the tables are narrow and may stand side by side.
-        dependences: Residuals of models against what they may depend on.
+        text: What is seen here, in a sentence.
+        more: How to read it, in paragraphs that HTML pages show when asked.
+        commands: Commands to copy.
+        detailed: Whether HTML pages alone have it.
     """
 
     title: str
-    text: tuple[str, ...] = ()
+    text: str = ""
+    more: tuple[str, ...] = ()
+    bars: tuple[Bars, ...] = ()
     tables: tuple[Table, ...] = ()
     items: tuple[str, ...] = ()
-    pictures: tuple[Picture, ...] = ()
-    bars: tuple[Bars, ...] = ()
-    abreast: bool = False
     lists: tuple[ColoredList, ...] = ()
+    commands: tuple[str, ...] = ()
     charts: tuple[Chart, ...] = ()
-    dependences: tuple[Dependence, ...] = ()
+    detailed: bool = False
+
+    @property
+    def shown_tables(self) -> tuple[Table, ...]:
+        """Return the tables that have a row."""
+        return tuple(table for table in self.tables if table.rows)
 
     @property
     def says_something(self) -> bool:
-        """Whether there is anything under the heading."""
-        parts = (self.text, self.tables, self.items, self.pictures, self.bars)
-        return any((*parts, self.lists, self.charts, self.dependences))
+        """Return whether there is anything but words about it."""
+        parts = (self.bars, self.shown_tables, self.items, self.lists, self.commands, self.charts)
+        return any(parts)
 
 
 @dataclass(frozen=True)
 class Tile:
-    """A number worth seeing first.
-
-    Attributes:
-        value: The number, in words.
-        words: Whether the value is a name, which may be long.
-    """
+    """A number worth seeing first; `words` if the value is a name, which may be long."""
 
     label: str
     value: str
@@ -97,16 +136,17 @@ class Tile:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report.
+    """All that there is to say of a result.
 
     Attributes:
         subject: What was compared with what.
-        verdict: "adequate", "explained", "unexplained", "undecided", "compared" or
-            "identified"; decides the colour.
+        verdict: "adequate", "explained", "unexplained" or "undecided", which decide the colour, or
+            another word where nothing is judged.
+        mark: The verdict in a few words.
         headline: The answer, in a sentence.
         lead: What the answer means, in paragraphs.
         tiles: The numbers worth seeing first.
-        links: Words -> address of what belongs to the page.
+        first: What is to be known before all else, such as mistakes in columns.
     """
 
     title: str
@@ -117,100 +157,18 @@ class Page:
     lead: tuple[str, ...]
     tiles: tuple[Tile, ...]
     sections: tuple[Section, ...]
-    footer: str
+    footer: str = ""
     links: Mapping[str, str] = field(default_factory=dict)
+    first: Section | None = None
 
+    @property
+    def shown_sections(self) -> tuple[Section, ...]:
+        """Return the sections that say something."""
+        return tuple(section for section in self.sections if section.says_something)
 
-def without_empty(sections: Sequence[Section]) -> tuple[Section, ...]:
-    """The sections that say something."""
-    return tuple(section for section in sections if section.says_something)
-
-
-def shown_text(value: Any) -> Any:
-    """Printable text whose numbers stay on one line with their per cent signs and deviations."""
-    if not isinstance(value, str) or hasattr(value, "__html__"):  # a macro's: done
-        return value
-    return (
-        printable(value)
-        .replace(" %", "\N{NO-BREAK SPACE}%")
-        .replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
-    )
-
-
-def _asset(name: str) -> str:
-    return (files("geodrake") / "report" / "assets" / name).read_text(encoding="utf-8")
-
-
-def _policy(scripts: Sequence[str]) -> str:
-    """What a browser may load for a page: nothing; and run: these scripts and no other."""
-    hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
-    allowed = " ".join(f"'sha256-{each}'" for each in hashes) or "'none'"
-    return (
-        f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {allowed}; "
-        "base-uri 'none'; form-action 'none'"
-    )
-
-
-def _breakable(text: str) -> Markup:
-    """Text as markup whose long names may go on in a new line after an underscore or a slash."""
-    return Markup(re.sub("(?<=[_/])(?=[^_/])", "<wbr>", str(escape(shown_text(text)))))
-
-
-def _checked(links: Mapping[str, str]) -> Mapping[str, str]:
-    """Links that lead to a page, beside this one or in the web.
-
-    Raises:
-        ArgumentError: An address has another scheme, such as javascript.
-    """
-    for words, address in links.items():
-        scheme = address.split("/")[0].partition(":")
-        if scheme[1] and scheme[0].lower() not in ("http", "https"):
-            raise ArgumentError(
-                f"The link {words!r} of a report leads to {address!r}.",
-                advice="Give the path of a file, relative to the report, or a http(s) address.",
-            )
-    return links
-
-
-def _scripts(page: Page) -> list[str]:
-    """What the page runs: uPlot where there are plots, with its licence, and the page's own."""
-    own = [_asset("page.js")]
-    if not any(section.charts for section in page.sections):
-        return own
-    licence = _asset("uplot/LICENSE").strip()
-    return [f"/* uPlot\n{licence}\n*/\n{_asset('uplot/uPlot.iife.min.js').strip()}", *own]
-
-
-def templates() -> Environment:
-    """The templates of all pages: what they show is escaped, and what is not there is an error."""
-    return Environment(
-        loader=PackageLoader("geodrake", "report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=shown_text,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-
-
-def render(page: Page) -> str:
-    """The page as one HTML file that loads nothing from elsewhere; all text is escaped.
-
-    Raises:
-        ArgumentError: A link leads to no page.
-    """
-    environment = templates()
-    environment.filters["json_of"] = Markup  # a chart's data, which has no letter of markup
-    environment.filters["breakable"] = _breakable
-    environment.globals.update(static_plots=static_plots, size=(WIDTH, HEIGHT))
-    scripts = _scripts(page)
-    style = _asset("page.css")
-    if len(scripts) > 1:
-        style = _asset("uplot/uPlot.min.css") + style
-    _checked(page.links)
-    return environment.get_template(_TEMPLATE).render(
-        page=page,
-        style=Markup(style),
-        scripts=[Markup(script) for script in scripts],
-        policy=Markup(_policy(scripts)),
-    )
+    @property
+    def sentence(self) -> str:
+        """Return the answer and what it means, as a paragraph."""
+        judged = self.verdict in ("adequate", "explained", "unexplained", "undecided")
+        mark = f"{self.mark[:1].upper()}{self.mark[1:]}. " if judged else ""
+        return " ".join((f"{mark}{self.headline}", *self.lead))

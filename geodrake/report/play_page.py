@@ -14,8 +14,8 @@ from pydrake.geometry import Meshcat, MeshcatAnimation
 from geodrake.boundary.escaping import html_text, path_part, printable
 from geodrake.inertia import Array
 from geodrake.report import style
+from geodrake.report.html import templates
 from geodrake.report.numbers import Units, number, percent
-from geodrake.report.page import templates
 from geodrake.report.playback import Moment, Playback, PlayedModel
 from geodrake.report.posed_links import drawn_shapes
 from geodrake.report.robot_scene import (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -28,6 +27,21 @@ BEFORE = "#e08a3c"
 AFTER = "#1b6ca8"
 FLOOR = "#3f9c6b"
 TIED = "#9cc3e0"
+
+COLORS = {
+    "ink": INK,
+    "quiet": QUIET,
+    "measured": MEASURED,
+    "before": BEFORE,
+    "after": AFTER,
+    "noise": FLOOR,
+    "tied": TIED,
+    "step-1": "#a8508c",
+    "step-2": "#0b8a72",
+    "step-3": "#7a6bc4",
+    "step-4": "#8a7a1c",
+}
+"""The colours of pages by their names in the style sheet."""
 
 WIDTH = 10.0
 """Width of every figure, inches."""
@@ -146,41 +160,3 @@ def png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     image.quantize(256, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True, dpi=(DPI, DPI))
     return buffer.getvalue()
-
-
-_COLORS = {
-    INK: "ink",
-    QUIET: "quiet",
-    RULE: "rule",
-    MEASURED: "measured",
-    BEFORE: "before",
-    AFTER: "after",
-    FLOOR: "noise",
-    TIED: "tied",
-    "#ffffff": "paper",
-}
-"""Colours of the palette by their names in the style sheet of pages."""
-
-
-@own_look()
-def svg(figure: Figure) -> str:
-    """A figure as an SVG element for a page, in the page's colours, light or dark.
-
-    The same figure gives the same text. Words stay words, in the page's font.
-    """
-    buffer = io.StringIO()
-    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "geodrake"}):
-        figure.savefig(buffer, format="svg", metadata=nothing, facecolor="none")
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<title>.*?</title>", "", text, flags=re.S)
-    text = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", text, count=1)
-    text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
-    text = re.sub(r' xmlns(:xlink)?="[^"]*"| version="[^"]*"', "", text)
-    text = text.replace("xlink:href", "href")
-    text = re.sub(r'<g id="[^"]*">', "<g>", text)  # named alike in all figures
-    text = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(?<=\d\.\d\d)\d+", "", tag[0]), text)
-    for color, name in _COLORS.items():
-        text = text.replace(color, f"var(--{name})")
-    return re.sub(r"\s*\n\s*", " ", text)

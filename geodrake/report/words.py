@@ -1,4 +1,4 @@
-"""Results in sentences: names as people read them, verdicts of a terminal, leads of a page."""
+"""Results in sentences: names as people read them, and one wording of each verdict."""
 
 from __future__ import annotations
 
@@ -27,18 +27,29 @@ _LIKELY = 0.01  # probability from which on a rival is named
 _NEARLY_ALL = 0.9995
 _NOTABLE = 0.05  # share of what is left at a joint that goes with the motion
 _MOST_PLACES = 3
-_NOT_TOLD = "Nothing worth adding was found; whether more is missing, the logs cannot tell."
+_PRACTICAL = 1.5  # times the noise, up to which an error is noise for all practical purposes
 _PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "com": "CoM"}
-
-
-MOTIONS = "Departure from the motion under the commands"
-"""What stands above rollouts under commands."""
+_NOTHING = {
+    "adequate": "The model is adequate: nothing worth adding is missing.",
+    "undecided": "Nothing worth adding was found; whether more is missing, the logs cannot tell.",
+    "unexplained": "An error is left that no known effect explains.",
+}
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:
     """`a`, `a and b`, `a, b and c`."""
     head, tail = ", ".join(names[:-1]), "".join(names[-1:])
     return f"{head} {last} {tail}" if head else tail
+
+
+def capitalized(words: str) -> str:
+    """Return words whose first letter is a capital."""
+    return words[:1].upper() + words[1:]
+
+
+def in_words(share: float) -> str:
+    """Return a share as it stands in a sentence."""
+    return percent(share).replace(">", "more than").replace("<", "less than")
 
 
 def effect_label(name: str) -> str:
@@ -53,25 +64,18 @@ def _spaced(name: str) -> str:
 
 
 def effect_signature(effect: str, units: Units) -> str:
-    """What an effect, or each of `a + b`, looks like, in words; "" where nothing is known of it.
-
-    Args:
-        effect: Name of the effect, or several joined by " + ".
-    """
+    """Return what an effect, or each of `a + b`, looks like; "" where nothing is known of it."""
     known = [units.effects[name] for name in effect.split(" + ") if name in units.effects]
     return listed([kind.signature for kind in known if kind.signature])
 
 
 def places_label(where: Sequence[str], joints: Collection[str], *, most: int | None = None) -> str:
-    """Return where an effect acts, in words.
+    """Return where an effect acts: "all 6 joints", "the whole robot", "5 joints" or the names.
 
     Args:
         where: Names of joints or bodies; none for the whole robot.
         joints: Names of all joints of the robot.
         most: Largest number of names that are listed; more are counted.
-
-    Returns:
-        "all 6 joints", "the whole robot", "5 joints" or the names.
     """
     if not where:
         return "the whole robot"
@@ -90,12 +94,9 @@ def step_place(step: Step, joints: Collection[str], *, most: int | None = None) 
 
 def parameter_value(step: Step, place: str, name: str, units: Units) -> str:
     """Return a parameter of a step with its standard deviation, in the unit that is shown."""
-    value = step.parameters[place].get(name, np.nan)
-    deviation = step.deviations.get(place, {}).get(name, np.nan)
-    systematic = step.systematic.get(place, {}).get(name, np.nan)
-    return estimate(
-        *(units.shown(step.effect, name, each) for each in (value, deviation, systematic))
-    )
+    kinds = step.parameters, step.deviations, step.systematic
+    values = (kind.get(place, {}).get(name, np.nan) for kind in kinds)
+    return estimate(*(units.shown(step.effect, name, each) for each in values))
 
 
 def ordered_places(step: Step) -> list[str]:
@@ -113,17 +114,39 @@ def step_parameters(step: Step, units: Units) -> tuple[str, ...]:
     return tuple(f"{name} {_amount(step, name, units)}" for name in values)
 
 
+def is_summarized(step: Step) -> bool:
+    """Return whether `step_parameters` gives ranges over places, not the value at each."""
+    return any(len(values) > _MOST_VALUES for values in _by_name(step).values())
+
+
+def _amount(step: Step, name: str, units: Units) -> str:
+    """Return values of one parameter with their unit."""
+    values = _by_name(step)[name]
+    unit = units.parameter(step.effect, name, next(iter(values)))
+    if len(values) > _MOST_VALUES:
+        low, high = (number(units.shown(step.effect, name, f(values.values()))) for f in (min, max))
+        text = low if low == high else f"{low} … {high}"
+    else:
+        text = ", ".join(parameter_value(step, place, name, units) for place in values)
+    return f"{text} {unit}" if unit else text
+
+
+def _by_name(step: Step) -> Mapping[str, Mapping[str, float]]:
+    """Parameter name -> place -> value, places in the order of the step."""
+    values: dict[str, dict[str, float]] = {}
+    for place in ordered_places(step):
+        for name, value in step.parameters[place].items():
+            values.setdefault(name, {})[place] = value
+    return values
+
+
 def finding(step: Step, units: Units) -> str:
-    """`payload on wrist_3_link, 3.08 ± 0.04 kg, nrms 0.434 -> 0.048`."""
-    words = f"{step.effect} on {step_place(step, units.joints)}"
-    values = _by_name(step)
+    """Return what a step found, such as `payload (wrist_3_link, 3.08 ± 0.04 kg)`."""
+    words, values = step_place(step, units.joints, most=_MOST_NAMED), _by_name(step)
     if "mass" in values or len(values) == 1:
         name = "mass" if "mass" in values else next(iter(values))
         words += f", {_amount(step, name, units)}"
-    errors = f"nrms {number(step.error_before)} -> {number(step.error_after)}"
-    if not lowers_error(step):
-        return f"{words}, though it does not lower the held-out error ({errors})"
-    return f"{words}, {errors}"
+    return f"{effect_label(step.effect)} ({words})"
 
 
 def found_words(step: FoundStep) -> str:
@@ -143,125 +166,26 @@ def lowers_error(step: Step) -> bool:
     return step.error_after < step.error_before
 
 
-def rivals(step: Step, label: bool = False) -> list[str]:
-    """Return what stands in a step's place in other explanations: `viscous_friction 3 % (0.0312)`.
-
-    Their probability, and in brackets the nrms that is left with it.
-    """
-    named = effect_label if label else str
-    known = [
-        f"{named(rival.effect)} {percent(probability)} ({number(rival.error)})"
-        for rival, probability in zip(step.rivals, step.probabilities_of_rivals, strict=True)
-        if probability >= _LIKELY
-    ]
-    return [*known, *_something_unknown(step)]
+def convincing(step: Step) -> bool:
+    """Return whether a step lowers held-out errors and outweighs nothing or an unknown."""
+    other = step.false_alarm_probability + step.unknown_probability
+    return lowers_error(step) and step.probability > other
 
 
-def short_rivals(step: Step) -> str:
-    """Return what may stand in a step's place, in few words: `viscous_friction 3 %`."""
+def rivals(step: Step) -> str:
+    """Return what may stand in a step's place, in few words: `viscous friction 3 %`."""
     pairs = zip(step.rivals, step.probabilities_of_rivals, strict=True)
-    likely = (f"{r.effect} {percent(share)}" for r, share in pairs if share >= _LIKELY)
-    return ", ".join([*likely, *_something_unknown(step)])
+    likely = [
+        f"{effect_label(r.effect)} {percent(share)}" for r, share in pairs if share >= _LIKELY
+    ]
+    if step.unknown_probability >= _LIKELY:
+        likely.append(f"something unknown {percent(step.unknown_probability)}")
+    return ", ".join(likely)
 
 
-def _something_unknown(step: Step) -> list[str]:
-    """Return how likely something is that no effect describes, if that is likely at all."""
-    chance = step.unknown_probability
-    return [f"something unknown {percent(chance)}"] if chance >= _LIKELY else []
-
-
-def is_summarized(step: Step) -> bool:
-    """Return whether `step_parameters` gives ranges over places, not the value at each."""
-    return any(len(values) > _MOST_VALUES for values in _by_name(step).values())
-
-
-def worst_words(start: ErrorTable, end: ErrorTable | None = None, *, unit: str = "N·m") -> str:
-    """Return which joint errs most for its effort, at first and at last, in a sentence."""
-    if end is None:
-        return f"{_worst_joint(start, unit)}."
-    return f"at first {_worst_joint(start, unit)}; at last {_worst_joint(end, unit)}."
-
-
-def _worst_joint(errors: ErrorTable, unit: str) -> str:
-    worst = max(errors.joints, key=lambda joint: joint.nrms)
-    return f"{worst.joint}, RMS {number(worst.rms)} {unit}, nrms {number(worst.nrms)}"
-
-
-def explanation_verdict(explanation: Explanation, units: Units) -> str:
-    """Return what an explanation amounts to, in a few sentences."""
-    end, steps = explanation.end, explanation.steps
-    if explanation.verdict == "adequate":
-        return f"Adequate: no effect is worth adding; {_noise_alone(end)}."
-    if explanation.verdict == "undecided" and not steps:
-        return f"Undecided: no effect is worth adding, but {_noise_alone(end)}."
-    found = "no effect that geodrake knows takes the error down"
-    if len(steps) == 1:
-        found = finding(steps[0], units)
-    elif steps:
-        found = (
-            f"{listed([step.effect for step in steps])} take the held-out error from nrms "
-            f"{number(steps[0].error_before)} to {number(end.nrms)}"
-        )
-    if explanation.verdict == "explained":
-        return f"Explained: {found}; {_noise_alone(end)}."
-    if explanation.verdict == "undecided":
-        return f"Undecided: {found}, but {_noise_alone(end)}."
-    rest = f"An error is left that nothing explains: {_against_noise(end)}."
-    head = "Explained in part" if steps else "Unexplained"
-    return f"{head}: {found}. {rest}{_worst(explanation)}{_of_motion(explanation)}"
-
-
-def draft_advice(explanation: Explanation) -> str:
-    """Return what to do where an error is left that nothing explains; else nothing."""
-    if explanation.verdict != "unexplained":
-        return ""
-    return (
-        "For a formula of what is left, run geodrake explain with --draft-effect my_effect.py: "
-        "that searches what it goes with, and writes the formula as an effect."
-    )
-
-
-def addition_verdict(explanation: Explanation, units: Units) -> str:
-    """Return what adding an effect changed, and what is left."""
-    found = listed([finding(step, units) for step in explanation.steps]) or "nothing"
-    if explanation.verdict != "unexplained":
-        return f"Added {found}; {_noise_alone(explanation.end)}."
-    left = f"{_against_noise(explanation.end)}.{_worst(explanation)}{_of_motion(explanation)}"
-    return f"Added {found}. Left: {left}"
-
-
-def diagnosis_verdict(diagnosis: Diagnosis, units: Units) -> str:
-    """Return what a diagnosis amounts to, in a few sentences."""
-    left = diagnosis.refitted
-    if not diagnosis.candidates:
-        if diagnosis.verdict == "adequate":
-            return f"Adequate: nothing is missing; {_noise_alone(left)}."
-        if diagnosis.verdict == "undecided":
-            return f"Undecided: no effect is worth adding, but {_noise_alone(left)}."
-        return (
-            "Unexplained: no effect that geodrake knows takes the error down: "
-            f"{_against_noise(left)}."
-        )
-    best = diagnosis.candidates[0]
-    words = (
-        f"Missing: {best.effect} on {places_label(best.where, units.joints)}; adding it takes the "
-        f"held-out nrms from {number(best.error_before)} to {number(best.error_after)}."
-    )
-    tied = _tied(diagnosis)
-    return f"{words} {_instead(tied)}" if tied else words
-
-
-def comparison_verdict(comparison: Comparison) -> str:
-    """Return what a comparison amounts to, in a sentence."""
-    errors = comparison.errors
-    if not errors.shows_noise:
-        return f"{_against_noise(errors)}."
-    if errors.is_noise and not errors.knows_noise:
-        return f"{_against_noise(errors)}, but {_noise_alone(errors)}."
-    return (
-        f"{_against_noise(errors)}; a better model could remove "
-        f"{percent(removable_share(errors))} of the squared error."
-    )
+def worst_joint(errors: ErrorTable) -> JointError:
+    """The joint of largest error over standard deviation; one that has no number is worst."""
+    return max(errors.joints, key=lambda joint: np.nan_to_num(joint.nrms, nan=np.inf))
 
 
 def failing_words(case: Failing) -> str:
@@ -275,20 +199,15 @@ def failing_words(case: Failing) -> str:
 
 def failing_list(comparison: Comparison) -> tuple[str, ...]:
     """Where a model fails, in sentences; the worst joint is among them, even if it errs evenly."""
-    joints, words = comparison.errors.joints, tuple(map(failing_words, comparison.failing))
+    words = tuple(map(failing_words, comparison.failing))
     worst = worst_joint(comparison.errors)
     named = {case.joint for case in comparison.failing}
-    if len(joints) < 2 or worst.is_noise or worst.joint in named:
+    if len(comparison.errors.joints) < 2 or worst.is_noise or worst.joint in named:
         return words
     even = (
         f"{worst.joint} errs most of all joints (nrms {number(worst.nrms)}), and does throughout."
     )
     return (even, *words)
-
-
-def worst_joint(errors: ErrorTable) -> JointError:
-    """The joint of largest error over standard deviation; one that has no number is worst."""
-    return max(errors.joints, key=lambda joint: np.nan_to_num(joint.nrms, nan=np.inf))
 
 
 def correlate_words(found: Correlate) -> str:
@@ -311,92 +230,145 @@ def removable_share(errors: ErrorTable) -> float:
     return max(0.0, explained_share(errors.nrms, errors.floor_nrms))
 
 
-def in_words(share: float) -> str:
-    """Return a share as it stands in a sentence."""
-    return percent(share).replace(">", "more than").replace("<", "less than")
-
-
-def explanation_mark(explanation: Explanation) -> str:
-    """Return the verdict of an explanation in a word or three."""
-    if explanation.steps and not any(map(lowers_error, explanation.steps)):
+def explanation_mark(explanation: Explanation, *, added: bool = False) -> str:
+    """Return the verdict of an explanation in a few words."""
+    end, steps = explanation.end, explanation.steps
+    if added or (steps and not any(map(lowers_error, steps))):
         return "added"
-    partly = explanation.verdict == "unexplained" and explanation.steps
-    return "explained in part" if partly else explanation.verdict
+    if explanation.verdict != "unexplained" or not steps:
+        return explanation.verdict
+    near = end.shows_noise and end.nrms <= _PRACTICAL * end.floor_nrms
+    return "explained to practical noise" if near else "explained in part"
 
 
-def explanation_headline(explanation: Explanation) -> str:
-    """Return the answer of an explanation in a sentence."""
-    if explanation.verdict == "adequate":
-        return "The model is adequate: nothing worth adding is missing."
-    if not explanation.steps and explanation.verdict == "undecided":
-        return _NOT_TOLD
-    if not explanation.steps:
-        return "An error is left that no known effect explains."
-    joints = [joint.joint for joint in explanation.start.joints]
-    real = [step for step in explanation.steps if convincing(step)]
-    doubtful = [step for step in explanation.steps if not convincing(step)]
-    parts = [f"Missing: {_list(real, joints)}."] if real else []
+def explanation_headline(explanation: Explanation, units: Units, *, added: bool = False) -> str:
+    """Return the answer of an explanation in a sentence or two."""
+    steps = explanation.steps
+    if not steps:
+        return _NOTHING[explanation.verdict]
+    if added:
+        return f"Added: {listed([finding(step, units) for step in steps])}."
+    real = [step for step in steps if convincing(step)]
+    doubtful = [step for step in steps if not convincing(step)]
+    parts = [f"Missing: {_list(real, units)}."] if real else []
     if doubtful:
-        parts.append(f"Added without convincing evidence: {_list(doubtful, joints)}.")
+        parts.append(f"Added without convincing evidence: {_list(doubtful, units)}.")
     return " ".join(parts)
+
+
+def _list(steps: Sequence[Step], units: Units) -> str:
+    """Return effects and their places, or the effects alone where that would be long."""
+    groups: dict[tuple[str, ...], list[Step]] = {}
+    for step in steps:
+        groups.setdefault(step.where, []).append(step)
+    if len(groups) > _MOST_PLACES:
+        return listed([effect_label(step.effect) for step in steps])
+    return "; ".join(
+        finding(group[0], units)
+        if len(group) == 1
+        else f"{listed([effect_label(step.effect) for step in group])} "
+        f"({step_place(group[0], units.joints, most=_MOST_NAMED)})"
+        for group in groups.values()
+    )
 
 
 def explanation_lead(explanation: Explanation) -> tuple[str, ...]:
     """Return what an explanation means, in paragraphs."""
     start, end = explanation.start, explanation.end
-    first = _as_it_stands(start)
-    if explanation.steps:
+    if not explanation.steps:
+        first = f"As it stands, the model errs by {_size(start)}."
+    else:
         gone = explained_share(start.nrms, end.nrms)
-        what = "this effect" if len(explanation.steps) == 1 else "these effects"
-        first += (
-            f" With {what} and everything refitted, it errs by {in_words(end.nrms)} on held-out "
-            f"data: {in_words(gone) if gone > 0 else 'none'} of the squared error is gone."
+        share = in_words(gone) if gone > 0 else "none"
+        first = (
+            f"The error on held-out data goes from nrms {number(start.nrms)} to "
+            f"{number(end.nrms)}: {share} of the squared error is gone."
         )
+        worse = [step for step in explanation.steps if not lowers_error(step)]
+        if worse:
+            names = listed([effect_label(step.effect) for step in worse])
+            ends = f"nrms {number(worse[0].error_before)} -> {number(worse[0].error_after)}"
+            first += f" {capitalized(names)} does not lower it ({ends})."
     return first, _rest(explanation)
 
 
-def diagnosis_headline(diagnosis: Diagnosis) -> str:
+def _rest(explanation: Explanation) -> str:
+    """Return what is left at the end of an explanation."""
+    end = explanation.end
+    if explanation.verdict != "unexplained":
+        return f"{capitalized(noise_alone(end))}."
+    return " ".join((*_left(end), *_of_motion(explanation)))
+
+
+def _left(end: ErrorTable) -> tuple[str, ...]:
+    if not end.shows_noise:
+        return (f"What is left, nrms {number(end.nrms)}, cannot be compared with noise: none is "
+                "seen.",)  # fmt: skip
+    return (
+        f"What is left is {_times(end)}; a better model could remove "
+        f"{_at_most(removable_share(end))} of its square.",
+    )
+
+
+def _of_motion(explanation: Explanation) -> tuple[str, ...]:
+    """Return how much of what is left goes with the motion."""
+    shares = sorted(explanation.of_motion.items(), key=lambda joint: -joint[1])
+    if not shares:
+        return ()
+    notable = [f"{percent(share)} at {joint}" for joint, share in shares if share >= _NOTABLE]
+    if not notable:
+        return (
+            f"Positions and velocities predict less than {percent(_NOTABLE)} of it at any joint: "
+            "it depends on something else, such as temperature or time, or is coloured noise.",
+        )
+    shown, more = notable[:_MOST_NAMED], len(notable) - _MOST_NAMED
+    shown += [f"less at {more} more"] if more > 0 else []
+    return (f"Positions and velocities predict {listed(shown)} of its square.",)
+
+
+def draft_advice(explanation: Explanation) -> str:
+    """Return what to do where an error is left that nothing explains; else nothing."""
+    if explanation.verdict != "unexplained":
+        return ""
+    return (
+        "For a formula of what is left, run geodrake explain with --draft-effect my_effect.py: "
+        "that searches what it goes with, and writes the formula as an effect."
+    )
+
+
+def diagnosis_headline(diagnosis: Diagnosis, units: Units) -> str:
     """Return the answer of a diagnosis in a sentence."""
-    if diagnosis.candidates:
-        best = diagnosis.candidates[0]
-        joints = [joint.joint for joint in diagnosis.start.joints]
-        where = places_label(best.where, joints, most=_MOST_NAMED)
-        return f"Missing: {effect_label(best.effect)} ({where})."
-    if diagnosis.verdict == "adequate":
-        return "The model is adequate: nothing worth adding is missing."
-    if diagnosis.verdict == "undecided":
-        return _NOT_TOLD
-    return "An error is left that no known effect explains."
+    if not diagnosis.candidates:
+        return _NOTHING[diagnosis.verdict]
+    best = diagnosis.candidates[0]
+    where = places_label(best.where, units.joints, most=_MOST_NAMED)
+    return f"Missing: {effect_label(best.effect)} ({where})."
 
 
 def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Return what a diagnosis means, in paragraphs."""
-    first = _as_it_stands(diagnosis.start)
     if not diagnosis.candidates:
-        if diagnosis.verdict == "adequate":
-            return first, f"What is left is sensor noise.{_noise_level(diagnosis.refitted)}"
-        if diagnosis.verdict == "undecided":
-            return first, f"{_capitalized(_noise_alone(diagnosis.refitted))}."
-        return first, _noise(diagnosis.refitted)
+        first = f"As it stands, the model errs by {_size(diagnosis.start)}."
+        if diagnosis.verdict != "unexplained":
+            return first, f"{capitalized(noise_alone(diagnosis.refitted))}."
+        return (first, *_left(diagnosis.refitted))
     best, *others = diagnosis.candidates
     gone = explained_share(best.error_before, best.error_after)
-    first += (
-        f" Adding {effect_label(best.effect)} and refitting takes the error on held-out data to "
-        f"{in_words(best.error_after)}: {in_words(gone)} of the squared error goes."
+    first = (
+        f"Adding it and refitting takes the error on held-out data from nrms "
+        f"{number(best.error_before)} to {number(best.error_after)}: {in_words(gone)} of the "
+        "squared error goes."
     )
-    tied = [effect_label(effect) for effect in _tied(diagnosis)]
+    tied = [effect_label(e) for e in dict.fromkeys(o.effect for o in others if o.tied)]
+    tied = [effect for effect in tied if effect != effect_label(best.effect)]
     if tied:
-        return first, _instead(tied)
+        return first, f"In its place there may be {listed(tied, 'or')}."
     return first, f"No other candidate {'does as well' if others else 'convinces'}."
 
 
 def comparison_headline(comparison: Comparison) -> str:
     """Return the answer of a comparison in a sentence."""
-    errors = comparison.errors
-    words = f"The model errs by {in_words(errors.nrms)} of the efforts' standard deviation"
-    if not errors.shows_noise:
-        return f"{words}; the logs show no sensor noise."
-    return f"{words}; sensor noise alone would make {in_words(errors.floor_nrms)}."
+    return f"The model errs by {_size(comparison.errors)}."
 
 
 def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
@@ -406,22 +378,59 @@ def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
         f"The error is largest at {worst.joint}: {in_words(worst.nrms)} of the standard deviation "
         "of the effort there."
     )
-    if errors.shows_noise:
+    if errors.shows_noise and not errors.knows_noise and errors.is_noise:
+        first = f"{capitalized(noise_alone(errors))}. {first}"
+    elif errors.shows_noise:
         share = _at_most(removable_share(errors))
         first = f"A better model could remove {share} of the squared error. {first}"
-    return (first, *map(failing_words, comparison.failing[:1]))
+    return (first,)
 
 
-def convincing(step: Step) -> bool:
-    """Return whether a step lowers held-out errors and outweighs nothing or an unknown."""
-    other = step.false_alarm_probability + step.unknown_probability
-    return lowers_error(step) and step.probability > other
+def _size(errors: ErrorTable) -> str:
+    """Return how large an error is, of the efforts and beside the noise."""
+    words = (
+        f"{in_words(errors.nrms)} of the standard deviation of the measured efforts "
+        f"(nrms {number(errors.nrms)})"
+    )
+    return f"{words}, {_times(errors)}" if errors.shows_noise else f"{words}; no noise is seen"
 
 
-def removed_share(step: Step) -> str:
-    """Return what a step removes of the squared error: "94 %", or that it removes nothing."""
-    share = explained_share(step.error_before, step.error_after)
-    return percent(share) if share > 0 else f"none ({percent(share)})"
+def _times(errors: ErrorTable) -> str:
+    """Return an error as a multiple of the noise, and which joints stand out of it."""
+    words = f"{number(errors.nrms / errors.floor_nrms)} times the sensor noise"
+    words += f" ({number(errors.floor_nrms)})"
+    beyond = [
+        f"{joint.joint} {number(joint.rms / joint.floor)} times its own"
+        for joint in errors.above_noise
+        if joint.floor > 0
+    ]
+    # Where the whole is noise, those joints are why the verdict is another one.
+    return f"{words}, at {listed(beyond)}" if beyond and errors.whole_is_noise else words
+
+
+def noise_alone(errors: ErrorTable) -> str:
+    """That an error is no larger than the noise floor, or hardly, or that this cannot be told."""
+    if errors.is_mostly_noise:
+        return (
+            f"noise is as large as what the model explains (its nrms is "
+            f"{number(errors.floor_nrms)}), so that nothing can be told"
+        )
+    if not errors.knows_noise:
+        joints = listed([joint.joint for joint in errors.joints if not joint.knows_noise])
+        return (
+            f"the noise of {joints} is not known apart from what the model leaves (nrms "
+            f"{number(errors.nrms)}), so that more may be missing: efforts were filtered before, "
+            "or their noise is not white"
+        )
+    return (
+        f"what is left, nrms {number(errors.nrms)}, is sensor noise ({number(errors.floor_nrms)})"
+    )
+
+
+def _at_most(share: float) -> str:
+    if share <= 0:
+        return "none"
+    return "nearly all" if share >= _NEARLY_ALL else f"up to {in_words(share)}"
 
 
 def departure(share: float) -> str:
@@ -445,159 +454,3 @@ def rollout_fit_words(found: RolloutFit) -> str:
     if after.relative > before.relative:
         why = "which is more"
     return f"the model stays as it was: with what was fitted held-out windows go {shares}, {why}."
-
-
-def _tied(diagnosis: Diagnosis) -> list[str]:
-    """Effects that may stand in the place of the best candidate."""
-    best, *others = diagnosis.candidates
-    tied = dict.fromkeys(other.effect for other in others if other.tied)
-    return [effect for effect in tied if effect != best.effect]
-
-
-def _instead(effects: Sequence[str]) -> str:
-    return f"In its place there may be {listed(effects, 'or')}."
-
-
-def _amount(step: Step, name: str, units: Units) -> str:
-    """Values of one parameter with their unit."""
-    values = _by_name(step)[name]
-    unit = units.parameter(step.effect, name, next(iter(values)))
-    if len(values) > _MOST_VALUES:
-        low, high = (number(units.shown(step.effect, name, f(values.values()))) for f in (min, max))
-        text = low if low == high else f"{low} … {high}"
-    else:
-        text = ", ".join(parameter_value(step, place, name, units) for place in values)
-    return f"{text} {unit}" if unit else text
-
-
-def _by_name(step: Step) -> Mapping[str, Mapping[str, float]]:
-    """Parameter name -> place -> value, places in the order of the step."""
-    values: dict[str, dict[str, float]] = {}
-    for place in ordered_places(step):
-        for name, value in step.parameters[place].items():
-            values.setdefault(name, {})[place] = value
-    return values
-
-
-def _against_noise(errors: ErrorTable) -> str:
-    """Return how an error compares with the noise floor."""
-    nrms, floor = errors.nrms, errors.floor_nrms
-    if not errors.shows_noise:
-        return f"nrms {number(nrms)}, without measurable sensor noise"
-    words = f"nrms {number(nrms)}, {number(nrms / floor)} times the sensor noise of {number(floor)}"
-    beyond = [
-        f"{joint.joint} errs by {number(joint.rms / joint.floor)} times its own"
-        for joint in errors.above_noise
-        if joint.floor > 0
-    ]
-    # Where the whole is noise, those joints are why the verdict is another one.
-    return f"{words}, and {listed(beyond)}" if beyond and errors.whole_is_noise else words
-
-
-def _noise_alone(errors: ErrorTable) -> str:
-    """That an error is no larger than the noise floor, or hardly, or that this cannot be told."""
-    if errors.is_mostly_noise:
-        return (
-            f"noise is as large as what the model explains (its nrms is "
-            f"{number(errors.floor_nrms)}), so that nothing can be told"
-        )
-    if not errors.knows_noise:
-        joints = listed([joint.joint for joint in errors.joints if not joint.knows_noise])
-        return (
-            f"the noise of {joints} is not known apart from what the model leaves (nrms "
-            f"{number(errors.nrms)}), so that more may be missing: efforts were filtered before, "
-            "or their noise is not white"
-        )
-    return (
-        f"what is left, nrms {number(errors.nrms)}, is sensor noise ({number(errors.floor_nrms)})"
-    )
-
-
-def _capitalized(words: str) -> str:
-    return words[:1].upper() + words[1:]
-
-
-def _worst(explanation: Explanation) -> str:
-    """Return where the final model errs most, as a sentence after a space."""
-    failing = explanation.after.failing
-    return f" {failing_words(failing[0])}" if failing else ""
-
-
-def _at_most(share: float) -> str:
-    if share <= 0:
-        return "none"
-    return "nearly all" if share >= _NEARLY_ALL else f"up to {in_words(share)}"
-
-
-def _as_it_stands(start: ErrorTable) -> str:
-    return (
-        f"As it stands, the model errs by {in_words(start.nrms)} of the standard deviation of the "
-        f"measured efforts (nrms {number(start.nrms)})."
-    )
-
-
-def _rest(explanation: Explanation) -> str:
-    """Return what is left at the end of an explanation."""
-    if explanation.verdict == "adequate":
-        return f"What is left is sensor noise.{_noise_level(explanation.end)}"
-    if explanation.verdict == "undecided":
-        return f"{_capitalized(_noise_alone(explanation.end))}."
-    if explanation.verdict == "explained":
-        return f"With that, only sensor noise is left.{_noise_level(explanation.end)}"
-    left = "An error above the noise is left. " if explanation.steps else ""
-    return f"{left}{_noise(explanation.end)}{_worst(explanation)}{_of_motion(explanation)}"
-
-
-def _of_motion(explanation: Explanation) -> str:
-    """Return how much of what is left goes with the motion, as a sentence after a space."""
-    shares = sorted(explanation.of_motion.items(), key=lambda joint: -joint[1])
-    if not shares:
-        return ""
-    notable = [f"{percent(share)} at {joint}" for joint, share in shares if share >= _NOTABLE]
-    if not notable:
-        return (
-            " No smooth function of positions and velocities predicts a notable part of it: it is "
-            "coloured noise, or depends on something else."
-        )
-    shown, more = notable[:_MOST_NAMED], len(notable) - _MOST_NAMED
-    shown += [f"less at {more} more"] if more > 0 else []
-    return (
-        " Some function of positions and velocities could remove of the squared error that is left "
-        f"{listed(shown)}."
-    )
-
-
-def _noise_level(errors: ErrorTable) -> str:
-    """What noise alone makes, as a sentence after a space, where all that is left is noise."""
-    if not errors.shows_noise:
-        return ""
-    return f" Sensor noise alone would make {in_words(errors.floor_nrms)}."
-
-
-def _noise(errors: ErrorTable) -> str:
-    if not errors.shows_noise:
-        return "The logs show no sensor noise to compare the error with."
-    return (
-        f"Sensor noise alone would make {in_words(errors.floor_nrms)}, so a better model could "
-        f"still remove {_at_most(removable_share(errors))} of the squared error that is left."
-    )
-
-
-def _together(steps: Sequence[Step]) -> list[list[Step]]:
-    """Steps at the same places side by side, in the order of the first of each."""
-    groups: dict[tuple[str, ...], list[Step]] = {}
-    for step in steps:
-        groups.setdefault(step.where, []).append(step)
-    return list(groups.values())
-
-
-def _list(steps: Sequence[Step], joints: Sequence[str]) -> str:
-    """Effects and their places, or the effects alone where that would be long."""
-    groups = _together(steps)
-    if len(groups) > _MOST_PLACES:
-        return listed([effect_label(step.effect) for step in steps])
-    return "; ".join(
-        f"{listed([effect_label(step.effect) for step in group])} "
-        f"({step_place(group[0], joints, most=_MOST_NAMED)})"
-        for group in groups
-    )

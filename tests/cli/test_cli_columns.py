@@ -34,7 +34,7 @@ def test_compare_says_it_first_and_goes_on_as_it_is(wrong, tmp_path):
     numbers, page = tmp_path / "numbers.json", tmp_path / "page.html"
     told = geodrake("compare", MODEL, wrong, "--json", numbers, "--report", page, "-q")
     words = "The effort of elbow has the wrong sign"
-    assert told.index(words) < told.index("Error of the model")
+    assert told.index(words) < told.index("Joint by joint")
     assert "--gain elbow=-1" in told
     assert "--correct-columns" in told
     found = json.loads(numbers.read_text())

@@ -13,9 +13,9 @@ from yaml import safe_load
 
 from geodrake.boundary.interrupts import StopSearch
 from geodrake.cli.app import app
+from geodrake.cli.excite import separation_of
 from geodrake.cli.identify import named_effects
 from geodrake.cli.option_values import joint_values, limits_of
-from geodrake.cli.tell_apart import separation_of
 from geodrake.effects import CoulombFriction, FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.excitation import make_target
@@ -86,7 +86,7 @@ def test_everything_is_written(tmp_path):
     assert numbers["command"] == "excite" and numbers["value"] > 0
     assert len(numbers["eigenvalues"]) > 2 and numbers["improvement_over_random"] >= 1.0
     assert numbers["use"]["shoulder"]["position"] <= 1.0 + 1e-6
-    assert "<svg" in (tmp_path / "r.html").read_text()
+    assert "chart-motion" in (tmp_path / "r.html").read_text()
     assert "animation" in (tmp_path / "m.html").read_text()
 
 
@@ -176,7 +176,7 @@ class TestTellApart:
         assert numbers["improvement_over_random"] > 1.2
         assert "best imitation" not in result.output  # that is the page's
         page = (tmp_path / "r.html").read_text()
-        assert "What it distinguishes" in page and "<svg" in page
+        assert "What it distinguishes" in page and "chart-pairs" in page
 
     def test_places_of_different_kinds(self):
         result = excite(PENDULUM, *FAST, "--tell-apart", "joint_spring@elbow,gravity_tilt")

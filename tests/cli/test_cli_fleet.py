@@ -142,8 +142,9 @@ def test_once_exits_with_3_if_a_finding_is_new(folder, monkeypatch):
         *(0.9, (), 1e-4),
     )
     robot = RobotResult(STICKY, "pendulum", 8, np.array([1.77e9, 1.79e9]), (finding,))
-    given = FleetResult((robot,), (), 0.01, {}), FleetDigests({}, (), {}, 0)
-    monkeypatch.setattr("geodrake.cli.fleet.run_fleet", lambda *given_to, **how: given)
+    digests, result = FleetDigests({}, (), {}, 0), FleetResult((robot,), (), 0.01, {})
+    monkeypatch.setattr("geodrake.cli.fleet.take_in_logs", lambda *given, **how: digests)
+    monkeypatch.setattr("geodrake.cli.fleet.fleet_result", lambda *given: result)
     code, out, _ = fleet("--once")
     (line,) = map(json.loads, out.splitlines())
     assert (code, line["finding"]["robot"], line["finding"]["where"]) == (3, STICKY, "elbow")

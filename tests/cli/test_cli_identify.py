@@ -22,7 +22,7 @@ from geodrake.inertia import from_mass_com_inertia, is_physical
 from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog, Motion
 from geodrake.model.saved_model import load_model, save_model
-from geodrake.report import render_identification
+from geodrake.report import page_of, render
 from geodrake.report.numbers import number
 
 MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
@@ -91,7 +91,7 @@ def test_everything_is_written(log, tmp_path):
     assert result.exit_code == 0, result.output
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names.values())
     assert not re.search("[─━│\x1b]", result.output)
-    for words in ("Error of each joint", "Bodies; mass in kg", "Verdict: held-out nrms"):
+    for words in ("Joint by joint", "Mass in kg", "Verdict: The held-out error goes from nrms"):
         assert words in result.output
 
     saved, exported = load_model(tmp_path / "m.yaml"), load_model(tmp_path / "out.urdf")
@@ -398,12 +398,13 @@ def test_a_write_that_fails_leaves_nothing(log, tmp_path, monkeypatch):
 
 
 def test_the_page_says_that_the_model_was_refitted(found):
-    page = render_identification(found, title="id", model_name="pendulum", log_names=["log"])
+    page = render(page_of(found))
     assert "nothing was refitted" not in page
     assert "Every error of a refitted model is of held-out data" in page
     assert "What the model as it stands gets wrong" not in page
     assert ">compared<" not in page
     assert re.search(r">\s*identified\s*<", page)
-    verdict = f"Held-out nrms {number(found.before.nrms)} -&gt; {number(found.after.nrms)}"
+    ends = f"{number(found.before.nrms)} to {number(found.after.nrms)}"
+    verdict = f"The held-out error goes from nrms {ends}"
     assert re.search(rf"<h1[^>]*>\s*{re.escape(verdict)}", page)
     assert "before" in page

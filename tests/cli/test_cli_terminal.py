@@ -1,7 +1,9 @@
 """What a terminal of 80 columns and a pipe show: every joint, every value, and the worst joint."""
 
 import io
+import re
 from dataclasses import replace
+from html import escape
 from importlib.resources import files
 
 import numpy as np
@@ -10,22 +12,23 @@ from typer.testing import CliRunner
 
 from geodrake import load_model
 from geodrake.cli.app import app
-from geodrake.cli.tables import _Console, show_comparison, show_diagnosis, show_explanation
 from geodrake.diagnosis import compare, diagnose
 from geodrake.diagnosis.add import add
 from geodrake.errors import LogError
 from geodrake.logs.files import read_log
-from geodrake.report.numbers import Units, number
-from geodrake.report.sections import joints_section
+from geodrake.report import About, Units, page_of, render, show_page
+from geodrake.report.numbers import number
+from geodrake.report.terminal import ResultsConsole
 
 DEMO = files("geodrake") / "demo"
 MODEL, LOG = str(DEMO / "demo.urdf"), str(DEMO / "demo.csv")
 
 
-def printed(show, result, model, *, terminal=True):
+def printed(result, model, *, terminal=True):
     looks = {"force_terminal": terminal, "color_system": None, "legacy_windows": False}
-    console = _Console(file=io.StringIO(), markup=False, width=80 if terminal else 160, **looks)
-    show(console, result, Units.of(model))
+    width = 80 if terminal else 160
+    console = ResultsConsole(file=io.StringIO(), markup=False, width=width, **looks)
+    show_page(console, page_of(result, About("arm", ("log",), units=Units.of(model))))
     return console.file.getvalue()
 
 
@@ -46,48 +49,39 @@ def added(model):
 
 def test_the_worst_joint_of_a_comparison_is_named(model, compared):
     worst = max(compared.errors.joints, key=lambda joint: joint.nrms)
-    text = printed(show_comparison, compared, model)
-    assert f"Worst joint: {worst.joint}, RMS {number(worst.rms)} N·m" in text
-
-
-def test_the_worst_joint_of_a_diagnosis_is_named(model):
-    text = printed(show_diagnosis, diagnose(model, LOG), model)
-    assert "Worst joint: wrist_spin" in text or "Worst joint: wrist_roll" in text
-
-
-def test_the_worst_joint_at_first_and_at_last_is_named(model, added):
-    text = " ".join(printed(show_explanation, added, added.model).split())
-    for when, errors in (("at first", added.start), ("at last", added.end)):
-        worst = max(errors.joints, key=lambda joint: joint.nrms)
-        assert f"{when} {worst.joint}, RMS {number(worst.rms)} N·m" in text
+    text = " ".join(printed(compared, model).split())
+    assert f"The error is largest at {worst.joint}" in text
 
 
 def test_every_joint_has_its_value(added):
     (step,) = added.steps
     assert len(step.where) > 2
-    table = printed(show_explanation, added, added.model).split("value ± standard deviation")[1]
-    lines = table.split("Verdict")[0].splitlines()
+    table = printed(added, added.model).split("Parameters found")[1]
+    lines = table.split("Where it fails")[0].splitlines()
     for joint in step.where:
         assert any(line.startswith(joint) and "±" in line for line in lines)
 
 
 @pytest.mark.parametrize("terminal", [True, False])
 def test_nothing_is_wider_than_the_terminal_or_cut(model, added, compared, terminal):
-    for show, result in ((show_explanation, added), (show_comparison, compared)):
-        text = printed(show, result, model, terminal=terminal)
-        commands = "geodrake excite"
-        long = [line for line in text.splitlines() if len(line) > 80 and commands not in line]
+    for result in (added, compared, diagnose(model, LOG)):
+        text = printed(result, model, terminal=terminal)
+        long = [line for line in text.splitlines() if len(line) > 80 and "excite" not in line]
         assert not (terminal and long)
         assert "…" not in text.replace(" … ", "")
+        assert terminal or not re.search("[─━│\x1b]", text)
 
 
-def test_terminal_and_page_round_alike(model, compared):
-    (table,) = joints_section({"RMS": compared.errors}, Units.of(model)).tables
-    page = " ".join(cell.text for row in table.rows for cell in row)
-    text = printed(show_comparison, compared, model)
+def test_terminal_and_page_say_the_same(model, added, compared):
+    for result in (added, compared):
+        page = page_of(result, About(units=Units.of(model)))
+        html = render(page).replace("\N{NO-BREAK SPACE}", " ")
+        text = " ".join(printed(result, model).split())
+        for words in (page.headline, *page.lead):
+            assert words in text and escape(words) in html
     for joint in compared.errors.joints:
         for value in (joint.std, joint.rms, joint.floor, joint.nrms):
-            assert number(value) in text and number(value) in page
+            assert number(value) in text and number(value) in html
 
 
 def test_one_log_need_not_be_in_a_list(model, compared):

@@ -17,8 +17,9 @@ from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog
 from geodrake.model import EffortSignal
 from geodrake.model.saved_model import load_model, save_model
+from geodrake.report import page_of, render
 from geodrake.report.json_output import motions_dict, rollout_dict
-from geodrake.report.rollout import render_rollout
+from geodrake.report.page import About
 from geodrake.robot import gears
 from geodrake.robot.transmission import Drive
 
@@ -189,13 +190,11 @@ def test_reports_say_what_the_model_was_under(arm):
     found = command_rollout(late, [log], most=1, horizon=0.2)
     assert any("effort_delay of b does not count" in note for note in found.notes)
     assert rollout_dict(found)["under"] == "commands"
-    page = render_rollout((found, None), title="t", model_name="arm", log_names=["log"])
-    assert "arm under the commands of log" in page
+    about = About("arm", ("log",))
+    assert "arm under the commands of log" in render(page_of(found, about))
     opened = roll_out(model, [log], most=1, horizon=0.2)
     assert rollout_dict(opened)["under"] == "efforts"
-    assert "arm under the efforts of log" in render_rollout(
-        (opened, None), title="t", model_name="arm", log_names=["log"]
-    )
+    assert "arm under the efforts of log" in render(page_of(opened, about))
 
 
 @pytest.mark.thorough

@@ -47,8 +47,9 @@ from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import open_case
 from geodrake.logs.files import write_log
 from geodrake.model import EffortSignal
+from geodrake.report import page_of, render
 from geodrake.report.json_output import rollout_fit_dict
-from geodrake.report.rollout_fit import render_rollout_fit
+from geodrake.report.page import About
 
 PD = EffortSignal("hinge", "command", 100.0, damping=6.0, delay=0.013)
 LIMITED = dataclasses.replace(PD, limit=6.5)
@@ -385,11 +386,12 @@ def test_results_say_what_they_are_under(pendulum):
     late = FittedValue("servo", "hinge", "delay", 5.1e-3, 13e-3, 1e-5)
     fitted = dataclasses.replace(unsure, values=(late,))
     assert fitted.notes == rollout.notes
-    page = render_rollout_fit(fitted, title="t", model_name="arm", log_names=["log"])
+    about = About("arm", ("log",))
+    page = render(page_of(fitted, about))
     assert "Soft joints, play, their servos and motors" in page
     for words in ("delay, ms", "5.10", "13.000"):
         assert words in page
-    page = render_rollout_fit(found, title="t", model_name="arm", log_names=["log"])
+    page = render(page_of(found, about))
     assert "arm under the commands of log" in page
     assert "under the logged commands" in page
     assert "efforts" not in page

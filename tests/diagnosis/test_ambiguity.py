@@ -6,8 +6,7 @@ import pytest
 from excitation_robots import MODELS
 from rich.console import Console
 
-from geodrake.cli.tables import show_diagnosis, show_explanation
-from geodrake.cli.tell_apart import placed_rivals, separation_of
+from geodrake.cli.excite import placed_rivals, separation_of
 from geodrake.diagnosis import (
     Candidate,
     Comparison,
@@ -17,12 +16,12 @@ from geodrake.diagnosis import (
     JointError,
     Step,
 )
+from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import FittedRival
 from geodrake.effects import catalogue
 from geodrake.excitation import motion_limits
 from geodrake.model.saved_model import load_model
-from geodrake.report import Units
-from geodrake.report.sections import distinguishing_motions
+from geodrake.report import page_of, show_page
 
 PREFIX = "geodrake excite MODEL --tell-apart "
 JOINTS = ("shoulder", "elbow")
@@ -50,10 +49,8 @@ def explanation(*steps, model=MODEL):
 
 
 def commands(found):
-    """The commands that a page tells, without what they begin with."""
-    sentence = "".join(distinguishing_motions(found))
-    told = sentence.removeprefix("Motions that would distinguish what the logs cannot: ")
-    return [each.removeprefix(PREFIX) for each in told.removesuffix(".").split("; ") if each]
+    """The commands that are told, without what they begin with."""
+    return [each.removeprefix(PREFIX) for each in distinguishing_commands(found)]
 
 
 @pytest.mark.parametrize(
@@ -171,10 +168,13 @@ def test_the_terminal_tells_the_command():
     found = diagnosis(
         ("coulomb_friction", ("elbow",), True), ("load_dependent_friction", ("elbow",), True)
     )
-    show_diagnosis(console, found, Units.of(MODEL))
+    show_page(console, page_of(found))
     rival = ("nonlinear_viscous_friction", ("elbow",))
     step = ("viscous_friction", ("elbow",), (rival,))
-    show_explanation(console, explanation(step), Units.of(MODEL))
+    show_page(console, page_of(explanation(step)))
     lines = console.file.getvalue().splitlines()
-    assert f"- {PREFIX}coulomb_friction,load_dependent_friction@elbow" in lines
-    assert f"- {PREFIX}viscous_friction,nonlinear_viscous_friction@elbow" in lines
+    for pair in (
+        "coulomb_friction,load_dependent_friction@elbow",
+        "viscous_friction,nonlinear_viscous_friction@elbow",
+    ):
+        assert f"- {PREFIX}{pair} --save motion_1.csv" in lines

@@ -26,8 +26,8 @@ from geodrake.model.signal_efforts import (
     runs_between_gaps,
     servo_effort,
 )
+from geodrake.report.explaining import signals_table
 from geodrake.report.numbers import Units
-from geodrake.report.tables import signals_table
 
 INTEGRAL = 90.0
 

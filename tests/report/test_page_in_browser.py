@@ -5,9 +5,7 @@ import re
 import shutil
 
 import pytest
-from report_results import NAMES, comparison, explanation, friction, joint_names, step
-
-from geodrake.report import render_comparison, render_explanation
+from report_results import comparison, explanation, friction, joint_names, page, step
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
@@ -36,10 +34,10 @@ def file(tmp_path_factory):
         step("payload", ("hand",), {"hand": {"mass": 3.0}}, {}, joints=JOINTS, series=first),
         friction(JOINTS),
     )
-    page = folder / "page.html"
-    html = render_explanation(explanation(JOINTS, steps), **NAMES, links={"Replay": "replay.html"})
-    page.write_text(html, encoding="utf-8")
-    return page
+    path = folder / "page.html"
+    html = page(explanation(JOINTS, steps), links={"Replay": "replay.html"})
+    path.write_text(html, encoding="utf-8")
+    return path
 
 
 @pytest.fixture
@@ -73,7 +71,7 @@ def drawn(page):
 
 def ends(page):
     """First and last instant that the plots show."""
-    return [float(end) for end in page.locator(".chart").get_attribute("data-view").split()]
+    return [float(end) for end in page.locator("#chart-efforts").get_attribute("data-view").split()]
 
 
 def shown_width(page):
@@ -146,15 +144,15 @@ def test_the_worst_stretch_is_a_click_away(opened):
 
 def test_all_joints_can_be_chosen_and_the_worst_is_always_there(opened):
     page = opened()
-    panels = page.locator(".chart .panel")
+    panels = page.locator("#chart-efforts .panel")
     assert panels.count() == len(JOINTS)
-    seen = page.locator(".chart .panel:visible")
+    seen = page.locator("#chart-efforts .panel:visible")
     assert seen.count() == 8
     assert page.locator(".badge:visible").count() >= 1
-    page.locator(".chip[data-joint][aria-pressed=false]").first.click()
+    page.locator("#chart-efforts .chip[data-joint][aria-pressed=false]").first.click()
     assert seen.count() == 9
-    page.locator(".chip[data-joint=joint_0]").click()
-    assert not page.locator(".chart .panel[data-title=joint_0]").is_visible()
+    page.locator("#chart-efforts .chip[data-joint=joint_0]").click()
+    assert not page.locator("#chart-efforts .panel[data-title=joint_0]").is_visible()
 
 
 def test_tables_sort_and_filter(opened):
@@ -178,13 +176,22 @@ def test_tables_sort_and_filter(opened):
     assert table.locator("tbody tr:visible").count() == 3
 
 
-@pytest.mark.thorough
-def test_residuals_are_those_of_one_model_at_a_time(opened):
+def residuals(page):
+    return page.locator("#chart-residuals")
+
+
+def test_residuals_are_drawn_with_their_means(opened):
     page = opened()
-    parts = page.locator(".dependence:visible")
-    assert parts.count() == 1 and parts.get_attribute("data-label") == "final model"
-    page.locator(".chip[data-model='as it stands']").click()
-    assert parts.count() == 1 and parts.get_attribute("data-label") == "as it stands"
+    residuals(page).scroll_into_view_if_needed()
+    residuals(page).locator(".panel:visible .place").first.scroll_into_view_if_needed()
+    page.wait_for_selector("#chart-residuals .uplot")
+    chips = residuals(page).locator(".chip[data-stage]")
+    assert chips.evaluate_all("all => all.map((one) => one.getAttribute('aria-pressed'))") == [
+        "false",
+        "true",
+    ]
+    axes = residuals(page).locator(".panel:visible").first.locator(".uplot")
+    assert axes.count() == 3
 
 
 @pytest.mark.sampled(2)
@@ -201,7 +208,7 @@ def test_nothing_is_wider_than_the_window(opened, width, scripts):
     page = opened(viewport={"width": width, "height": 800}, java_script_enabled=scripts)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     sides = page.evaluate(
-        "[...document.querySelectorAll('section, header, .chart, .plot, .uplot, h1')]"
+        "[...document.querySelectorAll('section, header, .chart, .place, .uplot, h1')]"
         ".map((part) => part.getBoundingClientRect()).map((box) => [box.left, box.right])"
     )
     assert len(sides) > 50
@@ -214,11 +221,11 @@ def test_tables_of_long_names_need_no_scrolling(opened, tmp_path, width):
     first = comparison(joints, 0.5).series
     where = ("lbr_iiwa_tool_flange",)
     payload = step("payload", where, {where[0]: {"mass": 3.0}}, {}, joints=joints, series=first)
-    html = render_explanation(explanation(joints, (payload, friction(joints[:3]))), **NAMES)
+    html = page(explanation(joints, (payload, friction(joints[:3]))))
     path = tmp_path / "long.html"
     path.write_text(html, encoding="utf-8")
-    page = opened(path, viewport={"width": width, "height": 900})
-    tables = page.locator(".wide")
+    shown = opened(path, viewport={"width": width, "height": 900})
+    tables = shown.locator(".wide")
     sizes = tables.evaluate_all("all => all.map((one) => [one.scrollWidth, one.clientWidth])")
     assert len(sizes) >= 4
     assert all(needed <= shown for needed, shown in sizes)
@@ -253,36 +260,33 @@ def test_schemes(opened, scheme):
 
 
 @pytest.mark.thorough
-def test_paper_has_the_pictures(opened):
-    page = opened()
-    drawn(page)
-    page.emulate_media(media="print")
-    panel = page.locator(".panel").first
-    assert panel.locator(".plot svg").first.is_visible()
-    assert not panel.locator(".uplot").first.is_visible()
-    assert not page.locator(".tools").first.is_visible()
-    assert page.locator(".dependence:visible").count() == 2
+def test_paper_has_the_plots(opened):
+    page = opened(color_scheme="dark")
     assert page.pdf(format="A4").startswith(b"%PDF")
+    assert page.locator("#chart-efforts .panel:visible .uplot").count() == 16
+    page.emulate_media(media="print")
+    assert not page.locator(".tools").first.is_visible()
 
 
-def test_without_scripts_all_is_there(opened):
+def test_without_scripts_all_but_the_plots_is_there(opened):
     page = opened(java_script_enabled=False)
-    assert page.locator(".chart .panel:visible").count() == len(JOINTS)
-    assert page.locator(".plot svg path").count() > 50
-    assert page.locator(".dependence:visible").count() == 2
+    assert page.get_by_text("Plots are drawn where scripts are allowed.").count() == 2
+    assert page.locator("#chart-efforts .windows li").count() > 5
     assert not page.locator("button").count()
     assert page.locator("nav.links a").get_attribute("href") == "replay.html"
+    page.locator("summary").first.click()
+    assert page.get_by_text("by chance is the probability").is_visible()
 
 
 def test_names_run_nothing(opened, tmp_path):
     evil = "</script><script>alert('1')</script>"
     path = tmp_path / "evil.html"
-    path.write_text(render_comparison(comparison((evil, "b"), 1.0), **NAMES), encoding="utf-8")
-    page = opened(path)
-    drawn(page)
-    assert page.locator(".chart h3").first.inner_text() == evil
-    page.locator(".chip[data-joint]").first.click()
-    assert not page.locator(".chart .panel").first.is_visible()
+    path.write_text(page(comparison((evil, "b"), 1.0)), encoding="utf-8")
+    shown = opened(path)
+    drawn(shown)
+    assert shown.locator(".chart h3").first.inner_text() == evil
+    shown.locator(".chip[data-joint]").first.click()
+    assert not shown.locator(".chart .panel").first.is_visible()
 
 
 def test_it_is_there_at_once(opened):

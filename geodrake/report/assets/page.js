@@ -1,6 +1,7 @@
 "use strict";
 // What a report page does beyond being read: plots to zoom and pan, tables to sort and filter, light
-// and dark. Without it the page says the same. Plots are uPlot's; their numbers are in the page.
+// and dark. Without it the page says the same, without plots. Plots are uPlot's; their numbers are in
+// the page.
 (() => {
   const all = (selector, root = document) => [...root.querySelectorAll(selector)];
 
@@ -51,6 +52,18 @@
       redraw();
     };
     dark.addEventListener("change", show);
+    let kept;
+    addEventListener("beforeprint", () => {
+      kept = root.dataset.scheme;
+      root.dataset.scheme = "light";
+      charts.forEach((chart) => chart.drawAll());
+      redraw();
+    });
+    addEventListener("afterprint", () => {
+      if (kept) root.dataset.scheme = kept;
+      else delete root.dataset.scheme;
+      redraw();
+    });
     document.querySelector("header").append(toggle);
     show();
   }
@@ -132,6 +145,8 @@
   const decoded = ([offset, scale, text]) =>
     Array.from(new Int16Array(bytes(text)), (whole) => (whole === -32768 ? null : offset + scale * whole));
 
+  const plain = (value) => (value == null ? "" : String(Number(value.toPrecision(6))).replace("-", "−"));
+
   const shown = new Set(); // keys of the stages shown, in all charts of the page
   const LEAST = 5e-4; // share of the whole time that is still zoomed into
   const CUT = 3; // residuals are cut off at so many times the largest of the best model
@@ -139,20 +154,17 @@
   class Chart {
     constructor(root) {
       this.root = root;
+      root.querySelector(".unscripted").remove();
       this.data = JSON.parse(root.querySelector("script").textContent);
       this.colors = Object.fromEntries(this.data.stages.map((stage) => [stage.key, stage.color]));
       this.view = [...this.data.ends];
       this.root.dataset.view = this.view.join(" ");
       this.plots = [];
       this.addControls();
-      const observer = new IntersectionObserver((entries) => {
-        for (const { isIntersecting, target } of entries) {
-          if (!isIntersecting) continue;
-          observer.unobserve(target);
-          this.drawPanel(target);
-        }
+      this.observer = new IntersectionObserver((entries) => {
+        for (const { isIntersecting, target } of entries) if (isIntersecting) this.drawPanel(target);
       }, { rootMargin: "300px" });
-      all(".panel", root).forEach((panel) => observer.observe(panel));
+      all(".panel", root).forEach((panel) => this.observer.observe(panel));
       redraws.push(() => this.plots.forEach((plot) => plot.redraw()));
     }
 
@@ -162,6 +174,15 @@
         if (span.getAttribute("aria-pressed") === "true") shown.add(key);
         pressable(span, () => showStage(key, !shown.has(key)));
       }
+      if (!this.data.abreast) this.addTools();
+      for (const span of all(".chip[data-joint]", this.root)) {
+        const press = pressable(span, () => this.showJoint(press, press.getAttribute("aria-pressed") !== "true"));
+        this.showJoint(press, press.getAttribute("aria-pressed") === "true");
+      }
+      all(".controls, .hint", this.root).forEach((part) => (part.hidden = false));
+    }
+
+    addTools() {
       const [low, high] = this.data.ends;
       const tools = element("div", { class: "tools" });
       for (const [words, title, act] of [
@@ -174,10 +195,6 @@
       this.root.querySelector(".controls").append(tools);
       this.root.querySelector(".panels").before(element("p", { class: "hint" },
         "Drag to zoom, shift and drag to pan, double click to reset."));
-      for (const span of all(".chip[data-joint]", this.root)) {
-        const press = pressable(span, () => showJoint(press, press.getAttribute("aria-pressed") !== "true"));
-        showJoint(press, press.getAttribute("aria-pressed") === "true");
-      }
       for (const item of all(".windows li", this.root)) {
         const [start, end] = [Number(item.dataset.start), Number(item.dataset.end)];
         const jump = () => {
@@ -186,7 +203,17 @@
         };
         item.replaceChildren(button(item.textContent, jump, { title: "Zoom in here" }));
       }
-      all(".controls, .hint", this.root).forEach((part) => (part.hidden = false));
+    }
+
+    showJoint(chip, show) {
+      chip.setAttribute("aria-pressed", String(show));
+      all("[data-title]", this.root).forEach((panel) => {
+        if (panel.dataset.title === chip.dataset.joint) panel.hidden = !show;
+      });
+    }
+
+    drawAll() {
+      all(".panel", this.root).forEach((panel) => panel.hidden || this.drawPanel(panel));
     }
 
     look(low, high) {
@@ -216,22 +243,28 @@
     }
 
     drawPanel(panel) {
+      this.observer.unobserve(panel);
+      if (panel.dataset.drawn) return;
+      panel.dataset.drawn = "yes";
       const data = this.data.panels[Number(panel.dataset.panel)];
       const time = floats(data.time);
       const curves = curvesOf(data.plots);
       all(".place", panel).forEach((place, k, places) => {
         const plot = data.plots[k];
         const readout = place.querySelector(".readout");
+        const trends = Object.values(plot.trends).map((trend) => trend.map(decoded));
+        const samples = [plot.over ? decoded(plot.over) : time, ...Object.values(curves[k])];
         const made = new uPlot(
           this.options(plot, data.shades, place, readout, k === 0, k === places.length - 1),
-          [time, ...Object.values(curves[k])],
+          trends.length ? uPlot.join([samples, ...trends]) : samples,
           place,
         );
-        place.classList.add("live");
         this.plots.push(made);
-        made.stages = Object.keys(plot.curves);
-        this.addHands(made);
-        made.setScale("x", { min: this.view[0], max: this.view[1] });
+        made.stages = [...Object.keys(plot.curves), ...Object.keys(plot.trends).flatMap((key) => [key, key])];
+        if (!this.data.abreast) {
+          this.addHands(made);
+          made.setScale("x", { min: this.view[0], max: this.view[1] });
+        }
         new ResizeObserver(() => {
           if (place.clientWidth) made.setSize({ width: place.clientWidth, height: made.height });
         }).observe(place);
@@ -241,47 +274,51 @@
     options(plot, shades, place, readout, isFirst, isLast) {
       const stages = Object.fromEntries(this.data.stages.map((stage) => [stage.key, stage]));
       const keys = Object.keys(plot.curves);
+      const alone = this.data.abreast; // each plot over an axis of its own
       const axis = { stroke: () => color("quiet"), font: "11px system-ui, sans-serif", ticks: { show: false },
         grid: { stroke: () => color("rule"), width: 0.7 } };
       return {
         width: place.clientWidth || 600,
-        height: (plot.tall ? 172 : 108) + (isLast ? 36 : 0),
+        height: (plot.tall ? 172 : 108) + (isLast || alone ? 36 : 0),
         padding: [4, 12, 0, 0],
         legend: { show: false },
         cursor: {
           y: false,
           drag: { x: true, y: false },
-          sync: { key: this.root.id, setSeries: false },
-          points: { size: 6 },
-          bind: {
+          ...(alone ? {} : { sync: { key: this.root.id, setSeries: false } }),
+          points: { size: 6, show: !alone },
+          bind: alone ? {} : {
             mousedown: (u, target, start) => (event) => (event.shiftKey ? this.drag(u, event) : start(event)),
             dblclick: () => () => this.look(...this.data.ends),
           },
         },
         scales: {
           x: { time: false, range: (u, low, high) => [low, high] },
-          y: { range: (u, low, high) => spanOf(plot, u, low, high) },
+          y: plot.log ? { distr: 3 } : { range: (u, low, high) => spanOf(plot, u, low, high) },
         },
         axes: [
-          { ...axis, size: isLast ? 22 : 4, gap: 4, label: isLast ? this.data.axis : undefined, labelSize: 18, labelGap: 0,
+          alone ? { ...axis, size: 22, gap: 4, label: plot.axis, labelSize: 18, labelGap: 0, labelFont: "12px system-ui, sans-serif",
+            values: (u, splits) => splits.map(plain) } : { ...axis, size: isLast ? 22 : 4, gap: 4, label: isLast ? this.data.axis : undefined, labelSize: 18, labelGap: 0,
             labelFont: "12px system-ui, sans-serif", splits: (u) => this.splits(u).map(([at]) => at),
             values: (u) => this.splits(u).map(([, words]) => (isLast ? words : "")) },
           { ...axis, size: 48, gap: 6, space: plot.tall ? 32 : 20,
-            values: (u, splits) => splits.map((value) => String(Number(value.toPrecision(6))).replace("-", "−")) },
+            values: (u, splits) => splits.map(plain) },
         ],
         series: [{}, ...keys.map((key) => ({
           label: stages[key].label,
           show: shown.has(key),
           stroke: () => color(stages[key].color),
-          width: stages[key].wide ? 3.2 : 1.3,
-          points: { show: this.data.dots, size: 3 },
-          paths: this.data.dots ? () => null : broken,
-        }))],
+          width: stages[key].look === "wide" ? 3.2 : 1.3,
+          points: { show: stages[key].look === "dots", size: 3 },
+          ...(stages[key].look === "dots" ? { paths: () => null } : {}),
+        })), ...Object.keys(plot.trends).flatMap((key) => [[1.8, []], [1, [4, 3]]].map(([width, dash]) => ({
+          show: shown.has(key), stroke: () => color("ink"), width, dash, points: { show: false }, paths: through,
+        })))],
         hooks: {
           drawClear: [(u) => this.drawGround(u, plot, shades)],
           draw: [(u) => isFirst && this.nameLogs(u)],
-          setCursor: [(u) => this.read(u, keys, stages, readout)],
-          setScale: [(u, key) => key === "x" && u.status && this.follow(u.scales.x.min, u.scales.x.max)],
+          setCursor: [(u) => alone || this.read(u, keys, stages, readout)],
+          setScale: [(u, key) => !alone && key === "x" && u.status && this.follow(u.scales.x.min, u.scales.x.max)],
         },
       };
     }
@@ -337,6 +374,7 @@
       const [left, right, top, bottom] = [bbox.left, bbox.left + bbox.width, bbox.top, bbox.top + bbox.height];
       for (const limit of plot.limits) line([left, y(limit)], [right, y(limit)], [2, 3]);
       if (plot.centred) line([left, y(0)], [right, y(0)], []);
+      if (this.data.abreast) return void ctx.restore();
       for (const [, first, , shift] of this.data.spans.slice(1))
         line([x(first + shift), top], [x(first + shift), bottom], [4, 3]);
       ctx.restore();
@@ -422,7 +460,7 @@
       return [low - margin, high + margin];
     }
     const [first, last] = u.series[0].idxs ?? [0, u.data[0].length - 1];
-    const peaks = u.data.slice(1).filter((_, k) => u.series[k + 1].show).map((curve) => {
+    const peaks = u.data.slice(1, 1 + Object.keys(plot.curves).length).filter((_, k) => u.series[k + 1].show).map((curve) => {
       let peak = 0;
       for (let k = first; k <= last; k++) peak = Math.max(peak, Math.abs(curve[k] ?? 0));
       return peak;
@@ -431,21 +469,12 @@
     return [-most, most];
   }
 
-  // A line that ends where a sample is missing.
-  function broken(u, k, first, last) {
+  // A line through the samples that there are.
+  function through(u, k, first, last) {
     const stroke = new Path2D();
-    const curve = u.data[k];
-    const scale = u.series[k].scale;
-    let begun = false;
     for (let i = first; i <= last; i++) {
-      if (curve[i] == null) {
-        begun = false;
-        continue;
-      }
-      const [x, y] = [u.valToPos(u.data[0][i], "x", true), u.valToPos(curve[i], scale, true)];
-      if (!begun) stroke.moveTo(x - 0.5, y);
-      stroke.lineTo(x, y);
-      begun = true;
+      if (u.data[k][i] == null) continue;
+      stroke.lineTo(u.valToPos(u.data[0][i], "x", true), u.valToPos(u.data[k][i], "y", true));
     }
     return { stroke, fill: null, clip: null, band: null, gaps: null, flags: 1 };
   }
@@ -465,37 +494,10 @@
     redraw(); // shades, too
   }
 
-  function showJoint(chip, show) {
-    chip.setAttribute("aria-pressed", String(show));
-    all("[data-title]").forEach((panel) => {
-      if (panel.dataset.title === chip.dataset.joint) panel.hidden = !show;
-    });
-  }
-
-  // One model's residuals at a time, the last one first.
-  function addSwitch(group) {
-    const parts = all(".dependence", group);
-    if (parts.length < 2) return;
-    const row = element("div", { class: "controls" });
-    const presses = parts.map((part) => {
-      const press = button(part.dataset.label, () => show(part), { class: "chip", "data-model": part.dataset.label,
-        style: part.getAttribute("style") });
-      row.append(press);
-      return press;
-    });
-    const show = (chosen) => parts.forEach((part, k) => {
-      part.hidden = part !== chosen;
-      presses[k].setAttribute("aria-pressed", String(part === chosen));
-    });
-    group.prepend(row);
-    show(parts[parts.length - 1]);
-  }
-
   for (const root of all(".chart")) {
     const made = new Chart(root);
     charts.push(made);
   }
   all("table").forEach(addSorting);
-  all(".dependences").forEach(addSwitch);
   addSchemes();
 })();

@@ -1,56 +1,40 @@
-"""Figures and reports: complete, self-contained, and safe whatever joints are called."""
+"""Pages: complete, self-contained, and safe whatever joints are called."""
 
 import dataclasses
 import math
 import re
+import subprocess
+import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pytest
 from report_results import (
-    BLOCKS,
-    NAMES,
     comparison,
     diagnosis,
     errors,
     explanation,
     friction,
     joint_names,
+    page,
     step,
 )
 
 from geodrake import load_model
-from geodrake.errors import OutputError
+from geodrake.errors import ArgumentError
 from geodrake.identification.logs.model_errors import (
     ErrorTable,
     Failing,
     JointError,
 )
 from geodrake.identification.models import BodyChange
-from geodrake.report import (
-    Units,
-    candidate_figure,
-    comparison_figures,
-    effort_figure,
-    joint_error_figure,
-    render_comparison,
-    render_diagnosis,
-    render_explanation,
-    report_figures,
-    residual_figure,
-    save_figures,
-    step_figure,
-    step_stages,
-)
+from geodrake.report import Units, page_of
+from geodrake.report.explaining import Explained, errors_table
 from geodrake.report.json_output import NoNumber, comparison_dict
 from geodrake.report.numbers import chance, is_noticed, number, percent, shortened, with_deviation
-from geodrake.report.style import png
-from geodrake.report.tables import Cell, errors_table
+from geodrake.report.page import Cell
 from geodrake.report.words import (
-    addition_verdict,
-    comparison_verdict,
     effect_label,
     failing_list,
     failing_words,
@@ -59,7 +43,6 @@ from geodrake.report.words import (
 )
 
 EVIL = "<script>alert('$x_{1')</script>&\"$"
-FIELDS = ("time", "position", "velocity", "acceleration", "measured", "predicted")
 
 
 class Reader(HTMLParser):
@@ -87,14 +70,14 @@ class Reader(HTMLParser):
 
 
 def check_self_contained(html):
-    page = Reader(html)
-    assert not page.open
+    read = Reader(html)
+    assert not read.open
     assert not re.search(r"@import|url\((?!#)", html)
-    assert not {"link", "iframe", "object"} & set(page.tags)
-    assert all(source.startswith(("data:image/png;base64,", "#")) for source in page.sources)
+    assert not {"link", "iframe", "object"} & set(read.tags)
+    assert all(source.startswith(("data:image/png;base64,", "#")) for source in read.sources)
     assert "default-src 'none'" in html
     assert len(html) < 1_000_000
-    return " ".join("".join(page.text).replace("\N{NO-BREAK SPACE}", " ").split())
+    return " ".join("".join(read.text).replace("\N{NO-BREAK SPACE}", " ").split())
 
 
 @pytest.mark.sampled(3)
@@ -102,9 +85,9 @@ def check_self_contained(html):
 def test_pages_hold_all_joints(count):
     joints = joint_names(count)
     pages = (
-        render_explanation(explanation(joints), **NAMES),
-        render_diagnosis(diagnosis(joints), **NAMES),
-        render_comparison(comparison(joints, 1.0), **NAMES),
+        page(explanation(joints)),
+        page(diagnosis(joints)),
+        page(comparison(joints, 1.0)),
     )
     for html in pages:
         text = check_self_contained(html)
@@ -117,8 +100,8 @@ def test_pages_hold_all_joints(count):
 
 def test_an_explanation_says_what_was_found():
     joints = joint_names(3)
-    text = check_self_contained(render_explanation(explanation(joints), **NAMES))
-    assert "Missing: Coulomb friction (all 3 joints)." in text
+    text = check_self_contained(page(explanation(joints)))
+    assert "Missing: Coulomb friction (all 3 joints, 3.08 N·m)." in text
     assert "explained in part" in text
     assert "3.084 ± 0.012" in text
     assert "Coulomb, N·m" in text
@@ -132,18 +115,18 @@ def test_bodies_are_shown_before_and_after():
     com = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]])
     body = BodyChange("hand", (2.0, 2.5), com, 0.1, np.full(3, 0.002), False, 0.4)
     found = explanation(joint_names(2))
-    page = render_explanation(dataclasses.replace(found, bodies=(body,)), **NAMES)
-    assert "Bodies" in page and "2.50 ± 0.10" in check_self_contained(page)
-    assert "Bodies" not in check_self_contained(render_explanation(found, **NAMES))
+    html = page(dataclasses.replace(found, bodies=(body,)))
+    assert "Bodies" in html and "2.50 ± 0.10" in check_self_contained(html)
+    assert "Bodies" not in check_self_contained(page(found))
 
 
 def test_names_are_escaped():
     joints = (EVIL, "elbow")
     shown = dataclasses.replace(explanation(joints), notes=("<b>note</b>",))
     for html in (
-        render_explanation(shown, title=EVIL, model_name="<i>", log_names=["<img src=x>"]),
-        render_diagnosis(diagnosis(joints), **NAMES),
-        render_comparison(comparison(joints, 1.0), **NAMES),
+        page(shown, model=EVIL, logs=("<img src=x>",)),
+        page(diagnosis(joints)),
+        page(comparison(joints, 1.0)),
     ):
         text = check_self_contained(html)
         assert "<script>alert" not in html
@@ -170,7 +153,7 @@ def test_effects_without_a_class_and_without_deviations():
         ),
     )
     shown = explanation(joints, steps)
-    text = check_self_contained(render_explanation(shown, **NAMES))  # draws such names, too
+    text = check_self_contained(page(shown))  # draws such names, too
     for words in ("wrong inertia", "delay, ms", "16.2", "the whole robot", "my hose", "1.5"):
         assert words in text
     for words in ("3.00 ± 0.10", "CoM x, m", "mass, kg", "0.033", "1.25"):
@@ -184,91 +167,30 @@ def test_effects_without_a_class_and_without_deviations():
 )
 def test_an_explanation_without_steps(verdict, words):
     shown = explanation(joint_names(2), (), verdict=verdict)
-    text = check_self_contained(render_explanation(shown, **NAMES))
+    text = check_self_contained(page(shown))
     assert words in text
     assert "Parameters found" not in text
-    assert set(report_figures(shown)) == {"efforts", "residuals_before", "joint_errors"}
-    assert len(step_figure(shown).axes[0].get_yticks()) == 1
 
 
 def test_steps_without_evidence_are_not_called_missing():
     joints = joint_names(3)
     doubtful = step("rotor_inertia", joints, {}, {}, false_alarm_probability=0.6)
     useless = step("joint_spring", joints, {}, {}, error_after=0.5)
-    text = check_self_contained(
-        render_explanation(explanation(joints, (doubtful, useless)), **NAMES)
-    )
+    text = check_self_contained(page(explanation(joints, (doubtful, useless))))
     assert "Missing:" not in text
     assert "Added without convincing evidence: rotor inertia and joint spring" in text
 
 
 def test_a_diagnosis_tells_ties_and_silence():
     joints = joint_names(3)
-    text = check_self_contained(render_diagnosis(diagnosis(joints), **NAMES))
+    text = check_self_contained(page(diagnosis(joints)))
     assert "Missing: Coulomb friction + viscous friction (all 3 joints)." in text
     assert "In its place there may be asymmetric friction." in text
-    assert "geodrake excite MODEL --tell-apart coulomb_friction,asymmetric_friction." in text
+    command = "geodrake excite MODEL --tell-apart coulomb_friction,asymmetric_friction"
+    assert f"{command} --save motion_1.csv" in text
     silent = diagnosis(joints, candidates=False)
-    text = check_self_contained(render_diagnosis(silent, **NAMES))
+    text = check_self_contained(page(silent))
     assert "no known effect explains" in text
-    assert candidate_figure(silent).axes
-
-
-def test_figures_have_the_axes_they_should():
-    joints = joint_names(3)
-    shown = explanation(joints)
-    figures = report_figures(shown)
-    axes = {name: len(figure.axes) for name, figure in figures.items()}
-    assert axes == {
-        "steps": 1,
-        "joint_errors": 1,
-        "efforts": 6,
-        "residuals_before": 9,
-        "residuals_after": 9,
-    }
-    bars = figures["joint_errors"].axes[0].patches
-    assert len(bars) == 2 * len(joints)
-    labels = [label.get_text() for label in figures["steps"].axes[0].get_yticklabels()]
-    assert labels[0] == "the model as it stands"
-    assert labels[-1] == "+ Coulomb friction, all 3 joints"
-    assert len(candidate_figure(diagnosis(joints)).axes[0].patches) == 3
-
-
-def test_many_joints_are_limited_to_the_worst():
-    joints = joint_names(30)
-    many = comparison(joints, 1.0)
-    figure = effort_figure(many, most=4)
-    assert len(figure.axes) == 8
-    assert "The 4 joints of largest nrms, of 30." in figure.get_supxlabel()
-    worst = sorted(many.errors.joints, key=lambda joint: -joint.nrms)[:3]
-    largest = max(many.errors.joints, key=lambda joint: joint.rms)
-    titles = {ax.get_title(loc="left") for ax in figure.axes} - {""}
-    assert titles == {joint.joint for joint in (*worst, largest)}
-    assert len(residual_figure(many).axes) == 24
-    bars = joint_error_figure(many.errors, step_stages(explanation(joints)), most=5)
-    assert len(bars.axes[0].get_xticks()) == 5
-
-
-def test_gaps_stay_gaps_and_logs_keep_their_own_time():
-    one = comparison(("elbow",), 1.0)
-    missing = [dataclasses.replace(s, **{f: getattr(s, f)[np.arange(40) != 17] for f in FIELDS})
-               for s in one.series]  # fmt: skip
-    figure = effort_figure(dataclasses.replace(one, series=tuple(missing)))
-    x, y = figure.axes[0].lines[0].get_data()
-    assert np.isnan(y).sum() == 2 * len(BLOCKS)
-    assert (np.diff(x[np.isfinite(x)]) > 0).all()
-    png(figure)
-    labels = [label.get_text() for label in figure.axes[-1].get_xticklabels()]
-    assert labels == ["0", "2", "4", "6", "8", "2", "4"]
-
-
-def test_a_block_without_motion_is_left_out():
-    one = comparison(("elbow",), 1.0)
-    first, *others = one.series
-    empty = dataclasses.replace(first, **{f: getattr(first, f)[:0] for f in FIELDS})
-    figure = effort_figure(dataclasses.replace(one, series=(empty, *others)))
-    assert np.isfinite(figure.axes[0].lines[0].get_data()[1]).sum() == 40 * len(others)
-    png(figure)
 
 
 def test_perfect_models_and_nan_positions_can_be_drawn():
@@ -282,14 +204,14 @@ def test_perfect_models_and_nan_positions_can_be_drawn():
             for s in one.series
         ),
     )
-    html = render_comparison(perfect, **NAMES)
+    html = page(perfect)
     check_self_contained(html)
-    assert "not seen" in html and "not seen" not in render_comparison(one, **NAMES)
+    assert "not seen" in html and "not seen" not in page(one)
 
 
 def test_units_of_prismatic_joints():
     shown = explanation(("slide", "elbow"), prismatic=("slide",))
-    text = check_self_contained(render_explanation(shown, **NAMES))
+    text = check_self_contained(page(shown))
     assert "3.084 ± 0.012 N " in text
     assert "3.084 ± 0.012 N·m" in text
     units = Units.of(shown.model)
@@ -305,26 +227,10 @@ def test_units_of_a_model():
     assert Units.of(model).effort(model.joints) == "N·m"
 
 
-@pytest.mark.parametrize("joints", [("elbow",), joint_names(30), (EVIL,)])
-def test_figures_can_be_drawn(joints):
-    text = check_self_contained(render_explanation(explanation(joints), **NAMES))
-    assert "sensor noise" in text
-
-
 @pytest.mark.thorough
 def test_reports_are_reproducible():
     shown = explanation(("elbow",))
-    assert render_explanation(shown, **NAMES) == render_explanation(shown, **NAMES)
-
-
-def test_figures_are_saved(tmp_path):
-    figures = comparison_figures(comparison(("elbow",), 1.0))
-    paths = save_figures(figures, tmp_path / "new")
-    assert sorted(p.name for p in (tmp_path / "new").iterdir()) == sorted(p.name for p in paths)
-    assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="file cannot be made"):
-        save_figures(figures, tmp_path / "file")
+    assert page(shown) == page(shown)
 
 
 @pytest.mark.parametrize(
@@ -367,7 +273,7 @@ def test_a_second_deviation_is_explained_where_one_is_shown(systematic):
     joints = joint_names(2)
     own = {joint: {"coulomb": systematic} for joint in joints}
     found = explanation(joints, (dataclasses.replace(friction(joints), systematic=own),))
-    text = check_self_contained(render_explanation(found, **NAMES))
+    text = check_self_contained(page(found))
     assert ("A second deviation comes from the gains" in text) == (systematic > 0.1)
 
 
@@ -391,8 +297,8 @@ def test_numbers_in_words():
 
 
 def test_where_only_noise_is_left_no_better_model_is_promised():
-    text = render_explanation(explanation(joint_names(3), verdict="explained"), **NAMES)
-    assert "only sensor noise is left. Sensor noise alone would make" in text
+    text = page(explanation(joint_names(3), verdict="explained"))
+    assert "is sensor noise" in text
     assert "a better model could" not in text
 
 
@@ -400,10 +306,10 @@ def test_where_no_noise_is_seen_nothing_is_called_removable():
     found = comparison(joint_names(3), 0.5)
     quiet = tuple(dataclasses.replace(joint, floor=0.0) for joint in found.errors.joints)
     found = dataclasses.replace(found, errors=ErrorTable(quiet))
-    html = render_comparison(found, **NAMES)
+    html = page(found)
     assert "not seen" in html
     assert "100\N{NO-BREAK SPACE}%" not in html
-    assert "could remove" not in html + comparison_verdict(found)
+    assert "could remove" not in html
     *_, noise, _, nrms, removable = errors_table({"RMS": found.errors}, Units()).rows[0]
     assert (noise.text, removable) == ("–", Cell("–"))
     assert nrms.text != "–"
@@ -416,9 +322,10 @@ def test_an_added_effect_that_makes_things_worse_is_said_to():
     useless = step("joint_spring", joints, {}, {}, error_before=0.565, error_after=0.569)
     added = explanation(joints, (useless,))
     added = dataclasses.replace(added, end=errors(joints, 1.01))
-    words = "though it does not lower the held-out error (nrms 0.565 -> 0.569)"
-    assert words in addition_verdict(added, Units())
-    text = render_explanation(added, **NAMES)
+    sentence = page_of(Explained(added, added=True)).sentence
+    assert "Joint spring does not lower it (nrms 0.565 -> 0.569)." in sentence
+    assert "Added: joint spring (all 3 joints)." in sentence
+    text = page(added)
     assert "none of the squared error is gone" in text
     assert "explained in part" not in text
 
@@ -430,7 +337,7 @@ def test_the_worst_joint_is_named_where_it_errs_throughout():
     first, second = failing_list(even)
     assert first == "joint_4 errs most of all joints (nrms 0.200), and does throughout."
     assert second.startswith("joint_0 errs most at speeds below")
-    assert first in check_self_contained(render_comparison(even, **NAMES))
+    assert first in check_self_contained(page(even))
 
 
 def test_where_a_joint_fails_has_its_unit_and_three_digits():
@@ -439,10 +346,36 @@ def test_where_a_joint_fails_has_its_unit_and_three_digits():
     assert "RMS 167 N·m there" in failing_words(dataclasses.replace(case, rms=167.0, unit="N·m"))
 
 
-def test_figures_are_the_same_whatever_matplotlib_is_told():
-    found = comparison(["a"], 1.0)
-    usual = render_comparison(found, **NAMES)
-    told = {"text.usetex": True, "font.family": "monospace", "axes.grid": True, "font.size": 30}
-    with matplotlib.rc_context(told):
-        assert render_comparison(found, **NAMES) == usual
-        assert matplotlib.rcParams["font.size"] == 30
+def test_noise_that_is_nearly_reached_is_told():
+    joints = joint_names(2)
+    for share, mark in ((0.02, "explained to practical noise"), (0.5, "explained in part")):
+        found = dataclasses.replace(explanation(joints), end=errors(joints, share))
+        assert page_of(found).mark == mark
+
+
+def test_one_sentence_says_what_motion_predicts():
+    found = explanation(joint_names(2))
+    for share, words in ((0.3, "predict 30 % at joint_0"), (0.01, "predict less than 5.0 % of it")):
+        told = dataclasses.replace(found, of_motion={"joint_0": share})
+        assert words in page_of(told).sentence
+
+
+@pytest.mark.parametrize("address", ["replay.html", "../a b.html", "https://example.org/x"])
+def test_links_lead_to_pages(address):
+    html = page(comparison(("a",), 1.0), links={"On the robot": address})
+    assert f'<a href="{address}">On the robot</a>' in html
+
+
+@pytest.mark.parametrize("address", ["javascript:alert(1)", "data:text/html,x", "JavaScript:x"])
+def test_links_to_scripts_are_refused(address):
+    with pytest.raises(ArgumentError, match="leads to"):
+        page(comparison(("a",), 1.0), links={"Click": address})
+
+
+@pytest.mark.thorough
+def test_pages_need_no_matplotlib():
+    code = (
+        "import sys; from geodrake.report import page_of, render;"
+        "assert 'matplotlib' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

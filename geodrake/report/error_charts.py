@@ -1,0 +1,401 @@
+"""Charts of errors: efforts over time, residuals over the motion, bars by step and by joint."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.results import Candidate, Diagnosis, Explanation
+from geodrake.identification.logs.model_errors import Comparison, ErrorTable, JointError, Series
+from geodrake.identification.logs.worst_windows import worst_windows
+from geodrake.report.charts import (
+    MOST_PANELS,
+    NOISE,
+    Bar,
+    BarRow,
+    Bars,
+    Chart,
+    Color,
+    LogAxis,
+    Panel,
+    Plot,
+    Shade,
+    Stage,
+    Trend,
+    gap_filled,
+)
+from geodrake.report.numbers import Units, number, shortened
+from geodrake.report.words import effect_label, places_label, step_place, worst_joint
+
+Array = NDArray[np.float64]
+
+MEASURED = Stage("measured", "measured", "measured", look="wide")
+BEFORE = Stage("before", "as it stands", "before")
+AFTER = Stage("after", "final model", "after")
+
+_BLOCK = re.compile(r"^(?P<log>.+) -?[\d.]+–-?[\d.]+ s$")
+_GAP = 1.5  # samples farther apart than so many times the usual are not joined by a line
+_MOST_CANDIDATES, _MOST_LETTERS = 14, 80
+_MOST_DOTS, _BINS = 160, 20
+_SIGNALS = (
+    ("velocity", "velocity", "rad/s"),
+    ("position", "position", "rad"),
+    ("predicted", "load (predicted effort)", "N·m"),
+)
+_EFFORTS = (
+    "Measured and predicted effort of every joint, and under it measured − predicted; the band is "
+    "sensor noise. Shaded: where the error is largest. Lines break where samples were left out."
+)
+_RESIDUALS = (
+    "Measured − predicted effort over velocity, position and load, each joint on its own scale. "
+    "Line: mean in bins of equally many samples; dashed: RMS; band: sensor noise."
+)
+_START, _END = Color("before", label="as it stands"), Color("after", label="refitted on the logs")
+
+
+def log_of(block: str) -> str:
+    """Return the log that a block was cut from: its name without the stretch of time."""
+    match = _BLOCK.match(block)
+    return match["log"] if match else block
+
+
+def worst_joints(errors: ErrorTable, most: int = MOST_PANELS) -> tuple[str, ...]:
+    """Return the joints of largest error over standard deviation, in the table's order.
+
+    The joint of largest RMS is always among them, and one whose error is no number counts as worst.
+    """
+    nrms = np.array([joint.nrms for joint in errors.joints])
+    rms = np.array([joint.rms for joint in errors.joints])
+    order = np.argsort(-np.nan_to_num(nrms, nan=np.inf), kind="stable")
+    worst = int(np.argmax(np.nan_to_num(rms, nan=np.inf)))
+    chosen = [*order[:most]]
+    if most > 1 and worst not in chosen:
+        chosen[-1] = worst
+    return tuple(errors.joints[i].joint for i in sorted(chosen))
+
+
+@dataclass(frozen=True)
+class _Timeline:
+    """Logs laid out one after the other: first and last instant of each, and its shift, s."""
+
+    spans: Mapping[str, tuple[float, float]]
+    shifts: Mapping[str, float]
+
+    @classmethod
+    def of(cls, series: Sequence[Series]) -> _Timeline:
+        spans: dict[str, tuple[float, float]] = {}
+        for s in (s for s in series if len(s.time)):  # not where a joint stands still throughout
+            low, high = spans.get(log_of(s.block), (np.inf, -np.inf))
+            spans[log_of(s.block)] = min(low, float(s.time[0])), max(high, float(s.time[-1]))
+        gap = 0.02 * sum(high - low for low, high in spans.values())
+        shifts, at = {}, 0.0
+        for log, (low, high) in spans.items():
+            shifts[log] = at - low
+            at += high - low + gap
+        return cls(spans, shifts)
+
+    def broken(self, series: Sequence[Series], name: str) -> tuple[Array, Array]:
+        """Return instants and values of a signal, NaN where samples are missing."""
+        time, values = [np.array([])], [np.array([])]
+        for s in series:
+            steps = np.diff(s.time)
+            late = 1 + np.flatnonzero(steps > _GAP * np.median(steps)) if len(steps) else steps
+            breaks = np.append(late.astype(int), len(s.time))
+            time.append(np.insert(s.time + self.shifts[log_of(s.block)], breaks, np.nan))
+            values.append(np.insert(getattr(s, name), breaks, np.nan))
+        return np.concatenate(time), np.concatenate(values)
+
+
+def effort_chart(
+    before: Comparison,
+    after: Comparison | None = None,
+    *,
+    stages: Mapping[Stage, Sequence[Series]] | None = None,
+    units: Units,
+    alone: Stage = BEFORE,
+) -> Chart:
+    """Return the chart of a comparison, or of two.
+
+    Args:
+        after: The final model on the same logs, if there is one.
+        stages: Models between them, and what these predict.
+        alone: What the model of a single comparison is.
+    """
+    first = BEFORE if after is not None else alone
+    models = {first: before.series, **(stages or {})}
+    if after is not None:
+        models[AFTER] = after.series
+    final = after or before
+    timeline = _Timeline.of(before.series)
+    badges = _badges(before, after)
+    shown = {*worst_joints(final.errors), *badges}
+    panels = []
+    for start, end in zip(before.errors.joints, final.errors.joints, strict=True):
+        joint, unit = start.joint, units.effort([start.joint])
+        own = {stage: _of(series, joint) for stage, series in models.items()}
+        if not any(own.values()):
+            continue
+        both = [start] if after is None else [start, end]
+        rms, nrms = (" → ".join(number(getattr(e, n)) for e in both) for n in ("rms", "nrms"))
+        time, plots = _plots(timeline, own, unit, end.floor)
+        ends = {stage: own[stage] for stage in (first, AFTER) if stage in own}
+        panels.append(
+            Panel(
+                joint,
+                f"RMS {rms} {unit}, nrms {nrms}",
+                time,
+                plots,
+                _shades(timeline, ends, unit),
+                badges.get(joint, ""),
+                joint in shown,
+            )
+        )
+    spans = tuple((log, *ends, timeline.shifts[log]) for log, ends in timeline.spans.items())
+    return Chart("efforts", _EFFORTS, (MEASURED, *models), tuple(panels), spans)
+
+
+def explanation_chart(explanation: Explanation, units: Units) -> Chart:
+    """Return the efforts of an explanation: as it stands, after each step, in the end."""
+    if not explanation.steps:
+        return effort_chart(explanation.before, units=units)
+    between = {
+        Stage(
+            f"step{count}",
+            f"after {count}: + {effect_label(step.effect)}",
+            f"step-{(count - 1) % 4 + 1}",
+            shown=False,
+        ): step.series
+        for count, step in enumerate(explanation.steps, 1)
+        if step.series
+    }
+    return effort_chart(explanation.before, explanation.after, stages=between, units=units)
+
+
+def _of(series: Sequence[Series], joint: str) -> list[Series]:
+    return [s for s in series if s.joint == joint and len(s.time)]
+
+
+def _plots(
+    timeline: _Timeline, own: Mapping[Stage, Sequence[Series]], unit: str, floor: float
+) -> tuple[Array, tuple[Plot, ...]]:
+    """Return instants of a joint, and its efforts and residuals at every stage on them."""
+    *_, last = (series for series in own.values() if series)
+    broken, measured = timeline.broken(last, "measured")
+    efforts: dict[str, Array] = {MEASURED.key: measured}
+    residuals: dict[str, Array] = {}
+    for stage, series in own.items():
+        for signal, curves in (("predicted", efforts), ("residual", residuals)):
+            curves[stage.key] = _on(broken, *timeline.broken(series, signal))
+    return gap_filled(broken), (
+        Plot(f"effort, {unit}", efforts),
+        Plot("residual", residuals, floor=floor, centred=True, tall=False),
+    )
+
+
+def _on(broken: Array, at: Array, values: Array) -> Array:
+    """Return values at other instants: the same, but where a model was prepared in another way."""
+    if np.array_equal(broken, at, equal_nan=True):
+        return values
+    known = np.isfinite(at)
+    if not known.any():
+        return np.full(len(broken), np.nan)
+    return np.interp(broken, at[known], values[known])  # NaN where the instant is
+
+
+def _shades(
+    timeline: _Timeline, ends: Mapping[Stage, Sequence[Series]], unit: str
+) -> tuple[Shade, ...]:
+    several = len(timeline.spans) > 1
+    found = []
+    for stage, series in ends.items():
+        for window in worst_windows(series):
+            log = log_of(window.block)
+            words = (
+                f"{log + ' ' if several else ''}{window.start:.1f}–{window.end:.1f} s: RMS "
+                f"{number(window.rms)} {unit}"
+            )
+            shift = timeline.shifts[log]
+            found.append(Shade(stage.key, window.start + shift, window.end + shift, words))
+    return tuple(found)
+
+
+def _badges(before: Comparison, after: Comparison | None) -> dict[str, str]:
+    """Return the joints that err most, by name."""
+    if len(before.errors.joints) < 2:
+        return {}
+    first = worst_joint(before.errors).joint
+    if after is None:
+        return {first: "worst joint"}
+    last = worst_joint(after.errors).joint
+    if first == last:
+        return {first: "worst joint, at first and in the end"}
+    return {first: "worst joint at first", last: "worst joint in the end"}
+
+
+def residual_chart(models: Mapping[Stage, Comparison], units: Units) -> Chart:
+    """Return residuals of models over velocity, position and load; the last model is shown first.
+
+    Samples are thinned to a few hundred, and are those of each model with its own load.
+    """
+    *_, final = models.values()
+    shown = worst_joints(final.errors)
+    panels = []
+    for entry in final.errors.joints:
+        own = {_key(stage): _of(found.series, entry.joint) for stage, found in models.items()}
+        own = {key: series for key, series in own.items() if series}
+        if own:
+            detail = f"RMS {number(entry.rms)} {units.effort([entry.joint])}"
+            plots = tuple(_over(own, entry, signal, units) for signal in _SIGNALS)
+            seen = entry.joint in shown
+            panels.append(Panel(entry.joint, detail, np.array([]), plots, shown=seen))
+    stages = tuple(
+        Stage(_key(stage), stage.label, stage.color, found is final, "dots")
+        for stage, found in models.items()
+    )
+    return Chart("residuals", _RESIDUALS, stages, tuple(panels), abreast=True)
+
+
+def _key(stage: Stage) -> str:
+    """Return the key of a model's residuals, which are shown apart from its efforts."""
+    return f"residual-{stage.key}"
+
+
+def _over(
+    own: Mapping[str, Sequence[Series]],
+    entry: JointError,
+    signal: tuple[str, str, str],
+    units: Units,
+) -> Plot:
+    """Return the residuals of a joint over one signal."""
+    name, words, unit = signal
+    dots: dict[str, tuple[Array, Array]] = {}
+    trends = {}
+    for key, series in own.items():
+        values = np.concatenate([getattr(s, name) for s in series])
+        residual = np.concatenate([s.residual for s in series])
+        known = np.isfinite(values) & np.isfinite(residual)
+        values, residual = values[known], residual[known]
+        kept = np.linspace(0, len(values) - 1, min(_MOST_DOTS, len(values))).astype(int)
+        dots[key] = values[kept], residual[kept]
+        if len(values) >= 2:
+            trends[key] = _trend(values, residual)
+    over = np.unique(np.concatenate([values for values, _ in dots.values()]))
+    curves = {key: np.full(len(over), np.nan) for key in dots}
+    for key, (values, residual) in dots.items():
+        curves[key][np.searchsorted(over, values)] = residual
+    return Plot(
+        f"residual, {units.effort([entry.joint])}" if name == "velocity" else "",
+        curves,
+        floor=entry.floor,
+        centred=True,
+        over=over,
+        axis=f"{words}, {units.at(entry.joint, unit)}",
+        trends=trends,
+    )
+
+
+def _trend(values: Array, residual: Array) -> Trend:
+    """Return mean and RMS of a residual in bins of equally many samples."""
+    order = np.argsort(values, kind="stable")
+    bins = np.array_split(order, min(_BINS, max(1, len(order) // 8)))
+    rms = [np.sqrt((residual[b] ** 2).mean()) for b in bins]
+    middle, mean = (np.array([x[b].mean() for b in bins]) for x in (values, residual))
+    return Trend(middle, mean, np.array(rms))
+
+
+def step_bars(explanation: Explanation) -> Bars:
+    """Return how the held-out nrms falls with each step, on a logarithmic axis."""
+    floor = explanation.end.floor_nrms
+    joints = [joint.joint for joint in explanation.start.joints]
+    errors = [
+        ("the model as it stands", explanation.start.nrms),
+        ("its own parameters refitted", explanation.refitted.nrms),
+    ]
+    for step in explanation.steps:
+        words = f"+ {effect_label(step.effect)}, {step_place(step, joints, most=3)}"
+        errors.append((shortened(words, _MOST_LETTERS), step.error_after))
+    axis = LogAxis.of([nrms for _, nrms in errors], [floor])
+    rows = tuple(
+        BarRow(words, (axis.bar(_END if i else _START, nrms),), axis.marks(floor))
+        for i, (words, nrms) in enumerate(errors)
+    )
+    caption = "The error on held-out data (nrms) falling with each step, on a logarithmic axis."
+    return Bars("steps", caption, (_START, _END, NOISE), rows)
+
+
+def candidate_bars(diagnosis: Diagnosis) -> Bars:
+    """Return the held-out nrms that each candidate would leave, the chosen one first."""
+    shown = diagnosis.candidates[:_MOST_CANDIDATES]
+    joints = [joint.joint for joint in diagnosis.start.joints]
+    floor, before = diagnosis.refitted.floor_nrms, diagnosis.refitted.nrms
+    most = max([before, floor, *(c.error_after for c in shown)])
+    without = Color("before", label="without it", thin=True)
+    marks = tuple(Bar(c, x / most) for c, x in ((without, before), (NOISE, floor)))
+    rows = []
+    for i, candidate in enumerate(shown):
+        words = f"{effect_label(candidate.effect)}, {places_label(candidate.where, joints, most=3)}"
+        text = number(candidate.error_after) + (", tied" if i and candidate.tied else "")
+        bar = Bar(_rank_color(i, candidate), candidate.error_after / most, text)
+        rows.append(BarRow(shortened(words, _MOST_LETTERS), (bar,), marks))
+    count = len(diagnosis.candidates)
+    return Bars(
+        "candidates",
+        "The error on held-out data (nrms) that each candidate would leave.",
+        (*dict.fromkeys(row.bars[0].color for row in rows), without, NOISE),
+        tuple(rows),
+        f"The best {len(shown)} of {count} candidates." if count > len(shown) else "",
+    )
+
+
+def _rank_color(rank: int, candidate: Candidate) -> Color:
+    if rank == 0:
+        return Color("after", label="chosen")
+    if candidate.tied:
+        return Color("tied", label="as good, as far as the logs show")
+    return Color("measured", label="less likely")
+
+
+def joint_bars(errors: ErrorTable, stages: Sequence[tuple[str, Sequence[float]]] = ()) -> Bars:
+    """Return the RMS error of each joint over its effort's deviation, on a logarithmic axis.
+
+    Args:
+        stages: Words and (nv,) RMS of every joint, N·m or N, after each step.
+    """
+    names = set(worst_joints(errors))
+    at = [i for i, joint in enumerate(errors.joints) if joint.joint in names]
+    shades = np.linspace(0.25, 1.0, len(stages)) if len(stages) > 1 else np.ones(len(stages))
+    later = [
+        Color("after", round(float(shade), 2), words)
+        for shade, (words, _) in zip(shades, stages, strict=True)
+    ]
+    joints = [errors.joints[i] for i in at]
+    values = [
+        [rms / joint.std for rms in (joint.rms, *(rms[i] for _, rms in stages))]
+        for i, joint in zip(at, joints, strict=True)
+    ]
+    floors = [joint.floor / joint.std for joint in joints]
+    axis = LogAxis.of([x for own in values for x in own], floors)
+    rows = tuple(
+        BarRow(joint.joint, tuple(map(axis.bar, (_START, *later), own)), axis.marks(floor))
+        for joint, own, floor in zip(joints, values, floors, strict=True)
+    )
+    caption = (
+        "RMS error of each joint over the standard deviation of its effort, on a logarithmic axis."
+    )
+    count = len(errors.joints)
+    note = f"The {len(at)} joints of largest nrms, of {count}." if len(at) < count else ""
+    return Bars("joint_errors", caption, (_START, *later, NOISE), rows, note)
+
+
+def step_joint_bars(explanation: Explanation) -> Bars:
+    """Return the errors of joints at the start, and after each step of an explanation."""
+    joints = [joint.joint for joint in explanation.start.joints]
+    stages = [
+        (f"+ {effect_label(s.effect)}", [s.rms_after.get(joint, np.nan) for joint in joints])
+        for s in explanation.steps
+    ]
+    return joint_bars(explanation.start, stages)

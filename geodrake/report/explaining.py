@@ -1,0 +1,725 @@
+"""Pages of `compare`, `diagnose`, `add` and `explain`: errors of joints, and the effects found."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geodrake.control.rollout import Rollout
+from geodrake.diagnosis.ambiguity import distinguishing_commands
+from geodrake.diagnosis.drafting import Correlate, Draft
+from geodrake.diagnosis.drafting.results import DraftedEffect
+from geodrake.diagnosis.results import Diagnosis, Explanation, Step
+from geodrake.identification.logs.model_errors import Comparison, ErrorTable
+from geodrake.identification.models.results import BodyChange
+from geodrake.inertia import Array
+from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal
+from geodrake.model.robot_model import RobotModel
+from geodrake.report import words
+from geodrake.report.charts import Bars, Chart, Panel, Plot, Stage
+from geodrake.report.error_charts import (
+    AFTER,
+    BEFORE,
+    candidate_bars,
+    effort_chart,
+    explanation_chart,
+    joint_bars,
+    residual_chart,
+    step_bars,
+    step_joint_bars,
+)
+from geodrake.report.numbers import (
+    UNKNOWN,
+    Units,
+    chance,
+    is_noticed,
+    number,
+    percent,
+    with_deviation,
+)
+from geodrake.report.page import About, Cell, ColoredList, Page, Section, Table, Tile, cells
+from geodrake.report.rollouts import departures_table
+
+REST = "What is left goes with"
+_EVEN = "No joint errs much more under some circumstance than elsewhere."
+_LEFT = Stage("left", "left without it", "measured", look="wide")
+_FORMULA = Stage("formula", "formula on held-out data", "after")
+_AGAINST = Stage("against", "one against the other", "after", look="dots")
+_GAP = 1.5  # samples farther apart than so many times the usual are not joined by a line
+_MOST_DOTS = 400
+_MILLIMETRES = 1e3
+_FAR = 1e6  # mm, from which deviations are told as multiples of a power of ten
+_PERCENT_COLUMNS = (
+    "Blocks better is the share of held-out blocks in which the error falls where the effect acts.",
+    "Probability is that of all explanations of the logs that have the finding. In the others "
+    "something else is in its place, something unknown, or nothing; by chance is the probability "
+    "of nothing.",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """An explanation, and what its command adds.
+
+    Attributes:
+        correlates: What the error goes with that is left.
+        motions: Rollouts under commands before, after the steps, and after the last, if any.
+        draft: Formulas for the rest, where they were asked for.
+        added: Whether the effect was asked for, and not found.
+    """
+
+    explanation: Explanation
+    correlates: Sequence[Correlate] = ()
+    motions: Sequence[Rollout] | None = None
+    draft: Draft | None = None
+    added: bool = False
+
+    @property
+    def model(self) -> RobotModel:
+        """The model to save: that of the explanation, without drafted formulas."""
+        return self.explanation.model
+
+    @property
+    def is_interrupted(self) -> bool:
+        """Whether this is what was found by an interrupt."""
+        return self.explanation.is_interrupted
+
+
+def comparison_page(comparison: Comparison, about: About) -> Page:
+    """Say how far a model is from logs, and where."""
+    errors, units = comparison.errors, about.units
+    return Page(
+        about.title,
+        about.against,
+        "compared",
+        "compared",
+        words.comparison_headline(comparison),
+        words.comparison_lead(comparison),
+        (
+            error_tile("error", errors, units),
+            worst_tile(errors),
+            noise_tile(errors),
+            *removable_tiles(errors, "of the squared error"),
+        ),
+        (
+            joints_section({"RMS": errors}, units, joint_bars(errors)),
+            failing_section({BEFORE: comparison}, effort_chart(comparison, units=units)),
+            residuals_section({BEFORE: comparison}, units),
+            method_section(comparison, refitted=False),
+            notes_section(comparison.notes),
+        ),
+        footer(comparison),
+        about.links,
+    )
+
+
+def diagnosis_page(diagnosis: Diagnosis, about: About) -> Page:
+    """Say which effect a model lacks most."""
+    start, comparison, units = diagnosis.start, diagnosis.comparison, _with_joints(diagnosis, about)
+    found = bool(diagnosis.candidates)
+    best = diagnosis.candidates[0].error_after if found else math.nan
+    ranking = Section(
+        "Candidates",
+        "Each effect was added alone to the model, and everything refitted: nrms before and after.",
+        (
+            "Evidence is twice the logarithm of how much likelier it makes the model, prior odds "
+            "counted. The first is the first step of the most probable explanation; = marks what "
+            "may stand in its place. Chance is how probable it is that it is not needed there.",
+        ),
+        (candidate_bars(diagnosis),) if found else (),
+        (candidates_table(diagnosis, units),),
+    )
+    return Page(
+        about.title,
+        about.against,
+        diagnosis.verdict,
+        "effect found" if found else diagnosis.verdict,
+        words.diagnosis_headline(diagnosis, units),
+        words.diagnosis_lead(diagnosis),
+        (
+            error_tile("as it stands", start, units),
+            error_tile("refitted", diagnosis.refitted, units, "held-out data"),
+            *([Tile("with the effect", number(best), "nrms, held-out data")] if found else []),
+            worst_tile(start),
+            noise_tile(start),
+        ),
+        (
+            ranking,
+            settling_section(diagnosis, about),
+            joints_section({"RMS": start}, units, joint_bars(start)),
+            failing_section({BEFORE: comparison}, effort_chart(comparison, units=units)),
+            residuals_section({BEFORE: comparison}, units),
+            method_section(comparison, refitted=True),
+            notes_section(diagnosis.notes),
+        ),
+        footer(comparison),
+        about.links,
+    )
+
+
+def _with_joints(diagnosis: Diagnosis, about: About) -> Units:
+    joints = tuple(joint.joint for joint in diagnosis.start.joints)
+    return about.units if about.units.joints else Units(joints)
+
+
+def explanation_page(found: Explained | Explanation, about: About) -> Page:
+    """Say what a model lacks, step by step, and what is left; units are those of its own model."""
+    if isinstance(found, Explanation):
+        found = Explained(found)
+    explanation, units = found.explanation, Units.of(found.model, [*about.units.effects.values()])
+    start, end, steps = explanation.start, explanation.end, explanation.steps
+    gone = words.explained_share(start.nrms, end.nrms)
+    stages = {"start": start, "refitted": explanation.refitted, "end": end}
+    models = {BEFORE: explanation.before, **({AFTER: explanation.after} if steps else {})}
+    advice = "" if found.draft or found.added else words.draft_advice(explanation)
+    signals = explanation.model.effort_signals
+    return Page(
+        about.title,
+        about.against,
+        explanation.verdict,
+        words.explanation_mark(explanation, added=found.added),
+        words.explanation_headline(explanation, units, added=found.added),
+        (*words.explanation_lead(explanation), *filter(None, [advice])),
+        (
+            error_tile("as it stands", start, units),
+            *([error_tile("now", end, units, "held-out data")] if steps else []),
+            worst_tile(start, end if steps else None),
+            noise_tile(end),
+            *(
+                [Tile("explained", percent(gone) if gone > 0 else "none", "of the squared error")]
+                if steps
+                else []
+            ),
+            *removable_tiles(end, "of the squared error left"),
+        ),
+        (
+            _steps_section(explanation, units),
+            settling_section(explanation, about),
+            _parameters_section(explanation, units),
+            Section(
+                REST,
+                more=("Shares of the error left at a joint on held-out data.",),
+                items=tuple(map(words.correlate_words, found.correlates)),
+            ),
+            *(_draft_sections(found.draft, units) if found.draft else ()),
+            _motions_section(found.motions, units),
+            failing_section(models, explanation_chart(explanation, units)),
+            joints_section(stages, units, step_joint_bars(explanation)),
+            Section(
+                "Bodies",
+                "Mass in kg and centre of mass in mm before and after, farthest change first; ± is "
+                "from noise alone.",
+                (
+                    "Centres of mass are in the frame of the body. What is attached to a body as a "
+                    "payload stands among the parameters.",
+                ),
+                tables=(bodies_table(explanation.bodies),) if explanation.bodies else (),
+            ),
+            gains_section(signals, units),
+            limits_section(signals, units),
+            residuals_section(models, units),
+            method_section(explanation.after, refitted=True),
+            notes_section(explanation.notes),
+        ),
+        footer(explanation.before),
+        about.links,
+    )
+
+
+def _steps_section(explanation: Explanation, units: Units) -> Section:
+    return Section(
+        "What is missing",
+        "Each effect takes the error on held-out data (nrms) from before to after; everything that "
+        "may move is refitted.",
+        _PERCENT_COLUMNS,
+        (step_bars(explanation),) if explanation.steps else (),
+        (steps_table(explanation, units),),
+    )
+
+
+def settling_section(found: Diagnosis | Explanation, about: About) -> Section:
+    """Return the commands that design motions which would settle what is ambiguous."""
+    commands = tuple(
+        f"{command.replace('MODEL', about.saved)} --save motion_{k}.csv"
+        for k, command in enumerate(distinguishing_commands(found), 1)
+    )
+    return Section(
+        "Motions that would distinguish what the logs cannot",
+        "Record one of these motions, and give its log beside the others.",
+        commands=commands,
+    )
+
+
+def _parameters_section(explanation: Explanation, units: Units) -> Section:
+    """Return the parameters that were found, with their standard deviations and units."""
+    noticed = (
+        "A second deviation comes from the gains of the efforts, and from what stays unexplained. "
+        "More data do not narrow it: a log with a payload of known mass does (--known-payload), "
+        "and what explains the rest.",
+    )
+    return Section(
+        "Parameters found",
+        "Value ± standard deviation, where the fit knows one.",
+        noticed if any(map(_has_noticed, explanation.steps)) else (),
+        tables=tuple(parameters_table(s, units) for s in explanation.steps if s.parameters),
+    )
+
+
+def _has_noticed(step: Step) -> bool:
+    """Return whether a second deviation is shown of one of a step's parameters."""
+    return any(
+        is_noticed(step.deviations[place][name], systematic)
+        for place, own in step.systematic.items()
+        for name, systematic in own.items()
+    )
+
+
+def _motions_section(motions: Sequence[Rollout] | None, units: Units) -> Section:
+    """Return how far the robot departs from its motion under commands; empty without commands."""
+    title = "Departure from the motion under the commands"
+    if motions is None:
+        return Section(title)
+    before, *between, after = motions
+    return Section(
+        title,
+        f"RMS in windows of {after.horizon:g} s that start at the measured state.",
+        (
+            "The model is simulated under the logged commands, and its motion compared with the "
+            "measured one; before with the model as it was and the same servos, and after each "
+            "step.",
+        ),
+        tables=(departures_table(after, before, units, between),),
+    )
+
+
+def _draft_sections(draft: Draft, units: Units) -> tuple[Section, ...]:
+    """Return the formulas that were found, with what they leave and what they make needless."""
+    rest = Section(REST, items=tuple(map(words.correlate_words, draft.correlates)))
+    title = "Formulas for the rest"
+    if not draft.effects:
+        said = "No formula takes away enough of the error to be believed; no file was written."
+        return rest, Section(title, items=(said,))
+    nrms = f"{number(draft.before.nrms)} -> {number(draft.after.nrms)}"
+    needless = [f"{e.name} of {', '.join(e.where)}" for e in draft.needless]
+    return rest, Section(
+        title,
+        f"They take the held-out nrms {nrms}, where sensor noise is "
+        f"{number(draft.after.floor_nrms)}; a formula that fits is not yet a cause.",
+        (
+            "Sums of products of simple functions of the motion, found by a sparse search and "
+            "judged on held-out data. Use the file with --effects; the saved model is without it.",
+        ),
+        tables=(formulas_table(draft),),
+        items=(f"Needless beside the formulas: {', '.join(needless)}",) if needless else (),
+        charts=(draft_chart(draft, units),),
+    )
+
+
+def draft_chart(draft: Draft, units: Units) -> Chart:
+    """Return what formulas explain: over time, and against what everything else leaves."""
+    panels = []
+    for effect in draft.effects:
+        joint, unit = effect.formula.joint, units.effort([effect.formula.joint])
+        steps = np.diff(effect.time)
+        usual = np.median(np.abs(steps)) if len(steps) else 1.0
+        breaks = 1 + np.flatnonzero((steps > _GAP * usual) | (steps < 0))
+        at = np.insert(np.arange(len(effect.time), dtype=float), breaks, breaks - 0.5)
+        left, formula = (np.insert(x, breaks, np.nan) for x in (effect.residual, effect.effort))
+        few = np.linspace(0, len(effect.effort) - 1, min(_MOST_DOTS, len(effect.effort)))
+        order = np.sort(np.argsort(effect.effort, kind="stable")[few.astype(int)])
+        order = order[np.argsort(effect.effort[order], kind="stable")]
+        plots = (
+            Plot(
+                f"effort, {unit}",
+                {_LEFT.key: left, _FORMULA.key: formula},
+                floor=effect.floor,
+                over=at,
+                axis="samples, block after block",
+            ),
+            Plot(
+                "left without it",
+                {_AGAINST.key: effect.residual[order]},
+                over=effect.effort[order],
+                axis=f"formula, {unit}",
+            ),
+        )
+        change = f"RMS {number(effect.rms_before)} → {number(effect.rms_after)} {unit}"
+        panels.append(Panel(joint, change, np.array([]), plots))
+    caption = (
+        "What everything else leaves at a joint, and the effort of the formula: over time, and one "
+        "against the other."
+    )
+    stages = (_LEFT, _FORMULA, _AGAINST)
+    return Chart("draft", caption, stages, tuple(panels), abreast=True)
+
+
+def error_tile(title: str, errors: ErrorTable, units: Units, where: str = "all joints") -> Tile:
+    """Return how large an error is, in N·m first; only its nrms where units are mixed.
+
+    Args:
+        where: What the error is of, in words.
+    """
+    unit = units.effort([joint.joint for joint in errors.joints])
+    if " or " in unit:
+        return Tile(title, number(errors.nrms), f"nrms: error over std of the effort, {where}")
+    nrms = number(errors.nrms)
+    return Tile(title, f"{number(errors.pooled_rms)} {unit}", f"RMS, nrms {nrms}: {where}")
+
+
+def noise_tile(errors: ErrorTable) -> Tile:
+    """Return what sensor noise alone would make, if the logs show any."""
+    if not errors.shows_noise:
+        return Tile("sensor noise", "not seen", "nothing to compare the error with")
+    return Tile("sensor noise", number(errors.floor_nrms), "the nrms of a perfect model")
+
+
+def removable_tiles(errors: ErrorTable, of: str) -> tuple[Tile, ...]:
+    """Return what a better model could remove; none where no noise is seen, as it is unknown then.
+
+    Args:
+        of: What the share is of, in words.
+    """
+    if not errors.shows_noise:
+        return ()
+    return (Tile("removable", percent(words.removable_share(errors)), of),)
+
+
+def worst_tile(before: ErrorTable, after: ErrorTable | None = None) -> Tile:
+    """Return the joint that errs most, of the final model if there is one."""
+    worst = words.worst_joint(after or before).joint
+    tables = [before] if after is None else [before, after]
+    nrms = [next(j.nrms for j in table.joints if j.joint == worst) for table in tables]
+    return Tile("worst joint", worst, f"nrms {' → '.join(map(number, nrms))}", words=True)
+
+
+def joints_section(stages: Mapping[str, ErrorTable], units: Units, bars: Bars) -> Section:
+    """Return the errors of every joint."""
+    joints = [joint.joint for joint in next(iter(stages.values())).joints]
+    return Section(
+        "Joint by joint",
+        f"RMS of measured − predicted effort in {units.effort(joints)}.",
+        (
+            "std is the standard deviation of the measured effort, and nrms the error over it. "
+            "Removable is the share of the squared error above the sensor noise: some model could "
+            "still take it away, though perhaps none of positions and velocities alone.",
+        ),
+        (bars,),
+        (errors_table(stages, units),),
+    )
+
+
+def failing_section(models: Mapping[Stage, Comparison], chart: Chart) -> Section:
+    """Return where the error is concentrated, at first and in the end, in words and over time."""
+    lists = tuple(
+        ColoredList(words.capitalized(stage.label), stage.color, said)
+        for stage, comparison in models.items()
+        for said in [words.failing_list(comparison) or (_EVEN,)]
+    )
+    return Section("Where it fails", lists=lists, charts=(chart,))
+
+
+def residuals_section(models: Mapping[Stage, Comparison], units: Units) -> Section:
+    """Return residuals of models against velocity, position and load."""
+    chart = residual_chart(models, units)
+    return Section("What the error goes with", charts=(chart,), detailed=True)
+
+
+def gains_section(signals: Sequence[EffortSignal], units: Units) -> Section:
+    """Return what makes efforts of currents, voltages and commands; empty where there are none."""
+    return Section(
+        "Gains",
+        "Efforts of these joints were not measured: they are the gains times what was measured.",
+        (
+            "Of servos they are the stiffness times how far the command is ahead, the damping "
+            "times how much faster it is, and the integral gain times how far and how long it was "
+            "ahead. The scale of the gains is that of the model's inertias; a model fitted to "
+            "efforts, or a gain from a data sheet (--gain), tells it better.",
+        ),
+        tables=(signals_table([each for each in signals if each.kind != EFFORT], units),),
+    )
+
+
+def limits_section(signals: Sequence[EffortSignal], units: Units) -> Section:
+    """Return the largest efforts of motors; empty where they are not limited."""
+    own = [signal for signal in signals if signal.kind == EFFORT]
+    rows = tuple(cells(signal.joint, _limit(signal, units)) for signal in own)
+    return Section(
+        "Limits of motors",
+        "Motors of these joints give no more than the limit of what they are asked for.",
+        tables=(Table(("joint", "limit"), rows),),
+    )
+
+
+def method_section(comparison: Comparison, *, refitted: bool) -> Section:
+    """Return how the errors were measured."""
+    folds = list(dict.fromkeys(series.block for series in comparison.series))
+    how = (
+        f"Every error of a refitted model is of held-out data: each of the {len(folds)} folds, "
+        "long blocks with gaps between them or whole logs, was predicted with parameters fitted to "
+        "the others. The model as it stands was not refitted."
+        if refitted
+        else "The model was taken as it stands and nothing was refitted: all data are held-out "
+        "data, provided that the model was not fitted to these logs before."
+    )
+    return Section(
+        "How errors were measured",
+        how,
+        (
+            "Efforts and everything they are compared with passed through the same zero-phase "
+            "filter, and were then reduced to the rate that its bandwidth allows. The noise floor "
+            "is estimated from the efforts themselves.",
+        ),
+        items=(f"Folds: {', '.join(folds)}.",),
+        detailed=True,
+    )
+
+
+def notes_section(notes: Sequence[str]) -> Section:
+    """Return what was done to the logs and noticed about the model."""
+    return Section("Notes", items=tuple(notes))
+
+
+def footer(comparison: Comparison) -> str:
+    """Return the versions of geodrake and of the data."""
+    try:
+        version = importlib.metadata.version("geodrake")
+    except importlib.metadata.PackageNotFoundError:
+        version = "(not installed)"
+    digest = hashlib.sha256()
+    for series in comparison.series:
+        digest.update(f"{series.joint}\n{series.block}\n".encode(errors="surrogateescape"))
+        for values in (series.time, series.position, series.measured):
+            digest.update(values.round(9).tobytes())
+    samples = sum(len(series.time) for series in comparison.series)
+    return (
+        f"Made by geodrake {version}. Data: {samples} prepared samples of effort with fingerprint "
+        f"{digest.hexdigest()[:12]}; the same logs, prepared in the same way, have the same one."
+    )
+
+
+def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
+    """Errors of every joint, the noise floor, and the share that is removable in the end.
+
+    Errors in N·m or N come first, and what they are of the effort's deviation after them. Where the
+    logs show no noise, it and what is removable are unknown.
+
+    Args:
+        stages: Title -> errors of a model, from the first to the last.
+    """
+    *_, last = stages.values()
+    mixed = " or " in units.effort([joint.joint for joint in last.joints])
+    rows = [
+        cells(
+            f"{after.joint}, {units.effort([after.joint])}" if mixed else after.joint,
+            *(number(errors.joints[j].rms) for errors in stages.values()),
+            number(after.floor) if after.shows_noise else UNKNOWN,
+            number(after.std),
+            number(after.nrms),
+            _share(after.removable),
+        )
+        for j, after in enumerate(last.joints)
+    ]
+    pooled = cells(
+        "RMS of all joints",
+        *(number(errors.pooled_rms) for errors in stages.values()),
+        number(last.pooled_floor) if last.shows_noise else UNKNOWN,
+        *[""] * 3,
+    )
+    relative = cells(
+        "nrms of all joints",
+        *(number(errors.nrms) for errors in stages.values()),
+        number(last.floor_nrms) if last.shows_noise else UNKNOWN,
+        "",
+        number(last.nrms),
+        _share(words.removable_share(last)),
+    )
+    totals = (relative,) if mixed else (pooled, relative)
+    head = ("joint", *stages, "noise", "std", "nrms", "removable")
+    return Table(head, (*rows, *totals), total=len(totals))
+
+
+def _share(share: float) -> Cell:
+    return Cell(percent(share), bar=share if math.isfinite(share) else None)
+
+
+def candidates_table(diagnosis: Diagnosis, units: Units) -> Table:
+    """Return the candidates that convince, the chosen one first; = marks those that are as good."""
+    rows = tuple(
+        cells(
+            "=" if candidate.tied and count > 1 else str(count),
+            effect_cell(candidate.effect, units),
+            words.places_label(candidate.where, units.joints),
+            number(candidate.error_before),
+            number(candidate.error_after),
+            number(candidate.evidence),
+            chance(candidate.false_alarm_probability),
+        )
+        for count, candidate in enumerate(diagnosis.candidates, 1)
+    )
+    head = ("", "effect", "where", "before", "after", "evidence", "chance")
+    return Table(head, rows, words=3)
+
+
+def steps_table(explanation: Explanation, units: Units) -> Table:
+    """Return the steps with what was found, what else it may be, errors, and how sure it is."""
+    start, refitted = explanation.start.nrms, explanation.refitted.nrms
+    rows = [cells("", "as it stands", "", "", number(start), "", "", "")]
+    if explanation.steps:
+        values = number(start), number(refitted)
+        rows.append(cells("", "refitted", "its own parameters", *values, "", "", ""))
+    for count, step in enumerate(explanation.steps, 1):
+        others = words.rivals(step)
+        lines = [
+            words.step_place(step, units.joints),
+            *words.step_parameters(step, units),
+            *([f"instead: {others}"] if others else []),
+        ]
+        rows.append(
+            cells(
+                str(count),
+                effect_cell(step.effect, units),
+                "\n".join(lines),
+                number(step.error_before),
+                number(step.error_after),
+                percent(step.agreement),
+                percent(step.probability),
+                chance(step.false_alarm_probability),
+            )
+        )
+    head = (
+        *("", "effect", "where, how much", "before", "after"),
+        *("blocks better", "probability", "by chance"),
+    )
+    return Table(head, tuple(rows), words=3)
+
+
+def effect_cell(name: str, units: Units) -> Cell:
+    """Return an effect, or two that were found together, by name.
+
+    Args:
+        name: Name of the effect, or two joined by " + ".
+    """
+    label, typed = words.effect_label(name), name.replace(" + ", "\n+ ")
+    return Cell(label, words.effect_signature(name, units), typed=typed)
+
+
+def parameters_table(step: Step, units: Units) -> Table:
+    """Places by parameters; a column's unit stands in its head where all places share it."""
+    names = list(dict.fromkeys(name for values in step.parameters.values() for name in values))
+    places = words.ordered_places(step)
+    head, columns = ["where"], []
+    for name in names:
+        found = [units.parameter(step.effect, name, place) for place in places]
+        shared = len(set(found)) == 1
+        title = words.effect_label(name)
+        head.append(f"{title}, {found[0]}" if shared and found[0] else title)
+        column = [words.parameter_value(step, place, name, units) for place in places]
+        if not shared:
+            column = [f"{text} {unit}" for text, unit in zip(column, found, strict=True)]
+        columns.append(column)
+    rows = tuple(cells(place, *texts) for place, *texts in zip(places, *columns, strict=True))
+    title = words.capitalized(words.effect_label(step.effect))
+    return Table(tuple(head), rows, title=title, detailed=not words.is_summarized(step))
+
+
+def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
+    """Return what makes efforts of the currents, voltages and commands of logs.
+
+    Args:
+        signals: Those of a model, without those of motors that are asked for efforts.
+    """
+    rows, served = [], any(signal.kind == COMMAND for signal in signals)
+    summed = any(signal.integral for signal in signals)
+    limited = any(signal.limit < math.inf for signal in signals)
+    for signal in signals:
+        gain = with_deviation(signal.gain, signal.deviation)
+        row = [signal.joint, signal.kind, gain, units.at(signal.joint, signal.unit)]
+        if served:
+            damping = with_deviation(signal.damping, signal.damping_deviation)
+            rate = units.at(signal.joint, "N·m·s/rad")
+            row += [f"{damping} {rate}" if signal.damping else UNKNOWN]
+            row += [f"{1e3 * signal.delay:.2g} ms"]
+        if summed:
+            integral = with_deviation(signal.integral, signal.integral_deviation)
+            unit = units.at(signal.joint, "N·m/(rad·s)")
+            row += [f"{integral} {unit}" if signal.integral else UNKNOWN]
+        if limited:
+            row += [_limit(signal, units)]
+        rows.append(cells(*row))
+    more = ("damping", "late by") if served else ()
+    more = (*more, *(["integral"] if summed else []), *(["limit"] if limited else []))
+    head = ("joint", "in place of efforts", "gain", "unit", *more)
+    return Table(head, tuple(rows), words=2)
+
+
+def _limit(signal: EffortSignal, units: Units) -> str:
+    """Return the largest effort of a joint, and the speed at which there is none."""
+    if signal.limit == math.inf:
+        return UNKNOWN
+    most = f"{number(signal.limit)} {units.at(signal.joint, 'N·m')}"
+    if signal.no_load_speed == math.inf:
+        return most
+    return f"{most}, none at {number(signal.no_load_speed)} {units.at(signal.joint, 'rad/s')}"
+
+
+def formulas_table(draft: Draft) -> Table:
+    """Drafted effects with their coefficients."""
+    rows = tuple(
+        cells(
+            Cell(effect.formula.joint, typed=draft.names[effect.formula.joint]),
+            "\n".join((effect.formula.words(), *_coefficients(effect))),
+            number(effect.rms_before),
+            number(effect.rms_after),
+            number(effect.floor),
+            chance(effect.false_alarm_probability),
+        )
+        for effect in draft.effects
+    )
+    head = ("joint", "formula", "RMS before", "after", "noise", "false alarm")
+    return Table(head, rows, words=2)
+
+
+def _coefficients(effect: DraftedEffect) -> list[str]:
+    values = zip(effect.formula.parameters, effect.coefficients, effect.deviations, strict=True)
+    return [
+        f"{p.name} = {with_deviation(float(c), float(d))} {p.unit}".removesuffix(" 1")
+        for p, c, d in values
+    ]
+
+
+def bodies_table(bodies: Sequence[BodyChange]) -> Table:
+    """Mass and centre of mass of every body before and after, in kg and mm."""
+    rows = [
+        cells(
+            body.name,
+            number(body.mass[0]),
+            with_deviation(body.mass[1], body.mass_deviation),
+            _place(body.com[0]),
+            _centre(body),
+            "at the boundary" if body.at_boundary else "",
+        )
+        for body in bodies
+    ]
+    masses = [number(sum(body.mass[k] for body in bodies)) for k in (0, 1)]
+    head = ("body", "mass", "identified", "centre of mass", "identified", "")
+    return Table(head, (*rows, cells("total", *masses, "", "", "")), total=1)
+
+
+def _place(com: Array) -> str:
+    """A point in whole millimetres."""
+    return ", ".join(f"{x:.0f}".replace("-", "−") for x in np.round(_MILLIMETRES * com) + 0.0)
+
+
+def _centre(body: BodyChange) -> Cell:
+    """The centre of mass found, and every coordinate with its deviation."""
+    com, deviation = _MILLIMETRES * body.com[1], _MILLIMETRES * body.com_deviation
+    pairs = zip(com.tolist(), deviation.tolist(), strict=True)
+    each = ", ".join(with_deviation(x, sigma) for x, sigma in pairs)
+    size = float(np.linalg.norm(deviation))
+    words = f"{size:.0f}" if size < _FAR else number(size)
+    return Cell(f"{_place(body.com[1])} ± {words}", note=each)

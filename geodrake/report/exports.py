@@ -1,0 +1,585 @@
+"""Pages of `export`, `check`, `digest` and `log`: what was written, compared and understood."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.control.export_proof.export import ProvenExport
+from geodrake.diagnosis.columns import ColumnFinding
+from geodrake.fleet.digest_folder import FAILED, MADE, THERE, DigestRow, DigestRun
+from geodrake.fleet.log_places import date_text
+from geodrake.fleet.settings import SETTINGS_FILE, DigestSettings
+from geodrake.logs.inspection import LogInspection
+from geodrake.model.dynamics_check import TOLERANCE, Agreement, DynamicsCheck
+from geodrake.model.exporting.joints import exported_joints
+from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
+from geodrake.report.explaining import effect_cell, notes_section
+from geodrake.report.json_output import NoNumber, number_or
+from geodrake.report.numbers import Units, number, percent
+from geodrake.report.page import About, Cell, Page, Section, Table, Tile, cells
+from geodrake.report.words import capitalized
+
+_NAMED = 3  # effects, at most, that a sentence names
+_FROM = {"stamps": "its time stamps", "option": "--date", "file": "when its file was changed"}
+_DIGITS = 12  # of a hash, in words
+_MOST_NAMED = 3  # gaps or rests that are named
+_SI = {"current": "A", "voltage": "V", "pwm": "share"}  # which names of quantities do not say
+_POSITION, _COMMAND = Stage("position", "position", "after"), Stage("command", "command", "quiet")
+_EMPTY = "all its cells are empty"
+_EFFORT = Stage("effort", "effort", "before")
+
+
+def export_page(found: ProvenExport, about: About) -> Page:
+    """Say what an export holds and lacks, and what simulators make of it."""
+    units, costs = about.units, found.costs
+    tiles = [Tile("format", found.form.name, ", ".join(found.exported.files))]
+    if costs is not None:
+        tiles += [
+            Tile("model", number(costs.whole), "nrms"),
+            Tile("files", number(costs.held), "nrms of what they hold"),
+        ]
+        if costs.ignored is not None:
+            left = ", ".join(found.proof.ignored)
+            tiles.append(Tile("simulated", number(costs.ignored), f"nrms without {left}"))
+    headline, _, rest = _export_words(found).partition(". ")
+    costed = "" if costs is None else f" nrms without each, {number(costs.whole)} with all."
+    on = f", on {', '.join(about.logs)}" if about.logs else ""
+    return Page(
+        about.title,
+        f"{about.model} to {found.form.name}{on}",
+        "compared",
+        "exported",
+        f"{capitalized(headline.removesuffix('.'))}.",
+        (rest,) if rest else (),
+        tuple(tiles),
+        (
+            Section(
+                "What the files hold",
+                "Values in the files, beside the inertias.",
+                (
+                    "Friction that they cannot hold is approximated by least squares over the "
+                    "motion.",
+                ),
+                tables=(_holds_table(found, units),),
+            ),
+            Section(
+                "What they cannot hold",
+                f"Effects that are approximated or left out.{costed}",
+                tables=(_lacks_table(found, units),),
+            ),
+            Section(
+                "Loaded again",
+                "Each simulator read the files itself, and is compared with the model they hold.",
+                (
+                    "Efforts are those that the motion needs; positions those of rollouts from "
+                    "states of the motion on, in steps of a millisecond.",
+                ),
+                tables=(_proof_table(found, units),),
+            ),
+            notes_section(found.notes),
+        ),
+        "Made by geodrake: a model written for a simulator, and loaded again.",
+    )
+
+
+def _export_words(found: ProvenExport) -> str:
+    """Return what an export holds, and what that means, in a sentence or more."""
+    names = [cost.lost.effect for cost in found.lacks]
+    lacks = ", ".join(names) if len(names) <= _NAMED else f"{len(names)} effects"
+    words = f"the files hold the model but for {lacks}" if lacks else "the files hold the model"
+    if found.costs is not None:
+        words += f"; nrms {number(found.costs.whole)} of the model"
+        if lacks:
+            words += f", {number(found.costs.held)} of the files"
+    if found.proof.ignored:
+        engine = found.proof.differences[0].engine.partition(" ")[0]
+        words += f". {engine} does not act on {', '.join(found.proof.ignored)} in them"
+        if found.costs is not None and found.costs.ignored is not None:
+            words += f": nrms {number(found.costs.ignored)} there"
+    off = [difference for difference in found.proof.differences if not difference.is_rounding]
+    if off:
+        words += f". {off[0].engine} differs from geodrake by more than rounding"
+    elif found.proof.differences:
+        words += ". Simulators that load them agree with geodrake to rounding"
+    return f"{words}."
+
+
+def _holds_table(found: ProvenExport, units: Units) -> Table:
+    """Return damping, dry friction, rotors and springs in the files, by joint."""
+    rows = []
+    for joint, values in exported_joints(found.held).items():
+        terms = {
+            "N·m·s/rad": values.damping,
+            "N·m": values.friction,
+            "kg·m²": values.armature,
+            "N·m/rad": values.stiffness,
+        }
+        if any(terms.values()):
+            told = (
+                f"{number(value)} {units.at(joint, unit)}" if value else "0"
+                for unit, value in terms.items()
+            )
+            rest = f"{number(values.rest)} {units.at(joint, 'rad')}" if values.stiffness else ""
+            rows.append(cells(joint, *told, rest))
+    head = ("joint", "damping", "dry friction", "rotor inertia", "spring", "at rest")
+    return Table(head, tuple(rows))
+
+
+def _lacks_table(found: ProvenExport, units: Units) -> Table:
+    """Return the effects that the files cannot hold, and what each costs."""
+    rows = []
+    for cost in found.lacks:
+        where, into = cost.lost.where, " and ".join(cost.lost.into)
+        everywhere = not where or set(where) == set(found.held.joints)
+        rows.append(
+            cells(
+                effect_cell(cost.lost.effect, units),
+                "all" if everywhere else ", ".join(where),
+                f"fitted into {into}" if into else "left out",
+                *([] if cost.nrms is None else [number(cost.nrms)]),
+            )
+        )
+    head = ("effect", "where", "in the files", *(() if found.costs is None else ("nrms",)))
+    return Table(head, tuple(rows), words=3)
+
+
+def _proof_table(found: ProvenExport, units: Units) -> Table:
+    """Return how far each simulator is from the model."""
+    rows = []
+    for each in found.proof.differences:
+        unit = units.at(each.joint, "N·m" if each.what == "effort" else "rad")
+        part = "" if each.compared == 1.0 else f", {percent(each.compared)} of samples"
+        rows.append(
+            cells(
+                each.engine,
+                f"{each.what}{part}",
+                ", ".join(each.without) or "nothing",
+                each.joint,
+                f"{number(each.largest, 2)} {unit}",
+                f"{number(each.typical)} {unit}",
+            )
+        )
+    head = ("loaded by", "compared", "without", "worst joint", "largest difference", "of RMS")
+    return Table(head, tuple(rows), words=4)
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedModel:
+    """A check, and what is to be known of the model, repairs first."""
+
+    check: DynamicsCheck
+    notes: tuple[str, ...]
+
+
+def check_page(checked: CheckedModel, about: About) -> Page:
+    """Say whether a model's dynamics are MultibodyPlant's, and where they differ most."""
+    found = checked.check
+    states = "1 random state" if found.samples == 1 else f"{found.samples} random states"
+    rows = tuple(
+        cells(
+            each.quantity,
+            " & ".join(each.where),
+            f"{each.difference:.1e}",
+            f"{each.size:.3g}",
+            f"{each.relative:.1e}",
+        )
+        for each in (*found.agreements, *([found.second] if found.second else []))
+    )
+    table = Table(("quantity", "largest at", "difference", "of", "relative"), rows, words=2)
+    return Page(
+        about.title,
+        f"{about.model} against MultibodyPlant, {states}",
+        "compared",
+        "checked",
+        _check_words(found),
+        (),
+        (),
+        (
+            Section(
+                "Largest differences",
+                "In N·m or N, of the mass matrix in kg·m² or kg, beside the largest value.",
+                tables=(table,),
+            ),
+            notes_section(checked.notes),
+        ),
+    )
+
+
+def _check_words(found: DynamicsCheck) -> str:
+    """Return what a check amounts to, in a sentence."""
+    worst, second = found.worst, found.second
+    file = ""
+    if second is not None:
+        file = f" {found.by}, which reads the file itself, differs by {_largest(second)}."
+    inertias = len(found.repairs) > len(found.left_out)
+    if found.repairs and found.is_rounding:
+        parts = ["has inertias that cannot be used"] if inertias else []
+        parts += ["states forces or parts that geodrake does not model"] if found.left_out else []
+        return (
+            f"the file {' and '.join(parts)}, so what was checked is not the file as it stands "
+            f"(see Notes). Of what is used instead, the largest relative difference to "
+            f"MultibodyPlant is {_largest(worst)}.{file}"
+            + (" Correct the inertias in the file." if inertias else "")
+        )
+    if found.is_rounding and second is not None and not second.holds:
+        return (
+            f"geodrake and MultibodyPlant agree, but geodrake reads the file differently from "
+            f"{found.by}: efforts differ by {_largest(second)}. Please report it with the file."
+        )
+    if found.holds:
+        others = f", as does {found.by}, which reads the file itself" if second is not None else ""
+        alone = f" There is no second opinion on the file: {found.by}." if second is None else ""
+        most = max((worst, *([second] if second else [])), key=lambda each: each.relative)
+        return (
+            f"geodrake and MultibodyPlant agree{others}; the largest relative difference is "
+            f"{_largest(most)}.{alone}"
+        )
+    return (
+        f"geodrake and MultibodyPlant disagree: a relative difference is {_largest(worst)}, where "
+        f"rounding is below {TOLERANCE:g}. This is a bug in geodrake; please report it with the "
+        "model."
+    )
+
+
+def _largest(each: Agreement) -> str:
+    return f"{each.relative:.0e} at {' & '.join(each.where)} ({each.quantity})"
+
+
+def digests_page(run: DigestRun, about: About) -> Page:
+    """Say which logs have digests, and which do not."""
+    made, there, failed = (run.count(status) for status in (MADE, THERE, FAILED))
+    headline = f"{made} made, {there} there already, {failed} failed: "
+    headline += "the exit code is 1." if failed else f"every log has its digest in {run.folder}."
+    rows = tuple(_digest_cells(row) for row in run.rows if row.status != FAILED)
+    head = ("log", "digest", "", "began", "by", "s", "samples", "effective")
+    failures = [f"{row.file}: {row.reason}" for row in run.rows if row.status == FAILED]
+    return Page(
+        about.title,
+        about.against,
+        "compared",
+        "digested",
+        headline,
+        (),
+        (),
+        (
+            Section(f"Digests in {run.folder}", tables=(Table(head, rows, words=5),)),
+            Section("Logs without a digest", items=tuple(failures)),
+            notes_section(digest_notes(run)),
+        ),
+    )
+
+
+def _digest_cells(row: DigestRow) -> tuple[Cell, ...]:
+    about, name, samples, effective = row.about, row.digest, row.samples, row.effective
+    if about is None or name is None or samples is None or effective is None:
+        return cells(row.file.name, *("",) * 7)
+    ends = (f"{values.min():.0f} to {values.max():.0f}" for values in (samples, effective))
+    ends = (text.partition(" ")[0] if len({*text.split(" to ")}) == 1 else text for text in ends)
+    return cells(
+        row.file.name,
+        name.name[:_DIGITS] + "…",
+        row.status,
+        date_text(about.date),
+        _FROM[about.date_from],
+        f"{about.seconds:.3g}",
+        *ends,
+    )
+
+
+def digest_notes(run: DigestRun) -> list[str]:
+    """Return where settings are from, and what is to say of digests."""
+    notes = list(run.repairs)
+    notes += [
+        f"{row.file}: {row.reason}" for row in run.rows if row.status != FAILED and row.reason
+    ]
+    if run.settings is not None and run.chosen:
+        notes.append(
+            f"settings of all digests of {run.folder} are chosen from {run.settings.chosen_from}: "
+            f"bandwidth {run.settings.bandwidth:.3g} Hz, {len(run.settings.columns)} columns; they "
+            f"are in {SETTINGS_FILE}"
+        )
+    if any(row.about is not None and row.about.date_from == "file" for row in run.rows):
+        notes.append(
+            "dates by when files were changed are those of copies, too: --date says others"
+        )
+    return notes
+
+
+@dataclass(frozen=True, eq=False)
+class InspectedLogs:
+    """Logs as they were understood, by name, and their columns beside a model.
+
+    Attributes:
+        columns: What is wrong with columns.
+        unchecked: Why columns were not compared with the model; "" if they were, or there is none.
+        repairs: What of the model's file is not believed; None without a model.
+    """
+
+    logs: Sequence[tuple[str, LogInspection]]
+    columns: Sequence[ColumnFinding] = ()
+    unchecked: str = ""
+    repairs: Sequence[str] | None = None
+
+
+def logs_page(found: InspectedLogs, about: About) -> Page:
+    """Say what was understood of logs; one that is alone is drawn, too."""
+    sections = [
+        Section("Columns are not what they seem", items=tuple(map(str, found.columns))),
+        Section(
+            "Columns were not compared with the model",
+            items=(found.unchecked,) if found.unchecked else (),
+        ),
+    ]
+    for name, each in found.logs:
+        sections += [
+            Section(name, tables=(_columns_table(each),)),
+            Section("Rows", items=_row_words(each)),
+            notes_section(each.notes),
+        ]
+    return Page(about.title, "", "", "understood", "", (), (), tuple(sections))
+
+
+def _columns_table(found: LogInspection) -> Table:
+    """Return which column became which joint and quantity."""
+    rows = [
+        cells(
+            column.joint,
+            column.quantity,
+            column.column,
+            _unit_words(column.unit or _SI.get(column.quantity, ""), column.factor),
+            number(column.lowest),
+            number(column.highest),
+            str(column.empty or ""),
+        )
+        for column in found.columns
+    ]
+    head = ("joint", "quantity", "column", "unit", "least", "largest", "empty")
+    return Table(head, tuple(rows), words=4)
+
+
+def _unit_words(unit: str, factor: float) -> str:
+    if not np.isclose(factor, 1.0, rtol=1e-12, atol=0.0):
+        return f"{unit} × {number(factor, 4)}".strip()
+    return unit
+
+
+def _row_words(found: LogInspection) -> tuple[str, ...]:
+    """Return rows, rates, gaps and rest, in sentences."""
+    log, mean = found.log, len(found.log) / found.seconds
+    source = f"time from {found.time_column}" if found.time_column else "time by --rate"
+    words = [
+        f"{len(log)} rows in {number(found.seconds)} s, typically every "
+        f"{number(1e3 * found.period)} ms, {number(mean, 4)} a second on average; {source}",
+    ]
+    if found.jitter > 1e-3 * found.period:
+        words.append(
+            f"time between rows varies by {number(1e3 * found.jitter)} ms (standard deviation)"
+        )
+    gaps = [f"{number(length)} s at t = {instant:.2f} s" for instant, length in found.gaps]
+    if gaps:
+        words.append(f"{len(gaps)} gaps: {_named(gaps)}")
+    rests = [f"t = {first:.2f} to {last:.2f} s" for first, last in found.rests]
+    if rests:
+        share = percent(found.rest / found.seconds)
+        words.append(f"at rest for {number(found.rest)} s, {share}: {_named(rests)}")
+    return tuple(words)
+
+
+def _named(words: Sequence[str]) -> str:
+    return ", ".join(words[:_MOST_NAMED]) + (" …" if len(words) > _MOST_NAMED else "")
+
+
+def log_chart(found: LogInspection) -> Chart:
+    """Return positions and efforts of every joint over time, stretches at rest shaded.
+
+    Commands are beside positions; without efforts, how far they are from there.
+    """
+    log, panels = found.log, []
+    rests = tuple(
+        Shade(_POSITION.key, first, last, "no joint moves") for first, last in found.rests
+    )
+    for row, joint in enumerate(log.joints):
+        positions = {_POSITION.key: log.position[:, row]}
+        if log.command is not None and np.isfinite(log.command[:, row]).any():
+            positions[_COMMAND.key] = log.command[:, row]
+        effort, words = _effort_curve(found, row)
+        plots = Plot("position, rad or m", positions), Plot(words, {_EFFORT.key: effort})
+        panels.append(Panel(joint, "", log.time, plots, rests))
+    used = {key for panel in panels for plot in panel.plots for key in plot.curves}
+    stages = tuple(stage for stage in (_POSITION, _COMMAND, _EFFORT) if stage.key in used)
+    spans = (("", float(log.time[0]), float(log.time[-1]), 0.0),)
+    caption = "Shaded: no joint moves." if found.rests else ""
+    return Chart("log", caption, stages, tuple(panels), spans, "time, s")
+
+
+def _effort_curve(found: LogInspection, row: int) -> tuple[NDArray[np.float64], str]:
+    """(N,) what a joint has for its effort, and what it is."""
+    log = found.log
+    kind = log.effort_kinds.get(log.joints[row], "effort")
+    effort = log.effort[:, row]
+    if log.command is not None and not np.isfinite(effort).any():
+        return log.command[:, row] - log.position[:, row], "command − position, rad or m"
+    words = {"pwm": "duty cycle, share of 1", "effort": "effort, N·m or N"}
+    return effort, words.get(kind, f"{kind}, {_SI.get(kind, '')}")
+
+
+def export_dict(found: ProvenExport) -> dict[str, Any]:
+    """An export: its files, what they hold and lack, and what simulators make of them.
+
+    Returns:
+        `format`, `files`; `holds`, the effects in them with their parameters; `lacks`, each with
+        what stands `into` its place and its `nrms`; `error` on the logs; `differences` from the
+        model by simulator (N·m or N, rad or m), `ignored` effects, and `notes`.
+    """
+    costs = found.costs
+    return {
+        "format": found.form.name,
+        "files": list(found.exported.files),
+        "holds": [
+            {
+                "effect": fitted.effect.name,
+                "where": list(fitted.effect.where),
+                "shape": fitted.effect.reported_shape,
+                "parameters": dict(
+                    zip(
+                        (parameter.name for parameter in fitted.effect.parameters),
+                        fitted.parameters.tolist(),
+                        strict=True,
+                    )
+                ),
+            }
+            for fitted in found.held.effects
+        ],
+        "lacks": [
+            {
+                "effect": cost.lost.effect,
+                "where": list(cost.lost.where),
+                "into": list(cost.lost.into),
+                **({} if cost.nrms is None else {"nrms": cost.nrms}),
+            }
+            for cost in found.lacks
+        ],
+        "error": {}
+        if costs is None
+        else {"nrms": costs.whole, "held_nrms": costs.held}
+        | ({} if costs.ignored is None else {"simulated_nrms": costs.ignored}),
+        "differences": [asdict(difference) for difference in found.proof.differences],
+        "ignored": list(found.proof.ignored),
+        "notes": list(found.notes),
+    }
+
+
+def digests_dict(run: DigestRun) -> dict[str, Any]:
+    """Return what became of logs, as plain numbers for JSON."""
+    return {
+        "folder": str(run.folder),
+        "settings": NoNumber("no log could be used")
+        if run.settings is None
+        else _digest_settings(run.settings),
+        "counts": {status: run.count(status) for status in (MADE, THERE, FAILED)},
+        "logs": [_digest_row(row, run.settings) for row in run.rows],
+        "notes": digest_notes(run),
+    }
+
+
+def _digest_settings(settings: DigestSettings) -> dict[str, Any]:
+    return {
+        "hash": settings.hash,
+        "model": settings.model,
+        "version": settings.version,
+        "bandwidth": settings.bandwidth,
+        "blocks": settings.blocks,
+        "columns": len(settings.columns),
+        "chosen_from": settings.chosen_from,
+    }
+
+
+def _digest_row(row: DigestRow, settings: DigestSettings | None) -> dict[str, Any]:
+    said: dict[str, Any] = {"log": str(row.file), "status": row.status, "reason": row.reason}
+    about = row.about
+    if about is None or settings is None or row.samples is None or row.effective is None:
+        return said
+    unknown = "it was not measured"
+    temperature, position, speed = about.temperature, about.position, about.speed
+    return {
+        **said,
+        "digest": str(row.digest),
+        "date": date_text(about.date),
+        "date_from": about.date_from,
+        "seconds": about.seconds,
+        "joints": {
+            joint: {
+                "samples": int(row.samples[j]),
+                "effective": float(row.effective[j]),
+                "noise_floor": float(about.noise_floor[j]),
+                "position": position[:, j].tolist(),
+                "speed": speed[:, j].tolist(),
+                "temperature": number_or(float(temperature[j]), unknown),
+            }
+            for j, joint in enumerate(settings.joints)
+        },
+        "notes": list(about.notes),
+    }
+
+
+def inspection_dict(found: LogInspection) -> dict[str, Any]:
+    """What was understood of a log, as numbers and names."""
+    return {
+        "name": found.log.name,
+        "joints": list(found.log.joints),
+        "rows": len(found.log),
+        "seconds": found.seconds,
+        "period": found.period,
+        "jitter": found.jitter,
+        "time_column": found.time_column,
+        "columns": [
+            {
+                "joint": column.joint,
+                "quantity": column.quantity,
+                "column": column.column,
+                "unit": column.unit,
+                "factor": column.factor,
+                "lowest": number_or(column.lowest, _EMPTY),
+                "highest": number_or(column.highest, _EMPTY),
+                "empty": column.empty,
+            }
+            for column in found.columns
+        ],
+        "gaps": [{"time": instant, "seconds": length} for instant, length in found.gaps],
+        "rests": [{"from": first, "to": last} for first, last in found.rests],
+        "notes": list(found.notes),
+    }
+
+
+def check_dict(checked: CheckedModel) -> dict[str, Any]:
+    """Return a check as plain numbers, for JSON."""
+    found = checked.check
+    return {
+        "agrees": found.holds,
+        "repaired": len(found.repairs) > len(found.left_out),
+        "left_out": list(found.left_out),
+        "tolerance": TOLERANCE,
+        "samples": found.samples,
+        "seed": found.seed,
+        "bodies": found.bodies,
+        "joints": found.joints,
+        "quantities": {each.quantity: _agreement(each) for each in found.agreements},
+        "second_opinion": {"by": found.by} | (_agreement(found.second) if found.second else {}),
+        "worst": found.worst.quantity,
+        "notes": list(checked.notes),
+    }
+
+
+def _agreement(each: Agreement) -> dict[str, Any]:
+    why = "a computed value is no number"
+    return {
+        "difference": number_or(each.difference, why),
+        "size": number_or(each.size, why),
+        "relative": number_or(each.relative, why),
+        "where": each.where,
+    }

@@ -1,0 +1,362 @@
+"""The page of `fleet`: all robots at a glance, then each that changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.fleet.fleet_result import (
+    CHANGED,
+    STEADY,
+    UNKNOWN,
+    ChangedParameter,
+    FleetFinding,
+    FleetResult,
+    ParameterHistory,
+    RobotResult,
+)
+from geodrake.fleet.history import DAY
+from geodrake.fleet.log_places import date_text
+from geodrake.fleet.type_columns import RAMP, STEP
+from geodrake.fleet.type_layout import BODIES, FleetParameter
+from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
+from geodrake.report.explaining import notes_section
+from geodrake.report.numbers import chance, number, percent, with_deviation
+from geodrake.report.page import About, Cell, Page, Section, Table, Tile, cells
+from geodrake.report.words import effect_label
+
+Array = NDArray[np.float64]
+
+_VALUE = Stage("value", "value of each log", "after")
+_INTERVAL = Stage("interval", "95 % interval", "measured")
+_LEVEL = Stage("level", "mean before and after a change", "before", look="wide")
+
+_MOST_PAGES = 12  # robots that are shown by themselves
+_MOST_PLACES = 12  # joints of the table of robots and joints
+_MOST_ROBOTS, _MOST_UNUSED = 20, 20  # that are listed
+_WITHIN = 1.96  # deviations of an interval of 95 %
+_FAR = 5.0  # spreads at which a bar is full
+_CERTAIN = 3.0  # deviations from 0 from which on a part of a change is told in a line
+
+
+@dataclass(frozen=True, eq=False)
+class WatchedFleet:
+    """A fleet's result, its folder, and what was read of it in words."""
+
+    result: FleetResult
+    folder: str = ""
+    words: str = ""
+
+
+def fleet_page(found: WatchedFleet | FleetResult, about: About) -> Page:
+    """Say which robots of a fleet changed, at which joint, by what, since when."""
+    if isinstance(found, FleetResult):
+        found = WatchedFleet(found)
+    result, folder = found.result, found.folder
+    changed = [robot for robot in result.robots if robot.findings]
+    steady = [robot for robot in result.robots if not robot.findings]
+    shown = (changed or [robot for robot in steady if robot.logs][:1])[:_MOST_PAGES]
+    place = f" All of it is in {folder}." if folder else ""
+    count = f"{len(result.robots)} robots, {sum(robot.logs for robot in result.robots)} logs"
+    unused = [f"{each.robot}: {each.log}: {each.reason}" for each in result.unused]
+    more = [f"and {len(unused) - _MOST_UNUSED} more, in {folder}"]
+    return Page(
+        about.title,
+        f"{about.model}: {found.words or count}",
+        CHANGED if changed else STEADY,
+        CHANGED if changed else STEADY,
+        fleet_verdict(result),
+        (*map(_surest, result.findings[:1]), *([place.strip()] if place else [])),
+        _tiles(result),
+        (
+            Section(
+                "What changed",
+                "Robots, worst first, with what changed since when.",
+                (
+                    "A change is named if logs say so much for it hardly by chance: in robots in "
+                    f"which nothing changed, of at most {percent(result.false_alarms)} a "
+                    "robot-month.",
+                ),
+                tables=(_findings_table(result.findings),),
+            ),
+            Section(
+                "The fleet at a glance",
+                "How far each robot is from others of its type, in spreads by which these differ.",
+                ("At each joint the parameter that is farthest, without changes.",),
+                tables=_glance_tables(result.robots),
+                detailed=True,
+            ),
+            *(_robot_section(robot, at) for at, robot in enumerate(shown)),
+            Section(
+                "Robots in which nothing was found",
+                f"The farthest from others first, {_MOST_ROBOTS} at most.",
+                tables=(_robots_table(steady[:_MOST_ROBOTS]),),
+            ),
+            notes_section(result.repairs),
+            Section(
+                "Logs that are not used",
+                items=(*unused[:_MOST_UNUSED], *(more if len(unused) > _MOST_UNUSED else [])),
+            ),
+        ),
+        "Made by geodrake: which robot changed, at which joint, by what, since when.",
+        about.links,
+    )
+
+
+def fleet_verdict(result: FleetResult) -> str:
+    """Return how many robots changed, in a sentence."""
+    total, changed, unknown = len(result.robots), result.count(CHANGED), result.count(UNKNOWN)
+    words = f"{changed} of {_counted(total, 'robot')} changed"
+    if unknown:
+        words += f"; {_counted(unknown, 'robot')} without a log that could be used"
+    if result.unused:
+        words += f"; {_counted(len(result.unused), 'log')} not used"
+    return f"{words}."
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def _surest(finding: FleetFinding) -> str:
+    return (
+        f"The surest: {_change_label(finding)} of {finding.where} in {finding.robot}, since "
+        f"{_since(finding)}: {_size(finding)}."
+    )
+
+
+def _tiles(result: FleetResult) -> tuple[Tile, ...]:
+    last = max(result.findings, key=lambda each: each.date, default=None)
+    latest = () if last is None else (Tile("latest", _since(last), last.robot, words=True),)
+    return (
+        Tile("changed", str(result.count(CHANGED)), f"of {len(result.robots)} robots"),
+        Tile("steady", str(result.count(STEADY)), "nothing found in them"),
+        Tile("logs not used", str(len(result.unused)), "each with its reason below"),
+        *latest,
+    )
+
+
+def _day(seconds: float) -> str:
+    """Return a date to the minute, or to the day where it is at midnight: `2026-05-04 12:30`."""
+    return date_text(seconds)[:16].replace("T", " ").removesuffix(" 00:00")
+
+
+def _since(finding: FleetFinding) -> str:
+    """Return since when, with the interval where that is more than the day itself."""
+    low, high = map(_day, finding.interval)
+    when = _day(finding.date)
+    return when if low == high else f"{when} ({low} to {high})"
+
+
+def _changed(parameter: ChangedParameter) -> str:
+    """`mass + 0.60 ± 0.01 kg`, with the share where there is one."""
+    size = with_deviation(parameter.size, parameter.deviation)
+    sign = "" if size.startswith(("−", "(")) else "+"
+    share = f", {percent(parameter.share)}" if parameter.share == parameter.share else ""
+    return f"{parameter.name} {sign}{size} {parameter.unit}".rstrip() + share
+
+
+def _size(finding: FleetFinding) -> str:
+    """Return what changed by how much: the parts that are not nothing, at least the first."""
+    first, *others = finding.parameters
+    told = [each for each in others if abs(each.size) > _CERTAIN * each.deviation]
+    return "; ".join(map(_changed, (first, *told)))
+
+
+def _label(effect: str) -> str:
+    return effect_label(effect.replace("+", " + "))
+
+
+def _change_label(finding: FleetFinding) -> str:
+    """Return what changed, in words: `Coulomb friction, going on`."""
+    return _label(finding.effect) + (", going on" if finding.kind == RAMP else "")
+
+
+def _findings_table(findings: Sequence[FleetFinding]) -> Table:
+    rows = tuple(
+        cells(
+            finding.robot,
+            Cell(_change_label(finding), typed=finding.effect),
+            finding.where,
+            _since(finding),
+            _size(finding),
+            "; ".join(
+                f"{_label(r.effect)} of {r.where}, {percent(r.probability)}" for r in finding.rivals
+            ),
+            chance(finding.probability),
+            chance(finding.false_alarm_probability),
+        )
+        for finding in findings
+    )
+    head = ("robot", "effect", "where", "since", "change", "or", "probability", "by chance")
+    return Table(head, rows, words=6)
+
+
+def _robots_table(robots: Sequence[RobotResult]) -> Table:
+    """Return what is known of robots, and what is farthest from others."""
+    rows = []
+    for robot in robots:
+        ends = robot.dates[[0, -1]].tolist() if len(robot.dates) else []
+        first, last = map(_day, ends) if ends else ("", "")
+        farthest = robot.farthest
+        rows.append(
+            cells(
+                robot.robot,
+                robot.type,
+                robot.state,
+                first,
+                last,
+                "" if farthest is None else _parameter(farthest.parameter),
+                str(robot.logs),
+                "" if farthest is None else number(farthest.apart, 2),
+            )
+        )
+    head = ("robot", "type", "state", "from", "to", "farthest from others", "logs", "spreads")
+    return Table(head, tuple(rows), words=6)
+
+
+def _parameter(parameter: FleetParameter) -> str:
+    """Such as `Coulomb friction of elbow, coulomb`; of bodies the combination itself."""
+    if parameter.effect == BODIES:
+        return parameter.name
+    return f"{effect_label(parameter.effect)} of {parameter.where}, {parameter.name}"
+
+
+def _glance_tables(robots: Sequence[RobotResult]) -> tuple[Table, ...]:
+    """Robots × joints for each type: what changed there, or how far it is from others."""
+    tables = []
+    for kind in dict.fromkeys(robot.type for robot in robots):
+        own = [robot for robot in robots if robot.type == kind]
+        places = list(
+            dict.fromkeys(each.parameter.where for robot in own for each in robot.histories)
+        )[:_MOST_PLACES]
+        rows = []
+        for robot in own:
+            others = [f for f in robot.findings if f.where not in places]
+            bodies = ", ".join(f"{_change_label(f)} of {f.where}" for f in others)
+            at = (_place_cell(robot, place) for place in places)
+            rows.append(cells(robot.robot, robot.state, bodies, *at))
+        head = ("robot", "state", "bodies", *places)
+        tables.append(Table(head, tuple(rows), words=3, title=kind))
+    return tuple(tables)
+
+
+def _place_cell(robot: RobotResult, place: str) -> Cell:
+    """Return how far a robot is from others at a joint, and what changed there."""
+    own = [abs(each.apart) for each in robot.own if each.parameter.where == place]
+    apart = max(own, default=0.0)
+    changes = ", ".join(_label(f.effect) for f in robot.findings if f.where == place)
+    return Cell(number(apart, 2), note=changes, bar=min(1.0, apart / _FAR))
+
+
+def _robot_section(robot: RobotResult, at: int) -> Section:
+    """Return one robot: its joints over time, and what it has beside others."""
+    farthest = sorted(robot.own, key=lambda each: -abs(each.apart))[:_MOST_PLACES]
+    rows = tuple(
+        cells(
+            _parameter(each.parameter),
+            each.parameter.unit,
+            number(each.value),
+            number(each.deviation, 2),
+            number(each.common),
+            number(each.spread, 2),
+            number(each.of_model),
+            Cell(number(each.apart, 2), bar=min(1.0, abs(each.apart) / _FAR)),
+        )
+        for each in farthest
+    )
+    head = ("parameter", "unit", "value", "±", "others", "spread", "model", "spreads apart")
+    others = Table(head, rows, words=2, title="Farthest from others, without changes")
+    return Section(
+        robot.robot,
+        "Each log by itself; shaded: when a change began, with a probability of 95 %.",
+        ("Intervals have what logs of this robot scatter.",),
+        tables=(_findings_table(robot.findings), others),
+        charts=(_chart(robot, at),),
+        detailed=True,
+    )
+
+
+def _chart(robot: RobotResult, at: int) -> Chart:
+    """Return the joints of a robot over time, those that changed first."""
+    days = (robot.dates - robot.dates[0]) / DAY
+    places = list(dict.fromkeys(each.parameter.where for each in robot.histories))
+    changed = {finding.where for finding in robot.findings}
+    return Chart(
+        f"robot-{at}",
+        "Parameters of each joint over time, log by log.",
+        (_VALUE, _INTERVAL, _LEVEL),
+        tuple(
+            _panel(robot, place, days)
+            for place in sorted(places, key=lambda place: place not in changed)
+        ),
+        (("", 0.0, float(max(days[-1], 1e-3)), 0.0),),
+        axis=f"days since {np.datetime64(round(robot.dates[0]), 's').astype('datetime64[D]')}",
+        unit="days",
+    )
+
+
+def _panel(robot: RobotResult, place: str, days: Array) -> Panel:
+    """Return one joint: its parameters above each other, and when changes began."""
+    histories = [each for each in robot.histories if each.parameter.where == place]
+    places = {each.parameter.where for each in robot.histories}
+    # Changes of bodies are seen by all joints.
+    seen = [each for each in robot.findings if each.where == place or each.where not in places]
+    shades = tuple(
+        Shade(
+            _LEVEL.key,
+            *_begins(finding, robot.dates),
+            f"{_change_label(finding)} of {finding.where} since {_since(finding)}",
+        )
+        for finding in seen
+    )
+    own = [finding for finding in robot.findings if finding.where == place]
+    return Panel(
+        place,
+        "; ".join(map(_size, own)),
+        np.repeat(days, 3),
+        tuple(_plot(each, own, robot.dates) for each in histories),
+        shades,
+        "changed" if own else "",
+    )
+
+
+def _begins(finding: FleetFinding, dates: Array) -> tuple[float, float]:
+    """Days between which a change began: a step after the log before the first that shows it."""
+    low, high = finding.interval
+    if finding.kind == STEP:
+        low = max(dates[dates < low], default=low)
+    return float((low - dates[0]) / DAY), float((high - dates[0]) / DAY)
+
+
+def _plot(history: ParameterHistory, changes: Sequence[FleetFinding], dates: Array) -> Plot:
+    """A parameter, log by log: each log has three points, the last of which ends its interval."""
+    parameter, values = history.parameter, history.values
+    half = _WITHIN * history.deviations
+    interval = np.stack([values - half, values + half, np.full(len(values), np.nan)], -1)
+    unit = f", {parameter.unit}" if parameter.unit else ", share"
+    of_it = [each for each in changes if parameter.effect in each.effect.split("+")]
+    return Plot(
+        f"{effect_label(parameter.effect)}: {parameter.name}{unit}",
+        {
+            _LEVEL.key: np.repeat(_levels(history, of_it, dates), 3),
+            _INTERVAL.key: interval.ravel(),
+            _VALUE.key: np.repeat(values, 3),
+        },
+        tall=len(of_it) > 0,
+    )
+
+
+def _levels(history: ParameterHistory, changes: Sequence[FleetFinding], dates: Array) -> Array:
+    """(T,) weighted mean of a parameter between its changes."""
+    stretch = np.sum([dates >= each.date for each in changes], axis=0) if changes else 0
+    number_of = np.broadcast_to(stretch, dates.shape)
+    weights = 1.0 / np.maximum(history.deviations, 1e-300) ** 2
+    found = np.empty(len(dates))
+    for each in np.unique(number_of):
+        own = number_of == each
+        found[own] = np.average(history.values[own], weights=weights[own])
+    return found

@@ -1,0 +1,113 @@
+"""Pages as self-contained HTML, and as what a notebook shows."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from collections.abc import Sequence
+from importlib.resources import files
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
+
+from geodrake.boundary.escaping import html_text, printable
+from geodrake.errors import ArgumentError
+from geodrake.report.page import Page, Table
+
+
+def render(page: Page) -> str:
+    """Return a page as one HTML file that loads nothing from elsewhere; all text is escaped.
+
+    Raises:
+        ArgumentError: A link leads to no page.
+    """
+    for words, address in page.links.items():
+        scheme, colon, _ = address.split("/")[0].partition(":")
+        if colon and scheme.lower() not in ("http", "https"):
+            raise ArgumentError(
+                f"The link {words!r} of a report leads to {address!r}.",
+                advice="Give the path of a file, relative to the report, or a http(s) address.",
+            )
+    scripts, style = [_asset("page.js")], _asset("page.css")
+    if any(section.charts for section in page.sections):
+        licence = _asset("uplot/LICENSE").strip()
+        code = _asset("uplot/uPlot.iife.min.js").strip()
+        scripts.insert(0, f"/* uPlot\n{licence}\n*/\n{code}")
+        style = _asset("uplot/uPlot.min.css") + style
+    environment = templates()
+    environment.filters["json_of"] = Markup  # a chart's data, which has no letter of markup
+    environment.filters["breakable"] = _breakable
+    return environment.get_template("report.html.jinja").render(
+        page=page,
+        style=Markup(style),
+        scripts=[Markup(script) for script in scripts],
+        policy=Markup(_policy(scripts)),
+    )
+
+
+def templates() -> Environment:
+    """The templates of all pages: what they show is escaped, and what is not there is an error."""
+    return Environment(
+        loader=PackageLoader("geodrake", "report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_shown_text,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def _shown_text(value: Any) -> Any:
+    """Printable text whose numbers stay on one line with their per cent signs and deviations."""
+    if not isinstance(value, str) or hasattr(value, "__html__"):  # a macro's: done
+        return value
+    return (
+        printable(value)
+        .replace(" %", "\N{NO-BREAK SPACE}%")
+        .replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
+    )
+
+
+def _breakable(text: str) -> Markup:
+    """Lines as markup whose long names may go on in a new line after an underscore or a slash."""
+    shown = "\n".join(str(escape(_shown_text(line))) for line in text.split("\n"))
+    return Markup(re.sub("(?<=[_/])(?=[^_/])", "<wbr>", shown))
+
+
+def _asset(name: str) -> str:
+    return (files("geodrake") / "report" / "assets" / name).read_text(encoding="utf-8")
+
+
+def _policy(scripts: Sequence[str]) -> str:
+    """What a browser may load for a page: nothing; and run: these scripts and no other."""
+    hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
+    allowed = " ".join(f"'sha256-{each}'" for each in hashes)
+    return (
+        f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {allowed}; "
+        "base-uri 'none'; form-action 'none'"
+    )
+
+
+def notebook_html(page: Page) -> str:
+    """Return the answer and the tables of a page, as notebooks show them."""
+    shown = (table for s in page.shown_sections if not s.detailed for table in s.shown_tables)
+    tables = (_plain_table(table) for table in shown if not table.detailed)
+    return f"<div><p>{html_text(page.sentence)}</p>{''.join(tables)}</div>"
+
+
+def _plain_table(table: Table) -> str:
+    def cell(tag: str, text: str, k: int) -> str:
+        side = "left" if k < table.words else "right"
+        how = f"text-align: {side}; white-space: pre-line"
+        return f'<{tag} style="{how}">{html_text(text)}</{tag}>'
+
+    head = "".join(cell("th", name, k) for k, name in enumerate(table.head))
+    rows = (
+        "".join(cell("td", each.typed or each.text, k) for k, each in enumerate(row))
+        for row in table.rows
+    )
+    title = f"<caption>{html_text(table.title)}</caption>" if table.title else ""
+    body = "".join(f"<tr>{row}</tr>" for row in rows)
+    return f"<table>{title}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

@@ -1,0 +1,238 @@
+"""Pages of `rollout`: measured and simulated motion, window by window, and what a fit found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.control.rollout import Rollout, RolloutFit
+from geodrake.model.effort_signal import SERVO
+from geodrake.report.charts import MOST_PANELS, Chart, Panel, Plot, Stage, gap_filled
+from geodrake.report.numbers import Units, number, with_deviation
+from geodrake.report.page import About, Page, Section, Table, Tile, cells
+from geodrake.report.words import capitalized, departure, effect_label, rollout_fit_words
+
+Array = NDArray[np.float64]
+
+_MEASURED = Stage("measured", "measured", "measured", look="wide")
+_SIMULATED = Stage("after", "simulated", "after")
+_BEFORE = Stage("before", "before", "before")
+_CAPTION = (
+    "Positions, window after window. Each window starts at the measured state; from there on the "
+    "simulated robot is alone with the logged {under}. Lines are cut off where they leave the axes."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """A rollout, and that of the model before on the same windows, if there is one."""
+
+    after: Rollout
+    before: Rollout | None = None
+
+
+def rollout_page(found: Simulated | Rollout, about: About) -> Page:
+    """Say how far a simulated model departs from the measured motion."""
+    if isinstance(found, Rollout):
+        found = Simulated(found)
+    after, before, units = found.after, found.before, about.units
+    count = len(after.windows)
+    headline = (
+        f"The simulated model departs by {departure(after.relative)} of the motion within "
+        f"{after.horizon:g} s"
+    )
+    if before is not None:
+        headline += f", where {departure(before.relative)} before"
+    if after.broken:
+        headline += f"; in {after.broken} of {count} windows the simulation breaks off"
+    return Page(
+        about.title,
+        _subject(after, about),
+        "compared",
+        "simulated",
+        f"{headline}.",
+        (),
+        (
+            *([Tile("before", departure(before.relative), "of the motion")] if before else []),
+            Tile("departure", departure(after.relative), "of the motion"),
+            Tile("horizon", f"{after.horizon:g} s", "from a measured state on"),
+        ),
+        (
+            Section(
+                "Departure from the measured motion",
+                f"RMS of simulated − measured position in {count} windows of {after.horizon:g} s.",
+                (
+                    "Moved is the RMS of what the joint moved since the window's start, and share "
+                    "of motion the departure over it. The model as a whole departs by the root "
+                    "mean square of these over the joints.",
+                ),
+                tables=(departures_table(after, before, units),),
+                charts=(rollout_chart(after, before, units),),
+            ),
+            Section("Notes", items=after.notes),
+        ),
+        _footer(after),
+        about.links,
+    )
+
+
+def rollout_fit_page(found: RolloutFit, about: About) -> Page:
+    """Say what a fit of rollouts found, and whether it is taken."""
+    units, (before, after) = about.units, found.held_out
+    tested = sum(found.tested)
+    servos = any(value.effect == SERVO for value in found.values)
+    free = "Soft joints, play, their servos and motors" if servos else "Soft joints and play"
+    return Page(
+        about.title,
+        _subject(after, about),
+        "compared",
+        "fitted" if found.taken else "stays",
+        capitalized(rollout_fit_words(found)),
+        (f"{free} were fitted to how the simulated robot moves; all else stays.",),
+        (
+            Tile("before", departure(before.relative), "of the motion, held out"),
+            Tile("fitted", departure(after.relative), "of the motion, held out"),
+            Tile("horizon", f"{after.horizon:g} s", "from a measured state on"),
+        ),
+        (
+            Section(
+                "What was fitted",
+                f"To {len(found.tested) - tested} windows of {after.horizon:g} s under the logged "
+                f"{after.under}.",
+                tables=(_values_table(found, units),),
+            ),
+            Section(
+                "Departure from the measured motion",
+                f"RMS of simulated − measured position; {tested} windows are held out.",
+                tables=(_fit_table(found, units),),
+                charts=(rollout_chart(found.after, found.before, units),),
+            ),
+            Section("Notes", items=found.notes),
+        ),
+        _footer(after),
+        about.links,
+    )
+
+
+def _subject(after: Rollout, about: About) -> str:
+    return f"{about.model} under the {after.under} of {', '.join(about.logs)}"
+
+
+def _footer(after: Rollout) -> str:
+    return (
+        f"Made by geodrake: a plant with the model's inertias and effects under the logged "
+        f"{after.under}."
+    )
+
+
+def departures_table(
+    after: Rollout, before: Rollout | None, units: Units, between: Sequence[Rollout] = ()
+) -> Table:
+    """Return how far every joint departs from its measured motion.
+
+    Args:
+        before: A rollout of the same passages with another model; None for none.
+    """
+    others = (before, *between) if before else ()
+    rows = []
+    for j, joint in enumerate(after.joints):
+        log, instant = joint.worst
+        rows.append(
+            cells(
+                f"{joint.joint}, {units.at(joint.joint, 'rad')}",
+                number(joint.moved),
+                *(number(other.joints[j].rms) for other in others),
+                number(joint.rms),
+                departure(joint.relative),
+                f"{log} {instant:.1f} s",
+            )
+        )
+    steps = [f"after step {k + 1}" for k in range(len(between))]
+    ends = ("before", *steps, "after") if before else ("departure",)
+    return Table(("joint", "moved", *ends, "share of motion", "worst at"), tuple(rows))
+
+
+def _values_table(found: RolloutFit, units: Units) -> Table:
+    """Return what a fit of rollouts found, before and after."""
+    rows = []
+    for value in found.values:
+        unit = units.parameter(value.effect, value.name, value.joint)
+        before, after, deviation = (
+            units.shown(value.effect, value.name, size)
+            for size in (value.before, value.after, value.deviation)
+        )
+        rows.append(
+            cells(
+                effect_label(value.effect),
+                value.joint,
+                f"{effect_label(value.name)}, {unit}" if unit else effect_label(value.name),
+                number(before),
+                with_deviation(after, deviation),
+            )
+        )
+    return Table(("effect", "joint", "value", "before", "fitted"), tuple(rows), words=3)
+
+
+def _fit_table(found: RolloutFit, units: Units) -> Table:
+    """Departures of every joint before and after a fit, in the windows it saw and in the others."""
+    stages = (*found.fitted, *found.held_out)
+    rows = [
+        cells(
+            f"{joint.joint}, {units.at(joint.joint, 'rad')}",
+            *(number(stage.joints[j].rms) for stage in stages),
+            *(departure(stage.joints[j].relative) for stage in stages[2:]),
+        )
+        for j, joint in enumerate(found.before.joints)
+    ]
+    total = cells("of all joints", *[""] * 4, *(departure(stage.relative) for stage in stages[2:]))
+    head = ("joint", "fitted before", "after", "held out before", "after", "of motion", "after")
+    return Table(head, (*rows, total), total=1)
+
+
+def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart:
+    """Measured and simulated positions of every joint over time, window after window.
+
+    Args:
+        before: That of the model before; None for none.
+    """
+    starts = np.arange(len(after.windows)) * 1.1 * after.horizon
+    times = [s + w.time - w.time[0] for s, w in zip(starts, after.windows, strict=True)]
+    time = gap_filled(_joined([[t] for t in times])[0])
+    rollouts = {_SIMULATED: after} if before is None else {_BEFORE: before, _SIMULATED: after}
+    measured = _joined([w.measured.T for w in after.windows])
+    simulated = {s.key: _joined([w.simulated.T for w in r.windows]) for s, r in rollouts.items()}
+    order = np.argsort([-joint.relative for joint in after.joints], kind="stable").tolist()
+    badge = "departs most" if len(after.joints) > 1 else ""
+    panels = []
+    for j, joint in enumerate(after.joints):
+        unit = units.at(joint.joint, "rad")
+        known = measured[j][np.isfinite(measured[j])]
+        margin = 0.25 * float(np.ptp(known)) + 1e-6
+        span = float(known.min()) - margin, float(known.max()) + margin
+        curves = {_MEASURED.key: measured[j]}
+        curves |= {key: _within(span, q[j]) for key, q in simulated.items()}
+        plot = Plot(f"position, {unit}", curves, span=span)
+        panel = Panel(joint.joint, f"RMS {number(joint.rms)} {unit}", time, (plot,))
+        worst = badge if j == order[0] else ""
+        panels.append(replace(panel, shown=j in order[:MOST_PANELS], badge=worst))
+    spans = tuple(
+        (f"{w.log} {w.time[0]:.1f} s", float(w.time[0]), float(w.time[-1]), float(s - w.time[0]))
+        for s, w in zip(starts, after.windows, strict=True)
+    )
+    caption = _CAPTION.format(under=after.under)
+    return Chart("rollout", caption, (_MEASURED, *rollouts), tuple(panels), spans)
+
+
+def _within(span: tuple[float, float], values: Array) -> Array:
+    """Values with NaN where they are so far away that they leave the plot anyway."""
+    low, high = span
+    return np.where(np.abs(values - 0.5 * (low + high)) < 2.0 * (high - low), values, np.nan)
+
+
+def _joined(parts: Sequence[Array | Sequence[Array]]) -> Array:
+    """Rows of all windows, one after the other, with a NaN behind each."""
+    gap = np.full((len(parts[0]), 1), np.nan)
+    return np.concatenate([each for part in parts for each in (np.asarray(part), gap)], axis=1)

@@ -1,0 +1,140 @@
+"""Pages in a terminal, or as plain text in a pipe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table as Grid
+from rich.text import Text
+
+from geodrake.boundary.escaping import printable
+from geodrake.report.page import Page, Section, Table
+
+_PLACES_WIDTH = 36
+_WIDE = 110  # letters from which on a table has room for more than a line a row
+
+
+class ResultsConsole(Console):
+    """Shows a string as one line, in which nothing acts on the terminal, whatever names it has."""
+
+    def render_str(self, text: str, **how: Any) -> Text:
+        """Return printable text, without reading markup into it."""
+        return super().render_str(printable(text), **how)
+
+    def on_broken_pipe(self) -> None:
+        """Raise, as it is known where the command ends."""
+        raise BrokenPipeError
+
+
+def show_page(console: Console, page: Page) -> None:
+    """Print a page: its subject, the first section, the answer, and the rest."""
+    if page.subject:
+        console.print(page.subject, soft_wrap=True)
+    sections = [s for s in page.shown_sections if not s.detailed and _is_printed(s)]
+    if page.first is not None:
+        show_section(console, page.first)
+    for section in sections[:1]:
+        show_section(console, section)
+    if page.headline:
+        show_paragraph(console, "Verdict", page.sentence)
+    for section in sections[1:]:
+        show_section(console, section)
+
+
+def _is_printed(section: Section) -> bool:
+    tables = [table for table in section.shown_tables if not table.detailed]
+    return bool(tables or section.items or section.lists or section.commands)
+
+
+def show_section(console: Console, section: Section) -> None:
+    """Print what a section has beside charts, under its heading."""
+    if not section.lists:
+        _head(console, section.title)
+        if section.text and (section.shown_tables or section.commands):
+            console.print(Text(printable(section.text)), soft_wrap=not console.is_terminal)
+    for table in section.shown_tables:
+        if not table.detailed:
+            if table.title:
+                _head(console, table.title)
+            _show_table(console, table)
+    _show_items(console, (*section.items, *section.commands))
+    for each in section.lists:
+        _head(console, f"{section.title}: {each.title[:1].lower()}{each.title[1:]}")
+        _show_items(console, each.items)
+
+
+def show_saved(
+    console: Console,
+    files: Mapping[str, object],
+    words: Mapping[str, str],
+    others: Sequence[object] = (),
+) -> None:
+    """Print where files went; `words` says what the file of an option is."""
+    if files or others:
+        console.print()
+    for path in others:
+        console.print(f"Saved: {path}", soft_wrap=True)
+    for option, path in files.items():
+        console.print(f"Saved the {words[option]}: {path}", soft_wrap=True)
+
+
+def show_paragraph(console: Console, head: str, sentence: str) -> None:
+    """Print a paragraph; in a pipe it stays one line."""
+    text = Text.assemble((f"{head}: ", "bold"), printable(sentence))
+    console.print()
+    console.print(text, soft_wrap=not console.is_terminal)
+
+
+def _head(console: Console, words: str) -> None:
+    console.print()
+    console.print(Text(printable(words), style="bold"), soft_wrap=True)
+
+
+def _show_items(console: Console, items: Sequence[str]) -> None:
+    for item in items:
+        if console.is_terminal:
+            grid = Grid.grid(padding=(0, 1))
+            grid.add_row("-", Text(printable(item)))
+            console.print(grid)
+        else:
+            console.print(f"- {item}", soft_wrap=True)
+
+
+def _show_table(console: Console, table: Table) -> None:
+    """Print a table with a rule under its head in a terminal, and without lines in a pipe.
+
+    In a narrow terminal what a row has beyond its first line stands under the table.
+    """
+    wide = not console.is_terminal or console.width >= _WIDE
+    grid = Grid(
+        box=box.SIMPLE_HEAD if console.is_terminal else None,
+        show_edge=False,
+        pad_edge=False,
+        padding=(0, 1, 0, 0) if console.is_terminal else (0, 2, 0, 0),
+    )
+    for k, name in enumerate(table.head):
+        if k < table.words:
+            width = _PLACES_WIDTH if name.startswith("where") else None
+            grid.add_column(
+                printable(name), overflow="fold", max_width=width, no_wrap=name == "effect"
+            )
+        else:
+            title = printable(name).replace(" ", "\n" if console.is_terminal else " ")
+            grid.add_column(Text(title), justify="right", no_wrap=True)
+    under = []
+    for k, row in enumerate(table.rows):
+        if table.total and k == len(table.rows) - table.total:
+            grid.add_section()
+        lines = [[printable(t) for t in (c.typed or c.text).split("\n")] for c in row]
+        if not wide:
+            pairs = list(zip(lines, row, strict=True))
+            more = [line for own, cell in pairs if not cell.typed for line in own[1:]]
+            name = next((cell.typed for cell in row if cell.typed), row[0].text)
+            under += [f"{name}: {'; '.join(more)}".replace("\n", " ")] if more else []
+            lines = [own if cell.typed else own[:1] for own, cell in pairs]
+        grid.add_row(*(Text("\n".join(own)) for own in lines))
+    console.print(grid)
+    _show_items(console, under)
