@@ -66,9 +66,10 @@ OWN = {
     "compiling.py": {"fdopen", "open", "read_text"},
     "excitation/collision_meshes.py": {"open"},
     "identification/subprocess_solver.py": {"open"},
-    "report/page.py": {"read_text"},
+    "report/html.py": {"read_text"},
     "report/recordings.py": {"read_bytes"},
     "report/video.py": {"read_bytes"},
+    "robot/files/xacro_process.py": {"run_path"},
 }
 """Module -> what it opens of the package's own, or to write."""
 
