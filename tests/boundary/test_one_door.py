@@ -69,7 +69,6 @@ OWN = {
     "report/html.py": {"read_text"},
     "report/recordings.py": {"read_bytes"},
     "report/video.py": {"read_bytes"},
-    "robot/files/xacro_process.py": {"run_path"},
 }
 """Module -> what it opens of the package's own, or to write."""
 

@@ -219,5 +219,5 @@ class TestSeriesFile:
 
 def test_a_package_that_is_not_there_is_named_with_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(ArgumentError, match=r"pyarrow is needed.*geodrake\[parquet\]"):
+    with pytest.raises(ArgumentError, match=r"pyarrow is needed.*geodrake\[logs\]"):
         check_series(Path("samples.parquet"))
