@@ -38,7 +38,7 @@ Records = list[dict[str, Any]]
 
 
 @dataclass(frozen=True)
-class _View:
+class _Kind:
     """How to see one kind of result; `figure` is the name of the chart or bars that say most."""
 
     page: Callable[[Any, About], Page]
@@ -101,7 +101,7 @@ def figure(result: object) -> Figure:
     raise ArgumentError(f"{type(result).__name__} has no figure.")
 
 
-def _view(result: object, what: str) -> _View:
+def _view(result: object, what: str) -> _Kind:
     for kind, view in _VIEWS.items():
         if isinstance(result, kind):
             return view
@@ -168,51 +168,51 @@ def _motion(found: ExcitationResult) -> Columns:
     return columns
 
 
-_VIEWS: Mapping[type, _View] = {
-    Comparison: _View(comparison_page, _error_records, comparison_series, "efforts"),
-    Diagnosis: _View(
+_VIEWS: Mapping[type, _Kind] = {
+    Comparison: _Kind(comparison_page, _error_records, comparison_series, "efforts"),
+    Diagnosis: _Kind(
         diagnosis_page,
         lambda found: [asdict(candidate) for candidate in found.candidates],
         lambda found: comparison_series(found.comparison),
         "candidates",
     ),
-    Explanation: _View(
+    Explanation: _Kind(
         explanation_page,
         _step_records,
         lambda found: comparison_series(found.after, found.before),
         "efforts",
     ),
-    Explained: _View(
+    Explained: _Kind(
         explanation_page,
         lambda found: _step_records(found.explanation),
         lambda found: samples(found.explanation),
         "efforts",
     ),
-    ModelIdentification: _View(
+    ModelIdentification: _Kind(
         identification_page,
         lambda found: [_body_record(body) for body in found.bodies],
         lambda found: comparison_series(found.comparison),
         "efforts",
     ),
-    ExcitationResult: _View(excitation_page, _use_records, _motion, "motion"),
-    LogIdentifiability: _View(
+    ExcitationResult: _Kind(excitation_page, _use_records, _motion, "motion"),
+    LogIdentifiability: _Kind(
         identifiability_page,
         lambda found: [asdict(block) for block in (*found.bodies, *found.effects)],
         None,
         "directions",
     ),
-    Rollout: _View(
+    Rollout: _Kind(
         rollout_page,
         lambda found: [{**asdict(joint), "relative": joint.relative} for joint in found.joints],
         rollout_series,
         "rollout",
     ),
-    Simulated: _View(rollout_page, samples=lambda found: rollout_series(found.after, found.before)),
-    RolloutFit: _View(
+    Simulated: _Kind(rollout_page, samples=lambda found: rollout_series(found.after, found.before)),
+    RolloutFit: _Kind(
         rollout_fit_page,
         lambda found: [asdict(value) for value in found.values],
         lambda found: rollout_series(found.after, found.before),
         "rollout",
     ),
-    FleetResult: _View(fleet_page),
+    FleetResult: _Kind(fleet_page),
 }
