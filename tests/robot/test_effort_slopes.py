@@ -88,18 +88,6 @@ def test_pinocchio(name):
             assert_close(own, theirs[np.ix_(pins, pins)])
 
 
-def test_samples_do_not_mix():
-    rng = np.random.default_rng(2)
-    plant = random_plant(rng, ["revolute"] * 6)
-    motion, phi = random_motion(plant, rng, 300), inertial_parameters(plant)
-    whole = effort_slopes(plant, *motion, phi)
-    part = effort_slopes(plant, *(x[-100:] for x in motion), phi)
-    for name in NAMES:
-        np.testing.assert_allclose(
-            getattr(whole, name)[-100:], getattr(part, name), rtol=1e-12, atol=1e-12
-        )
-
-
 def test_wrong_shapes():
     rng = np.random.default_rng(3)
     plant = random_plant(rng, ["revolute"])

@@ -1,10 +1,8 @@
 """Joints that follow others, against Pinocchio's mimic joints, MuJoCo's equalities, and J."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from known_robots import assert_close, robots
+from known_robots import assert_close
 
 from geodrake import load_model, save_model
 from geodrake.errors import ModelError
@@ -99,21 +97,6 @@ def test_efforts_regressors_and_gradients_are_those_through_the_jacobian(tmp_pat
     others = reverse_recursion(tree, (q, v, v, vd), J[None] @ weights)
     for name in ("q", "v", "vd"):
         assert_close(getattr(slopes, name), getattr(others, name) @ J)
-
-
-def test_bodies_move_with_their_leaders(tmp_path):
-    model, apart = loaded(tmp_path), loaded(tmp_path, gripper(follows=False), "apart.urdf")
-    motion, ways = motion_of(), model.coordinates
-    whole = Motion(
-        ways.plant_positions(motion.q), *map(ways.plant_velocities, (motion.v, motion.vd))
-    )
-    J = ways.plant_velocities(np.eye(2)).T
-    ours = model.motion(motion).bodies.motion("finger")
-    theirs = apart.motion(whole).bodies.motion("finger")
-    assert_close(ours.position, theirs.position)
-    assert_close(ours.angular, theirs.angular @ J)
-    assert_close(ours.linear, theirs.linear @ J)
-    assert ours.dofs == (0, 1)
 
 
 def test_damping_friction_and_limits_are_those_of_all_that_move_together(tmp_path):
@@ -231,8 +214,3 @@ def test_efforts_of_followers_are_added_to_their_leaders(tmp_path):
     np.testing.assert_allclose(log.effort[:, 0], values[:, 0] + 9.0 * values[:, 2])
     np.testing.assert_allclose(log.effort[:, 1], values[:, 1] + 0.2 * values[:, 3])
     assert any("spin is added" in note for note in log.notes)
-
-
-def test_the_fingers_of_a_panda_follow_each_other():
-    model = load_model(robots() / Path("panda_description/urdf/panda.urdf"))
-    assert len(model.joints) == 8 and model.sliding_joints == ("panda_finger_joint1",)

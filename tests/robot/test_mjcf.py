@@ -1,6 +1,5 @@
 """MJCF means what MuJoCo makes of it: each construct against MuJoCo's own inverse dynamics."""
 
-import threading
 import time
 
 import mujoco
@@ -12,7 +11,6 @@ from geodrake import load_model
 from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
 from geodrake.robot import mujoco_check
-from geodrake.robot.files import mjcf_source
 from geodrake.robot.files.given import Given
 from geodrake.robot.mjcf_shapes import mjcf_geoms
 from geodrake.robot.plant import load_plant
@@ -287,12 +285,6 @@ def test_a_construct_is_taken_as_mujoco_means_it(tmp_path, what):
     assert not model.left_out and not model.repairs
 
 
-def test_friction_of_a_tendon_is_that_of_its_joint(tmp_path):
-    text, _ = TAKEN["a tendon of one joint"]
-    loaded = load_plant(write(tmp_path, text))
-    assert loaded.file_friction == pytest.approx([0.0, 0.3])
-
-
 def test_friction_of_a_tendon_of_two_joints_is_that_of_an_actuator(tmp_path):
     fixed = '<fixed name="p" frictionloss=".4"><joint joint="a" coef=".5"/>'
     tail = f'<tendon>{fixed}<joint joint="t" coef="{{}}"/></fixed></tendon>'
@@ -562,21 +554,6 @@ def test_what_is_switched_off_of_a_tendon_is_not_told(tmp_path):
     assert not assert_as_mujoco(tmp_path, text, "a t").left_out
 
 
-def test_one_thread_at_a_time_takes_mujocos_warnings():
-    there = threading.Event()
-
-    def enter():
-        with mjcf_source.quiet_mujoco():
-            there.set()
-
-    other = threading.Thread(target=enter)
-    with mjcf_source.quiet_mujoco():
-        other.start()
-        assert not there.wait(0.2)
-    other.join(10.0)
-    assert there.is_set()
-
-
 def test_springs_of_a_finger_that_follows_are_at_its_leader(tmp_path):
     text = mjcf(
         tip('stiffness="3 0 2" springref="30" damping=".3 .2 .1" frictionloss=".2" armature=".1"'),
@@ -629,3 +606,24 @@ def test_bodies_within_bodies_without_end_are_read_or_refused(tmp_path):
     path = write(tmp_path, mjcf("<frame>" * 500 + "</frame>" * 500))
     with pytest.raises(ModelError, match="more than 400 elements within each other"):
         load_model(path)
+
+
+def test_friction_of_a_tendon_is_that_of_its_joint(tmp_path):
+    text, _ = TAKEN["a tendon of one joint"]
+    loaded = load_plant(write(tmp_path, text))
+    assert loaded.file_friction == pytest.approx([0.0, 0.3])
+
+
+def test_one_thread_at_a_time_takes_mujocos_warnings():
+    there = threading.Event()
+
+    def enter():
+        with mjcf_source.quiet_mujoco():
+            there.set()
+
+    other = threading.Thread(target=enter)
+    with mjcf_source.quiet_mujoco():
+        other.start()
+        assert not there.wait(0.2)
+    other.join(10.0)
+    assert there.is_set()

@@ -54,11 +54,6 @@ def test_without_being_asked_logs_are_of_joints_and_a_note_says_so(tmp_path):
     assert not any("motors" in note for note in loaded(tmp_path, direct).notes)
 
 
-def test_the_newer_form_of_ros_control(tmp_path):
-    model = loaded(tmp_path, NEWER, transmission="file")
-    assert_close(model.plant_positions(np.array([[4.0, 0.1, 0.2]])), [[0.7, 0.1, 0.2]])
-
-
 @pytest.mark.parametrize(
     ("extra", "problem"),
     [
@@ -147,3 +142,8 @@ def test_a_leader_of_a_polynomial_holds_its_follower(tmp_path):
     assert_close(held.phi, holding(model, {"j": 0.1}).phi)
     save_model(model, tmp_path / "saved.yaml")
     assert load_model(tmp_path / "saved.yaml").joints == ("j", "s")
+
+
+def test_the_newer_form_of_ros_control(tmp_path):
+    model = loaded(tmp_path, NEWER, transmission="file")
+    assert_close(model.plant_positions(np.array([[4.0, 0.1, 0.2]])), [[0.7, 0.1, 0.2]])

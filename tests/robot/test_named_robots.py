@@ -1,6 +1,5 @@
 """Robots by the names of robot_descriptions, from a cache that each test makes: no network."""
 
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -165,16 +164,6 @@ def test_what_is_not_in_the_cache_is_downloaded_or_the_reason_is_said(fresh, cap
     assert f"Downloading {fresh / 'nowhere'}" in shown and "cannot be downloaded" in shown
 
 
-def test_what_is_downloaded_is_read(cached, monkeypatch):
-    known = repositories.REPOSITORIES["mujoco_menagerie"]
-    here = cached / "cache" / known.cache_path
-    monkeypatch.setattr(known, "url", str(shutil.move(here, cached / "elsewhere")))
-    git(cached / "elsewhere", "config", "uploadpack.allowAnySHA1InWant", "true")
-    shown = run("check", "ur5e_mj")
-    assert f"Downloading {cached / 'elsewhere'}" in shown and "as does MuJoCo" in shown
-    assert here.is_dir() and "Downloading" not in run("check", "ur5e_mj")
-
-
 def test_commands_and_saved_models_know_it(cached):
     model, time = load_model("panda"), np.arange(0.0, 10.0, 0.01)
     angle = np.outer(time, [2.0, 3.1]) + np.array([0.0, 1.0])
@@ -190,3 +179,13 @@ def test_commands_and_saved_models_know_it(cached):
     assert again.path == model.path and again.given.packages == model.given.packages
     refused = run("compare", "pandaa", "log.csv", code=2)
     assert "nearest" in refused and "panda" in refused
+
+
+def test_what_is_downloaded_is_read(cached, monkeypatch):
+    known = repositories.REPOSITORIES["mujoco_menagerie"]
+    here = cached / "cache" / known.cache_path
+    monkeypatch.setattr(known, "url", str(shutil.move(here, cached / "elsewhere")))
+    git(cached / "elsewhere", "config", "uploadpack.allowAnySHA1InWant", "true")
+    shown = run("check", "ur5e_mj")
+    assert f"Downloading {cached / 'elsewhere'}" in shown and "as does MuJoCo" in shown
+    assert here.is_dir() and "Downloading" not in run("check", "ur5e_mj")

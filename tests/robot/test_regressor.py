@@ -52,13 +52,6 @@ def test_random_trees(kinds, seed):
     assert_equals_drake(random_tree(rng, kinds), rng)
 
 
-def test_samples_do_not_mix(arm):
-    q, v, vd = random_motion(arm, np.random.default_rng(1), 20)
-    whole = inverse_dynamics_regressor(arm, q, v, vd)
-    alone = [inverse_dynamics_regressor(arm, q[[i]], v[[i]], vd[[i]])[0] for i in range(20)]
-    np.testing.assert_array_equal(whole, alone)
-
-
 def test_other_forms_agree(arm):
     tree = KinematicTree.from_plant(arm)
     motion = random_motion(arm, np.random.default_rng(2), 2_300)
@@ -69,34 +62,6 @@ def test_other_forms_agree(arm):
         np.testing.assert_array_equal(body_regressor(tree, *motion, body), columns)
     parts = [piece.copy() for _, piece in regressor_pieces(tree, *motion)]
     np.testing.assert_array_equal(np.concatenate(parts), whole)
-
-
-def test_columns_name_the_entries_that_are_not_zero(arm):
-    tree = KinematicTree.from_plant(arm)
-    whole = inverse_dynamics_regressor(arm, *random_motion(arm, np.random.default_rng(3), 20))
-    for dof in range(arm.num_velocities()):
-        zero = np.delete(whole[:, dof], tree.columns(dof), axis=1)
-        assert not zero.any()
-    assert len(tree.columns(0)) == whole.shape[2]
-
-
-def test_power_of_the_effort_is_the_change_of_energy(arm):
-    rng = np.random.default_rng(5)
-    q, v, vd = random_motion(arm, rng, 3)
-    efforts = inverse_dynamics(arm, q, v, vd, inertial_parameters(arm))
-    context, step = arm.CreateDefaultContext(), 1e-6
-
-    def energy(q, v):
-        arm.SetPositions(context, q)
-        arm.SetVelocities(context, v)
-        return arm.CalcKineticEnergy(context) + arm.CalcPotentialEnergy(context)
-
-    for i in range(len(q)):
-        arm.SetPositions(context, q[i])
-        qd = arm.MapVelocityToQDot(context, v[i])
-        after = energy(q[i] + step * qd, v[i] + step * vd[i])
-        before = energy(q[i] - step * qd, v[i] - step * vd[i])
-        assert efforts[i] @ v[i] == pytest.approx((after - before) / (2 * step), rel=1e-5)
 
 
 def test_gravity_can_be_off_for_a_whole_robot_but_not_for_a_part():
@@ -119,14 +84,6 @@ def test_gravity_can_be_off_for_a_whole_robot_but_not_for_a_part():
         KinematicTree.from_plant(plant_of_two(joined=True))
 
 
-def test_gravity_is_read_at_the_call():
-    rng = np.random.default_rng(7)
-    plant = random_plant(rng, ["revolute", "revolute"])
-    assert_equals_drake(plant, rng)
-    plant.mutable_gravity_field().set_gravity_vector([1.0, 2.0, 3.0])
-    assert_equals_drake(plant, rng)
-
-
 def test_quaternions_of_any_length_mean_their_direction():
     rng = np.random.default_rng(8)
     plant = random_plant(rng, ["quaternion floating"])
@@ -147,43 +104,12 @@ def test_no_samples_and_no_velocities():
     assert inverse_dynamics_regressor(fixed, *np.zeros((3, 5, 0))).shape == (5, 0, 0)
 
 
-@pytest.mark.parametrize("wrong", [0, 1, 2])
-def test_wrong_shapes_are_named(arm, wrong):
-    name = ("q", "v", "vd")[wrong]
-    motion = list(random_motion(arm, np.random.default_rng(0), 3))
-    motion[wrong] = motion[wrong][:, :-1]
-    shape = motion[wrong].shape
-    with pytest.raises(ArgumentError, match=rf"^{name} must .* shape \({shape[0]}, {shape[1]}\)"):
-        inverse_dynamics_regressor(arm, *motion)
-
-
-def test_single_samples_and_numbers_are_refused(arm):
-    q, v, vd = (x[0] for x in random_motion(arm, np.random.default_rng(0), 1))
-    with pytest.raises(ArgumentError, match="must be"):
-        inverse_dynamics_regressor(arm, q, v, vd)
-    with pytest.raises(ArgumentError, match="must be"):
-        inverse_dynamics_regressor(arm, 0.0, v, vd)
-
-
-def test_the_first_sample_that_is_not_finite_is_named(arm):
-    q, v, vd = random_motion(arm, np.random.default_rng(0), 9)
-    v[5, 1], v[7, 0] = np.nan, np.inf
-    with pytest.raises(ArgumentError, match=r"holds nan at \[5, 1\]") as caught:
-        inverse_dynamics_regressor(arm, q, v, vd)
-    assert caught.value.evidence["place"][0] == 5
-
-
 def test_wrong_parameters_and_bodies_are_refused(arm):
     motion = random_motion(arm, np.random.default_rng(0), 2)
     with pytest.raises(ArgumentError, match="phi must be"):
         inverse_dynamics(arm, *motion, np.zeros(10))
     with pytest.raises(ArgumentError, match="from 0 to 3; it is 99"):
         body_regressor(arm, *motion, 99)
-
-
-def test_a_plant_must_be_finalized():
-    with pytest.raises(ModelError, match="not finalized"):
-        KinematicTree.from_plant(MultibodyPlant(0.0))
 
 
 def test_an_unsupported_joint_is_named():
@@ -198,3 +124,21 @@ def test_the_tree_does_not_keep_the_plant():
     del plant
     assert gone() is None
     assert tree.num_velocities == 4
+
+
+@pytest.mark.parametrize("wrong", [0, 1, 2])
+def test_wrong_shapes_are_named(arm, wrong):
+    name = ("q", "v", "vd")[wrong]
+    motion = list(random_motion(arm, np.random.default_rng(0), 3))
+    motion[wrong] = motion[wrong][:, :-1]
+    shape = motion[wrong].shape
+    with pytest.raises(ArgumentError, match=rf"^{name} must .* shape \({shape[0]}, {shape[1]}\)"):
+        inverse_dynamics_regressor(arm, *motion)
+
+
+def test_the_first_sample_that_is_not_finite_is_named(arm):
+    q, v, vd = random_motion(arm, np.random.default_rng(0), 9)
+    v[5, 1], v[7, 0] = np.nan, np.inf
+    with pytest.raises(ArgumentError, match=r"holds nan at \[5, 1\]") as caught:
+        inverse_dynamics_regressor(arm, q, v, vd)
+    assert caught.value.evidence["place"][0] == 5

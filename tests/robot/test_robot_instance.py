@@ -11,7 +11,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 from scenes import PENDULUM, plant_of, scene
 
 from geodrake import load_model
-from geodrake.errors import ArgumentError, ModelError
+from geodrake.errors import ArgumentError
 from geodrake.robot import RobotInstance
 from geodrake.robot.robot_instance import add_generalized_force
 
@@ -111,11 +111,6 @@ def test_springs_at_joints_of_the_robot_are_terms_of_its(name, found):
     plant.AddForceElement(RevoluteSpring(plant.GetJointByName("elbow", arm), 0.1, 3.0))
     plant.Finalize()
     assert RobotInstance(plant, name).stated_terms == (("springs",) if found else ())
-
-
-def test_plants_that_are_not_finalized_are_refused():
-    with pytest.raises(ModelError, match="Finalize"):
-        RobotInstance(MultibodyPlant(0.0))
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,9 @@
 """Shapes of robots: meshes of all usual formats, and words for those that are not found."""
 
-import shutil
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
-from known_robots import robots
 from meshcat_pages import drawn, tracks
 from pydrake.geometry import Box, Mesh
 
@@ -156,19 +153,3 @@ def test_without_any_shape_links_are_sticks_and_the_page_says_so(tmp_path):
     page = replay_page(model, np.array([0.1, 0.2]), np.zeros((2, 1)))
     assert "/drake/robot/r::arm/shapes/0" in drawn(page)
     assert "meshes that are not shown: gone.stl" in page
-
-
-def test_a_package_on_the_path_is_found(tmp_path, monkeypatch):
-    source = robots() / "ur_description"
-    folder = tmp_path / "ws" / "example-robot-data"
-    shutil.copytree(source / "meshes" / "ur3", folder / "robots/ur_description/meshes/ur3")
-    (folder / "package.xml").write_text("<package><name>example-robot-data</name></package>")
-    urdf = tmp_path / "ur3.urdf"
-    shutil.copy(source / "urdf" / "ur3_robot.urdf", urdf)
-    model = load_model(urdf)
-    assert robot_shapes(model.path, model.given).notes
-    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "ws"))
-    found = robot_shapes(model.path, model.given)
-    assert not found.notes
-    assert sum(isinstance(s.shape, Mesh) for links in found.links.values() for s in links) == 7
-    assert Path(urdf).exists()

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
@@ -13,7 +11,6 @@ from pydrake.multibody.tree import (
     SpatialInertia,
     UnitInertia,
 )
-from pydrake.systems.analysis import Simulator
 
 from geodrake.errors import ArgumentError
 from geodrake.inertia import inertial_parameters
@@ -128,45 +125,6 @@ def test_derivatives_are_differences(name):
 
 
 @pytest.mark.parametrize("name", PARTS)
-def test_joint_motion_is_the_motion_in_time(name):
-    part = PARTS[name]
-    start = random_motion(width=part.num_actuators)
-
-    def at(time):
-        q = start.q + time * start.v + 0.5 * time**2 * start.vd
-        return part.joint_positions(q)
-
-    step, moved = 1e-4, part.joint_motion(start)
-    np.testing.assert_allclose(moved.v, (at(step) - at(-step)) / (2 * step), atol=1e-6)
-    acceleration = (at(step) - 2 * at(0) + at(-step)) / step**2
-    np.testing.assert_allclose(moved.vd, acceleration, atol=1e-5)
-
-
-@settings(max_examples=40)
-@given(st.floats(0.01, 20), st.integers(0, 2**32 - 1))
-def test_rates_by_differences_do_not_depend_on_speed(speed, seed):
-    q, v, _ = np.random.default_rng(seed).uniform(-2, 2, (3, 3, 2))
-    slow = CRANK.jacobian_rate(q, v)
-    np.testing.assert_allclose(CRANK.jacobian_rate(q, speed * v), speed * slow, atol=1e-10 * speed)
-    assert not CRANK.jacobian_rate(q, 0 * v).any()
-
-    def exact(q, v):
-        a, b = q.T
-        J = np.zeros((len(q), 3, 2))
-        root = np.sqrt(1 - 0.16 * np.sin(a) ** 2)
-        J[:, 0, 0] = (-0.4 * np.sin(a) / root + 0.064 * np.cos(a) ** 2 * np.sin(a) / root**3) * v[
-            :, 0
-        ]
-        both = -0.3 * np.sin(a + b) * v.sum(1)
-        J[:, 1, 0], J[:, 1, 1] = both - np.cos(a) * v[:, 0], both
-        return J
-
-    np.testing.assert_allclose(slow, exact(q, v), atol=1e-10)
-    given_rate = FunctionTransmission((3, 2), crank, crank_jacobian, exact)
-    np.testing.assert_array_equal(given_rate.jacobian_rate(q, v), exact(q, v))
-
-
-@pytest.mark.parametrize("name", PARTS)
 def test_actuators_follow_from_the_joints(name):
     part = PARTS[name]
     motion = random_motion(width=part.num_actuators)
@@ -204,56 +162,6 @@ def test_a_rotor_on_a_fixed_base_is_drakes_reflected_inertia():
         M = geared.CalcMassMatrix(context)  # with the reflected inertia
         bias = geared.CalcBiasTerm(context) - geared.CalcGravityGeneralizedForces(context)
         np.testing.assert_allclose(ours, M @ vd + bias, atol=1e-11)
-
-
-def test_a_rotor_on_a_link_turns_with_it_too():
-    """Reflected inertia alone leaves out I N (v̇₀ v̇₁ coupling) and the rotor's own weight."""
-    geared, plain = arm(rotors=False, gear_in_drake=True), arm(rotors=True)
-    geared.Finalize(), plain.Finalize()
-    q = np.array([[0.3, -0.7]])
-    columns = [
-        actuator_efforts(plain, spinning(plain), Motion(q, 0 * q, unit[None]))[0]
-        - actuator_efforts(plain, spinning(plain), Motion(q, 0 * q, 0 * q))[0]
-        for unit in np.eye(2)
-    ]
-    context = geared.CreateDefaultContext()
-    geared.SetPositions(context, q[0])
-    carried = SPIN + 0.5 * 0.4**2  # rotor 1 as dead weight at the elbow
-    coupling = np.array([[carried, SPIN * RATIO], [SPIN * RATIO, 0.0]])
-    np.testing.assert_allclose(columns, geared.CalcMassMatrix(context) + coupling, atol=1e-11)
-
-
-def test_accelerations_are_those_of_drakes_coupler_constraints():
-    """One step of Drake's discrete solver, whose constraints are only nearly rigid."""
-    step = 1e-5
-    plant = arm(rotors=True, time_step=step)
-    names = ["joint0", "joint1", "spin0", "spin1"]
-    joints = {name: plant.GetJointByName(name) for name in names}
-    for i in range(2):
-        plant.AddCouplerConstraint(joints[f"spin{i}"], joints[f"joint{i}"], RATIO, 0.0)
-        plant.AddJointActuator(f"spin{i}", joints[f"spin{i}"])
-    plant.Finalize()
-    transmission, continuous = spinning(plant), arm(rotors=True)
-    continuous.Finalize()
-    assert joint_names(continuous) == joint_names(plant)
-    q, v = np.array([[0.4, 0.9]]), np.array([[1.0, -0.7]])
-    torque = np.array([0.2, -0.1])  # of the rotors
-    simulator = Simulator(plant)
-    context = simulator.get_mutable_context()
-    plant.SetPositions(context, transmission.joint_positions(q)[0])
-    plant.SetVelocities(context, (transmission.jacobian(q) @ v[:, :, None])[0, :, 0])
-    plant.get_actuation_input_port().FixValue(context, torque)
-    before = plant.GetVelocities(context).copy()
-    simulator.AdvanceTo(step)
-    theirs = (plant.GetVelocities(context) - before) / step
-
-    def efforts(vd):
-        return actuator_efforts(continuous, transmission, Motion(q, v, vd[None]))[0]
-
-    bias = efforts(np.zeros(2))
-    M = np.stack([efforts(unit) - bias for unit in np.eye(2)], -1)
-    vd = np.linalg.solve(M, RATIO * torque - bias)  # a rotor's torque moves q by its ratio
-    np.testing.assert_allclose(theirs, transmission.matrix @ vd, rtol=2e-3)
 
 
 def test_efforts_are_those_of_pinocchios_mimic_joints():
