@@ -1,5 +1,6 @@
 """MJCF means what MuJoCo makes of it: each construct against MuJoCo's own inverse dynamics."""
 
+import threading
 import time
 
 import mujoco
@@ -11,6 +12,7 @@ from geodrake import load_model
 from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
 from geodrake.robot import mujoco_check
+from geodrake.robot.files import mjcf_source
 from geodrake.robot.files.given import Given
 from geodrake.robot.mjcf_shapes import mjcf_geoms
 from geodrake.robot.plant import load_plant

@@ -1,5 +1,6 @@
 """Robots by the names of robot_descriptions, from a cache that each test makes: no network."""
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
