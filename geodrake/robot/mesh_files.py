@@ -11,6 +11,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.common.eigen_geometry import AngleAxis
+from pydrake.math import RigidTransform
 
 from geodrake.boundary.input_files import open_regular, read_regular, regular_files
 from geodrake.errors import GeodrakeError, ModelError
@@ -36,11 +38,7 @@ _GRIDS = (256, 180, 128, 90, 64, 45, 32, 22, 16)  # cells along the longest side
 
 
 def wavefront(path: Path, most: int = MOST_TRIANGLES) -> str:
-    """Return a mesh file as Wavefront's text, with no more triangles than asked for.
-
-    Args:
-        most: Most triangles; a finer mesh is drawn more coarsely.
-    """
+    """Return a mesh file as Wavefront's text, with no more triangles than asked for."""
     try:
         return wavefront_text(READERS[path.suffix.lower()](path), most)
     except GeodrakeError:
@@ -50,11 +48,7 @@ def wavefront(path: Path, most: int = MOST_TRIANGLES) -> str:
 
 
 def wavefront_text(surface: Surface, most: int = MOST_TRIANGLES) -> str:
-    """Return a surface as Wavefront's text, with no more triangles than asked for.
-
-    Args:
-        most: Most triangles; a finer surface is drawn more coarsely.
-    """
+    """Return a surface as Wavefront's text, with no more triangles than asked for."""
     vertices, faces = simplified(surface, most)
     normals, of_corners = _normals(vertices, faces)
     corners = 1 + np.stack([faces, of_corners], -1).reshape(-1, 6)
@@ -186,15 +180,9 @@ def _collada(path: Path) -> Surface:
                     vertices, faces = _mesh(mesh)
                     parts.append((scale * (vertices @ X[:3, :3].T + X[:3, 3]), faces))
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-    return (
-        np.concatenate([np.zeros((0, 3)), *(vertices for vertices, _ in parts)]),
-        np.concatenate(
-            [
-                np.zeros((0, 3), int),
-                *(faces + k for (_, faces), k in zip(parts, starts, strict=False)),
-            ]
-        ),
-    )
+    moved = (faces + start for (_, faces), start in zip(parts, starts, strict=False))
+    vertices = np.concatenate([np.zeros((0, 3)), *(vertices for vertices, _ in parts)])
+    return vertices, np.concatenate([np.zeros((0, 3), int), *moved])
 
 
 def _instances(
@@ -212,29 +200,13 @@ def _instances(
             yield from _instances(nodes[child.get("url", "")[1:]], X, {})
 
 
-def _scaled(by: Array) -> Array:
-    return np.diag([*by, 1.0])
-
-
-def _translated(by: Array) -> Array:
-    X = np.eye(4)
-    X[:3, 3] = by
-    return X
-
-
-def _rotated(by: Array) -> Array:
-    (x, y, z), angle = by[:3] / np.linalg.norm(by[:3]), np.radians(by[3])
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    X = np.eye(4)
-    X[:3, :3] += np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K
-    return X
-
-
 _TRANSFORMS: dict[str, Callable[[Array], Array]] = {
-    "matrix": lambda numbers: numbers.reshape(4, 4),
-    "translate": _translated,
-    "rotate": _rotated,
-    "scale": _scaled,
+    "matrix": lambda x: x.reshape(4, 4),
+    "translate": lambda x: RigidTransform(x).GetAsMatrix4(),
+    "rotate": lambda x: RigidTransform(
+        AngleAxis(np.radians(x[3]), x[:3] / np.linalg.norm(x[:3])), np.zeros(3)
+    ).GetAsMatrix4(),
+    "scale": lambda x: np.diag([*x, 1.0]),
 }
 
 

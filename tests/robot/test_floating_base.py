@@ -21,7 +21,6 @@ from random_plants import JOINTS, random_motion, random_plant
 from geodrake.errors import ArgumentError
 from geodrake.inertia import inertial_parameters
 from geodrake.inertia.bodies import lumped_bodies
-from geodrake.robot.base_parameters import base_parameters, structural_base_parameters
 from geodrake.robot.floating_base import (
     base_wrench_regressor,
     body_poses,
@@ -107,21 +106,6 @@ def test_poses_are_drakes(kinds, seed):
         for b, body in enumerate(lumped_bodies(plant)):
             X_WB = plant.EvalBodyPoseInWorld(context, plant.get_body(body.body_index))
             np.testing.assert_allclose(poses[i, b], X_WB.GetAsMatrix4(), atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    "kinds", [["revolute"] * 4, ["prismatic", "revolute", "ball", "universal"]]
-)
-def test_base_wrench_tells_what_all_efforts_tell(kinds):
-    """[Lee2019] Remark 3.1, for a tree with a floating base."""
-    rng = np.random.default_rng(2)
-    plant = random_plant(rng, ["rpy floating", *kinds], chain=True)
-    motion = random_motion(plant, rng, 120)
-    from_wrench = base_parameters(base_wrench_regressor(plant, *motion))
-    everything = structural_base_parameters(plant)
-    assert from_wrench.rank == everything.rank
-    np.testing.assert_array_equal(from_wrench.independent, everything.independent)
-    np.testing.assert_allclose(from_wrench.matrix, everything.matrix, atol=1e-9)
 
 
 def test_moved_wrenches_are_those_about_the_other_frame():

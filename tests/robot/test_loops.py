@@ -21,13 +21,9 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geodrake import load_model, save_model
 from geodrake.errors import ArgumentError, ModelError
-from geodrake.excitation.regressor_gradient import inverse_dynamics_regressor_gradient
 from geodrake.logs import Motion
 from geodrake.model import holding
 from geodrake.model.dynamics_check import check_dynamics
-from geodrake.robot import inverse_dynamics_regressor
-from geodrake.robot.effort_slopes import effort_slopes
-from geodrake.robot.regressor import inverse_dynamics
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -406,18 +402,6 @@ def test_a_loop_of_an_sdf_is_that_of_its_twin(tmp_path, pin):
     np.testing.assert_array_equal(again.effort(motion), model.effort(motion))
 
 
-def test_what_the_file_states_of_the_joint_that_closes_a_loop_counts(tmp_path):
-    terms = dynamics(damping=0.3, spring_stiffness=1.5, spring_reference=0.1)
-    turns = (("rocker", 1), ("crank", -1), ("coupler", -1))  # how far the pin does
-    joints = "".join(f'<joint joint="{name}" coef="{share}"/>' for name, share in turns)
-    tendon = f'<fixed name="pin" damping=".3" stiffness="1.5" springlength=".1">{joints}</fixed>'
-    model, constrained = twins(
-        tmp_path, four_bar_sdf(("revolute", terms)), f"<tendon>{tendon}</tendon>"
-    )
-    assert {f.effect.place for f in model.effects} == {"coupler", "rocker", "pin"}
-    assert_twins(model, constrained)
-
-
 def test_a_prismatic_joint_may_close_a_loop(tmp_path):
     bars = (*BARS[:2], ("slider_link", "0.35 0 0.1", (0.4, "0 0 0", "1e-4 1e-4 1e-4")))
     limit = "<limit><effort>9</effort></limit>"
@@ -539,39 +523,6 @@ def test_a_loop_of_an_sdf_that_cannot_be_used_is_refused(tmp_path):
         load_model(tmp_path / "robot.sdf")
 
 
-def slopes_of(function, x, step=1e-5):
-    """∂function/∂x of functions of N samples (N, ·), sample by sample."""
-    columns = [
-        (function(x + step * unit) - function(x - step * unit)) / (2 * step)
-        for unit in np.eye(x.shape[1])
-    ]
-    return np.stack(columns, axis=-1)
-
-
-def test_slopes_and_gradients_through_a_loop_are_differences(tmp_path):
-    model = load(tmp_path, gripper())
-    q, v, vd = states(model)
-    tree, phi = model.tree, model.total_phi
-    slopes = effort_slopes(tree, q, v, vd, phi)
-    for found, function, x in (
-        (slopes.position, lambda x: inverse_dynamics(tree, x, v, vd, phi), q),
-        (slopes.velocity, lambda x: inverse_dynamics(tree, q, x, vd, phi), v),
-        (slopes.acceleration, lambda x: inverse_dynamics(tree, q, v, x, phi), vd),
-    ):
-        np.testing.assert_allclose(found, slopes_of(function, x), rtol=1e-5, atol=1e-5)
-    place = lambda x: model.motion(Motion(x, v, vd)).bodies.motion("left_tip").position  # noqa: E731
-    tip = model.motion(Motion(q, v, vd)).bodies.motion("left_tip")
-    np.testing.assert_allclose(tip.linear, slopes_of(place, q), atol=1e-8)
-    W = np.random.default_rng(1).normal(size=(len(q), 2, phi.size))
-    found = inverse_dynamics_regressor_gradient(tree, q, v, vd, W)
-    at = {"q": q, "v": v, "vd": vd}
-    for key, x in at.items():
-        value = lambda x, key=key: np.einsum(  # noqa: E731
-            "nij,nij->n", W, inverse_dynamics_regressor(tree, *(at | {key: x}).values())
-        )
-        np.testing.assert_allclose(getattr(found, key), slopes_of(value, x), rtol=1e-5, atol=1e-5)
-
-
 def test_limits_are_those_of_all_joints_and_motors_of_the_free_ones(tmp_path):
     limits = {"crank": 5.0, "rocker": 3.0}
     text = four_bar_sdf(limits=limits).replace(
@@ -658,3 +609,15 @@ def test_a_loop_begins_where_the_file_draws_it(tmp_path):
     bare = [replace(m, effects=()) for m in (model, plain)]
     moved = Motion(motion.q + 0.7, motion.v, motion.vd)
     np.testing.assert_allclose(bare[0].effort(moved), bare[1].effort(motion), rtol=1e-9)
+
+
+def test_what_the_file_states_of_the_joint_that_closes_a_loop_counts(tmp_path):
+    terms = dynamics(damping=0.3, spring_stiffness=1.5, spring_reference=0.1)
+    turns = (("rocker", 1), ("crank", -1), ("coupler", -1))  # how far the pin does
+    joints = "".join(f'<joint joint="{name}" coef="{share}"/>' for name, share in turns)
+    tendon = f'<fixed name="pin" damping=".3" stiffness="1.5" springlength=".1">{joints}</fixed>'
+    model, constrained = twins(
+        tmp_path, four_bar_sdf(("revolute", terms)), f"<tendon>{tendon}</tendon>"
+    )
+    assert {f.effect.place for f in model.effects} == {"coupler", "rocker", "pin"}
+    assert_twins(model, constrained)

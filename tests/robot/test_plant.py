@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from measurements import REFERENCE
 from pydrake.multibody.tree import MultibodyForces
 
 from geodrake.errors import ArgumentError, ModelError
@@ -363,26 +362,6 @@ def test_written_parameters_are_read_back():
 
 
 # Public descriptions
-
-
-@pytest.mark.measurements("reference/*.urdf", "reference/iiwa14.sdf")
-@pytest.mark.parametrize(
-    ("name", "nv", "repaired"),
-    [
-        ("ur10e.urdf", 6, set()),
-        ("tx40.urdf", 6, {"link_6"}),
-        ("panda_arm.urdf", 7, set()),
-        ("atlas_v5.urdf", 30, set()),
-        ("iiwa14.sdf", 7, set()),
-    ],
-)
-def test_reference_models(name, nv, repaired, capfd):
-    loaded = load_plant(REFERENCE / name)
-    assert capfd.readouterr() == ("", "")
-    assert loaded.plant.num_velocities() == nv
-    assert {repair.body for repair in loaded.repairs} == repaired
-    assert is_physical(inertial_parameters(loaded.plant), tolerance=1e-6).all()
-    assert np.isfinite(effort_limits(loaded.plant)).all()
 
 
 def test_several_roots_are_each_welded(load):

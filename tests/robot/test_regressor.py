@@ -97,13 +97,6 @@ def test_quaternions_of_any_length_mean_their_direction():
     )
 
 
-def test_no_samples_and_no_velocities():
-    plant = random_plant(np.random.default_rng(9), ["revolute"])
-    assert inverse_dynamics_regressor(plant, *np.zeros((3, 0, 1))).shape == (0, 1, 10)
-    fixed = random_plant(np.random.default_rng(9), ["weld"])
-    assert inverse_dynamics_regressor(fixed, *np.zeros((3, 5, 0))).shape == (5, 0, 0)
-
-
 def test_wrong_parameters_and_bodies_are_refused(arm):
     motion = random_motion(arm, np.random.default_rng(0), 2)
     with pytest.raises(ArgumentError, match="phi must be"):

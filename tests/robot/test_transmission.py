@@ -222,30 +222,6 @@ def test_efforts_are_those_of_pinocchios_mimic_joints():
         np.testing.assert_allclose(ours[i], expected, atol=1e-10 * np.abs(expected).max())
 
 
-def test_power_through_a_crank_is_the_change_of_energy():
-    plant = arm(rotors=True)
-    plant.Finalize()
-    linkage = FunctionTransmission(
-        (4, 2),
-        lambda q: np.hstack([crank(q), 3 * q[:, :1]]),
-        lambda q: np.concatenate(
-            [crank_jacobian(q), np.broadcast_to([[[3.0, 0.0]]], (len(q), 1, 2))], 1
-        ),
-    )
-    motion, context, step = random_motion(), plant.CreateDefaultContext(), 1e-5
-    efforts = actuator_efforts(plant, linkage, motion)
-
-    def energy(q, v):
-        moved = linkage.joint_motion(Motion(q[None], v[None], v[None]))
-        plant.SetPositions(context, moved.q[0])
-        plant.SetVelocities(context, moved.v[0])
-        return plant.CalcKineticEnergy(context) + plant.CalcPotentialEnergy(context)
-
-    for q, v, vd, effort in zip(motion.q, motion.v, motion.vd, efforts, strict=True):
-        after, before = (energy(q + h * v, v + h * vd) for h in (step, -step))
-        assert effort @ v == pytest.approx((after - before) / (2 * step), rel=1e-6, abs=1e-6)
-
-
 def test_a_joint_that_an_actuator_does_not_move_does_not_limit_it():
     """Without a warning, although 0 · ∞ is no number."""
     idle = Drive(("m",), ("a", "b"), LinearTransmission.of([[2.0], [0.0]]))
