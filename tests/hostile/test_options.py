@@ -74,7 +74,10 @@ REFUSED = ("nan", "wide", "many", "1.5", "'a\0b'", "pipe", "socket", "device")
 """Values of numbers and paths that no option takes."""
 ENDS = {"--save": ".yaml", "--json": ".json", "--report": ".html", "--out": ".html"}
 ENDS |= {"--meshcat": ".html", "--draft-effect": ".py", "--export": ".urdf", "--ellipsoids": ".png"}
+ENDS |= {"--video": ".gif", ("play", "--to"): ".mcap"}
 """Options of files that are written -> how their names end; none of the paths above is one."""
+BEFORE = {("play", "--to"): "mcap "}
+"""Options of two values, and the first of these."""
 OF_LOGS = {field.name for field in fields(ReadingOptions)}
 FILES = {"model": "robot.urdf", "logs": "log.csv", "fleet": "fleet.yaml"}
 """Arguments that are files, and what they are in the commands above."""
@@ -100,10 +103,11 @@ PARAMETERS = list(parameters())
 @pytest.mark.sampled(20)
 @pytest.mark.parametrize(("command", "option", "kind"), PARAMETERS)
 def test_values(command, option, kind, tmp_path):
-    given, end = COMMANDS[command], ENDS.get(option, "")
+    given = COMMANDS[command]
+    end = ENDS.get((command, option), ENDS.get(option, ""))
     make = {"fleet.yaml": FLEET, **{f"{name}{end}": content for name, content in PATHS.items()}}
     for k, value in enumerate((*VALUES.get(kind, VALUES["str"]), *MORE.get(option, ()))):
-        words = f"{given} {option} {value}{end}"
+        words = f"{given} {option} {BEFORE.get((command, option), '')}{value}{end}"
         if option in FILES:
             words = given.replace(FILES[option], value)
         is_wrong = end and (value != "input" or "log.csv" in given)
