@@ -168,7 +168,7 @@ def body_figure(study: Study) -> Figure:
         [EllipsoidSet.of("prior", study.leg.prior, color=COLORS["prior"])],
     )
     for kind, found in study.example.items():
-        at = [first // 10 for first in found.fit.active_blocks]
+        at = [first // 10 for first in found.active_blocks]
         name = kind.replace("_", " ")
         sets.append(EllipsoidSet.of(name, found.phi, color=COLORS[kind], at_boundary=at))
     context = plant.CreateDefaultContext()

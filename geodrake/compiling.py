@@ -5,7 +5,9 @@ from __future__ import annotations
 import fcntl
 import os
 import pickle
+import re
 import stat
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -24,7 +26,8 @@ from geodrake.errors import GeodrakeError
 try:
     from numba import __version__ as numba_version
     from numba import config, njit
-    from numba.core import caching, event
+    from numba.core import event
+    from numba.core.compiler import CompileResult
     from numba.core.compiler_lock import global_compiler_lock
 except ImportError as error:
     raise GeodrakeError(
@@ -51,11 +54,9 @@ What was kept does not depend on where the files are: a copy of them may bring i
 def compiled(function: F) -> F:
     """Return a function of numbers, arrays and tuples of them, compiled when it is first called.
 
-    What was compiled is kept beside the source, or in the user's folder for caches where that
-    cannot be written or others can write. Where neither will do, every process compiles it anew.
-
-    Args:
-        function: The function. It may call others that are compiled or inlined.
+    It may call others that are compiled or inlined. What was compiled is kept beside the source, or
+    in the user's folder for caches where that cannot be written or others can write. Where neither
+    will do, every process compiles it anew.
     """
     return _compiled(function)
 
@@ -66,22 +67,17 @@ def inlined(function: F) -> F:
 
 
 def contiguous(x: ArrayLike) -> NDArray[np.float64]:
-    """Return an array as compiled code knows it: other layouts would be compiled once more.
-
-    Args:
-        x: (...) numbers.
-    """
+    """Return an array as compiled code knows it: other layouts would be compiled once more."""
     array = np.asarray(x, float)
     return array if array.flags.carray else np.array(array, order="C")
 
 
 @contextmanager
 def while_compiling(begins: Callable[[], None], ends: Callable[[], None]) -> Iterator[None]:
-    """Tells of what is compiled as it was not kept; some of it takes seconds.
+    """Tell of what is compiled as it was not kept; some of it takes seconds.
 
-    Args:
-        begins: Called as soon as a function is compiled.
-        ends: Called when that is done, and all that it calls.
+    `begins` is called as soon as a function is compiled, `ends` when that is done, and all that it
+    calls.
     """
     depth = 0
 
@@ -115,9 +111,8 @@ def _compiled(function: F, **options: Any) -> F:
     parts = numba_version, _source(function.__code__.co_filename), constants, called
     source = sha256("".join(map(str, parts)).encode())
     _SOURCES[function] = source.hexdigest()
-    with suppress(RuntimeError):  # there is no place for a cache
-        dispatcher._cache = kept = _Kept(function, _SOURCES[function])
-        dispatcher.compile = kept.in_turn(dispatcher.compile)
+    dispatcher._cache = kept = _Kept(function, _SOURCES[function])
+    dispatcher.compile = kept.in_turn(dispatcher.compile)
     return cast(F, dispatcher)
 
 
@@ -133,125 +128,31 @@ def _names(code: CodeType) -> frozenset[str]:
     return frozenset(code.co_names).union(*within)
 
 
-def _is_own(status: os.stat_result) -> bool:
-    """Return whether only the user and root can change what a file or folder holds.
+class _Kept:
+    """Compiled code of a function, valid while all that it came from is unchanged.
 
-    What is kept is unpickled, which runs whatever it says. So it must be as trustworthy as the
-    source itself, which root may have installed.
+    A file for each signature, with a digest of its sources. Numba's own files have numbers that an
+    index tells, which every process writes anew: of two that compile at once one may be told the
+    other's. It also looks at the time of the function's own file alone, and a full disk or a file
+    that was cut off would be an error of the call. Of processes that need the same, one compiles
+    it.
     """
-    return status.st_uid in (os.geteuid(), 0) and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-
-
-class _OwnFolder:
-    """Return a cache for compiled code, if no other user can write into the folder."""
-
-    mode = 0o755
-
-    def ensure_cache_path(self) -> None:
-        """Make the folder, unless it is there.
-
-        Raises:
-            OSError: It cannot be made or written, or others can write it.
-        """
-        path = Path(self.get_cache_path())  # type: ignore[attr-defined]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.mkdir(self.mode, exist_ok=True)
-        status = path.lstat()
-        if not (stat.S_ISDIR(status.st_mode) and _is_own(status)):
-            raise PermissionError(f"others can write {path}")
-        tempfile.TemporaryFile(dir=path).close()
-
-
-_AsAsked: Any = caching.UserProvidedCacheLocator
-_InTree: Any = caching.InTreeCacheLocator
-_UserWide: Any = caching.UserWideCacheLocator
-
-
-class _OwnAsAsked(_OwnFolder, _AsAsked):
-    """Return the folder of NUMBA_CACHE_DIR."""
-
-
-class _OwnInTree(_OwnFolder, _InTree):
-    """Beside the source, where Python keeps bytecode, which whoever can write there decides too."""
-
-
-class _OwnUserWide(_OwnFolder, _UserWide):
-    """The user's folder for caches."""
-
-    mode = 0o700
-
-
-_DataFiles: Any = caching.IndexDataCacheFile
-
-
-class _Files(_DataFiles):
-    """What was compiled of a function, a file for each signature, with what it came from.
-
-    Numba's own files have numbers that an index tells, which every process writes anew: of two
-    that compile at once one may be told the other's.
-    """
-
-    def load(self, key: object) -> Any:
-        """Return what was kept under a key, if it came from the same."""
-        source, data = self._load_data(self._name(key))
-        return data if source == self._source_stamp else None
-
-    def save(self, key: object, data: object) -> None:
-        """Keeps data in the place of what is there."""
-        self._save_data(self._name(key), (self._source_stamp, data))
-
-    def _load_data(self, name: str) -> Any:
-        """Return what a file holds.
-
-        Raises:
-            OSError: It is not there, is a link, or others can write it.
-        """
-        number = os.open(self._data_path(name), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-        with os.fdopen(number, "rb") as file:
-            status = os.fstat(number)
-            if not (stat.S_ISREG(status.st_mode) and _is_own(status)):
-                raise PermissionError(f"others can write {name}")
-            return pickle.loads(file.read())
-
-    @contextmanager
-    def _open_for_write(self, path: str) -> Iterator[BinaryIO]:
-        with super()._open_for_write(path) as file:
-            os.fchmod(file.fileno(), 0o644)  # whatever the umask
-            yield file
-
-    def _name(self, key: object) -> str:
-        signature = sha256(repr(key).encode()).hexdigest()[:16]
-        return str(self._data_name_pattern.replace("{number:d}", signature))
-
-
-_Implementation: Any = caching.CompileResultCacheImpl
-
-
-class _OwnPlaces(_Implementation):
-    _locator_classes = (_OwnAsAsked, _OwnInTree, _OwnUserWide)
-
-
-_FunctionCache: Any = caching.FunctionCache
-
-
-class _Kept(_FunctionCache):
-    """What was compiled of a function, as long as all that it came from is what it was.
-
-    Numba looks at the time of the function's own file alone, and a full disk or a file that was
-    cut off would be an error of the call. Of processes that need the same, one compiles it.
-    """
-
-    _impl_class = _OwnPlaces
 
     def __init__(self, function: Callable[..., Any], source: str) -> None:
-        super().__init__(function)
-        base = self._impl.filename_base
-        self._cache_file = _Files(self.cache_path, base, source)
-        self._lock = Path(self.cache_path, f"{base}.lock")
-        self._turns = list[BinaryIO]()
+        path = Path(function.__code__.co_filename)
+        self.cache_path = _place_beside(path)
+        name = re.sub(r"[<>]", "", function.__qualname__)
+        version = f"py{sys.version_info[0]}{sys.version_info[1]}{sys.abiflags}"
+        self._stem = f"{path.stem}.{name}-{function.__code__.co_firstlineno}.{version}"
+        self._source, self._turns = source, list[BinaryIO]()
+
+    @property
+    def lock(self) -> Path:
+        """File that is locked by the process whose turn it is to compile."""
+        return Path(self.cache_path or "", f"{self._stem}.lock")
 
     def in_turn(self, compile_one: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """Numba's way to compile the function for a signature, after which it is others' turn."""
+        """Return Numba's way to compile for a signature, after which it is others' turn."""
 
         def alone(signature: Any) -> Any:
             with global_compiler_lock:
@@ -260,45 +161,92 @@ class _Kept(_FunctionCache):
                 finally:
                     while self._turns:
                         with suppress(OSError):
-                            self._lock.unlink(missing_ok=True)
+                            self.lock.unlink(missing_ok=True)
                         self._turns.pop().close()
 
         return alone
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """What was kept; None if nothing was that can be read, when it is our turn to make it."""
+        """Return what was kept; None if nothing was that can be read, when it is our turn."""
+        target_context.refresh()
         found = self._read(sig, target_context)
-        if found is None:
+        if found is None and self.cache_path is not None:
             self._take_turn()
             found = self._read(sig, target_context)  # another process may have made it
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keeps what was compiled, if there is room."""
+        """Keep what was compiled, if there is room."""
+        if self.cache_path is None or data.library.has_dynamic_globals:
+            return
         with suppress(Exception):
-            super().save_overload(sig, data)
+            content = pickle.dumps((self._source, data._reduce()), protocol=-1)
+            with tempfile.NamedTemporaryFile(dir=self.cache_path, delete=False) as file:
+                try:
+                    os.fchmod(file.fileno(), 0o644)  # whatever the umask
+                    file.write(content)
+                    file.flush()
+                    Path(file.name).replace(self._file(sig, data.codegen))
+                finally:
+                    Path(file.name).unlink(missing_ok=True)
+
+    def _file(self, sig: Any, codegen: Any) -> Path:
+        key = sha256(repr((sig, codegen.magic_tuple())).encode()).hexdigest()[:16]
+        return Path(self.cache_path or "", f"{self._stem}.{key}.nbc")
 
     def _read(self, sig: Any, target_context: Any) -> Any:
-        try:
-            return super().load_overload(sig, target_context)
-        except Exception:
-            return None
+        """Return what a file holds, unless it is a link, or others can write it."""
+        with suppress(Exception):
+            path = self._file(sig, target_context.codegen())
+            number = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+            with os.fdopen(number, "rb") as file:
+                status = os.fstat(number)
+                if stat.S_ISREG(status.st_mode) and _is_own(status):
+                    source, data = pickle.loads(file.read())
+                    if source == self._source:
+                        return CompileResult._rebuild(target_context, *data)
+        return None
 
     def _take_turn(self) -> None:
-        """Waits while another process compiles, unless that takes too long."""
+        """Wait while another process compiles, unless that takes too long."""
         end = time.monotonic() + _LONGEST_WAIT
         with suppress(OSError):  # a folder that cannot be written, or one without locks
-            self._impl.locator.ensure_cache_path()
-            file = self._lock.open("wb")
+            file = self.lock.open("wb")
             self._turns.append(file)
-            while not _is_locked(file) and time.monotonic() < end:
+            while time.monotonic() < end:
+                with suppress(BlockingIOError):
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
                 time.sleep(_PAUSE)
 
 
-def _is_locked(file: BinaryIO) -> bool:
-    """Locks a file, unless another has."""
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+def _places(path: Path) -> Iterator[tuple[Path, int]]:
+    """Yield folders for what is compiled of a file, and their modes: asked for, beside it, own."""
+    name = f"{path.parent.name}_{sha256(str(path.parent).encode()).hexdigest()[:16]}"
+    if config.CACHE_DIR:  # type: ignore[attr-defined]
+        yield Path(config.CACHE_DIR, name), 0o755  # type: ignore[attr-defined]
+    yield path.parent / "__pycache__", 0o755
+    home = os.environ.get("XDG_CACHE_HOME") or Path("~", ".cache").expanduser()
+    yield Path(home, "geodrake", name), 0o700
+
+
+def _place_beside(path: Path) -> Path | None:
+    """Return the first folder that can be made and written, and that others cannot write."""
+    for folder, mode in _places(path):
+        with suppress(OSError, RuntimeError):  # or there is no home
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(mode, exist_ok=True)
+            status = folder.lstat()
+            if stat.S_ISDIR(status.st_mode) and _is_own(status):
+                tempfile.TemporaryFile(dir=folder).close()
+                return folder
+    return None
+
+
+def _is_own(status: os.stat_result) -> bool:
+    """Return whether only the user and root can change what a file or folder holds.
+
+    What is kept is unpickled, which runs whatever it says. So it must be as trustworthy as the
+    source itself, which root may have installed.
+    """
+    return status.st_uid in (os.geteuid(), 0) and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)

@@ -221,7 +221,7 @@ def row_of(
         distance=float(np.linalg.norm(riemannian_distance(phi[:links], truth))),
         zmp=float(np.linalg.norm(miss, axis=1).mean()),
         gamma=found.gamma if fitted else None,
-        at_boundary=len(found.fit.active_blocks) if fitted else 0,
+        at_boundary=len(found.active_blocks) if fitted else 0,
         seconds=seconds,
     )
 

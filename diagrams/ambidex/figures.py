@@ -181,6 +181,6 @@ def example(measured: Measurements, plan: Plan) -> list[EllipsoidSet]:
         EllipsoidSet.of(PRIOR, prior, color=style.QUIET),
     ]
     for name, one in fits.items():
-        flat = [column // PARAMETERS_PER_BODY for column in one.fit.active_blocks]
+        flat = [column // PARAMETERS_PER_BODY for column in one.active_blocks]
         models.append(EllipsoidSet.of(LABELS[name], one.phi, color=COLORS[name], at_boundary=flat))
     return models

@@ -20,12 +20,11 @@ from geodrake.fleet.hashes import model_hash, text_hash
 from geodrake.fleet.log_places import date_of_log
 from geodrake.fleet.settings import BLOCKS, LAGS, DigestEffect, DigestSettings, own_sources
 from geodrake.identification.logs.candidate_effects import candidate_delays, candidate_effects
-from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
 from geodrake.identification.logs.dataset import Dataset, JointData
 from geodrake.identification.logs.hypothesis import CrossValidation
 from geodrake.identification.logs.log_slices import Layout
 from geodrake.identification.logs.model_fit import effects_of, model_unknowns
-from geodrake.identification.logs.noise import noise_floor
+from geodrake.identification.logs.noise import known_noise, prepare_for_model
 from geodrake.identification.logs.reduce import (
     STILL_SPEED,
     effort_deviation,
@@ -328,7 +327,7 @@ def _about(
         trajectory.filter.period,
         trajectory.filter.bandwidth,
         facts.payloads,
-        noise_floor([trajectory], model, sign_width=settings.sign_width),
+        known_noise([trajectory], model, sign_width=settings.sign_width)[0],
         sum(map(len, trajectory.segments)),
         np.array(log.gain_deviations),
         position,
@@ -405,7 +404,9 @@ def digest_dataset(
         digest.logs[0].bandwidth,
         digest.still,
         payload_reference(model.phi),
-        gain_uncertainty(model, digest.logs),
+        gain_uncertainty(
+            model, [t.payloads for t in digest.logs], [t.gain_deviations for t in digest.logs]
+        ),
     )
 
 

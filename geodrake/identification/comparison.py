@@ -69,10 +69,10 @@ def compare_regularizers(
         IdentificationError: The reference has no solution, or fits the data to rounding.
     """
     positive(gamma, "gamma")
-    given = instances(regularizers, "regularizers", object)
-    kinds = {kind.name: kind for kind in map(regularizer_of, given)}
+    given = [regularizer_of(each) for each in instances(regularizers, "regularizers", object)]
+    kinds = {kind.name: kind for kind in given}
     if len(kinds) < len(given):
-        names = ", ".join(regularizer_of(kind).name for kind in given)
+        names = ", ".join(kind.name for kind in given)
         raise ArgumentError(f"Each regularizer can be compared once; got {names}.")
     first_kind = kinds.get(str(reference)) or regularizer_of(reference)
     compared, extra_priors = {**kinds, first_kind.name: first_kind}, extra_priors or {}
@@ -88,10 +88,11 @@ def compare_regularizers(
         return identify(A, b, prior, regularizer=kind, **form, **own)
 
     first = solve(first_kind, gamma=gamma)
-    if first.residual <= _EXACT * float(np.square(np.asarray(b, float)).sum()):
+    residual = first.residual
+    if residual <= _EXACT * float(np.square(np.asarray(b, float)).sum()):
         raise IdentificationError(
-            f"The data are fitted exactly: the residual of {first_kind.name} is "
-            f"{first.residual:.3g}, and no other can be compared at it.",
+            f"The data are fitted exactly: the residual of {first_kind.name} is {residual:.3g}, "
+            "and no other can be compared at it.",
             advice="Raise gamma, or give measured data.",
         )
     results, failures = dict[str, IdentificationResult](), dict[str, str]()
@@ -100,10 +101,10 @@ def compare_regularizers(
             results[name] = first
             continue
         try:
-            result = solve(kind, residual_bound=first.residual)
-            if abs(result.residual - first.residual) > EQUAL * first.residual:
+            result = solve(kind, residual_bound=residual)
+            if abs(result.residual - residual) > EQUAL * residual:
                 raise IdentificationError(
-                    f"It has the residual {result.residual:.6g} instead of {first.residual:.6g}: "
+                    f"It has the residual {result.residual:.6g} instead of {residual:.6g}: "
                     "its closest parameters to the prior already fit better.",
                     advice="Lower gamma: with so strong a prior there is nothing to compare.",
                 )
@@ -116,6 +117,6 @@ def compare_regularizers(
         results=results,
         reference=first_kind.name,
         gamma=gamma,
-        residual=first.residual,
+        residual=residual,
         failures=failures,
     )

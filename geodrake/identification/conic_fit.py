@@ -28,7 +28,6 @@ from geodrake.identification.solvers import (
     ROUGHLY,
     Accuracies,
     check_solver,
-    cone_multiplier,
     run_solver,
     solved_apart,
 )
@@ -171,7 +170,7 @@ def solution_of(fit: FitProgram, result: MathematicalProgramResult) -> tuple[Arr
         return x, 1.0
     if problem.residual(x) < bound * (1.0 - 1e-6):
         return x, np.inf
-    multiplier = cone_multiplier(result, fit.residual_cone) * fit.cost_scale
+    multiplier = abs(float(result.GetDualSolution(fit.residual_cone)[0])) * fit.cost_scale
     return x, 2.0 * fit.residual_scale**2 / multiplier if multiplier else np.inf
 
 

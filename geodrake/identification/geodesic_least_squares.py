@@ -104,7 +104,7 @@ def geodesic_least_squares(
             everything = replace(point, used=np.ones(len(rows), bool))
             returning = everything.projections.exists & ~(point.used | readmitted)
             if not returning.any():
-                return _result(point, rows, count)
+                return point.result(rows, count)
             # (Once each, so that there is an end.)
             readmitted |= returning
             point = replace(point, used=point.used | returning)
@@ -138,26 +138,6 @@ def _start(rows: Array, prior: Array, gamma: float) -> _GeodesicPoint:
         if same:
             break
     return point
-
-
-def _result(point: _GeodesicPoint, rows: Array, iterations: int) -> GeodesicLeastSquaresResult:
-    curvature = float(point.spectrum[0][0] / point.gamma)
-    if not curvature > 0:
-        raise point.failure(
-            f"ended where its cost has a curvature of {curvature:.2g} γ: a saddle",
-            "Raise gamma, or begin at another prior.",
-        )
-    phi = from_pseudo_inertia(point.root @ np.swapaxes(point.root, -1, -2))
-    errors = rows @ np.append(phi.ravel(), -1.0)
-    return GeodesicLeastSquaresResult(
-        phi=phi,
-        cost=point.cost,
-        residual=float(errors @ errors),
-        rejected=tuple(np.flatnonzero(~point.used).tolist()),
-        iterations=iterations,
-        distance=point.distance,
-        curvature=curvature,
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,6 +274,25 @@ class _GeodesicPoint:
                 f"finds no mean of its projections, {self.distance:.2g} from its minimum: {error}",
                 'Raise gamma, or take method="newton".',
             ) from error
+
+    def result(self, rows: Array, iterations: int) -> GeodesicLeastSquaresResult:
+        curvature = float(self.spectrum[0][0] / self.gamma)
+        if not curvature > 0:
+            raise self.failure(
+                f"ended where its cost has a curvature of {curvature:.2g} γ: a saddle",
+                "Raise gamma, or begin at another prior.",
+            )
+        phi = from_pseudo_inertia(self.root @ np.swapaxes(self.root, -1, -2))
+        errors = rows @ np.append(phi.ravel(), -1.0)
+        return GeodesicLeastSquaresResult(
+            phi=phi,
+            cost=self.cost,
+            residual=float(errors @ errors),
+            rejected=tuple(np.flatnonzero(~self.used).tolist()),
+            iterations=iterations,
+            distance=self.distance,
+            curvature=curvature,
+        )
 
     def failure(self, what: str, advice: str) -> ConvergenceError:
         words = f"Geodesic least squares {what}."

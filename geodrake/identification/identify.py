@@ -11,9 +11,13 @@ from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import instance, number, one_of, real_array, typed
 from geodrake.errors import ArgumentError, IdentificationError
-from geodrake.identification.constraints import BodyConstraints, checked_bounds
 from geodrake.identification.fit import FitResult
-from geodrake.identification.problem import FitProblem, whitened_factor
+from geodrake.identification.problem import (
+    BodyConstraints,
+    FitProblem,
+    checked_bounds,
+    whitened_factor,
+)
 from geodrake.identification.regularizer import Entropic, Euclidean, Pullback, Regularizer
 from geodrake.identification.riemannian import Riemannian
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical, pseudo_inertia
@@ -36,11 +40,6 @@ class IdentificationResult(FitResult):
     divergence: float  # d(Φ, Φ⁰)² of the regularizer, without γ, extra parameters included
     regularizer: str  # its name
     gamma: float  # the weight γ given, or in the point-to-set form the γ of the same solution
-
-    @property
-    def fit(self) -> FitResult:
-        """Return the same, as a fit like others."""
-        return self
 
 
 @typed

@@ -11,10 +11,9 @@ from scipy.linalg import qr, solve_triangular
 from geodrake.boundary.arguments import integer, typed
 from geodrake.errors import IdentificationError
 from geodrake.identification.conic_fit import solve_fit
-from geodrake.identification.constraints import BodyConstraints
 from geodrake.identification.fit import FitResult
 from geodrake.identification.identify import build_problem, physical_prior
-from geodrake.identification.problem import whitened_factor
+from geodrake.identification.problem import BodyConstraints, whitened_factor
 from geodrake.inertia import PARAMETER_NAMES, Array
 
 _RANK = 1e-10
@@ -124,17 +123,16 @@ def _undetermined(directions: Array, bodies: int) -> IdentificationError:
     count, p = directions.shape
     places = [f"{name}[{body}]" for body in range(bodies) for name in PARAMETER_NAMES]
     places += [f"x[{column}]" for column in range(len(places), p)]
-
-    def described(direction: Array) -> str:
+    words = []
+    for direction in directions[:_NAMED]:
         order = np.argsort(-np.abs(direction), kind="stable")
         parts = [i for i in order if abs(direction[i]) > 1e-6]
         text = " ".join(f"{direction[i]:+.2g} {places[i]}" for i in parts[:_MOST_PARTS])
-        return f"{text} …" if len(parts) > _MOST_PARTS else text
-
-    named = "; ".join(described(direction) for direction in directions[:_NAMED])
+        words.append(f"{text} …" if len(parts) > _MOST_PARTS else text)
     more = f"; and {count - _NAMED} more" if count > _NAMED else ""
     return IdentificationError(
-        f"The data do not identify {count} of {p} directions of the parameters: {named}{more}.",
+        f"The data do not identify {count} of {p} directions of the parameters: "
+        f"{'; '.join(words)}{more}.",
         advice="Use a regularizer, which takes them from the prior, or richer motion; "
         "minimum_norm=True of `least_squares` sets them to zero.",
         directions=directions,

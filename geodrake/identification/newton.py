@@ -17,22 +17,31 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache
-from typing import NamedTuple, Protocol, TypeVar
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from typing import NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dtpmqrt, dtpqrt, dtrtrs
 from scipy.optimize import brentq
 
 from geodrake.boundary.arguments import instance
-from geodrake.errors import IdentificationError
-from geodrake.identification.coordinates import SYMMETRIC_BASIS, smat, svec
+from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.identification.coordinates import (
+    IDENTITY,
+    SYMMETRIC_BASIS,
+    Coordinates,
+    Rows,
+    Scalars,
+    smat,
+    svec,
+)
 from geodrake.identification.fit import FitResult, fit_result
-from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.problem import FitProblem, check_residual_bound, out_of_reach
 from geodrake.identification.solvers import CONTRADICTION, OTHER_CAUSE, no_parameters
-from geodrake.inertia import Array
+from geodrake.inertia import Array, is_physical
+from geodrake.robot.reduction import triangular_factor
 
 _STEPS, _PATIENCE, _HALVINGS = 100, 3, 8
 _ROOM, _LEAST_ROOM = 0.02, 1e-5
@@ -46,8 +55,6 @@ _EXACT, _QUADRATIC = 1e-11, 1e-4
 """Gaps, relative to the smallest γ: one more step is exact; Newton's method is quadratic."""
 _ROUNDING, _GOOD = 1e-16, 1e-9
 """Gaps, relative to the cost: only rounding is left; it will do where rounding ends the way."""
-_LIFT = 1e-2
-"""Share of the smallest weight to which the next start lifts the products s λ."""
 _FLOOR = 1e-15
 """Products S Z, relative to the misfit, below which rounding would make Z or S indefinite."""
 _SAME_RESIDUAL, _NEARLY = 1e-10, 1e-7
@@ -58,6 +65,11 @@ _LEAP, _MOST_TRIALS, _NARROW = 6.0, 60, 1e-12
 """Longest step of the weight's logarithm, trials of Brent's method, and what it can tell apart."""
 _PANEL = 16
 _UNIT = np.eye(4)
+_BARRIER, _LEAST = 1e-10, 1e-11
+"""Weight of a barrier, of the curvature of its block's quadratic prior, and of the misfit there."""
+_UNDETERMINED, _FIXING = 1e-11, 1e-5
+_INSIDE = (0.0, 1e-13, 1e-11, 1e-9)
+"""Shares of the way to the prior, where every P(φ⁰)⁻¹ P(φ) is the identity, to be tried in turn."""
 
 
 def solve_newton(problem: FitProblem) -> FitResult:
@@ -66,7 +78,7 @@ def solve_newton(problem: FitProblem) -> FitResult:
     An entropic divergence keeps P(φ) ≻ 0 by itself, so `margin` plays no part there. A block with a
     quadratic prior gets a logarithmic barrier of 1e-10 of its prior's curvature, or more where
     rounding needs it. In the point-to-set form the weight of the prior is the root of
-    residual(γ) = residual_bound; all trials after the first start from the one before.
+    residual(γ) = residual_bound.
 
     The cost is exact to 1e-7 of itself or to 1e-12 γ, if that is more: bodies to about 1e-6 in
     geometric distance.
@@ -77,8 +89,156 @@ def solve_newton(problem: FitProblem) -> FitResult:
     begin = time.perf_counter()
     check_residual_bound(instance(problem, "problem", FitProblem))
     program = NewtonProgram.of(problem)
-    found, weight = bounded(program, minimize)
+    found, weight = bounded(program, lambda trial, _: minimize(trial))
     return fit_result(problem, program.parameters(found.z), weight, "newton", begin)
+
+
+@dataclass(frozen=True, eq=False)
+class NewtonProgram:
+    """A fit in the coordinates z of `Coordinates`, split into data and prior.
+
+    Minimizes ‖M z − d‖² + w (‖C z‖² + Σ_i γ_i (tr S_i − log|S_i|) + Σ_k γ_k (s_k − log s_k)) with
+    S_i = B_i + smat(z_i) ≻ 0, s = G z − h ≥ 0 and E z = e ([Lee2019] Eqs. (3.5.45), (3.5.46)). The
+    γ_k of an inequality is 0, but for positive scalars over their priors. A block whose prior is
+    quadratic has a γ_i next to nothing, as the barrier that keeps it physical.
+    """
+
+    coordinates: Coordinates
+    data: Array  # (p, p + 1) triangle [M | d]; what d has beyond it is `floor`
+    prior: Array  # (k, p) root C of the quadratic prior
+    fixing: Array  # (j, p) weak rows that fix directions which neither data nor prior determine
+    blocks: NDArray[np.intp]  # (n, 10) indices of the inertia blocks in z
+    begin: Array  # (n, 4, 4) matrices B
+    gammas: Array  # (n,) weights γ_i
+    barrier: NDArray[np.bool_]  # (n,) which of them are of barriers
+    strength: float  # size of the prior, to which weights w are relative
+    scalars: Scalars  # positive scalars over their priors, with their weights γ_k
+    # G (m, p) and h (m,), with rows of unit length but those of the positive scalars, which come
+    # first.
+    inequalities: Rows
+    equalities: Rows  # E (l, p) and e (l,), with independent rows of unit length
+    floor: float  # least squared residual of any parameters, also unphysical ones
+    weight: float = 1.0  # weight w of the prior
+
+    @classmethod
+    def of(cls, problem: FitProblem) -> Self:
+        """Return the program of a problem with a prior, entropic or quadratic, for every block."""
+        coordinates, p = Coordinates.of(problem), problem.size
+        triangle = triangular_factor([coordinates.data()])
+        prior, starts = coordinates.prior_root(), np.array(problem.inertia_blocks, np.intp)
+        blocks = starts[:, None] + np.arange(10)
+        curvatures = np.square(prior).sum(0)[blocks].mean(1)
+        entropic = np.array([problem.entropic.get(k, (None, 0.0))[1] for k in starts.tolist()])
+        barrier = entropic == 0
+        if free := starts[barrier & (curvatures == 0)].tolist():
+            raise ArgumentError(
+                "Newton's method needs an entropic or quadratic prior for every inertia block; "
+                f"those at columns {free} have none.",
+                advice="Give them one, or use the solver clarabel.",
+                columns=free,
+            )
+        scalars = coordinates.scalars(problem.entropic_scalars)
+        (G, h), equalities = coordinates.rows()
+        positive = np.eye(p)[scalars.columns] * scalars.slope[:, None]
+        others = np.setdiff1d(np.arange(p), np.append(blocks.ravel(), scalars.columns))
+        margins = np.where(barrier, problem.margin, 0.0)[:, None, None]
+        strengths = np.append(np.where(barrier, curvatures, entropic), scalars.weights)
+        return cls(
+            coordinates=coordinates,
+            data=triangle[:p],
+            prior=prior,
+            fixing=_undetermined(np.vstack([triangle[:p, :p], prior]), others),
+            blocks=blocks,
+            begin=coordinates.starts - margins * coordinates.references,
+            gammas=np.where(barrier, _BARRIER * curvatures, entropic),
+            barrier=barrier,
+            strength=float(strengths.max(initial=0.0)) or 1.0,
+            scalars=scalars,
+            inequalities=(np.vstack([positive, G]), np.append(-scalars.begin, h)),
+            equalities=equalities,
+            floor=float(triangle[p, p] ** 2),
+        )
+
+    def weighted(self, weight: float) -> Self:
+        """Return the program with another weight w of the prior; inf leaves the data out."""
+        if np.isinf(weight):
+            return replace(self, data=0.0 * self.data, floor=0.0, weight=1.0)
+        return replace(self, weight=weight)
+
+    @cached_property
+    def middle(self) -> Array:
+        """Coordinates (p,) where every S is the identity."""
+        z = np.zeros(self.data.shape[1] - 1)
+        z[self.blocks] = IDENTITY - svec(self.begin)
+        return z
+
+    def excess(self, z: Array) -> float:
+        """Return the squared residual of z (p,) beyond `floor`."""
+        return float(np.square(self.data @ np.append(z, -1.0)).sum())
+
+    def matrices(self, z: Array) -> Array:
+        """Return S_i of every block, (n, 4, 4), at z (p,)."""
+        return self.begin + smat(z[self.blocks])
+
+    def parameters(self, z: Array) -> Array:
+        """Return parameters (p,) at z (p,), physical and within bounds despite rounding."""
+        problem = self.coordinates.problem
+        for share in _INSIDE:  # rounding alone can leave a tiny γ's bodies at the boundary
+            near = (1.0 - share) * z + share * self.middle
+            x = np.clip(self.coordinates.parameters(near), problem.lower, problem.upper)
+            physical = is_physical(x[self.blocks]) & (self.coordinates.smallest_eigenvalues(x) > 0)
+            if np.all(physical):
+                return x
+        raise IdentificationError(
+            "Newton's parameters are not physical after rounding: a body of the prior is too flat "
+            "for double precision.",
+            advice="Check the units of the prior, or raise gamma.",
+            solver="newton",
+        )
+
+    @cached_property
+    def rows(self) -> Rows:
+        """Upper triangular F (p, p), in Fortran's order, and f (p,) of the cost ½ ‖F z − f‖²."""
+        p, triangle = len(self.middle), self.data
+        extra = np.vstack([np.sqrt(self.weight) * self.prior, self.fixing])
+        if len(extra):
+            rows = np.column_stack([extra, np.zeros(len(extra))])
+            triangle = triangular_factor([triangle, rows])[:p]
+        factor = np.asfortranarray(np.sqrt(2.0) * np.triu(triangle[:, :p]))
+        return factor, np.sqrt(2.0) * triangle[:, p]
+
+    @cached_property
+    def gamma(self) -> Array:
+        """(n,) weights w γ_i; a barrier has a least one, so that rounding does not drown it."""
+        least = np.where(self.barrier, _LEAST * self.excess(self.middle), 0.0)
+        return np.maximum(self.weight * self.gammas, least)
+
+    @cached_property
+    def targets(self) -> Array:
+        """(m,) weights w γ_k of the inequalities."""
+        given = self.scalars.weights
+        return np.append(self.weight * given, np.zeros(len(self.inequalities[1]) - len(given)))
+
+    @property
+    def weights(self) -> Array:
+        """All weights of entropic priors and barriers."""
+        return np.append(self.gamma, self.targets[self.targets > 0])
+
+    def cost(self, z: Array) -> float:
+        """Return the cost at z (p,), counted from a perfect fit at the prior."""
+        S, (F, f), ratios = self.matrices(z), self.rows, self.scalars.ratios(z)
+        divergences = np.trace(S, axis1=1, axis2=2) - np.linalg.slogdet(S)[1] - 4.0
+        scalars = self.weight * self.scalars.weights @ (ratios - np.log(ratios) - 1.0)
+        return float(0.5 * np.square(F @ z - f).sum() + self.gamma @ divergences + scalars)
+
+
+def _undetermined(rows: Array, scalars: NDArray[np.intp]) -> Array:
+    """Return weak rows for the directions of scalars (indices) that no row determines."""
+    if not len(scalars):
+        return np.zeros((0, rows.shape[1]))
+    _, sizes, directions = np.linalg.svd(triangular_factor([rows[:, scalars]]))
+    unknown = directions[sizes <= _UNDETERMINED * max(sizes[0], 1e-300)]
+    return _FIXING * unknown @ np.eye(rows.shape[1])[scalars]
 
 
 class Iterate(NamedTuple):
@@ -95,23 +255,8 @@ class Iterate(NamedTuple):
         return Iterate(*(at + length * by for at, by in zip(self, step, strict=True)))
 
 
-@dataclass(frozen=True, eq=False)
-class Minimum:
-    """Minimum of a `NewtonProgram`."""
-
-    program: NewtonProgram
-    point: Iterate  # the minimum with its multipliers
-    steps: int  # Newton steps that were taken
-    gap: float  # bound on how much lower the cost was before the last step, to first order
-
-    @property
-    def z(self) -> Array:
-        """Coordinates (p,)."""
-        return self.point.z
-
-
 class Solution(Protocol):
-    """State what a solution has: coordinates."""
+    """A solution that has coordinates."""
 
     @property
     def z(self) -> Array:
@@ -180,54 +325,40 @@ def bounded(
     )
 
 
-def minimize(
-    program: NewtonProgram, near: Minimum | None = None, *, enough: float = 0.0
-) -> Minimum:
-    """Return the minimum of a program, by damped Newton steps that stay strictly inside.
-
-    That of the same program with another weight is a start that saves some steps; a gap of `enough`
-    will do.
-    """
-    if near is not None:
-        with contextlib.suppress(IdentificationError):  # it can be too close to a boundary
-            return _followed(program, _continued(near, program), enough)
-    return _followed(program, _cold_start(program), enough)
-
-
-def _followed(program: NewtonProgram, start: Iterate, enough: float) -> Minimum:
-    """Return the minimum that steps from a start lead to."""
-    best: tuple[float, int, _Linearization] | None = None
+def minimize(program: NewtonProgram) -> Iterate:
+    """Return the minimum of a program, by damped Newton steps that stay strictly inside."""
+    best: tuple[float, _Linearization] | None = None
     gamma, stalled = program.weights.min(initial=np.inf), 0
-    here, last = _linearized(program, start), start
-    for count in range(_STEPS):
+    last = _cold_start(program)
+    here = _linearized(program, last)
+    for _ in range(_STEPS):
         if here is None:
             break
         last, gap, cost = here.at, here.gap(), program.cost(here.at.z)
         feasible, stalled = here.is_feasible, stalled + 1
         if feasible and (best is None or gap < best[0]):
             stalled = 0 if best is None or gap < 0.5 * best[0] else stalled
-            best = gap, count, here
+            best = gap, here
         least = max(_EXACT * gamma, min(_QUADRATIC * gamma, _ROUNDING * cost))
-        least = max(least if np.isfinite(gamma) else _ROUNDING * cost, enough)
-        if feasible and gap <= least:
+        if feasible and gap <= (least if np.isfinite(gamma) else _ROUNDING * cost):
             break
         if best is not None and stalled > _PATIENCE and best[0] <= _GOOD * cost:
             break
         here = _next(here)
-    size = 0.0 if best is None else max(program.cost(best[2].at.z), float(program.weights.sum()))
-    if best is None or best[0] > max(enough, _GOOD * size):
+    size = 0.0 if best is None else max(program.cost(best[1].at.z), float(program.weights.sum()))
+    if best is None or best[0] > _GOOD * size:
         (G, h), (E, e) = program.inequalities, program.equalities
         missed = np.append(h - G @ last.z, np.abs(E @ last.z - e)).max(initial=0.0)
         contradict = missed > 1e-7 * (1.0 + np.abs(last.z).max(initial=0.0))
         why = CONTRADICTION if contradict else OTHER_CAUSE
         raise no_parameters("newton", why, violation=float(missed))
-    gap, count, here = best
+    gap, here = best
     point = here.at
     if gap <= _QUADRATIC * gamma:
         # One more step on the factor at hand nearly squares the error that is left.
         step = here.direction(0.0)
         point = point.moved(step.step, min(1.0, (1.0 - _LEAST_ROOM) * here.reach(step)))
-    return Minimum(program, point, count, gap)
+    return point
 
 
 def _cold_start(program: NewtonProgram) -> Iterate:
@@ -247,20 +378,6 @@ def _cold_start(program: NewtonProgram) -> Iterate:
     Z = (program.gamma + push)[:, None, None] * _UNIT
     multipliers = (push + program.targets) / slack
     return Iterate(z, Z, slack, multipliers, np.zeros(len(program.equalities[1])))
-
-
-def _continued(near: Minimum, program: NewtonProgram) -> Iterate:
-    """Return a start from the minimum of the same program with another weight."""
-    point = near.point
-    s, y, mere = point.slack, point.multipliers.copy(), program.targets == 0
-    y[~mere] *= program.targets[~mere] / near.program.targets[~mere]
-    # Products of nothing would hold the next steps at the boundary that is active here.
-    push = _LIFT * min(program.weights.min(initial=np.inf), 1.0)
-    active = mere & (s * program.gamma.max(initial=1.0) < y)
-    slack = np.where(active, np.maximum(s, push / y), s)
-    multipliers = np.where(mere & ~active, np.maximum(y, push / s), y)
-    ratios = (program.gamma / near.program.gamma)[:, None, None]
-    return point._replace(Z=ratios * point.Z, slack=slack, multipliers=multipliers)
 
 
 class _Direction(NamedTuple):

@@ -295,6 +295,7 @@ class PointMassRegularizer(Regularizer):
         return replace(problem, prior_information=information)
 
     def _check(self, prior: Array) -> None:
+        """Raise if the prior is not that of the points."""
         own = self.points.parameters()
         differ = f"its shape is {prior.shape} instead of {own.shape}"
         if own.shape == prior.shape:

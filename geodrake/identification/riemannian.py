@@ -18,14 +18,13 @@ from scipy.linalg import null_space
 from scipy.optimize import nnls
 from scipy.special import exprel
 
-from geodrake.boundary.arguments import instances, integer
+from geodrake.boundary.arguments import instances
 from geodrake.descent import PRECISION, is_within_rounding, step_length
 from geodrake.errors import ArgumentError, GeodrakeError, IdentificationError
 from geodrake.identification.conic_fit import certified, uncertified
-from geodrake.identification.coordinates import SYMMETRIC_BASIS, Rows, smat, svec
+from geodrake.identification.coordinates import SYMMETRIC_BASIS, Rows, svec
 from geodrake.identification.fit import SAME_COST, FitResult, LocalMinima, fit_result
-from geodrake.identification.newton import bounded
-from geodrake.identification.newton_program import NewtonProgram
+from geodrake.identification.newton import NewtonProgram, bounded
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.regularizer import Entropic, Pullback, Regularizer, Solver
 from geodrake.inertia import Array, riemannian_distance
@@ -39,8 +38,6 @@ _RIDGES = (0.0, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6)
 """Shares of its diagonal to be added in turn to a Hessian that rounding left indefinite."""
 _LEAST_CURVATURE = 0.1
 """Of the distance, relative to that at the prior, where its own is not convex."""
-_FARTHEST = 1.5
-"""Standard deviation of the logarithms of mass and moments in random starts, at most."""
 
 
 @dataclass(frozen=True)
@@ -61,15 +58,11 @@ class Riemannian(Regularizer):
     # Where to start from, the entropic solution first: some of "entropic", "pullback", "prior" and
     # "data", the entropic solution of a thousandth of the weight γ.
     starts: tuple[str, ...] = STARTS
-    random_starts: int = 0  # number of further starts, on random geodesics from the entropic one
-    seed: int = 0  # of the random starts
 
     name: ClassVar[str] = "riemannian"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "starts", instances(self.starts, "starts", str))
-        integer(self.random_starts, "random_starts", lower=0)
-        integer(self.seed, "seed", lower=0)
         if not set(self.starts) <= set(STARTS) or self.starts[:1] != ("entropic",):
             raise ArgumentError(
                 f"starts must begin with 'entropic' and come from {', '.join(STARTS)}; "
@@ -96,7 +89,7 @@ class Riemannian(Regularizer):
         The certificate is that of a local minimum. Its program is the second order of the cost at
         the solution, with all constraints, and with the weight that meets a residual bound.
         """
-        begin, random = time.perf_counter(), np.random.default_rng(self.seed)
+        begin = time.perf_counter()
         program = RiemannianProgram.of(self.regularize(problem, prior, gamma))
         convex = Entropic().solve(problem, prior, gamma, solver)
         first = program.start(convex.x)
@@ -116,13 +109,10 @@ class Riemannian(Regularizer):
             if name == "data":
                 weak = 1e-3 * gamma * weight
                 return program.start(Entropic().solve(free, prior, weak, "newton").x)
-            if name == "prior":
-                return program.drawn_in(program.start(free.prior_mean), first)
-            return program.random_start(first, random)
+            return program.drawn_in(program.start(free.prior_mean), first)
 
         idle = {"pullback", "data"} if np.isinf(weight) else {}
-        others = [name for name in self.starts[1:] if name not in idle]
-        for name in (*others, *(f"random {k}" for k in range(self.random_starts))):
+        for name in (name for name in self.starts[1:] if name not in idle):
             try:
                 found[name] = weighted.minimum(start(name))
             except GeodrakeError:  # the minima that were found stand
@@ -189,16 +179,6 @@ class RiemannianProgram(NewtonProgram):
             if kept and np.isfinite(self.cost(near)):
                 return near
         return inner
-
-    def random_start(self, z: Array, random: np.random.Generator) -> Array:
-        """Return a point inside all constraints on a random geodesic from z (p,), which is so."""
-        S = self.matrices(z)
-        rates, axes = np.linalg.eigh(smat(random.normal(size=(len(S), 10))))
-        far = np.exp(0.5 * random.uniform(0.0, _FARTHEST) * rates)[:, None, :]
-        root = np.linalg.cholesky(S) @ axes * far
-        start = z.copy()
-        start[self.blocks] = svec(root @ np.swapaxes(root, 1, 2) - self.begin)
-        return self.drawn_in(self.start(self.coordinates.parameters(start)), z)
 
     def cost(self, z: Array) -> float:
         """Return the cost at z (p,), less `floor`; infinite where a body is not physical."""

@@ -10,10 +10,8 @@ from typing import Any, TypeVar
 import numpy as np
 from pydrake.solvers import (
     ClarabelSolver,
-    CsdpSolver,
     MathematicalProgram,
     MathematicalProgramResult,
-    MosekSolver,
     ScsSolver,
     SolutionResult,
     SolverInterface,
@@ -29,13 +27,8 @@ from geodrake.identification.subprocess_solver import (
 
 T = TypeVar("T")
 
-SOLVERS: dict[str, type[SolverInterface]] = {
-    "clarabel": ClarabelSolver,
-    "scs": ScsSolver,
-    "csdp": CsdpSolver,
-    "mosek": MosekSolver,
-}
-"""SCS and CSDP are there to cross-check; CSDP takes no exponential cones, so no entropic fits."""
+SOLVERS: dict[str, type[SolverInterface]] = {"clarabel": ClarabelSolver, "scs": ScsSolver}
+"""SCS is there to cross-check."""
 
 
 Accuracies = Sequence[float]
@@ -66,13 +59,12 @@ _CAUSES = {
 
 
 def check_solver(solver: str) -> None:
-    """Raise an ArgumentError if the solver is unknown or unavailable."""
-    engines = {name: kind() for name, kind in SOLVERS.items()}
-    usable = [name for name, engine in engines.items() if engine.available() and engine.enabled()]
-    if solver not in usable:
-        advice = "MOSEK needs a licence: set MOSEKLM_LICENSE_FILE." if solver == "mosek" else ""
-        there = ", ".join(usable)
-        raise ArgumentError(f"No conic solver '{solver}' here; there are {there}.", advice=advice)
+    """Raise an ArgumentError if the solver is unknown."""
+    if solver not in SOLVERS:
+        raise ArgumentError(
+            f"No conic solver '{solver}' here; there are {', '.join(SOLVERS)}.",
+            advice="Leave `solver` out for the usual one.",
+        )
 
 
 def solved_apart(solve: Callable[[Accuracies], T], solver: str) -> T:
@@ -109,21 +101,13 @@ def run_solver(
     """
     check_solver(solver)
     engine = SOLVERS[solver]()
-    if solver == "csdp":
-        program = _without_squares(program)
-    if not engine.AreProgramAttributesSatisfied(program):
-        raise ArgumentError(
-            f"{solver} cannot solve this kind of program: "
-            f"{engine.ExplainUnsatisfiedProgramAttributes(program)}",
-            advice="Use clarabel, or scs as a cross-check.",
-        )
     for share in accuracies:
         almost = 1e3 * share  # "almost solved" counts as success in Drake
         own: dict[str, float | int] = {}
         if solver == "clarabel":
             for name in ("tol_gap_abs", "tol_gap_rel", "tol_feas"):
                 own |= {name: share, f"reduced_{name}": almost}
-        elif solver == "scs":
+        else:
             own = {"eps_abs": 1e2 * share, "eps_rel": 1e2 * share, "max_iters": 100_000}
         options = SolverOptions()
         for name, value in own.items():
@@ -146,31 +130,3 @@ def no_parameters(
     """Return the error of a solver that found none, with a likely cause and what to do about it."""
     problem = f"{solver} found no parameters{how}. {why[0]}"
     return IdentificationError(problem, advice=why[1], solver=solver, **evidence)
-
-
-def cone_multiplier(result: MathematicalProgramResult, cone: Any) -> float:
-    """Return the multiplier of a Lorentz cone's bound, of which residual bounds need one."""
-    try:
-        return abs(float(result.GetDualSolution(cone)[0]))
-    except ValueError:
-        raise ArgumentError(
-            f"{result.get_solver_id().name()} gives no multipliers, which a residual bound needs.",
-            advice="Use gamma with this solver, or clarabel with residual_bound.",
-        ) from None
-
-
-def _without_squares(program: MathematicalProgram) -> MathematicalProgram:
-    """Return the same program with a cone t ≥ ½ zᵀQz and the cost t for each quadratic cost."""
-    program = program.Clone()
-    for binding in program.quadratic_costs():
-        cost, z = binding.evaluator(), binding.variables()
-        values, vectors = np.linalg.eigh(cost.Q())
-        root = vectors[:, values > 0] * np.sqrt(values[values > 0])
-        t = program.NewContinuousVariables(1, "t")
-        # (t, 1, u/√2) in the rotated cone means t ≥ ½ uᵀu.
-        matrix = np.zeros((2 + root.shape[1], len(z) + 1))
-        matrix[0, -1], matrix[2:, :-1] = 1.0, np.sqrt(0.5) * root.T
-        program.AddRotatedLorentzConeConstraint(matrix, np.eye(len(matrix))[1], np.append(z, t))
-        program.AddLinearCost(np.append(cost.b(), 1.0), cost.c(), np.append(z, t))
-        program.RemoveCost(binding)
-    return program

@@ -10,8 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.results import Candidate, Diagnosis, Explanation
-from geodrake.identification.logs.model_errors import Comparison, ErrorTable, JointError, Series
-from geodrake.identification.logs.worst_windows import worst_windows
+from geodrake.identification.logs.model_errors import (
+    Comparison,
+    ErrorTable,
+    JointError,
+    Series,
+    worst_windows,
+)
 from geodrake.report.charts import (
     MOST_PANELS,
     NOISE,

@@ -13,7 +13,7 @@ from geodrake.cli.app import app
 from geodrake.cli.identify import named_effects
 from geodrake.effects import CoulombFriction, FittedEffect, Payload, RotorInertia
 from geodrake.errors import ArgumentError, IdentificationError
-from geodrake.identification.identify import regularizer_of
+from geodrake.identification.identify import REGULARIZERS, regularizer_of
 from geodrake.identification.logs.case import reopen
 from geodrake.identification.logs.log_fits import LogFits, log_unknowns, regularizer_scale
 from geodrake.identification.models import IdentificationSettings, identify_model
@@ -160,11 +160,11 @@ def test_held_out_errors_are_those_of_fits_without_the_fold(log):
     model = with_effects(load_model(MODEL), named_effects(["viscous_friction"], truth()))
     case = open_case(model, [log], candidates=False)
     fits = LogFits(case.dataset, log_unknowns(case.dataset, model), np.array([1.0, 2.0]))
-    held_out = fits.held_out_at("pullback", 3.0)
+    held_out = fits.held_out([fits.solve("pullback", gamma=3.0, without=f) for f in fits.folds])
     for j, data in enumerate(case.dataset.data):
         for f in fits.folds:
             result = fits.solve("pullback", gamma=3.0, without=f)
-            x = result.fit.x
+            x = result.x
             local = data.local(fits.unknowns.columns)
             squares = [
                 np.square(r.b[:, 0] - r.A[:, local[local >= 0]] @ x[local >= 0]).sum()
@@ -182,8 +182,9 @@ def test_every_regularizer_knows_friction_to_within_its_size(log):
     case = open_case(model, [log], candidates=False)
     fits = LogFits(case.dataset, log_unknowns(case.dataset, model), np.array([1.0, 2.0]))
     firm = 3.0 * regularizer_scale(fits.prior, "pullback")
-    for name, given in fits.extra_priors("pullback", 3.0).items():
-        values, weights = given.T
+    for name in REGULARIZERS:
+        own_gamma = firm / regularizer_scale(fits.prior, name)
+        values, weights = fits.extra_prior(name, own_gamma).T
         own = weights * regularizer_of(name).scalar_divergence(1.1 * values, values)
         np.testing.assert_allclose(firm / regularizer_scale(fits.prior, name) * own, 0.01)
 

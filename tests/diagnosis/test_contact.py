@@ -25,7 +25,7 @@ from geodrake.effects import Contact
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
-from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
+from geodrake.identification.logs.noise import prepare_for_model
 from geodrake.logs.filtering import design_filter
 from geodrake.logs.folds import dealt_out, set_apart, validation_blocks
 from geodrake.model.saved_model import save_model

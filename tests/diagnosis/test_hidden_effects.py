@@ -15,7 +15,7 @@ import pytest
 
 from geodrake import load_model
 from geodrake.diagnosis.explain import explain
-from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
+from geodrake.identification.logs.noise import prepare_for_model
 from geodrake.logs.files import read_log
 
 pytest.importorskip("pinocchio")

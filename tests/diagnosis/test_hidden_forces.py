@@ -18,7 +18,7 @@ from effort_logs import MODELS, effort_log
 from geodrake import load_model
 from geodrake.diagnosis import add, diagnose, explain
 from geodrake.effects import JointEffect, Parameter, Proposer
-from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
+from geodrake.identification.logs.noise import prepare_for_model
 from geodrake.logs.motion import Motion
 from geodrake.model.saved_model import save_model
 

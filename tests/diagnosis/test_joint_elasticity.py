@@ -19,7 +19,7 @@ from geodrake import load_model
 from geodrake.diagnosis import add, explain
 from geodrake.effects import CoulombFriction, FittedEffect, JointElasticity, ViscousFriction
 from geodrake.effects.deflection import Deflection
-from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
+from geodrake.identification.logs.noise import prepare_for_model
 from geodrake.logs.motion import JointLog, Motion
 from geodrake.model.saved_model import save_model
 

@@ -22,7 +22,7 @@ from geodrake import load_model
 from geodrake.control.systems import EffectForce
 from geodrake.diagnosis import explain
 from geodrake.effects import FittedEffect, Hysteresis
-from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
+from geodrake.identification.logs.noise import prepare_for_model
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import Motion

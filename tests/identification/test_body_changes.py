@@ -59,8 +59,3 @@ def test_the_factor_of_the_efforts_is_said(factor):
     (note,) = common_factor_notes(bodies)
     assert f"{13.3 * factor:.3g} kg, and 13.3 kg before" in note
     assert f"{1 / factor:.3g} times as large" in note
-
-
-def test_nothing_is_said_of_bodies_as_far_off_as_files_may_be():
-    assert common_factor_notes([change("arm", 10.0, 15.0), change("hand", 1.0, 0.5)]) == []
-    assert common_factor_notes([]) == []

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from identified_bodies import TWO as PRIOR
 from identified_bodies import random_data
-from pydrake.solvers import MathematicalProgram, MosekSolver
 
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification import (
@@ -17,7 +16,6 @@ from geodrake.identification import (
     least_squares,
     physical_least_squares,
 )
-from geodrake.identification.solvers import cone_multiplier, run_solver
 from geodrake.inertia import is_physical
 
 
@@ -86,13 +84,6 @@ def test_bad_comparisons_are_refused():
         compare_regularizers(A, b, PRIOR, gamma=1.0, reference="ridge")
 
 
-def test_a_named_reference_has_the_settings_of_its_regularizer():
-    A, b = data(2)
-    kinds = [Riemannian(starts=("entropic", "prior")), "entropic"]
-    found = compare_regularizers(A, b, PRIOR, gamma=1.0, reference="riemannian", regularizers=kinds)
-    assert found.results["riemannian"].minima.starts == ("entropic", "prior")
-
-
 def test_least_squares_is_that_of_numpy():
     A, b = data(3, rows=60)
     result = least_squares(A, b, bodies=2)
@@ -123,14 +114,6 @@ def test_open_directions_are_named():
     assert least.rank == 18
 
 
-def test_too_few_rows_leave_directions_open():
-    A, b = data(5, rows=7)
-    result = least_squares(A, b, minimum_norm=True)
-    np.testing.assert_allclose(result.x, np.linalg.lstsq(A, b)[0], atol=1e-9)
-    np.testing.assert_allclose(A @ result.directions.T, 0.0, atol=1e-9)
-    assert result.rank == 7 and result.residual < 1e-18
-
-
 def test_physical_least_squares_is_the_limit_of_a_weak_prior():
     A, b = data(6, rows=60, noise=2.0)
     result = physical_least_squares(A, b, PRIOR)
@@ -141,34 +124,6 @@ def test_physical_least_squares_is_the_limit_of_a_weak_prior():
     easy = data(6, rows=60, noise=1e-6)
     inside = physical_least_squares(*easy, PRIOR)
     np.testing.assert_allclose(inside.x, least_squares(*easy).x, rtol=1e-6)
-
-
-@pytest.mark.parametrize("regularizer", ["euclidean", "pullback"])
-def test_csdp_agrees_with_clarabel(regularizer):
-    A, b = data(7, noise=3.0)
-    found = [
-        identify(A, b, PRIOR, regularizer=regularizer, gamma=0.05, solver=solver)
-        for solver in ("clarabel", "csdp")
-    ]
-    assert [result.solver for result in found] == ["clarabel", "csdp"]
-    costs = [result.residual + 0.05 * result.divergence for result in found]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-6)
-
-
-def test_solvers_say_what_they_cannot_do():
-    A, b = data(8)
-    with pytest.raises(ArgumentError, match="csdp cannot solve this kind of program"):
-        identify(A, b, PRIOR, regularizer="entropic", gamma=1.0, solver="csdp")
-    program = MathematicalProgram()
-    x = program.NewContinuousVariables(2)
-    cone = program.AddLorentzConeConstraint(np.eye(3)[:, 1:], np.eye(3)[0], x)
-    program.AddLinearCost(x[0])
-    with pytest.raises(ArgumentError, match="CSDP gives no multipliers"):
-        cone_multiplier(run_solver(program, "csdp")[0], cone)
-    assert cone_multiplier(run_solver(program, "clarabel")[0], cone) == pytest.approx(1.0, rel=1e-6)
-    if not MosekSolver().enabled():
-        with pytest.raises(ArgumentError, match="MOSEK needs a licence"):
-            identify(A, b, PRIOR, regularizer="entropic", gamma=1.0, solver="mosek")
 
 
 def test_bodies_flat_to_the_solvers_accuracy_are_solved_with_a_wider_margin():

@@ -21,19 +21,24 @@ from geodrake.effects import (
 )
 from geodrake.errors import LogError
 from geodrake.identification.logs import reduce
-from geodrake.identification.logs.coherent_bandwidth import (
+from geodrake.identification.logs.log_slices import INERTIA, Layout, SharedRows
+from geodrake.identification.logs.noise import (
     coherent_bandwidth,
     effort_ratio,
+    filtered_below,
+    known_noise,
     prepare_for_model,
 )
-from geodrake.identification.logs.log_slices import INERTIA, Layout, LogSlice
-from geodrake.identification.logs.noise import filtered_below, known_noise, noise_floor
 from geodrake.identification.logs.reduce import peak_speeds, reduce_logs
-from geodrake.identification.logs.shared_rows import SharedRows
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import JointLog
 from geodrake.logs.preparation import prepare_logs
 from geodrake.robot.regressor import inverse_dynamics_regressor
+
+
+def noise_floor(*arguments, **options):
+    return known_noise(*arguments, **options)[0]
+
 
 EFFECTS = (
     CoulombFriction("shoulder"),
@@ -48,16 +53,6 @@ EFFECTS = (
 @pytest.fixture(scope="module")
 def model():
     return load_model(PENDULUM)
-
-
-class Unfiltered:
-    """A filter that lets everything through."""
-
-    def output_indices(self, samples):
-        return np.arange(samples)
-
-    def apply(self, signal):
-        return np.asarray(signal, float)
 
 
 @pytest.fixture(scope="module")
@@ -142,66 +137,6 @@ def test_factors_are_those_of_the_dense_columns(model, trajectories, folds, data
             )
 
 
-def test_columns_left_out_are_zero(model, trajectories, folds, dataset):
-    for j, data in enumerate(dataset.data):
-        rows = dense_rows(model, trajectories, folds[0], j)[:, :-1]
-        out = np.setdiff1d(np.arange(rows.shape[1]), data.columns)
-        assert np.abs(rows[:, out]).max() < 1e-12
-        assert (data.local(out) == -1).all()
-        np.testing.assert_array_equal(data.local(data.columns), np.arange(len(data.columns)))
-
-
-def test_products_of_columns_that_a_joint_does_not_see_are_zero(dataset):
-    for data in dataset.data:
-        n, full = len(data.columns), data.grams
-        left, right = np.array([0, -1, n - 1, 2]), np.array([-1, 1, n])
-        found = data.products(left, right)
-        for i, row in enumerate(left):
-            for k, column in enumerate(right):
-                expected = np.zeros(len(full)) if -1 in (row, column) else full[:, row, column]
-                np.testing.assert_array_equal(found[i, k], expected)
-
-
-def test_parameters_of_a_joint_are_at_their_columns(dataset):
-    """A link and its payload have the same columns: what they say adds up."""
-    rng = np.random.default_rng(0)
-    wide = int(max(data.columns[-1] for data in dataset.data)) + 1
-    columns = np.concatenate([rng.permutation(wide), dataset.effect_columns(EFFECTS[-1])])
-    columns = np.concatenate([columns, np.arange(10)])
-    x = rng.normal(size=(len(dataset.folds), len(columns)))
-    for data in dataset.data:
-        expected = [x[:, columns == column].sum(axis=1) for column in data.columns]
-        np.testing.assert_allclose(data.parameters(columns, x), np.transpose(expected))
-
-
-def test_reach_is_what_joints_see(dataset):
-    assert dataset.reach.shape == (len(dataset.joints), len(dataset.column_peak))
-    for reach, data in zip(dataset.reach, dataset.data, strict=True):
-        np.testing.assert_array_equal(np.flatnonzero(reach), data.columns)
-
-
-def test_rows_kept_are_those_behind_the_factors(dataset):
-    for data in dataset.data:
-        for factor, blocks in zip(data.factors, data.rows, strict=True):
-            A = np.concatenate([rows.A for rows in blocks])
-            b = np.concatenate([rows.b for rows in blocks])
-            stacked = np.hstack([A, b])
-            np.testing.assert_allclose(factor.T @ factor, stacked.T @ stacked, rtol=1e-9, atol=1e-9)
-            assert all((np.diff(rows.time) > 0).all() for rows in blocks)
-
-
-def test_payload_has_the_columns_of_its_link(dataset):
-    index = dataset.bodies.index("lower_link")
-    expected = 10 * index + np.arange(10)
-    np.testing.assert_array_equal(dataset.effect_columns(Payload("lower_link")), expected)
-
-
-def test_effort_deviation_is_that_of_the_rows(dataset):
-    for j, data in enumerate(dataset.data):
-        efforts = np.concatenate([rows.b[:, 0] for blocks in data.rows for rows in blocks])
-        assert dataset.effort_std[j] == pytest.approx(efforts.std())
-
-
 @pytest.mark.parametrize("chunk", [300, 1111])
 def test_chunks_change_nothing(model, trajectories, folds, dataset, chunk, monkeypatch):
     monkeypatch.setattr(reduce, "CHUNK", chunk)
@@ -217,36 +152,6 @@ def test_chunks_change_nothing(model, trajectories, folds, dataset, chunk, monke
             for a, b in zip(few, many, strict=True):
                 np.testing.assert_allclose(a.A, b.A, atol=1e-9)
                 np.testing.assert_array_equal(a.time, b.time)
-
-
-def test_delays_advance_the_effort(model):
-    """Efforts that are sinusoids of time show by how much they were moved."""
-    log = pendulum_log(3, noise=(0.0, 0.0))
-    rate = np.array([3.0, 5.0])
-    log = replace(log, effort=np.sin(rate * log.time[:, None]))
-    trajectories = prepare_logs([log], bandwidth=10.0)
-    late = replace(model, effects=(FittedEffect(EffortDelay(0.007), np.empty(0)),))
-    dataset = reduce_logs(
-        late, trajectories, validation_blocks(trajectories), effects=(), delays=(0.0, 0.012, -0.02)
-    )
-    for j, data in enumerate(dataset.data):
-        for rows in (rows for blocks in data.rows for rows in blocks):
-            for d, delay in enumerate((0.007, 0.019, -0.013)):
-                truth = np.sin(rate[j] * (rows.time + delay))
-                np.testing.assert_allclose(rows.b[:, d], truth, atol=2e-3)
-
-
-def test_a_stretch_of_one_sample_has_no_effort_of_other_instants(model, trajectories):
-    """No spline goes through it: its effort stays as it is."""
-    trajectory, width = trajectories[1], np.full(2, 0.01)
-    (stretch,) = trajectory.segments
-    one = replace(stretch, stop=stretch.first + 1)
-    advance = [np.zeros(2), np.full(2, 0.01)]
-    layout = Layout.of(model, (), width, width)
-    low_pass = replace(trajectory, filter=Unfiltered())
-    part = LogSlice(layout, low_pass, one, slice(0, 1), advance, "one")
-    for joint, rows in enumerate(part.rows(SharedRows(0))):
-        np.testing.assert_array_equal(rows.b, np.full((1, 2), one[:].effort[0, joint]))
 
 
 def test_every_joint_has_delays_of_its_own(model):
@@ -354,17 +259,6 @@ def test_noise_floor_is_never_more_than_a_model_leaves(model):
     np.testing.assert_allclose(noise_floor(trajectories, model), rms, rtol=0.2)
 
 
-def test_noise_floor_is_that_of_the_filtered_noise():
-    """The RMS of noise that went through the filter, not that of the raw samples."""
-    quiet, noisy = (
-        prepare_logs([pendulum_log(7, noise=noise)], bandwidth=8.0)[0]
-        for noise in ((0.0, 0.0), NOISE)
-    )
-    difference = noisy.segments[0][:].effort - quiet.segments[0][:].effort
-    rms = np.sqrt(np.mean(noisy.filter.apply(difference) ** 2, axis=0))
-    np.testing.assert_allclose(noise_floor([noisy]), rms, rtol=0.15)
-
-
 @pytest.mark.parametrize("tacho", [None, 1e-3])
 def test_noise_floor_of_noise_in_the_motion(model, tacho):
     """Encoders and tachometers alone: accelerations carry their noise into what is predicted."""
@@ -402,24 +296,6 @@ def test_vibration_that_efforts_do_not_know_lowers_the_bandwidth(model):
     assert words is None or "bandwidth" in words
 
 
-def test_efforts_in_other_units_do_not_lower_the_bandwidth(model):
-    log = shaken(0.0)
-    (prepared,), _ = prepare_for_model(model, [replace(log, effort=1e-3 * log.effort)])
-    assert prepared.filter.bandwidth >= prepare_logs([log])[0].filter.bandwidth
-
-
-def test_clean_log_keeps_its_bandwidth(model):
-    log = shaken(0.0)
-    chosen = prepare_logs([log])[0].filter.bandwidth
-    (prepared,), words = prepare_for_model(model, [log])
-    if words is None:
-        assert prepared.filter.bandwidth == chosen
-    else:
-        assert "short" in words
-        assert prepared.filter.bandwidth > chosen
-    assert coherent_bandwidth(model, [prepared]) is None
-
-
 def test_short_log_gets_more_bandwidth(model):
     log = pendulum_log(9, seconds=15.0, rate=500.0)
     before = prepare_logs([log])[0]
@@ -434,13 +310,6 @@ def test_effort_ratio_of_a_right_model_is_one(model):
     frequency, ratio = effort_ratio(model, trajectories)
     moving = (frequency > 0.15) & (frequency < 1.0)
     np.testing.assert_allclose(ratio[moving], 1.0, rtol=0.02)
-
-
-def test_logs_are_what_they_say(model):
-    """The oracle itself: efforts of the bodies are those of the model."""
-    q, v, vd = multisine(np.linspace(0, 5, 50), np.random.default_rng(0))
-    effort = inverse_dynamics_regressor(model.plant, q, v, vd) @ model.phi.ravel()
-    np.testing.assert_allclose(body_effort(q, v, vd), effort, atol=1e-12)
 
 
 class TestSharedRows:
@@ -503,20 +372,6 @@ class TestSharedRows:
         evaluated.clear()
         reduce_logs(model, trajectories, folds[::-1], effects=EFFECTS[2:], shared=shared)
         assert not evaluated
-
-    def test_room_is_not_exceeded(self):
-        shared = SharedRows(10)
-        shared.keep("a", {0: np.ones((2, 3))})
-        shared.keep("b", {0: np.ones((2, 3))})
-        shared.keep("c", {0: np.ones((2, 1)), 1: np.ones((2, 1))})
-        assert [shared.get(key) is not None for key in "abc"] == [True, False, True]
-
-    def test_room_is_left_for_others(self):
-        shared = SharedRows(10, signals=4)
-        for key in "ab":
-            shared.keep(key, {0: np.ones((1, 3))}, signals=True)
-        shared.keep("c", {0: np.ones((1, 7))})
-        assert [shared.get(key) is not None for key in "abc"] == [True, False, True]
 
 
 def test_noise_is_not_known_from_a_model_that_leaves_less(model):

@@ -9,11 +9,10 @@ from measurements import DATA, REFERENCE
 
 from geodrake import load_model, save_model
 from geodrake.diagnosis import explain
-from geodrake.errors import ArgumentError, LogError
+from geodrake.errors import LogError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.effort_gains import _GeodesicBodies
 from geodrake.identification.logs.signal_calibration import calibrated, with_efforts
-from geodrake.inertia import pseudo_inertia, riemannian_distance
 from geodrake.logs.files import read_log
 from geodrake.model import EffortSignal
 from geodrake.model.logged_joints import log_of_model
@@ -87,15 +86,6 @@ def test_slopes_of_geodesic_bodies_are_those_of_differences(arm):
     np.testing.assert_allclose(slope, np.stack(columns, 1), atol=1e-6 * np.abs(slope).max())
 
 
-def test_coordinates_of_geodesic_bodies_have_the_length_of_the_geometric_distance(arm):
-    bodies = _GeodesicBodies.of(arm)
-    x = 0.2 * np.random.default_rng(1).normal(size=(len(arm.bodies), 10))
-    phi = bodies.at(x.ravel())[0].reshape(-1, 10)
-    distance = [riemannian_distance(a, b) for a, b in zip(arm.phi, phi, strict=True)]
-    assert (np.linalg.eigvalsh(pseudo_inertia(phi)) > 0.0).all()
-    np.testing.assert_allclose(distance, np.linalg.norm(x, axis=1), rtol=1e-6)
-
-
 def test_a_case_is_of_efforts_and_its_model_knows_the_gains(arm, torques, tmp_path):
     case = open_case(arm, [currents(torques, GAINS)], candidates=False)
     assert [s.kind for s in case.model.effort_signals] == ["current"] * 6
@@ -144,12 +134,6 @@ def test_rows_beyond_the_limit_of_a_motor_are_noted(arm, torques):
     assert f"in 25 % of the rows {motor.joint} is asked for more" in note
     assert note in open_case(able, [torques], candidates=False).notes
     assert with_efforts(able, [given])[2] == []
-
-
-def test_efforts_that_are_asked_for_have_no_other_gain():
-    for gains in ({"gain": 2.0}, {"gain": -1.0}, {"gain": 1.0, "deviation": 0.1}):
-        with pytest.raises(ArgumentError, match="have the gain"):
-            EffortSignal("joint", "effort", **gains)
 
 
 @pytest.mark.measurements("data/ur10e_free_c.csv", "reference/ur10e.urdf")

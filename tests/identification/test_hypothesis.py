@@ -1,13 +1,341 @@
-"""Weights that a fit finds for itself: a fixed point, which is kept."""
+"""Held-out errors from triangular factors, against ridge regression on the stacked rows."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from pendulum_logs import PENDULUM, pendulum_log
+from chain_logs import inverse_dynamics
+from pendulum_logs import JOINTS, PENDULUM, friction, pendulum_log
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import SpatialInertia, UnitInertia
+from scipy.optimize import lsq_linear
 
 from geodrake import load_model
+from geodrake.effects import (
+    AsymmetricFriction,
+    CoulombFriction,
+    CoupledFriction,
+    EffortOffset,
+    EffortScale,
+    JointSpring,
+    Payload,
+    StribeckFriction,
+    ViscousFriction,
+)
+from geodrake.identification import solve_fit
+from geodrake.identification.conic_fit import solve_with_fallback
+from geodrake.identification.logs.candidate_effects import LONGEST_DELAY, candidate_delays
 from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.hypothesis import first_hypothesis, settle
-from geodrake.identification.logs.model_fit import model_unknowns
+from geodrake.identification.logs.hypothesis import (
+    CrossValidation,
+    first_hypothesis,
+    hold_out,
+    settle,
+)
+from geodrake.identification.logs.model_fit import (
+    fit_model,
+    model_unknowns,
+)
+from geodrake.identification.logs.reduce import reduce_logs
+from geodrake.identification.logs.unknowns import effect_prior, fit_problem
+from geodrake.inertia import is_physical
+from geodrake.logs.folds import validation_blocks
+from geodrake.logs.known_payload import KnownPayload
+from geodrake.logs.preparation import prepare_logs
+
+WEIGHTS = np.array([30.0, 70.0])
+EFFECTS = (
+    *(effect(joint) for effect in (CoulombFriction, ViscousFriction) for joint in JOINTS),
+    AsymmetricFriction("elbow"),
+    CoupledFriction(JOINTS, 1),
+    EffortOffset("shoulder"),
+    JointSpring("elbow"),
+    StribeckFriction("shoulder", 0.2),
+    Payload("lower_link"),
+)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(PENDULUM)
+
+
+@pytest.fixture(scope="module")
+def dataset(model):
+    logs = [pendulum_log(seed, friction((0.2, 0.1), (0.1, 0.05))) for seed in (1, 2)]
+    trajectories = prepare_logs(logs, bandwidth=6.0)
+    folds = validation_blocks(trajectories, blocks=2)
+    return reduce_logs(model, trajectories, folds, effects=EFFECTS, delays=(0.0, 0.01))
+
+
+def with_effects(dataset, unknowns, *effects):
+    for effect in effects:
+        mean, information = effect_prior(dataset, effect)
+        unknowns = unknowns.with_effect(effect, dataset.effect_columns(effect), information, mean)
+    return unknowns
+
+
+def stacked(dataset, columns, fold, joint, delay=0):
+    """Rows A (K, p) over given columns, zero where a joint has none, and b (K,)."""
+    data = dataset.data[joint]
+    rows = data.rows[fold]
+    A = np.zeros((sum(len(r.b) for r in rows), len(columns)))
+    position = {column: i for i, column in enumerate(data.columns)}
+    own = np.concatenate([r.A for r in rows])
+    for i, column in enumerate(columns):
+        if column in position:
+            A[:, i] = own[:, position[column]]
+    return A, np.concatenate([r.b[:, delay] for r in rows])
+
+
+def ridge_fit(dataset, unknowns, *, without, delay=0):
+    """Fit to all folds but one by bounded least squares on the rows themselves."""
+    rows, sides = [], []
+    for fold in range(len(dataset.folds)):
+        for joint in range(len(dataset.joints)):
+            if fold != without:
+                A, b = stacked(dataset, unknowns.columns, fold, joint, delay)
+                rows.append(np.sqrt(WEIGHTS[joint]) * A)
+                sides.append(np.sqrt(WEIGHTS[joint]) * b)
+    values, vectors = np.linalg.eigh(unknowns.information)
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    A, b = np.vstack([*rows, root]), np.concatenate([*sides, root @ unknowns.mean])
+    scale = 1.0 / np.linalg.norm(A, axis=0)
+    bounds = (unknowns.lower / scale, unknowns.upper / scale)
+    return scale * lsq_linear(A * scale, b, bounds, method="bvls", tol=1e-14).x
+
+
+def ridge_errors(dataset, unknowns, *, delay=0):
+    """Squared held-out errors (F, nv) of such fits."""
+    sse = np.empty((len(dataset.folds), len(dataset.joints)))
+    for fold in range(len(dataset.folds)):
+        x = ridge_fit(dataset, unknowns, without=fold, delay=delay)
+        for joint in range(len(dataset.joints)):
+            A, b = stacked(dataset, unknowns.columns, fold, joint, delay)
+            sse[fold, joint] = np.sum((b - A @ x) ** 2)
+    return sse
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("effects", [(), EFFECTS[:1], EFFECTS[:4], (EFFECTS[6], EFFECTS[7])])
+def test_held_out_errors_are_those_of_ridge_regression(dataset, model, effects, delay):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *effects)
+    cv = CrossValidation(dataset, unknowns, WEIGHTS, delay=delay)
+    expected = ridge_errors(dataset, unknowns, delay=delay)
+    np.testing.assert_allclose(cv.held_out.sse, expected, rtol=1e-5)
+    x = ridge_fit(dataset, unknowns, without=None, delay=delay)
+    for joint in range(2):
+        A, _ = stacked(dataset, unknowns.columns, 0, joint)
+        np.testing.assert_allclose(A @ cv.fit_all, A @ x, atol=1e-5)
+
+
+def negative(dataset):
+    """The dataset with measured efforts of the other sign."""
+    return replace(
+        dataset,
+        data=tuple(
+            replace(
+                data,
+                factors=data.factors * np.r_[np.ones(len(data.columns)), -np.ones(2)],
+                rows=tuple(
+                    tuple(replace(rows, b=-rows.b) for rows in blocks) for blocks in data.rows
+                ),
+            )
+            for data in dataset.data
+        ),
+    )
+
+
+def test_bodies_stay_physical(dataset, model):
+    """Where data pull bodies out, fits are those of Drake's conic solver."""
+    unknowns = model_unknowns(dataset, model, spread=3.0)
+    wild = CrossValidation(negative(dataset), unknowns, WEIGHTS, physical=False)
+    assert not is_physical(wild.held_out.x.reshape(-1, 10)).any()
+    assert not wild.is_physical
+    kept = CrossValidation(negative(dataset), unknowns, WEIGHTS)
+    assert is_physical(kept.held_out.x.reshape(-1, 10)).all()
+    assert is_physical(kept.fit_all.reshape(-1, 10)).all()
+    problems = (fit_problem(negative(dataset), unknowns, WEIGHTS, without=f) for f in range(4))
+    conic = [solve_fit(problem, shortcuts=False).x for problem in problems]
+    found = hold_out(negative(dataset), unknowns.columns, np.array(conic))
+    np.testing.assert_allclose(kept.held_out.rms, found.rms, rtol=1e-6)
+
+
+def test_bound_is_kept(dataset, model):
+    """Friction of the wrong sign is what such data would like: it stays at zero."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    unknowns = replace(unknowns, mean=-unknowns.mean)
+    negated = negative(dataset)
+    cv = CrossValidation(negated, unknowns, WEIGHTS, physical=False)
+    spans = [unknowns.span(effect).start for effect in EFFECTS[:4]]
+    np.testing.assert_array_equal(cv.held_out.x[:, spans], 0.0)
+    np.testing.assert_allclose(cv.held_out.sse, ridge_errors(negated, unknowns), rtol=1e-5)
+
+
+def test_released_effect_is_forgotten_and_the_rest_is_not(dataset, model):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:3])
+    size = len(unknowns.columns)
+    root = np.random.default_rng(3).normal(size=(2 * size, size))
+    known = replace(unknowns, information=root.T @ root)
+    weak = np.array([[1e-6]])
+    released = known.released(EFFECTS[1], weak)
+    span = known.span(EFFECTS[1])
+    rest = np.delete(np.arange(len(known.columns)), span)
+    before, after = (np.linalg.inv(u.information) for u in (known, released))
+    np.testing.assert_allclose(
+        after[np.ix_(rest, rest)], before[np.ix_(rest, rest)], rtol=1e-6, atol=1e-9
+    )
+    np.testing.assert_array_equal(released.information[span, span], weak)
+    np.testing.assert_array_equal(released.information[span, rest], 0.0)
+
+
+@pytest.mark.parametrize("delay", [(0, 1), (1, 0)])
+def test_every_joint_has_a_delay_of_its_own(dataset, model, delay):
+    """The same as with efforts of those columns in place of the first ones."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    chosen = []
+    for data, late in zip(dataset.data, delay, strict=True):
+        n = len(data.columns)
+        order = np.r_[np.arange(n), n + late, n + 1 - late]
+        rows = tuple(
+            tuple(replace(rows, b=rows.b[:, [late, 1 - late]]) for rows in blocks)
+            for blocks in data.rows
+        )
+        chosen.append(replace(data, factors=data.factors[:, :, order], rows=rows))
+    moved = replace(dataset, data=tuple(chosen))
+    found = CrossValidation(dataset, unknowns, WEIGHTS, delay=delay)
+    expected = CrossValidation(moved, unknowns, WEIGHTS)
+    np.testing.assert_allclose(found.held_out.sse, expected.held_out.sse, rtol=1e-9)
+    np.testing.assert_allclose(found.fit_all, expected.fit_all, rtol=1e-7)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_gains_of_efforts_move_parameters_as_is_said(dataset, model, joint):
+    """Against a second fit, to efforts that are 1 % larger at one joint."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    shifts = fit_model(model, dataset, unknowns, WEIGHTS).gain_shifts
+    data = list(dataset.data)
+    larger = data[joint].factors.copy()
+    larger[:, :, -len(dataset.delays) :] *= 1.01
+    data[joint] = replace(data[joint], factors=larger)
+    one = solve_with_fallback(fit_problem(dataset, unknowns, WEIGHTS)).x
+    other = solve_with_fallback(
+        fit_problem(replace(dataset, data=tuple(data)), unknowns, WEIGHTS)
+    ).x
+    scale = np.abs(shifts[joint]).max()
+    np.testing.assert_allclose((other - one) / 0.01, shifts[joint], atol=2e-3 * scale)
+
+
+WEIGHT = KnownPayload("lower_link", 1.0, (0.05, 0.0, -0.2))
+
+
+def weight_effort(q, v, vd, load):
+    """What a weight at the lower link needs beside the model, by Drake."""
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModels(str(PENDULUM))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    point = UnitInertia.PointMass(WEIGHT.mass_center)
+    inertia = SpatialInertia(WEIGHT.mass, WEIGHT.mass_center, point)
+    weight = plant.AddRigidBody("weight", plant.GetModelInstanceByName("double_pendulum"), inertia)
+    plant.WeldFrames(plant.GetFrameByName("lower_link"), weight.body_frame())
+    plant.Finalize()
+    return inverse_dynamics(plant, q, v, vd) - load
+
+
+def carrying_log(seed, hidden=None, **more):
+    """A log of the pendulum with the weight, which is known."""
+
+    def both(q, v, vd, load):
+        rest = 0.0 if hidden is None else hidden(q, v, vd, load)
+        return weight_effort(q, v, vd, load) + rest
+
+    return replace(pendulum_log(seed, both, seconds=20.0, **more), payloads=(WEIGHT,))
+
+
+def with_gains(logs, gains):
+    return [replace(log, effort=log.effort * gains) for log in logs]
+
+
+def reduced(model, logs, effects):
+    trajectories = prepare_logs(logs, bandwidth=6.0)
+    folds = validation_blocks(trajectories, blocks=2)
+    return reduce_logs(model, trajectories, folds, effects=effects)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_gains_act_on_the_efforts_of_known_payloads_too(model, joint):
+    """Against a second fit, to logs whose efforts are 1 % larger at one joint."""
+    hidden = friction((0.2, 0.1), (0.1, 0.05))
+    logs = [pendulum_log(1, hidden, seconds=20.0), carrying_log(2, hidden)]
+    fits = []
+    for gains in (np.ones(2), 1.0 + 0.01 * np.eye(2)[joint]):
+        data = reduced(model, with_gains(logs, gains), EFFECTS[:4])
+        unknowns = with_effects(data, model_unknowns(data, model), *EFFECTS[:4])
+        fits.append(fit_model(model, data, unknowns, WEIGHTS))
+    one, other = fits
+    shifts, moved = one.gain_shifts[joint], (other.result.x - one.result.x) / 0.01
+    np.testing.assert_allclose(moved, shifts, atol=5e-3 * np.abs(shifts).max())
+
+
+def test_gains_that_a_model_took_in_act_on_what_has_changed_since(model):
+    """A model is fitted to one log; in the next there are friction and a known weight."""
+    quiet = np.full(2, 1e-4)
+    before = pendulum_log(1, seconds=20.0, noise=quiet)
+    after = carrying_log(2, friction((0.5, 0.3)), noise=quiet)
+    found = []
+    for gain in (1.0, 1.01):
+        first, then = with_gains([before, after], gain)
+        data = reduced(model, [first], ())
+        fitted = fit_model(model, data, model_unknowns(data, model, spread=10.0), WEIGHTS).model
+        data = reduced(fitted, [then], EFFECTS[:2])
+        unknowns = with_effects(data, model_unknowns(data, fitted), *EFFECTS[:2])
+        found.append(fit_model(fitted, data, unknowns, WEIGHTS))
+    one, other = found
+    added = slice(-2, None)
+    moved = (other.result.x - one.result.x)[added] / 0.01
+    np.testing.assert_allclose(one.gain_shifts.sum(axis=0)[added], moved, rtol=0.02)
+
+
+def test_a_gain_that_is_fitted_moves_nothing_else(model):
+    logs = [pendulum_log(1, seconds=20.0), carrying_log(2)]
+    data = reduced(model, logs, (EffortScale("elbow"),))
+    unknowns = with_effects(data, model_unknowns(data, model), EffortScale("elbow"))
+    shoulder, elbow = fit_model(model, data, unknowns, WEIGHTS).gain_shifts
+    assert shoulder.any()
+    assert not elbow.any()
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_what_is_unexplained_moves_a_parameter_by_two_deviations_at_most(dataset, model, joint):
+    """By a second fit, to efforts with an error that goes with the parameter as no other does."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    worth, mse = np.zeros(2), 1e-4
+    worth[joint] = WEIGHTS[joint] * mse * dataset.data[joint].samples.sum()
+    share = np.arange(2) == joint
+    fit = fit_model(model, dataset, unknowns, WEIGHTS, effective=worth, of_motion=share)
+    data = dataset.data[joint]
+    local = data.local(unknowns.columns)
+    rows = [np.concatenate([block.A for block in fold]) for fold in data.rows]
+    efforts = [np.concatenate([block.b for block in fold]) for fold in data.rows]
+    for k in range(len(unknowns.columns) - 4, len(unknowns.columns)):
+        if local[k] < 0:
+            continue
+        own = np.zeros(len(data.columns))
+        own[local[local >= 0]] = np.linalg.inv(fit.result.information)[k, local >= 0]
+        errors = [A @ own for A in rows]
+        size = np.sqrt(mse * data.samples.sum() / sum(e @ e for e in errors))
+        factors = [
+            np.linalg.qr(np.column_stack([A, b + size * e[:, None]]), "r")
+            for A, b, e in zip(rows, efforts, errors, strict=True)
+        ]
+        other = list(dataset.data)
+        other[joint] = replace(data, factors=np.array(factors))
+        moved = solve_with_fallback(
+            fit_problem(replace(dataset, data=tuple(other)), unknowns, WEIGHTS)
+        )
+        deviation = np.sqrt(fit.unexplained_covariance[k, k])
+        assert moved.x[k] - fit.result.x[k] == pytest.approx(2.0 * deviation, rel=1e-3)
 
 
 def test_first_hypothesis_is_settled():
@@ -21,3 +349,12 @@ def test_first_hypothesis_is_settled():
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
     again = settle(start, iterations=20)
     assert again.nrms == pytest.approx(start.nrms, rel=0.01)
+
+
+@pytest.mark.parametrize(("period", "bandwidth"), [(0.002, 10.0), (0.01, 2.0), (0.04, 12.0)])
+def test_delays_are_those_that_can_be_told_apart(period, bandwidth):
+    delays = candidate_delays(period, bandwidth)
+    assert delays[0] == 0.0
+    assert len(set(delays)) == len(delays)
+    assert max(np.abs(delays)) <= LONGEST_DELAY + 1e-12
+    assert np.diff(sorted(delays)).min() >= period - 1e-12

@@ -9,22 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from identified_bodies import THREE as PRIOR
 from identified_bodies import random_data, restated
-from measurements import DATA
 from scipy.linalg import block_diag, eigh
 
 from geodrake.errors import ArgumentError
 from geodrake.identification import FitProblem, solve_fit
 from geodrake.identification.identify import identify
-from geodrake.identification.newton import minimize, solve_newton
-from geodrake.identification.newton_program import NewtonProgram
+from geodrake.identification.newton import solve_newton
 from geodrake.identification.problem import LinearConstraints, whitened_factor
 from geodrake.inertia import (
     Ellipsoid,
     from_dual,
-    from_mass_com_inertia,
     is_physical,
     pseudo_inertia,
-    pseudo_inertia_basis,
 )
 
 BODIES = tuple(range(0, PRIOR.size, 10))
@@ -115,27 +111,6 @@ def test_clarabel_and_scs_find_the_same(seed, kind):
     assert cost(problem, newton.x) == pytest.approx(cost(problem, scs.x), rel=1e-5)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_slopes_vanish_where_nothing_is_bounded(seed):
-    problem = example(seed, extra=0, gamma=0.2)
-    x = solve_newton(problem).x
-    R, r = problem.factor[:, :-1], problem.factor[:, -1]
-    slope = 2.0 * R.T @ (R @ x - r)
-    for start, phi in zip(BODIES, PRIOR, strict=True):
-        change = np.linalg.inv(pseudo_inertia(phi)) - np.linalg.inv(
-            pseudo_inertia(x[start : start + 10])
-        )
-        slope[start : start + 10] += 0.2 * np.einsum("ij,kji->k", change, pseudo_inertia_basis())
-        scale = np.linalg.cholesky(pseudo_inertia(x[start : start + 10]))
-        # The slope along the symmetric directions L (E + Eᵀ) Lᵀ, in which the body is the unit.
-        for i, j in zip(*np.tril_indices(4), strict=True):
-            step = np.outer(scale[:, i], scale[:, j])
-            phi_step = np.linalg.lstsq(
-                pseudo_inertia_basis().reshape(10, 16).T, (step + step.T).ravel()
-            )[0]
-            assert abs(slope[start : start + 10] @ phi_step) < 1e-8
-
-
 @given(
     seed=st.integers(0, 10_000),
     length=st.floats(0.05, 20.0),
@@ -181,25 +156,6 @@ def test_bodies_are_physical_at_every_extreme(seed, gamma, scale, rows, pull):
             assert cost(problem, other) >= least - left
 
 
-@pytest.mark.parametrize("gamma", [1e-12, 1e-6, 1.0, 1e6, 1e12])
-def test_the_smallest_gap_at_every_gamma(gamma):
-    program = NewtonProgram.of(example(1, gamma=gamma, rows=60, pull=-5.0))
-    weighted = program.weighted(1.0)
-    minimum = minimize(weighted)
-    assert minimum.gap <= 1e-9 * max(weighted.cost(minimum.point.z), gamma)
-    assert minimum.steps < 40
-
-
-def test_a_huge_gamma_gives_the_prior_and_no_data_too():
-    x = solve_newton(example(2, gamma=1e12)).x
-    assert relative_difference(PRIOR, x[:30].reshape(3, 10)) < 1e-9
-    problem = example(2)
-    empty = replace(problem, factor=np.zeros((1, problem.size + 1)))
-    result = solve_newton(empty)
-    assert relative_difference(PRIOR, result.x[:30].reshape(3, 10)) < 1e-9
-    assert np.isinf(result.standard_deviations()[30:]).all()
-
-
 def test_rank_deficient_scalars_stay_where_they_do_nothing():
     problem = example(3, rows=60)
     factor = problem.factor.copy()
@@ -209,26 +165,6 @@ def test_rank_deficient_scalars_stay_where_they_do_nothing():
     assert x[30] == pytest.approx(x[31], rel=1e-4)
     merged = replace(twins, factor=factor @ np.diag(np.append(np.ones(31), [0.0, 1.0])))
     assert cost(twins, x) == pytest.approx(cost(merged, solve_newton(merged).x), rel=1e-9)
-
-
-def test_a_weighing_by_hand():
-    # One mass alone: the other directions keep P⁰'s, and m − m⁰ − m⁰ log(m/m⁰) is left.
-    prior = from_mass_com_inertia(1.0, np.zeros(3), 0.02 * np.eye(3))
-    gamma, sigma, measured = 0.7, 0.5, 3.0
-    result = identify(
-        np.eye(10)[:1],
-        [measured],
-        [prior],
-        regularizer="entropic",
-        gamma=gamma,
-        sigma=sigma,
-        solver="newton",
-    )
-    m = result.phi[0, 0]
-    assert 2 * (m - measured) / sigma**2 + gamma * (1 - 1 / m) == pytest.approx(0.0, abs=1e-10)
-    np.testing.assert_allclose(result.phi[0, 1:], prior[1:], atol=1e-12)
-    assert (result.solver, result.gamma) == ("newton", gamma)
-    assert result.residual == pytest.approx(((m - measured) / sigma) ** 2)
 
 
 @pytest.mark.parametrize("kind", ["plain", "constrained"])
@@ -257,23 +193,3 @@ def test_what_newton_refuses():
     with pytest.raises(ArgumentError, match=r"entropic or quadratic prior for every.*\[20\]"):
         priors = {start: problem.entropic[start] for start in BODIES[:2]}
         solve_newton(replace(problem, entropic=priors))
-
-
-@pytest.mark.thorough
-@pytest.mark.measurements("data/human_force_plate.npz")
-def test_the_human_as_clarabel_has_it():
-    human = np.load(DATA / "human_force_plate.npz")
-    sigma = np.tile(human["sigma"], len(human["b"]) // 3)
-    arguments = (human["A"], human["b"], human["phi_prior"])
-    options = {"sigma": sigma, "ellipsoids": human["Q"], "regularizer": "entropic"}
-    for gamma in (1e6, 1e2, 1.0):
-        newton = identify(*arguments, gamma=gamma, solver="newton", **options)
-        conic = identify(*arguments, gamma=gamma, **options)
-        costs = [result.residual + gamma * result.divergence for result in (newton, conic)]
-        assert costs[0] == pytest.approx(costs[1], rel=1e-9)
-        assert is_physical(newton.phi).all()
-        inside = np.einsum("bij,bji->b", pseudo_inertia(newton.phi), human["Q"])
-        assert (inside > -1e-9).all()
-    assert (inside < 1e-6).any()
-    bound = identify(*arguments, residual_bound=1331878.41, solver="newton", **options)
-    assert bound.residual == pytest.approx(1331878.41, rel=1e-9)

@@ -57,7 +57,7 @@ def test_euclidean_masses_are_those_of_nonnegative_least_squares():
     mu, norm = nnls(stacked, np.append(b, root * POINTS.prior))
     assert result.residual + gamma * result.divergence == pytest.approx(norm**2, rel=1e-6)
     assert (mu == 0).any(), "no mass is spent: a weak test"
-    np.testing.assert_allclose(result.fit.masses, mu, atol=1e-5)
+    np.testing.assert_allclose(result.masses, mu, atol=1e-5)
     np.testing.assert_allclose(result.phi, POINTS.parameters(mu), atol=1e-4)
 
 
@@ -74,7 +74,7 @@ def test_kl_masses_are_those_of_the_dual_problem():
     y = minimize(dual, np.zeros(len(b)), jac=True, method="BFGS", options={"gtol": 1e-10}).x
     mu = POINTS.prior * np.exp(-B.T @ y / gamma)
     result = identify(A, b, PRIOR, regularizer=PointMassKL(POINTS), gamma=gamma)
-    np.testing.assert_allclose(result.fit.masses, mu, rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(result.masses, mu, rtol=1e-4, atol=1e-7)
     kl = np.sum(mu * np.log(mu / POINTS.prior) + POINTS.prior - mu)
     assert result.divergence == pytest.approx(kl, rel=1e-5)
 

@@ -5,9 +5,7 @@
 Every fit ends in a physical answer or in a `GeodrakeError`, in time; the script counts how they do.
 """
 
-import argparse
 import resource
-from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
@@ -21,7 +19,7 @@ from geodrake.identification import PointMasses, PointMassEuclidean, PointMassKL
 from geodrake.inertia import from_mass_com_inertia, is_physical, pseudo_inertia
 
 SECONDS = 90  # of the processor, for a fit: four calls of a conic solver with 20 s each
-SOLVERS = {None: 0.4, "newton": 0.18, "clarabel": 0.3, "scs": 0.1, "csdp": 0.02}
+SOLVERS = {None: 0.4, "newton": 0.18, "clarabel": 0.3, "scs": 0.12}
 REGULARIZERS = {"euclidean": 0.2, "pullback": 0.3, "entropic": 0.2, "riemannian": 0.15}
 REGULARIZERS |= {PointMassEuclidean: 0.075, PointMassKL: 0.075}
 REGRESSORS = ("plain", "rank-deficient", "columns 1e±12", "zero columns", "near-copies", "few rows")
@@ -166,12 +164,6 @@ def test_what_once_ended_the_process(solver):
     assert cost == pytest.approx(0.0039647747, rel=1e-3)  # at the boundary
 
 
-def test_numbers_that_leave_no_digits_are_refused():
-    prior = np.array([[1e-300, 0, 0, 0, 1e-300, 1e-300, 1e-300, 0, 0, 0]])
-    with pytest.raises(GeodrakeError):
-        identify(np.eye(10), np.ones(10), prior, regularizer="pullback", gamma=1.0)
-
-
 def test_bodies_too_flat_to_measure_are_rounding_and_no_mistake_of_arguments():
     arguments, options = random_fit(58, 1430)
     try:
@@ -180,21 +172,3 @@ def test_bodies_too_flat_to_measure_are_rounding_and_no_mistake_of_arguments():
         assert "Rounding has left no solution" in str(error)
     else:
         assert np.all(is_physical(found.phi)) and np.isfinite(found.divergence)
-
-
-def main():
-    """Count how fits end, for each solver that is asked for; show those that do not end well."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("fits", type=int)
-    parser.add_argument("--seed", type=int, default=0)
-    options, counts = parser.parse_args(), Counter()
-    for number in range(options.fits):
-        end, solver = end_of(options.seed, number), random_fit(options.seed, number)[1]["solver"]
-        counts[solver or "default", end] += 1
-        if end not in ("solved", "refused"):
-            print(number, solver, end)
-    print(*sorted(counts.items()), sep="\n")
-
-
-if __name__ == "__main__":
-    main()

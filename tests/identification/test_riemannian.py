@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from identified_bodies import TWO as PRIOR
 from identified_bodies import random_data, restated
 from scipy.linalg import block_diag, expm
-from scipy.optimize import NonlinearConstraint, minimize
+from scipy.optimize import minimize
 
 from geodrake.errors import ArgumentError
 from geodrake.identification import BodyConstraints, Riemannian, identify
@@ -68,27 +68,6 @@ def test_derivatives_are_those_of_finite_differences(seed, spread):
         np.testing.assert_allclose(hessian[:, k], change, atol=1e-6 * np.abs(hessian).max())
 
 
-def test_derivatives_at_equal_eigenvalues():
-    """Divided differences become derivatives, (1 − log λ)/λ²."""
-    for scale in (1.0, 0.2, 5.0):
-        gradient, hessian = log_derivatives(scale * np.eye(4))
-        curvature = (1.0 - np.log(scale)) / scale**2
-        np.testing.assert_allclose(hessian, curvature * np.eye(10), atol=1e-12)
-        trace = np.trace(SYMMETRIC_BASIS, axis1=1, axis2=2)
-        np.testing.assert_allclose(gradient, np.log(scale) / scale * trace, atol=1e-12)
-
-
-def test_the_three_geometric_distances_agree_to_second_order():
-    rng = np.random.default_rng(0)
-    direction = PRIOR * rng.normal(size=PRIOR.shape)
-    root = np.linalg.inv(np.linalg.cholesky(pseudo_inertia(PRIOR)))
-    relative = root @ pseudo_inertia(direction) @ np.swapaxes(root, 1, 2)
-    quadratic = 0.5 * np.sum(relative**2)
-    found = [Riemannian().divergence(PRIOR + h * direction, PRIOR) / h**2 for h in (1e-3, 1e-5)]
-    assert found[1] == pytest.approx(quadratic, rel=1e-3)
-    assert abs(found[1] - quadratic) < 0.1 * abs(found[0] - quadratic)
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_another_optimizer_finds_the_same(seed):
     """BFGS on the source's own cost, in the parameters themselves."""
@@ -104,26 +83,6 @@ def test_another_optimizer_finds_the_same(seed):
     assert found <= other.fun * (1 + 1e-9)
     assert found == pytest.approx(other.fun, rel=1e-6)
     assert is_physical(result.phi).all() and result.minima.strict
-
-
-def test_the_point_to_set_form_against_slsqp():
-    A, b = data(4)
-    first = identify(A, b, PRIOR, regularizer="riemannian", gamma=2.0)
-    bound = identify(A, b, PRIOR, regularizer="riemannian", residual_bound=first.residual)
-    assert bound.gamma == pytest.approx(2.0, rel=1e-6)
-    np.testing.assert_allclose(bound.phi, first.phi, rtol=1e-6, atol=1e-8)
-    root = block_diag(*np.linalg.inv(np.linalg.cholesky(pullback_metric(PRIOR)))).T
-    other = minimize(
-        lambda y: squared_distance((PRIOR.ravel() + root @ y).reshape(2, 10)),
-        np.zeros(20),
-        method="SLSQP",
-        constraints=NonlinearConstraint(
-            lambda y: np.sum((A @ (PRIOR.ravel() + root @ y) - b) ** 2), -np.inf, first.residual
-        ),
-        options={"ftol": 1e-12, "maxiter": 500},
-    )
-    assert bound.divergence <= other.fun * (1 + 1e-6)
-    assert bound.divergence == pytest.approx(other.fun, rel=1e-5)
 
 
 def test_constraints_hold_and_are_optimal():
@@ -189,18 +148,16 @@ def test_several_minima_are_found_and_reported():
     assert len(lowest) == 2
     arguments = (np.eye(10)[:1], [measured], prior)
     options = {"gamma": 1.0, "sigma": sigma}
-    result = identify(*arguments, regularizer=Riemannian(random_starts=4), **options)
+    result = identify(*arguments, regularizer=Riemannian(), **options)
     best = lowest[np.argmin(costs[lowest])]
     assert result.phi[0, 0] == pytest.approx(masses[best], rel=1e-3)
     assert not result.minima.agree and result.minima.distinct == 2
     np.testing.assert_allclose(
         np.unique(result.minima.costs.round(6)), np.sort(costs[lowest]), rtol=1e-4
     )
-    assert len(result.minima.starts) == 8
+    assert len(result.minima.starts) == 4
 
 
 def test_bad_settings_are_refused():
     with pytest.raises(ArgumentError, match="must begin with 'entropic'"):
         Riemannian(starts=("prior",))
-    with pytest.raises(ArgumentError, match="random_starts"):
-        Riemannian(random_starts=-1)

@@ -8,7 +8,7 @@ from identified_bodies import THREE as PRIOR
 from scipy.optimize import minimize_scalar
 
 from geodrake.errors import ArgumentError
-from geodrake.identification import PointMasses, PointMassKL, compare_regularizers, identify
+from geodrake.identification import identify
 from geodrake.identification.identify import REGULARIZERS
 from geodrake.inertia import pseudo_inertia, pseudo_inertia_basis
 
@@ -110,24 +110,6 @@ def test_scalars_without_data_stay_at_their_priors_and_others_are_free():
     np.testing.assert_allclose(strong.extra[[0, 2]], [0.7, 60.0], rtol=1e-3)
 
 
-def test_bounds_of_the_caller_stay_as_they_are():
-    A, b, scalars = data(5)
-    bounds = np.array([[-1.0, np.inf]] * 3)
-    identify(A, b, PRIOR, regularizer="pullback", gamma=1.0,
-             extra_bounds=bounds, extra_prior=scalars, certify=False)  # fmt: skip
-    assert (bounds[:, 0] == -1.0).all()
-
-
-def test_a_prior_keeps_a_scalar_positive_that_data_pull_below_zero():
-    A, b = alone(0.3, 2.0, -5.0)
-    for regularizer in ("entropic", "riemannian"):
-        found = identify(A, b, PRIOR, regularizer=regularizer, gamma=0.1, extra_prior=[0.3])
-        assert 0.0 < found.extra[0] < 0.1 and found.certificate.holds
-    for regularizer in ("euclidean", "pullback"):
-        found = identify(A, b, PRIOR, regularizer=regularizer, gamma=0.1, extra_prior=[0.3])
-        assert found.extra[0] == pytest.approx(0.0, abs=1e-9)
-
-
 @settings(max_examples=8)
 @given(st.sampled_from(GEOMETRIC), st.integers(0, 99), st.floats(-6.0, 6.0), st.floats(-3.0, 3.0))
 def test_units_of_scalars_do_not_matter(regularizer, seed, log_unit, log_gamma):
@@ -146,21 +128,6 @@ def test_units_of_scalars_do_not_matter(regularizer, seed, log_unit, log_gamma):
     assert again.divergence == pytest.approx(first.divergence, rel=1e-4, abs=1e-9)
 
 
-def test_information_is_half_the_hessian_of_the_cost():
-    A, b, scalars = data(7)
-    gamma, prior = 3.0, 1.5 * scalars
-    fit = identify(A, b, PRIOR, regularizer="entropic", gamma=gamma, extra_prior=prior).fit
-    own = fit.information[30:, 30:] - A[:, 30:].T @ A[:, 30:]
-    np.testing.assert_allclose(own, np.diag(0.5 * gamma / fit.x[30:] ** 2), rtol=1e-6, atol=1e-7)
-
-
-def test_regularizers_are_compared_with_the_same_priors():
-    A, b, scalars = data(8)
-    compared = compare_regularizers(A, b, PRIOR, gamma=1.0, extra_prior=1.5 * scalars)
-    for name, found in compared.results.items():
-        assert found.residual == pytest.approx(compared.residual, rel=1e-5), name
-
-
 @pytest.mark.parametrize(
     "prior", [[1.0, 1.0], [1.0, -1.0, 1.0], [0.0, 1.0, 1.0], [np.inf, 1.0, 1.0], [9.0, 1.0, 1.0],
               [[1.0, 0.0], [1.0, 1.0], [1.0, 1.0]], "one"],
@@ -171,11 +138,3 @@ def test_wrong_priors_are_refused(prior):
     with pytest.raises(ArgumentError, match="extra_prior"):
         identify(A, b, PRIOR, regularizer="entropic", gamma=1.0, extra_prior=prior,
                  extra_bounds=bounds)  # fmt: skip
-
-
-def test_point_masses_have_no_prior_of_scalars():
-    A, b, _ = data(1)
-    points = PointMasses.of_bodies(PRIOR)
-    with pytest.raises(ArgumentError, match="extra_prior"):
-        identify(A, b, points.parameters(), regularizer=PointMassKL(points), gamma=1.0,
-                 extra_prior=[1.0, 1.0, 1.0])  # fmt: skip

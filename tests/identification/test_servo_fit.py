@@ -1,4 +1,4 @@
-"""Servos found by the motion: against exact integration, and against MuJoCo's actuators."""
+"""Servos by the motion: against exact integration and MuJoCo, with integrals and limits."""
 
 from dataclasses import replace
 
@@ -8,38 +8,73 @@ from scipy.integrate import solve_ivp
 from servo_logs import LATE, PENDULUM, TRUTH, command, servo_log
 
 from geodrake import load_model
-from geodrake.errors import LogError
-from geodrake.identification.logs.servo_fit import (
-    JointMotions,
-    fit_servo,
-    motions_of,
+from geodrake.control import PositionServo, command_rollout
+from geodrake.control.export_proof import export_to
+from geodrake.control.systems.position_servo import (
+    ServoError,
+    ServoGains,
+    integral_rate,
 )
+from geodrake.control.systems.position_servo import servo_effort as effort_of
+from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
+from geodrake.errors import LogError
+from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.servo_fit import JointMotions, fit_servo, motions_of
 from geodrake.identification.logs.signal_calibration import (
     calibrated,
     signals_as_efforts,
     with_efforts,
 )
+from geodrake.logs.known_payload import KnownPayload
+from geodrake.logs.motion import JointLog, Motion
 from geodrake.logs.preparation import prepare_logs
 from geodrake.model import EffortSignal
-from geodrake.model.signal_efforts import in_efforts, servo_effort
+from geodrake.model.carried_payloads import carrying
+from geodrake.model.saved_model import load_model as load_saved
+from geodrake.model.saved_model import save_model
+from geodrake.model.signal_efforts import (
+    constants_beside_friction,
+    error_integral,
+    in_efforts,
+    limited_integral,
+    runs_between_gaps,
+    servo_effort,
+)
+from geodrake.report.explaining import signals_table
+from geodrake.report.numbers import Units
+
+INTEGRAL = 90.0
+
+
+def pendulum(folder, effort=100):
+    path = folder / "pendulum.urdf"
+    path.write_text(PENDULUM.replace('effort="100"', f'effort="{effort}"'))
+    return load_model(path)
+
+
+def alone(model, log):
+    sharp = prepare_logs(signals_as_efforts([log], ["command"]), bandwidth=5.0, motion_bandwidth=20)
+    return motions_of(model, [log], sharp, [0])[0]
 
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
-    path = tmp_path_factory.mktemp("pendulum") / "pendulum.urdf"
-    path.write_text(PENDULUM)
-    return load_model(path)
+    return pendulum(tmp_path_factory.mktemp("pendulum"))
+
+
+@pytest.fixture(scope="module")
+def motions(model, log):
+    return alone(model, log)
+
+
+@pytest.fixture(scope="module")
+def summed():
+    return servo_log(integral=INTEGRAL)
 
 
 @pytest.fixture(scope="module")
 def log():
     return servo_log()
-
-
-@pytest.fixture(scope="module")
-def motions(model, log):
-    sharp = prepare_logs(signals_as_efforts([log], ["command"]), bandwidth=5.0, motion_bandwidth=20)
-    return motions_of(model, [log], sharp, [0])[0]
 
 
 def test_simulation_is_that_of_the_equation():
@@ -104,18 +139,6 @@ def test_it_finds_what_mujoco_has(motions):
     assert fit.error < 0.1 * fit.start
 
 
-def test_it_is_never_worse_than_where_it_began(motions):
-    """Positions that no servo makes: a fit to half of them may be bad for the other half."""
-    wild = tuple(
-        q + np.cumsum(np.random.default_rng(0).normal(size=len(q))) for q in motions.positions
-    )
-    parts = JointMotions(motions.rows, wild, motions.periods)
-    fit = fit_servo(parts, EffortSignal("hinge", "command", 50.0))
-    if fit is not None:
-        begun = parts.rms(parts.servo(fit.parameters))
-        assert fit.error == pytest.approx(begun) and fit.error < fit.start
-
-
 def test_a_joint_that_falls_over_is_far_off_and_no_servo():
     """It stands on its head, and the servo that the search begins with is too weak to hold it."""
     period, count = 0.02, 1000
@@ -156,16 +179,6 @@ def test_efforts_of_a_servo_are_its_equation(log):
     np.testing.assert_array_equal(same.effort[:, 0], effort)
 
 
-def test_a_limit_is_held(log):
-    signal = EffortSignal("hinge", "command", 60.0, limit=0.5)
-    assert np.abs(in_efforts(log, [signal]).effort).max() == 0.5
-
-
-def test_a_joint_with_nothing_is_refused(model, log):
-    with pytest.raises(LogError):
-        prepare_logs(with_efforts(model, [replace(log, command=None)])[1])
-
-
 def test_where_a_joint_stands_says_nothing_of_a_servo():
     """Offsets of stretches, as of heavier bodies, made a tenth of the error no gain at all."""
     rng = np.random.default_rng(0)
@@ -179,3 +192,272 @@ def test_where_a_joint_stands_says_nothing_of_a_servo():
     assert motions.gain_of(before, after + offset, motions.tested) == pytest.approx(
         motions.gain_of(before, after, motions.tested)
     )
+
+
+@pytest.fixture(scope="module")
+def fitted(model, summed):
+    return with_efforts(model, [summed])
+
+
+def with_gaps(log, instants, length):
+    """The log without the rows of a time, s, after each instant."""
+    time = log.time - log.time[0]
+    kept = np.all([(time < at) | (time > at + length) for at in instants], axis=0)
+    columns = ("time", "position", "effort", "command")
+    return replace(log, **{name: getattr(log, name)[kept] for name in columns})
+
+
+def test_slopes_with_an_integral_are_finite_differences(model, summed):
+    """Of two stretches, each with an effort of its own that the integral begins with."""
+    whole = alone(model, summed)
+    motions = JointMotions(
+        (whole.rows[0][:600], whole.rows[0][900:1400]),
+        (whole.positions[0][:600], whole.positions[0][900:1400]),
+        whole.periods * 2,
+    )
+    at = motions.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 80.0])
+    at[-2:] = 1.5, -0.7
+    free = np.flatnonzero(np.isfinite(at) & (at != 0.0))
+    slopes = motions.slopes(at, np.ones(len(at)), np.isin(np.arange(len(at)), free))
+    for k, number in enumerate(free):
+        step = 1e-6 * np.abs(at[number]) * np.eye(len(at))[number]
+        both = motions.simulated(at + step) - motions.simulated(at - step)
+        expected = both / (2.0 * step[number])
+        np.testing.assert_allclose(slopes[:, k], expected, atol=2e-5 * np.abs(expected).max())
+    assert not slopes[600:, 7].any() and not slopes[:600, 8].any()
+
+
+def test_it_finds_the_integral_that_mujoco_has(fitted):
+    """By a log alone: bodies are those of the file, gains as uncertain as these are."""
+    (signal,) = fitted[0].effort_signals
+    for value, truth in ((signal.gain, TRUTH[0]), (signal.integral, INTEGRAL)):
+        assert value == pytest.approx(truth, rel=0.1)
+    spread = np.hypot(signal.integral_deviation, signal.uncertainty * signal.integral)
+    assert 0.0 < signal.integral_deviation < spread
+    assert abs(signal.integral - INTEGRAL) < 2.0 * spread
+
+
+def test_a_linear_fit_without_it_finds_it_too(model, summed):
+    fit = fit_servo(alone(model, summed), EffortSignal("hinge", "command", 50.0))
+    assert fit.parameters[6] == pytest.approx(INTEGRAL, rel=0.05)
+    assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.05)
+    assert fit.error < 2e-3 * fit.moved
+
+
+def test_a_servo_without_one_gets_none(model):
+    """And bodies that are wrong by a constant effort, which an integral would hide, give none."""
+    motions = alone(model, servo_log(seconds=9.0))
+    fit = fit_servo(motions, EffortSignal("hinge", "command", 50.0, integral=40.0))
+    assert fit.parameters[6] == 0.0 and fit.deviations[6] == 0.0
+    assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.02)
+    rows = [each + 0.3 * np.eye(8)[0] for each in motions.rows]
+    fit = fit_servo(replace(motions, rows=tuple(rows)), EffortSignal("hinge", "command", 50.0))
+    assert fit is None or fit.parameters[6] == 0.0
+
+
+def test_efforts_contain_the_integral(fitted, summed):
+    """Those of the log are what bodies and friction need, with no constant left."""
+    model, (known,), _ = fitted
+    q, t = summed.position[:, 0], summed.time
+    v = np.gradient(q, t)
+    needed = (0.05 + 2.0 * 0.4**2 + TRUTH[4]) * np.gradient(v, t) + 2.0 * 9.81 * 0.4 * np.sin(q)
+    needed += TRUTH[2] * v + TRUTH[3] * np.sign(v)
+    smooth = np.ones(25) / 25
+    left = np.convolve(known.effort[:, 0] - needed, smooth, "valid")
+    assert np.std(left) < 0.12 * np.std(needed)
+    assert abs(np.mean(left)) < 0.03 * np.std(needed)
+    without = replace(model.effort_signals[0], integral=0.0)
+    late = with_efforts(replace(model, effort_signals=(without,)), [summed])[1][0].effort[:, 0]
+    assert np.std(np.convolve(late - needed, smooth, "valid")) > 0.5 * np.std(needed)
+
+
+def test_an_integral_has_grown_to_what_a_payload_needs(model):
+    """Of a log that says what was carried; errors are those of the equation for its effort."""
+    period, kp = 4e-3, 60.0
+    t = period * np.arange(2500)
+    q = (1.0 + 0.3 * np.sin(2.0 * t))[:, None]
+    v = np.gradient(q, period, axis=0)
+    motion = Motion(q, v, np.gradient(v, period, axis=0))
+    payload = KnownPayload("rod", 1.0, (0.0, 0.0, -0.5))
+    needed = carrying(model, (payload,)).effort(motion)[:, 0]
+    rate, error = np.gradient(needed, period), np.zeros(len(t))
+    for k in range(len(t) - 1):
+        error[k + 1] = error[k] + period * (rate[k] - INTEGRAL * error[k]) / kp
+    command, nothing = q + error[:, None], np.full(q.shape, np.nan)
+    log = JointLog("log", ("hinge",), t, q, nothing, command=command, payloads=(payload,))
+    signal = EffortSignal("hinge", "command", kp, integral=INTEGRAL)
+    _, (known,), _ = with_efforts(replace(model, effort_signals=(signal,)), [log])
+    np.testing.assert_allclose(known.effort[3:-3, 0], needed[3:-3], atol=0.02)
+
+
+def test_integrals_of_errors_and_constants():
+    time = np.array([0.0, 1.0, 2.0, 4.0])
+    grown = error_integral(time, np.array([1.0, 3.0, np.nan, 1.0]))
+    np.testing.assert_allclose(grown, [0.0, 2.0, 4.0, 8.0])  # straight over what is not known
+    v, runs = np.sin(np.linspace(0.0, 9.0, 200)), np.repeat([0, 1], 100)
+    effort = 0.7 - 1.1 * runs + 0.2 * v + 0.4 * np.sign(v)
+    effort[3] = np.nan
+    found = constants_beside_friction(effort, v, runs)
+    np.testing.assert_allclose(found, 0.7 - 1.1 * runs)
+    assert not constants_beside_friction(np.full(3, np.nan), np.ones(3), np.arange(3)).any()
+
+
+def test_integrals_begin_anew_after_long_gaps(model, summed):
+    """What a joint was behind in a gap of a second is not known, and not made up."""
+    signal = EffortSignal("hinge", "command", TRUTH[0], delay=LATE, integral=INTEGRAL)
+    known = replace(model, effort_signals=(signal,))
+    short = with_gaps(summed, [5.0, 9.0], 1.0)
+    runs = runs_between_gaps(short.time, short.position[:, 0])
+    assert [np.count_nonzero(runs == k) > 500 for k in range(runs[-1] + 1)] == 3 * [True]
+    whole, parts = (with_efforts(known, [each])[1][0] for each in (summed, short))
+    expected = np.interp(short.time, summed.time, whole.effort[:, 0])
+    off = np.sqrt(np.mean((parts.effort[:, 0] - expected) ** 2))
+    assert off < 0.02 * np.std(expected)
+
+
+def test_each_stretch_begins_where_the_fit_sees_it(model, summed):
+    """Or nobody would know what its integral begins with."""
+    motions = alone(model, with_gaps(summed, [3.0, 6.0, 9.0, 12.0], 0.1))
+    counts = [len(rows) for rows in motions.rows]
+    for tested in np.split(motions.tested, np.cumsum(counts)[:-1]):
+        assert not tested[0] and tested[-1] and 0.4 < np.mean(tested) < 0.6
+    whole = alone(model, summed)
+    assert np.count_nonzero(np.diff(whole.tested)) == 7
+
+
+def test_it_is_saved_shown_and_named_by_exports(fitted, summed, tmp_path):
+    model = fitted[0]
+    save_model(model, tmp_path / "fitted.yaml")
+    assert load_saved(tmp_path / "fitted.yaml").effort_signals == model.effort_signals
+    table = signals_table(model.effort_signals, Units())
+    assert "integral" in str(table) and "N·m/(rad·s)" in str(table)
+    assert "limit" not in table.head
+    limited = replace(model.effort_signals[0], limit=7.25)
+    assert signals_table((limited,), Units()).head[-1] == "limit"
+    assert "7.25 N·m" in str(signals_table((limited,), Units()))
+    for form, cost in (("mjcf", [summed]), ("isaac", [])):
+        notes = " ".join(export_to(form, model, tmp_path / form, cost).notes)
+        assert f"servos of {form} have no integral, such as that of hinge" in notes
+        assert ("of its motion without it" in notes) == bool(cost)
+
+
+def test_the_true_servo_moves_the_model_as_mujoco(model, summed):
+    """In a Drake diagram, from what the integral has grown to before each window."""
+    names = (ViscousFriction, TRUTH[2]), (CoulombFriction, TRUTH[3]), (RotorInertia, TRUTH[4])
+    effects = tuple(FittedEffect(kind("hinge"), np.array([value])) for kind, value in names)
+    signal = EffortSignal("hinge", "command", TRUTH[0], delay=LATE, integral=INTEGRAL)
+    true = replace(model, effects=effects, effort_signals=(signal,))
+    servo = PositionServo.of(true)
+    assert servo.gains(servo.CreateDefaultContext()).ki == pytest.approx([INTEGRAL])
+    departures = [
+        command_rollout(replace(true, effort_signals=(each,)), [summed], most=2).relative
+        for each in (signal, replace(signal, integral=0.0), replace(signal, integral=45.0))
+    ]
+    assert departures[0] < 0.02 and departures[0] < 0.3 * min(departures[1:])
+
+
+def gains(kp, kd, ki, limit):
+    return ServoGains(*(np.array([each]) for each in (kp, kd, ki, limit, 0.0)))
+
+
+@pytest.mark.parametrize("ki", [0.0, 30.0])
+def test_simulation_is_that_of_position_servo(ki):
+    """Its law in SciPy's integration, part of the time at the limit."""
+    period, count = 0.002, 1500
+    time = period * np.arange(count)
+    b, M, kp, kr, d, limit = 0.7, 0.5, 40.0, 2.0, 3.0, 9.0
+    servo = gains(kp, kr, ki, limit)
+
+    def error(t, state):
+        x, v, z = state
+        parts = (np.sin(3.0 * t) - x, 3.0 * np.cos(3.0 * t) - v, z, 0.0)
+        return ServoError(*(np.array([each]) for each in parts))
+
+    def rates(t, state):
+        told = error(t, state)
+        force = effort_of(servo, told)[0] - d * state[1] - b
+        return [state[1], force / M, integral_rate(servo, told)[0]]
+
+    exact = solve_ivp(rates, (0.0, time[-1]), np.zeros(3), t_eval=time, max_step=4e-3, rtol=1e-6)
+    efforts = [effort_of(servo, error(*each))[0] for each in zip(time, exact.y.T, strict=True)]
+    assert 0.1 < np.mean(np.abs(efforts) >= limit) < 0.6
+    rows = np.zeros((count, 8))
+    rows[:, :2], rows[:, 7] = (b, M), np.sin(3.0 * time)
+    motions = JointMotions((rows,), (exact.y[0],), (period,))
+    parameters = [kp, kr, d, 0.0, 0.0, 0.0, ki]
+    size = np.abs(exact.y[0]).max()
+    assert np.abs(motions.residual(motions.servo(parameters, limit=limit))).max() < 5e-3 * size
+    assert np.abs(motions.residual(motions.servo(parameters))).max() > 0.05 * size
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_slopes_at_a_limit_are_finite_differences(own, tmp_path):
+    log = servo_log(integral=60.0, limit=7.0, seconds=5.0)
+    motions = alone(pendulum(tmp_path, 7.0), log)
+    at = motions.servo([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123, 50.0], limit=7.0)
+    at[8:] = own, 1.5
+    free = np.array([0, 1, 2, 3, 4, 5, 6, 9])
+    slopes = motions.slopes(at, np.ones(len(at)), np.isin(np.arange(len(at)), free))
+    unlimited = np.where(np.arange(len(at)) == 7, np.inf, at)
+    assert np.abs(motions.simulated(at) - motions.simulated(unlimited)).max() > 0.01
+    for k, number in enumerate(free):
+        step = 1e-7 * at[number] * np.eye(len(at))[number]
+        both = motions.simulated(at + step) - motions.simulated(at - step)
+        error = slopes[:, k] - both / (2.0 * step[number])
+        # Where the limit begins to act within a step, there is no slope: few rows.
+        assert np.median(np.abs(error)) < 1e-3 * np.abs(slopes[:, k]).max()
+        assert np.abs(error).max() < 0.05 * np.abs(slopes[:, k]).max()
+
+
+@pytest.mark.parametrize(
+    ("integral", "limit"), [(0.0, 7.0), pytest.param(90.0, 7.0, marks=pytest.mark.thorough)]
+)
+def test_gains_are_those_of_a_servo_at_its_limit(integral, limit, tmp_path):
+    model = pendulum(tmp_path, limit)
+    known, (log,), _ = with_efforts(model, [servo_log(integral=integral, limit=limit)])
+    (signal,) = known.effort_signals
+    assert signal.limit == limit
+    assert signal.gain == pytest.approx(TRUTH[0], rel=0.05)
+    assert signal.integral == pytest.approx(integral, rel=0.05)
+    at_limit = np.mean(np.abs(log.effort) >= limit)
+    assert np.abs(log.effort).max() == limit and 0.05 < at_limit < 0.9
+
+
+def test_velocity_feedback_is_within_the_limit(tmp_path):
+    """As in MuJoCo's position actuators. A rate that comes late does the same for the joint."""
+    motions = alone(pendulum(tmp_path, 5.0), servo_log(limit=5.0, seconds=12.0, feedback=True))
+    fit = fit_servo(motions, EffortSignal("hinge", "command", 50.0), 5.0)
+    assert fit.limit == 5.0
+    assert fit.parameters[0] == pytest.approx(TRUTH[0], rel=0.05)
+    assert sum(fit.parameters[1:3]) == pytest.approx(TRUTH[2], rel=0.1)
+    assert fit.own or fit.parameters[1] == pytest.approx(TRUTH[2] - 1.0, rel=0.1)
+    found = fit_servo(motions, EffortSignal("hinge", "command", 50.0))
+    assert found.limit == pytest.approx(5.0, rel=0.02) and found.error < 1.1 * fit.error
+
+
+def test_a_joint_that_stands_exactly_still_has_no_servo():
+    """Of no effort, too: no number is divided by what is not there."""
+    rows = np.zeros((400, 8))
+    rows[:, 1] = 0.5
+    motions = JointMotions((rows,), (rows[:, 4],), (0.004,))
+    for integral in (0.0, 3.0):
+        assert fit_servo(motions, EffortSignal("a", "command", 5.0, integral=integral), 3.0) is None
+
+
+def test_a_servo_that_is_always_at_its_limit_is_refused(tmp_path):
+    with pytest.raises(LogError, match="it is saturated"):
+        open_case(pendulum(tmp_path, 2.0), [servo_log(limit=2.0)], candidates=False)
+
+
+def test_an_integral_in_a_log_is_held_as_that_of_position_servo():
+    time = np.linspace(0.0, 6.0, 3001)
+    error = 0.2 * np.sin(2.0 * time) + 0.05
+    servo, z = gains(40.0, 0.0, 50.0, 9.0), np.zeros(len(time))
+    for k, step in enumerate(np.diff(time)):
+        acting = (error[k], 0.0, z[k], 0.0)
+        z[k + 1] = z[k] + step * integral_rate(servo, ServoError(*map(np.atleast_1d, acting)))[0]
+    found = limited_integral(time, error, 40.0 * error, 50.0, 9.0)
+    np.testing.assert_allclose(found, z, atol=1e-3)
+    assert np.abs(error_integral(time, error) - z).max() > 0.05
+    nothing = np.full(3, np.nan)
+    assert not limited_integral(np.arange(3.0), nothing, nothing, 1.0, 1.0).any()

@@ -86,13 +86,3 @@ def test_a_level_base_changes_nothing(effects):
         width = ARM.phi.size
         own = layout.columns[j]
         np.testing.assert_array_equal(own[own < width], plain.columns[j])
-
-
-def test_the_column_of_a_vertical_axis_shows_on_a_slope():
-    """Its moment across that axis, which a level base hides."""
-    level = Layout.of(ARM, (), np.ones(NV), np.zeros(NV)).columns[0]
-    tilt = GravityTilt(about_x=0.03, about_y=-0.05)
-    sloped = Layout.of(ARM, (tilt,), np.ones(NV), np.zeros(NV)).columns[0]
-    hidden = {1, 2}  # hx and hy of the first body
-    assert not hidden & set(level.tolist())
-    assert hidden <= set(sloped.tolist())

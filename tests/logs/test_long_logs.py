@@ -8,7 +8,7 @@ import pytest
 from pendulum_logs import JOINTS, PENDULUM
 
 from geodrake.diagnosis import compare
-from geodrake.identification.logs import coherent_bandwidth, noise, reduce
+from geodrake.identification.logs import noise, reduce
 from geodrake.logs import smoothing, uniform_log
 from geodrake.logs.files import read_log, write_log
 from geodrake.logs.motion import JointLog
@@ -72,7 +72,6 @@ def test_memory_grows_with_the_log_alone(monkeypatch, tmp_path):
         monkeypatch.setattr(module, "CHUNK", 5_000)
     monkeypatch.setattr(uniform_log, "_PART", 5_000)
     monkeypatch.setattr(noise, "_SAMPLES", 10_000)
-    monkeypatch.setattr(coherent_bandwidth, "_SAMPLES", 10_000)
     model, peaks = load_model(PENDULUM), []
     lengths = (50_000, 150_000)
     for samples in lengths:

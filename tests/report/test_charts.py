@@ -22,8 +22,13 @@ from report_results import (
 )
 
 from geodrake.errors import OutputError
-from geodrake.identification.logs.model_errors import Comparison, ErrorTable, JointError, Series
-from geodrake.identification.logs.worst_windows import worst_windows
+from geodrake.identification.logs.model_errors import (
+    Comparison,
+    ErrorTable,
+    JointError,
+    Series,
+    worst_windows,
+)
 from geodrake.report import Units, figures_of, page_of, save_figures
 from geodrake.report.charts import decimated, gap_filled, packed
 from geodrake.report.error_charts import (

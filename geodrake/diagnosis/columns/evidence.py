@@ -26,7 +26,7 @@ from geodrake.effects.base import Effect
 from geodrake.effects.declarations import Role
 from geodrake.identification.logs.criteria import LARGEST, NOISE_MARGIN, SPREAD
 from geodrake.identification.logs.log_slices import Layout
-from geodrake.identification.logs.noise import noise_floor
+from geodrake.identification.logs.noise import known_noise
 from geodrake.identification.logs.unknowns import payload_reference, pullback_information
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.robot.driven_tree import with_gravity
@@ -84,7 +84,7 @@ class ColumnModel:
 
     def __init__(self, samples: ColumnSamples, beliefs: Beliefs) -> None:
         self.samples, self.beliefs, model = samples, beliefs, samples.model
-        self.noise, n = noise_floor(samples.trajectories), len(model.joints)
+        self.noise, n = known_noise(samples.trajectories)[0], len(model.joints)
         own = [f for f in model.effects if _is_seen(f.effect)]
         said = {(f.effect.name, f.effect.where) for f in own}
         usual = [kind for kind in catalogue() if kind.complexity == 0]

@@ -38,13 +38,9 @@ def candidate_effects(
 
     Effects whose shape is found in a residual are not among them (see `proposals`), nor those of
     pairs of joints that do not follow each other (see `coupled`), nor those that only inertias
-    known from other logs, or known payloads, identify.
-
-    Args:
-        trajectories: Prepared logs; shape grids scale with their speeds and temperatures.
-        known_gains: Joints at which known payloads take the place of known inertias, as
-            `joints_with_known_gain` gives them.
-        speeds: (nv,) peak speeds, rad/s or m/s; by default those of the logs.
+    known from other logs, or known payloads, identify; at `known_gains` these take their place (see
+    `joints_with_known_gain`). Shape grids scale with temperatures of the prepared logs, and with
+    peak speeds (nv,), rad/s or m/s, by default those of the logs.
     """
     peaks = peak_speeds(trajectories) if speeds is None else speeds
     single = [joint for joint in model.joints if joint in model.single_joints]

@@ -18,14 +18,13 @@ from geodrake.effects.base import Effect
 from geodrake.effects.robot_motion import RobotMotion
 from geodrake.errors import LogError
 from geodrake.identification.logs.candidate_effects import candidate_delays, candidate_effects
-from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
 from geodrake.identification.logs.dataset import Dataset, Delay
 from geodrake.identification.logs.hypothesis import HeldOut
+from geodrake.identification.logs.log_slices import SharedRows
 from geodrake.identification.logs.model_errors import ErrorTable, JointError, Series
 from geodrake.identification.logs.model_fit import effects_of
-from geodrake.identification.logs.noise import filtered_below
+from geodrake.identification.logs.noise import filtered_below, prepare_for_model
 from geodrake.identification.logs.reduce import reduce_logs
-from geodrake.identification.logs.shared_rows import SharedRows
 from geodrake.identification.logs.signal_calibration import with_efforts
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.logs.files import read_log
@@ -117,21 +116,17 @@ def open_case(
     motion_bandwidth: float | None = None,
     hold_resting: bool = False,
 ) -> Case:
-    """Prepare and reduce logs for a model.
+    """Prepare and reduce logs for a model; `candidates` says whether effects to try get columns.
 
-    Args:
-        candidates: Whether effects that the model lacks get columns too.
-        bandwidth: Bandwidth of the filter, Hz; by default that at which the model was fitted to
-            these logs, or chosen from the data.
-        blocks: Blocks into which every log is cut for validation; by default whole logs if there
-            are four or more, and about eight blocks otherwise.
-        hold_resting: Whether joints that hardly move in any log are held; see
-            `holding_resting`.
+    The `bandwidth` of the filter, Hz, is by default that at which the model was fitted to these
+    logs, or chosen from the data. Every log is cut into `blocks` for validation; by default there
+    are whole logs if there are four or more, and about eight blocks otherwise. Joints that hardly
+    move in any log may be held (`hold_resting`).
 
     Raises:
-        ArgumentError: A log has a known payload of a body that there is not.
+        ArgumentError: A log has a known payload of a body that does not exist, there is no log, one
+            is there twice, or a setting is no usable number.
         LogError: A log cannot be used.
-        ArgumentError: There is no log, one is there twice, or a setting is no usable number.
     """
     asked = checked_logs(model, logs, extra, bandwidth, blocks)
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
@@ -151,22 +146,21 @@ def open_case(
     def prepare(logs: Sequence[JointLog]) -> tuple[tuple[Trajectory, ...], list[str]]:
         uniform = [make_uniform(log) for log in logs]
         hints = [hint for each in uniform for hint in _hints(each.log, model.effort_limits)]
-        seen = ([x for key in known_as(log) if (x := model.bandwidths.get(key))] for log in logs)
-        known = {own[0] if own else None for own in seen}
+        known = {model.bandwidths.get(log.fingerprint) for log in logs}
         with _naming_units(hints):
-            if bandwidth is None and len(known) == 1 and (both := known.pop()) is not None:
-                fit = {"bandwidth": both[0], "motion_bandwidth": both[1]}
-                return prepare_logs(uniform, **fit, how="as the model was fitted at"), hints
-            if bandwidth is None:
-                trajectories, changed = prepare_for_model(model, uniform)
-                return trajectories, [*hints, *([changed] if changed else [])]
-            sharp = motion_bandwidth
-            return prepare_logs(uniform, bandwidth=bandwidth, motion_bandwidth=sharp), hints
+            if bandwidth is not None:
+                sharp = motion_bandwidth
+                return prepare_logs(uniform, bandwidth=bandwidth, motion_bandwidth=sharp), hints
+            if len(known) == 1 and (fit := known.pop()) is not None:
+                how = "as the model was fitted at"
+                prepared = prepare_logs(uniform, bandwidth=fit[0], motion_bandwidth=fit[1], how=how)
+                return prepared, hints
+            trajectories, changed = prepare_for_model(model, uniform)
+            return trajectories, [*hints, *([changed] if changed else [])]
 
     (trajectories, hints), matched, left_out = _with_usable(matched, prepare)
     hints += payload_notes(model, matched)
-    trained = [log for log in matched if not set(model.fitted_to).isdisjoint(known_as(log))]
-    fitted = len(trained) == len(matched)
+    fitted = all(log.fingerprint in model.fitted_to for log in matched)
     with _naming_units(hints):
         folds = validation_blocks(trajectories, blocks=blocks)
     effects = effects_of(model)
@@ -186,18 +180,17 @@ def open_case(
         fitted=fitted and not candidates,
         shared=shared,
     )
-    hints += [
-        _filtered_note(trajectory, fitted=fitted or candidates) for trajectory in trajectories
-    ]
-    notes = [*left_out, *model.notes, *gain_notes, *filter(None, hints)]
-    notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
-    notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
-    notes += [
+    hints += [_filtered_note(t, fitted=fitted or candidates) for t in trajectories]
+    trained = (
         f"the model was fitted to {log.name} before: all errors on it are those of training data, "
         "and a fit counts it twice"
-        for log in trained
-    ]
-    fingerprints, said = tuple(measured[log.name] for log in matched), tuple(dict.fromkeys(notes))
+        for log in matched
+        if log.fingerprint in model.fitted_to
+    )
+    notes = [*left_out, *model.notes, *gain_notes, *filter(None, hints)]
+    notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
+    notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds", *trained]
+    fingerprints, said = tuple(log.fingerprint for log in matched), tuple(dict.fromkeys(notes))
     opened = Asked(tuple(matched), tuple(extra), bandwidth, blocks)
     return Case(model, trajectories, folds, dataset, fingerprints, said, opened, shared=shared)
 
@@ -209,11 +202,7 @@ def checked_logs(
     bandwidth: float | None,
     blocks: int | None,
 ) -> tuple[JointLog | str | Path, ...]:
-    """Return the logs, or their files, if all that a caller passed can be understood at all.
-
-    Raises:
-        ArgumentError: Something is not what it must be.
-    """
+    """Return the logs, or their files, if all that a caller passed can be understood at all."""
     instance(model, "model", RobotModel)
     instances(extra, "extra", type)
     if bandwidth is not None:
@@ -233,8 +222,7 @@ def prepared_as_measured(
 ) -> tuple[tuple[Trajectory, ...], tuple[Fold, ...]]:
     """Return prepared logs and their folds, whatever the model says of efforts.
 
-    Args:
-        bandwidth: Bandwidth of the filter, Hz; by default chosen from the motion.
+    The `bandwidth` of the filter, Hz, is by default chosen from the motion.
     """
     logs = checked_logs(model, logs, (), bandwidth, blocks)
     _, matched, _ = with_efforts(model, _matched(model, logs))
@@ -256,11 +244,7 @@ def prepared_as_measured(
 def _with_usable(
     logs: Sequence[JointLog], prepare: Callable[[Sequence[JointLog]], T]
 ) -> tuple[T, list[JointLog], list[str]]:
-    """Prepare logs, those that cannot be used left out: what came of it, the rest, and why.
-
-    Raises:
-        LogError: None can be used.
-    """
+    """Prepare logs, those that cannot be used left out: what came of it, the rest, and why."""
     used, notes = list(logs), list[str]()
     while True:
         try:
@@ -363,7 +347,7 @@ def _matched(model: RobotModel, logs: Sequence[JointLog | str | Path]) -> list[J
 
 
 def _still_notes(dataset: Dataset) -> list[str]:
-    """That samples at rest are left out, in words; empty if no joint ever rests."""
+    """Return a note that samples at rest are left out, if any joint ever rests."""
     most = int(dataset.still.argmax())
     if dataset.still[most] == 0.0:
         return []
@@ -386,12 +370,9 @@ def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
     )
 
 
-def _check_passive(logs: Sequence[JointLog]) -> None:
-    """Check that some joint has a motor, and that logs agree on which have.
-
-    Raises:
-        LogError: They do not.
-    """
+def _check_efforts(logs: Sequence[JointLog]) -> None:
+    """Check that joints have motors or efforts that change, the same in each log."""
+    check_repeated(logs)  # also those whose efforts were not there
     for log in logs:
         if len(log.passive) == len(log.joints):
             raise LogError(
@@ -406,11 +387,6 @@ def _check_passive(logs: Sequence[JointLog]) -> None:
                 advice=f"Say --passive {differing[0]}, or measure its effort in each log.",
                 joints=differing,
             )
-
-
-def _check_efforts(logs: Sequence[JointLog]) -> None:
-    check_repeated(logs)  # also those whose efforts were not there
-    _check_passive(logs)
     for log in logs:
         known = np.isfinite(log.effort)
         highest = log.effort.max(axis=0, initial=-np.inf, where=known)
@@ -418,8 +394,8 @@ def _check_efforts(logs: Sequence[JointLog]) -> None:
         largest = np.maximum(np.abs(highest), np.abs(lowest))
         constant = highest - np.maximum(1e-9 * largest, _LEAST_EFFORT) <= lowest
         constant &= known.any(axis=0) & ~np.isin(log.joints, log.passive)
-        if constant.any():
-            joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
+        joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
+        if joints:
             zero = [joint for joint in joints if largest[log.joints.index(joint)] == 0.0]
             raise LogError(
                 f"The effort of {', '.join(joints)} never changes in log {log.name!r}.",

@@ -34,17 +34,9 @@ def compare(
 ) -> Comparison:
     """Compare a model as it stands with measurements that it was not fitted to.
 
-    Args:
-        model: The model; nothing in it is refitted.
-        logs: Logs or their files.
-        bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
-            or chosen from the data.
-        blocks: Blocks into which every log is cut.
-        hold_resting: Whether joints that hardly move in any log are held; see
-            `geodrake.model.logged_joints.holding_resting`.
-
-    Returns:
-        Errors per joint, where they are concentrated, and the series behind them.
+    Nothing in the model is refitted. The `bandwidth` of the filter, Hz, is by default that of the
+    model's fit to the same logs, or chosen from the data; every log is cut into so many `blocks`.
+    Joints that hardly move in any log are held, unless `hold_resting` is false.
     """
     case = open_case(
         model,

@@ -169,12 +169,8 @@ class Dataset(Short):
         is noisy is the acceleration, of a variance that is that of the residuals over the squared
         inertia m, so that n independent samples add n log m, and a part of it goes in the right
         side of the normal equations. Without it noise would shrink these bodies to nothing.
-
-        Args:
-            columns: (p,) columns in use.
-            x: (p,) parameters that inertias are those of.
-            power: (nv,) weighted sums of squared residuals, which are n with the weights of maximum
-                likelihood.
+        Inertias are those of parameters x (p,) of columns (p,) in use; the `power` (nv,) are
+        weighted sums of squared residuals, which are n with the weights of maximum likelihood.
         """
         if self.passive_inertia is None:
             return 0.0

@@ -25,6 +25,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import minimize
 
 from geodrake.effects.base import Effect
+from geodrake.identification.coordinates import SYMMETRIC_BASIS
 from geodrake.identification.logs.criteria import SPREAD, WORTH
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.evidence import effective_samples
@@ -82,11 +83,9 @@ class SignalRows:
         added: Effect | None = None,
         held: Effect | None = None,
     ) -> SignalRows:
-        """Return the rows of a joint.
+        """Return the rows of a joint, over d inertial parameters.
 
-        Args:
-            added: An effect whose column is added to the signal.
-            held: What has the effort of known payloads as its column.
+        The column of `added` is added to the signal; that of `held` is what known payloads need.
         """
         data = dataset.data[joint]
         order, known = [], []
@@ -157,16 +156,12 @@ class SignalRows:
 def signal_gains(
     rows: Sequence[SignalRows], model: RobotModel, known: Array, kinds: Sequence[str]
 ) -> SignalGains:
-    """Find the gains of signals.
+    """Find the gains of signals, by rows of each joint.
 
     A gain that neither gravity nor inertia shows, as that of a light wrist, is drawn to those of
-    the other joints' signals of its kind; its deviation says how little is known of it.
-
-    Args:
-        rows: What logs say of each joint.
-        known: (nv,) standard deviations of log |gain| about 0, of signals that are efforts or
-            nearly so; inf where nothing is known of the gain.
-        kinds: Kinds (nv,) of the signals.
+    the other joints' signals of its kind (`kinds`, nv); its deviation says how little is known of
+    it. `known` (nv,) are standard deviations of log |gain| about 0, of signals that are efforts or
+    nearly so; inf where nothing is known of the gain.
     """
     told = np.diag(np.maximum(known, _NOTHING) ** -2.0 + _NOTHING)
     for kind in dict.fromkeys(kinds):
@@ -257,13 +252,13 @@ class _GeodesicBodies:
 
     def at(self, x: Array) -> tuple[Array, Array]:
         """Return φ (d,) and its slope (d, d) with the coordinates x (d,)."""
-        X = np.einsum("bi,iac->bac", x.reshape(-1, PARAMETERS_PER_BODY), _SYMMETRIC)
+        X = np.einsum("bi,iac->bac", x.reshape(-1, PARAMETERS_PER_BODY), SYMMETRIC_BASIS)
         w, V = np.linalg.eigh(X)
         e, gap = np.exp(w), w[:, :, None] - w[:, None, :]
         same = np.abs(gap) < 1e-6  # where the divided difference of exp is its slope
         mean = np.exp(0.5 * (w[:, :, None] + w[:, None, :]))
         rise = np.where(same, mean, (e[:, :, None] - e[:, None, :]) / np.where(same, 1.0, gap))
-        inner = np.einsum("bka,ikl,blc->biac", V, _SYMMETRIC, V)  # Vᵀ E V of each direction E
+        inner = np.einsum("bka,ikl,blc->biac", V, SYMMETRIC_BASIS, V)  # Vᵀ E V of each direction E
         LV = self.factors @ V
         P = np.einsum("bak,bk,bck->bac", LV, e, LV)
         dP = np.einsum("bak,bikl,bcl->biac", LV, inner * rise[:, None], LV)
@@ -271,14 +266,3 @@ class _GeodesicBodies:
         each = np.arange(len(P))
         slope[each, :, each] = np.swapaxes(from_pseudo_inertia(dP), 1, 2)
         return from_pseudo_inertia(P).ravel(), slope.reshape(x.size, x.size)
-
-
-def _orthonormal_symmetric() -> Array:
-    """(10, 4, 4) orthonormal basis of the symmetric matrices."""
-    (i, j), basis = np.tril_indices(4), np.zeros((PARAMETERS_PER_BODY, 4, 4))
-    each = np.arange(PARAMETERS_PER_BODY)
-    basis[each, i, j] = basis[each, j, i] = np.where(i == j, 1.0, np.sqrt(0.5))
-    return basis
-
-
-_SYMMETRIC = _orthonormal_symmetric()

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.special import chdtrc, ndtr, stdtr
+from scipy.special import chdtrc, ndtr
 
 Array = NDArray[np.float64]
 
@@ -30,8 +30,7 @@ def effective_samples(blocks: Sequence[Array]) -> float:
 def effective_samples_of_each(series: Sequence[Sequence[Array]]) -> Array:
     """Return (J,) how many independent samples each of J coloured residuals is worth.
 
-    Args:
-        series: The blocks (K_i,) of each residual, which are stretches without gaps.
+    The blocks (K_i,) of each residual are stretches without gaps.
     """
     longest = max(len(block) for blocks in series for block in blocks)
     size = next_fast_len(2 * longest, real=True)
@@ -48,11 +47,8 @@ def effective_by_covariance(covariance: Array, samples: ArrayLike) -> Array:
     """Return how many independent samples n of some autocovariance are worth: n / (1 + 2 Σ ρ_k).
 
     The autocorrelation ρ is summed up to its first value below 0.02. The numbers (…) are between 1
-    and n, and n where nothing is known of ρ.
-
-    Args:
-        covariance: (…, L) sums of r_t r_{t+k} over t, for k = 0, 1, …
-        samples: (…) numbers n.
+    and n, and n where nothing is known of ρ. Covariances (…, L) are sums of r_t r_{t+k} over t, for
+    k = 0, 1, …; `samples` (…) are the numbers n.
     """
     power = covariance[..., 0]
     correlation = covariance[..., 1:] / np.where(power > 0.0, power, 1.0)[..., None]
@@ -104,13 +100,17 @@ def tie_probability(loss_a: Array, loss_b: Array) -> float:
     hardly, of the paired t-test where these are too few for ranks; one half where none does.
     Losses (F,) are held-out ones of the better hypothesis and of the other, per fold.
     """
+    from scipy.stats import rankdata, ttest_1samp  # half a second, for those who need it
+
     difference = loss_b - loss_a
     difference = difference[np.abs(difference) > _HARDLY * np.maximum(loss_a, loss_b)]
-    if not len(difference):
+    if len(difference) < 2:
         return 0.5
     if len(difference) < _ENOUGH:
-        return _paired_t(difference)
-    ranks = _ranks(np.abs(difference))
+        if np.ptp(difference) == 0.0:
+            return float(difference[0] < 0.0)
+        return float(ttest_1samp(difference, 0.0, alternative="greater").pvalue)
+    ranks = rankdata(np.abs(difference))
     positive = ranks[difference > 0.0].sum()
     if len(difference) <= _EXACT:
         signs = np.arange(2 ** len(difference))[:, None] >> np.arange(len(difference)) & 1
@@ -118,17 +118,3 @@ def tie_probability(loss_a: Array, loss_b: Array) -> float:
     # Of differences without a sign of their own, the sum has this mean and this variance.
     mean, variance = 0.5 * ranks.sum(), 0.25 * np.square(ranks).sum()
     return float(ndtr(-(positive - mean - 0.5) / np.sqrt(variance)))
-
-
-def _ranks(values: Array) -> Array:
-    """Ranks from 1 on; those of equal values are their mean."""
-    _, at, counts = np.unique(values, return_inverse=True, return_counts=True)
-    return (np.cumsum(counts) - 0.5 * (counts - 1.0))[at]
-
-
-def _paired_t(difference: Array) -> float:
-    spread = difference.std(ddof=1) if len(difference) > 1 else 0.0
-    if spread == 0.0:
-        return 0.5 if len(difference) == 1 or not difference.any() else float(difference[0] < 0.0)
-    t = difference.mean() / (spread / np.sqrt(len(difference)))
-    return float(stdtr(len(difference) - 1, -t))

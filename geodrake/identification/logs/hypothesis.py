@@ -53,12 +53,7 @@ class HeldOut:
 
 
 def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0) -> HeldOut:
-    """Return the errors of given parameters in every fold, through the triangular factors.
-
-    Args:
-        columns: (p,) columns in use.
-        x: (F, p) parameters for each fold.
-    """
+    """Return the errors of parameters x (F, p) of columns (p,) in every fold."""
     sse = np.empty((len(dataset.folds), len(dataset.joints)))
     for j, (data, late) in enumerate(zip(dataset.data, dataset.delay_of_each(delay), strict=True)):
         n = len(data.columns)
@@ -70,11 +65,9 @@ def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0) 
 def normal_matrices(
     dataset: Dataset, weights: Array, columns: Indices, *, delay: Delay = 0
 ) -> tuple[Array, Array]:
-    """Return the weighted AᵀA (F, p, p) and Aᵀb (F, p) of every fold.
+    """Return the weighted AᵀA (F, p, p) and Aᵀb (F, p) of every fold, for columns (p,) of A.
 
-    Args:
-        weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)² or 1 / N².
-        columns: (p,) columns of A in the dataset.
+    The weights (nv,) are those of a squared residual of each joint, 1 / (N·m)² or 1 / N².
     """
     p, folds = len(columns), len(dataset.folds)
     gram, rhs = np.zeros((p, p, folds)), np.zeros((p, folds))
@@ -89,11 +82,9 @@ def normal_matrices(
 
 
 class CrossValidation:
-    """Fits of given unknowns to all folds but one.
+    """Fits of given unknowns to all folds but one, with physical bodies if asked for.
 
-    Args:
-        weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)².
-        physical: Whether bodies are kept physical.
+    The weights (nv,) are those of a squared residual of each joint, 1 / (N·m)².
     """
 
     def __init__(
@@ -168,12 +159,10 @@ class CrossValidation:
 
 
 def _within(x: Array, rhs: Array, scaled: tuple[Array, Array], unknowns: Unknowns) -> Array:
-    """Return the minimizer (p,) within the bounds of unknowns, from that without them.
+    """Return the minimizer (p,) within the bounds of unknowns, from that without them, x (p,).
 
-    Args:
-        x: (p,) the minimizer without bounds.
-        rhs: (p,) right side of the normal equations.
-        scaled: Their matrix (p, p) of unit diagonal, and by what (p,) it was scaled.
+    The normal equations have the right side (p,), and a matrix (p, p) scaled to unit diagonal by
+    factors (p,).
     """
     free, (matrix, scale) = np.ones(len(x), bool), scaled
     lower, upper = unknowns.lower - _ROUNDING, unknowns.upper + _ROUNDING
@@ -213,15 +202,11 @@ class Hypothesis(Short):
         unknowns = self.unknowns.loosened(factor, PARAMETERS_PER_BODY * len(self.dataset.bodies))
         return settle(replace(self, unknowns=unknowns, looseness=self.looseness * factor))
 
-    def moved_columns(self, dataset: Dataset) -> Indices:
-        """(p,) columns of the unknowns in another dataset of the same bodies and effects."""
-        columns = [np.arange(len(dataset.bodies) * PARAMETERS_PER_BODY)]
-        columns += [dataset.effect_columns(effect) for effect in self.unknowns.effects]
-        return np.concatenate(columns)
-
     def moved(self, dataset: Dataset, *, delay: Delay, iterations: int = 2) -> Hypothesis:
         """Return this hypothesis on another dataset of the same bodies and effects, refitted."""
-        unknowns = replace(self.unknowns, columns=self.moved_columns(dataset))
+        bodies = np.arange(len(dataset.bodies) * PARAMETERS_PER_BODY)
+        effects = [dataset.effect_columns(effect) for effect in self.unknowns.effects]
+        unknowns = replace(self.unknowns, columns=np.concatenate([bodies, *effects]))
         delays = dataset.delay_of_each(delay)
         moved = replace(self, dataset=dataset, unknowns=unknowns, delay=delays)
         return settle(moved, iterations=iterations)
@@ -230,12 +215,7 @@ class Hypothesis(Short):
 def residual_blocks(
     dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0
 ) -> list[list[Array]]:
-    """Return held-out residuals: per joint, one array (K_i,) per block.
-
-    Args:
-        columns: (p,) columns in use.
-        x: (F, p) parameters for each fold.
-    """
+    """Return held-out residuals (K_i,) of each joint and block, for x (F, p) of columns (p,)."""
     return [
         [
             rows.b[:, late] - rows.A @ own
@@ -244,12 +224,6 @@ def residual_blocks(
         ]
         for data, late in zip(dataset.data, dataset.delay_of_each(delay), strict=True)
     ]
-
-
-def effective_per_joint(dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0) -> Array:
-    """Return (nv,) effective samples of the held-out residuals, as in `residual_blocks`."""
-    blocks = residual_blocks(dataset, columns, x, delay=delay)
-    return effective_of_rows(blocks, dataset.samples.sum(axis=0))
 
 
 def effective_of_rows(blocks: Sequence[Sequence[Array]], rows: Array) -> Array:
@@ -263,11 +237,8 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
 
     The weight of a joint is the inverse of its squared error (half its own, half what the same
     relative error of all joints would be, so that no joint is given up), reduced to its effective
-    samples so that coloured residuals do not outvote the prior.
-
-    Args:
-        iterations: How often effective samples are counted at most, each time with weights that
-            agree with the errors; fewer where the weights stay.
+    samples so that coloured residuals do not outvote the prior. Effective samples are counted in so
+    many `iterations` at most, each time with weights that agree with the errors.
     """
     dataset, unknowns, delay = hypothesis.dataset, hypothesis.unknowns, hypothesis.delay
     samples, variance = dataset.samples.sum(axis=0), dataset.effort_std**2
@@ -279,7 +250,8 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
         return np.asarray(effective / samples / np.sqrt(mse * np.mean(mse / variance) * variance))
 
     def counted(cv: CrossValidation) -> Array:
-        return effective_per_joint(dataset, unknowns.columns, cv.held_out.x, delay=delay)
+        blocks = residual_blocks(dataset, unknowns.columns, cv.held_out.x, delay=delay)
+        return effective_of_rows(blocks, samples)
 
     for _ in range(iterations):
         for _ in range(_MOST_REFITS):

@@ -1,4 +1,4 @@
-"""Fits of reduced logs with any regularizer: of all folds, or of all but one."""
+"""Fits of reduced logs with any regularizer, and the weight that held-out errors ask for."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geodrake.errors import IdentificationError
 from geodrake.identification.comparison import RegularizerComparison, compare_regularizers
 from geodrake.identification.identify import (
     REGULARIZERS,
@@ -35,6 +36,19 @@ _NOTHING = 1e-200
 
 _PROBE = 0.1
 """The scale of a regularizer is measured at this geometric distance."""
+
+_DECADES = (4, 3, 2, 1, 0, -1)
+"""A sweep tries these powers of ten of γ, relative to that of inertias known to within `SPREAD`."""
+
+_LEAST_DECADE = 0
+"""A sweep chooses at least this power of ten.
+
+Below, what the model lacks goes into its inertias, and held-out errors on the same kind of motion
+even reward that.
+"""
+
+_SWEPT_AS = {"riemannian": "entropic"}
+"""The γ of these regularizers is chosen by another: both agree to second order, one is convex."""
 
 
 def log_unknowns(dataset: Dataset, model: RobotModel) -> Unknowns:
@@ -85,6 +99,11 @@ class LogFits:
         """The folds by number."""
         return range(len(self.dataset.folds))
 
+    @property
+    def _inertial(self) -> int:
+        """Number of the parameters of bodies and payloads, which come first."""
+        return len(self.unknowns.inertia_blocks) * PARAMETERS_PER_BODY
+
     def solve(
         self,
         regularizer: str,
@@ -99,11 +118,9 @@ class LogFits:
         Exactly one is given of γ and the residual bound, the greatest weighted squared residual. A
         MathematicalProgram certifies the fit if asked to.
         """
-        A, b = self.data(without)
         with drake_messages():  # an error says it all when a solver gives up
             return identify(
-                A,
-                b,
+                *self.data(without),
                 self.prior,
                 regularizer=regularizer,
                 gamma=gamma,
@@ -112,6 +129,25 @@ class LogFits:
                 extra_prior=self.extra_prior(regularizer, gamma),
                 total_mass=self.total_mass,
                 certify=certify,
+            )
+
+    def compare(self, reference: str, gamma: float) -> RegularizerComparison:
+        """Fit all regularizers to all folds at the training residual of one and its γ."""
+        # Scalars are held as firmly as bodies are, by each regularizer.
+        firm = gamma * regularizer_scale(self.prior, reference)
+        scales = {name: regularizer_scale(self.prior, name) for name in REGULARIZERS}
+        with drake_messages():
+            return compare_regularizers(
+                *self.data(),
+                self.prior,
+                gamma=gamma,
+                reference=reference,
+                extra_bounds=self.extra_bounds,
+                extra_priors={
+                    name: self.extra_prior(name, firm / scale) for name, scale in scales.items()
+                },
+                total_mass=self.total_mass,
+                certify=False,
             )
 
     def data(self, without: int | None = None) -> tuple[Array, Array]:
@@ -137,10 +173,8 @@ class LogFits:
         The weights make the parameters known to within their own size, whatever γ. Without one, as
         with a residual bound, γ is that of inertias known to within `SPREAD`.
         """
-        lower, upper, values = (
-            each[self._inertial :]
-            for each in (self.unknowns.lower, self.unknowns.upper, self.unknowns.mean)
-        )
+        all_three = self.unknowns.lower, self.unknowns.upper, self.unknowns.mean
+        lower, upper, values = (each[self._inertial :] for each in all_three)
         known = (lower >= 0.0) & (values > 0.0) & (values <= upper)
         if not known.any():
             return None
@@ -151,47 +185,24 @@ class LogFits:
         weights[known] = _PROBE**2 / (gamma * near)
         return np.column_stack([np.where(known, values, np.nan), weights])
 
-    def compare(self, reference: str, gamma: float) -> RegularizerComparison:
-        """Fit all regularizers to all folds at the training residual of one and its γ."""
-        A, b = self.data()
-        with drake_messages():
-            return compare_regularizers(
-                A,
-                b,
-                self.prior,
-                gamma=gamma,
-                reference=reference,
-                extra_bounds=self.extra_bounds,
-                extra_priors=self.extra_priors(reference, gamma),
-                total_mass=self.total_mass,
-                certify=False,
-            )
-
-    def extra_priors(self, reference: str, gamma: float) -> dict[str, Array | None]:
-        """Name of every regularizer -> its `extra_prior`, at the γ that holds bodies as firmly."""
-        firm = gamma * regularizer_scale(self.prior, reference)
-        return {
-            name: self.extra_prior(name, firm / regularizer_scale(self.prior, name))
-            for name in REGULARIZERS
-        }
-
     def least_residual(self, without: int | None = None) -> float:
         """Return the least weighted squared residual that any parameters reach, physical or not."""
         return least_residual(*self.data(without))
 
     def held_out(self, results: Sequence[IdentificationResult]) -> HeldOut:
         """Return the errors in every fold of the fits (F,) without it."""
-        x = np.array([result.fit.x for result in results])
+        x = np.array([result.x for result in results])
         return hold_out(self.dataset, self.unknowns.columns, x)
 
-    def held_out_at(self, regularizer: str, gamma: float) -> HeldOut:
-        """Return the errors in every fold of the fit with one γ without it."""
-        return self.held_out([self.solve(regularizer, gamma=gamma, without=f) for f in self.folds])
-
-    @property
-    def _inertial(self) -> int:
-        """Number of the parameters of bodies and payloads, which come first."""
-        return len(self.unknowns.inertia_blocks) * PARAMETERS_PER_BODY
+    def loss(self, regularizer: str, gamma: float) -> Array:
+        """Return (F,) parts of the folds in the joints' summed squared nrms; inf if a fit fails."""
+        try:
+            parts = [self.solve(regularizer, gamma=gamma, without=f) for f in self.folds]
+        except IdentificationError:
+            return np.full(len(self.folds), np.inf)
+        held_out = self.held_out(parts)
+        mean = held_out.sse / held_out.samples.sum(0)
+        return np.asarray((mean / self.dataset.effort_std**2).sum(1))
 
 
 def regularizer_scale(prior: Array, regularizer: str) -> float:
@@ -208,3 +219,56 @@ def regularizer_scale(prior: Array, regularizer: str) -> float:
             moved[body] += _PROBE * row
             found.append(kind.divergence(moved, prior) / _PROBE**2)
     return float(np.mean(found))
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """One γ of a sweep."""
+
+    gamma: float
+    nrms: float  # held-out nrms with it; inf where a fit failed
+
+
+def weigh(fits: LogFits, regularizer: str) -> tuple[float, tuple[Weighing, ...]]:
+    """Return the largest γ that is not clearly worse than the best, and what each one tried gives.
+
+    Decades of γ are tried, then half decades around the best; none below `_LEAST_DECADE` is chosen.
+    "Clearly" is one standard error of the difference over the folds, so that where the data say
+    little the prior stays. Tried ones come with the largest γ first.
+
+    Raises:
+        IdentificationError: No fit succeeded.
+    """
+    regularizer = _SWEPT_AS.get(regularizer, regularizer)
+    start = 1.0 / (SPREAD**2 * regularizer_scale(fits.prior, regularizer))
+    losses = dict[float, Array]()
+
+    def best_of(decades: Sequence[float]) -> float:
+        for decade in decades:
+            losses[decade] = fits.loss(regularizer, start * 10.0**decade)
+        return min(losses, key=lambda decade: losses[decade].sum())
+
+    first = max(best_of(_DECADES), _LEAST_DECADE)
+    best_of((first + 0.5, first - 0.5))
+    allowed = {decade: loss for decade, loss in losses.items() if decade >= _LEAST_DECADE}
+    best = min(allowed.values(), key=lambda loss: loss.sum())
+    if not np.isfinite(best).all():
+        raise IdentificationError(
+            f"No weight of the {regularizer} regularizer leads to a solution.",
+            advice="Give another regularizer or γ.",
+        )
+
+    def as_good(loss: Array) -> bool:
+        worse = loss - best
+        if not np.isfinite(worse).all():
+            return False
+        error = np.std(worse, ddof=1) * np.sqrt(len(worse)) if len(worse) > 1 else 0.0
+        return bool(worse.sum() <= error)
+
+    chosen = max(decade for decade, loss in allowed.items() if as_good(loss))
+    joints = len(fits.dataset.joints)
+    sweep = [
+        Weighing(start * 10.0**decade, float(np.sqrt(losses[decade].sum() / joints)))
+        for decade in sorted(losses, reverse=True)
+    ]
+    return start * 10.0**chosen, tuple(sweep)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -15,7 +15,6 @@ from geodrake.effects.effect_columns import EffectColumns, declares_signals
 from geodrake.effects.robot_motion import log_number
 from geodrake.effects.sensors import delayed_by
 from geodrake.identification.logs.dataset import Indices, JointRows, column_starts, is_payload
-from geodrake.identification.logs.shared_rows import Blocks, SharedRows
 from geodrake.logs.filtering import spline_through
 from geodrake.logs.motion import MEMORY, Motion, Trajectory
 from geodrake.logs.smoothing import SPLINE_REACH, Segment, Stretch
@@ -30,6 +29,53 @@ from geodrake.robot.regressor import (
 )
 
 Array = NDArray[np.float64]
+Blocks = Mapping[int, Array]
+"""Columns (K, k) by the index of the joint."""
+
+ROOM = 10_000_000
+"""Reductions of the same logs share at most so many numbers: 80 MB."""
+
+SIGNALS_ROOM = 2_000_000
+"""At most so many of them are signals at the logs' full rate; filtered columns cost more."""
+
+
+class SharedRows:
+    """What reductions of the same logs by the same robot share, by what it belongs to.
+
+    The columns of an effect do not depend on what else is tried, so that only those have to be
+    evaluated that no reduction had before. When there is no more room for so many numbers, or
+    `signals` at the full rate, which only further columns need, no more is kept.
+    """
+
+    def __init__(self, room: int = ROOM, *, signals: int = SIGNALS_ROOM) -> None:
+        self._room, self._signals, self._kept = room, signals, dict[Hashable, Blocks]()
+
+    def get(self, key: Hashable) -> Blocks | None:
+        """Return what is kept under a key, if anything is."""
+        return self._kept.get(key)
+
+    def once(self, key: Hashable, make: Callable[[], Blocks], *, signals: bool = False) -> Blocks:
+        """Return what is kept under a key, or make it and keep it; `signals` as in `keep`."""
+        if (found := self._kept.get(key)) is None:
+            self.keep(key, found := make(), signals=signals)
+        return found
+
+    def read_only(self) -> SharedRows:
+        """Return what is kept here, for reductions whose columns are not needed again."""
+        reader = SharedRows(0)
+        reader._kept = self._kept
+        return reader
+
+    def keep(self, key: Hashable, blocks: Blocks, *, signals: bool = False) -> None:
+        """Keep blocks as long as there is room; `signals` are at the full rate."""
+        size = sum(block.size for block in blocks.values())
+        room = min(self._room, self._signals) if signals else self._room
+        if 0 < size <= room and key not in self._kept:
+            self._room -= size
+            self._signals -= size if signals else 0
+            self._kept[key] = {at: np.array(block, order="C") for at, block in blocks.items()}
+
+
 INERTIA = "inertia"
 """What columns of inertial parameters belong to, as others belong to an effect."""
 
@@ -60,7 +106,11 @@ class Layout:
         cls, model: RobotModel, effects: tuple[Effect, ...], sign_width: Array, still_speed: Array
     ) -> Layout:
         """Return the layout of the columns of bodies and effects; speeds (nv,) in rad/s or m/s."""
-        inertial = _inertial_structure(model, _felt(model, effects)[0])
+        motion = _probe(model, 7)
+        size = np.abs(
+            inverse_dynamics_regressor(_felt(model, effects)[0], motion.q, motion.v, motion.vd)
+        ).max(axis=0)
+        inertial = size > 1e-12 * size.max(initial=1e-300)  # what can matter at a joint
         starts = column_starts(effects, model.bodies)
         columns = [[np.flatnonzero(inertial[j])] for j in range(len(model.joints))]
         own = tuple(effect for effect in effects if not is_payload(effect))
@@ -333,11 +383,3 @@ def _felt(model: RobotModel, effects: Sequence[Effect]) -> tuple[RobotTree, Effe
         if gravity is not None:
             return with_gravity(model.tree, gravity), effect
     return model.tree, None
-
-
-def _inertial_structure(model: RobotModel, tree: RobotTree) -> NDArray[np.bool_]:
-    """(nv, 10·nb) whether an inertial parameter can matter at a joint."""
-    motion = _probe(model, 7)
-    regressor = inverse_dynamics_regressor(tree, motion.q, motion.v, motion.vd)
-    size = np.abs(regressor).max(axis=0)
-    return size > 1e-12 * size.max(initial=1e-300)

@@ -3,34 +3,34 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from geodrake.boundary.showing import Short, Shown
 from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN, NOISE_MARGIN
 
 Array = NDArray[np.float64]
 
+_SHARE = 0.03  # of a joint's samples, over which errors are averaged to find the worst windows
+_LEAST_SAMPLES = 5
+_NOTABLE = 2.0  # times the joint's mean square, from which on a window is bad
+
 
 @dataclass(frozen=True)
 class JointError:
-    """Error of one joint's effort.
-
-    Attributes:
-        rms: RMS of measured − predicted effort, N·m or N.
-        std: Standard deviation of the measured effort, N·m or N; of a joint at rest the effort that
-            it holds, or that gravity could ask of it.
-        floor: Estimated RMS of the sensor noise, N·m or N.
-        knows_noise: Whether that is known whatever a model leaves.
-    """
+    """Error of one joint's effort, N·m or N."""
 
     joint: str
-    rms: float
+    rms: float  # RMS of measured − predicted effort
+    # Standard deviation of the measured effort; of a joint at rest the effort that it holds, or
+    # that gravity could ask of it.
     std: float
-    floor: float
-    knows_noise: bool = True
+    floor: float  # estimated RMS of the sensor noise
+    knows_noise: bool = True  # whether that is known whatever a model leaves
 
     @property
     def nrms(self) -> float:
@@ -55,6 +55,10 @@ class JointError:
         return max(0.0, 1.0 - (self.floor / self.rms) ** 2) if self.rms > 0 else 0.0
 
 
+def _root_mean_square(values: Iterator[float]) -> float:
+    return float(np.sqrt(np.mean(np.square([*values]))))
+
+
 @dataclass(frozen=True)
 class ErrorTable(Short):
     """Errors of all joints."""
@@ -64,12 +68,22 @@ class ErrorTable(Short):
     @property
     def nrms(self) -> float:
         """Root mean square over joints of rms / std: joints count by what they could show."""
-        return float(np.sqrt(np.mean([joint.nrms**2 for joint in self.joints])))
+        return _root_mean_square(joint.nrms for joint in self.joints)
 
     @property
     def floor_nrms(self) -> float:
         """The nrms of the noise floor."""
-        return float(np.sqrt(np.mean([(joint.floor / joint.std) ** 2 for joint in self.joints])))
+        return _root_mean_square(joint.floor / joint.std for joint in self.joints)
+
+    @property
+    def pooled_rms(self) -> float:
+        """Root mean square over joints of the RMS, N·m or N."""
+        return _root_mean_square(joint.rms for joint in self.joints)
+
+    @property
+    def pooled_floor(self) -> float:
+        """Root mean square over joints of the noise floor, N·m or N."""
+        return _root_mean_square(joint.floor for joint in self.joints)
 
     @property
     def shows_noise(self) -> bool:
@@ -104,42 +118,23 @@ class ErrorTable(Short):
         """Joints that err by more than noise, whatever the others do."""
         return tuple(joint for joint in self.joints if not joint.is_noise)
 
-    @property
-    def pooled_rms(self) -> float:
-        """Root mean square over joints of the RMS, N·m or N."""
-        return float(np.sqrt(np.mean([joint.rms**2 for joint in self.joints])))
-
-    @property
-    def pooled_floor(self) -> float:
-        """Root mean square over joints of the noise floor, N·m or N."""
-        return float(np.sqrt(np.mean([joint.floor**2 for joint in self.joints])))
-
     def by_joint(self) -> dict[str, float]:
-        """RMS of each joint by name."""
+        """Return the RMS of each joint by name."""
         return {joint.joint: joint.rms for joint in self.joints}
 
 
 @dataclass(frozen=True, eq=False)
 class Series(Short):
-    """One joint over one block, filtered and decimated: what figures show.
-
-    Attributes:
-        time: (K,) instants, s.
-        position: (K,) rad or m.
-        velocity: (K,) rad/s or m/s.
-        acceleration: (K,) rad/s² or m/s².
-        measured: (K,) effort, N·m or N.
-        predicted: (K,) effort, N·m or N.
-    """
+    """One joint over one block, filtered and decimated: arrays (K,) that figures show."""
 
     joint: str
     block: str
-    time: Array
-    position: Array
-    velocity: Array
-    acceleration: Array
-    measured: Array
-    predicted: Array
+    time: Array  # s
+    position: Array  # rad or m
+    velocity: Array  # rad/s or m/s
+    acceleration: Array  # rad/s² or m/s²
+    measured: Array  # effort, N·m or N
+    predicted: Array  # effort, N·m or N
 
     @property
     def residual(self) -> Array:
@@ -149,38 +144,58 @@ class Series(Short):
 
 @dataclass(frozen=True)
 class Failing:
-    """A circumstance in which a joint's error is larger than elsewhere.
-
-    Attributes:
-        circumstance: In words, such as "at speeds below 0.05 rad/s".
-        rms: RMS of the error there, N·m or N.
-        elsewhere: RMS of the error otherwise, N·m or N.
-        share: Share of the joint's squared error that is made there.
-        time: Share of the samples that are there.
-        unit: Unit of the joint's effort, N·m or N.
-    """
+    """A circumstance in which a joint's error is larger than elsewhere."""
 
     joint: str
-    circumstance: str
-    rms: float
-    elsewhere: float
-    share: float
-    time: float
-    unit: str = "N·m"
+    circumstance: str  # in words, such as "at speeds below 0.05 rad/s"
+    rms: float  # RMS of the error there, N·m or N
+    elsewhere: float  # RMS of the error otherwise, N·m or N
+    share: float  # of the joint's squared error that is made there
+    time: float  # share of the samples that are there
+    unit: str = "N·m"  # of the joint's effort
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Shown):
-    """How far a model is from logs, and where.
-
-    Attributes:
-        errors: Errors of every joint.
-        failing: Where the error is concentrated, worst first.
-        series: What was measured and predicted.
-        notes: What was done to the logs and noticed about the model.
-    """
+    """How far a model is from logs, and where."""
 
     errors: ErrorTable
-    failing: tuple[Failing, ...]
-    series: tuple[Series, ...]
-    notes: tuple[str, ...]
+    failing: tuple[Failing, ...]  # where the error is concentrated, worst first
+    series: tuple[Series, ...]  # what was measured and predicted
+    notes: tuple[str, ...]  # what was done to the logs and noticed about the model
+
+
+@dataclass(frozen=True)
+class WorstWindow:
+    """A stretch of time in which a joint errs much more than usual."""
+
+    joint: str
+    block: str  # name of the fold it is in
+    start: float  # first instant in the log's own time, s
+    end: float  # last instant, s
+    rms: float  # of measured − predicted effort there, N·m or N
+    share: float  # of the joint's squared error that is made there
+
+
+def worst_windows(series: Sequence[Series], *, most: int = 3) -> tuple[WorstWindow, ...]:
+    """Return the worst stretches of one joint, those of largest share of its squared error first.
+
+    There are none where the error is about the same throughout.
+    """
+    squares = [np.square(s.residual) for s in series]
+    count, total = sum(map(len, squares)), float(sum(each.sum() for each in squares))
+    if total == 0.0 or not np.isfinite(total):
+        return ()
+    width = max(_LEAST_SAMPLES, round(_SHARE * count))
+    found = []
+    for s, own in zip(series, squares, strict=True):
+        if len(own) < 2:
+            continue
+        above = uniform_filter1d(own, min(width, len(own))) > _NOTABLE * total / count
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], above, [False]])))
+        for first, last in edges.reshape(-1, 2).tolist():
+            if last - first >= 2:
+                times = float(s.time[first]), float(s.time[last - 1])
+                rms, share = np.sqrt(own[first:last].mean()), own[first:last].sum() / total
+                found.append(WorstWindow(s.joint, s.block, *times, float(rms), float(share)))
+    return tuple(sorted(found, key=lambda window: -window.share)[:most])

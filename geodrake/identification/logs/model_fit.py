@@ -79,9 +79,7 @@ def fit_model(
     problem = fit_problem(dataset, unknowns, weights)
     result = certified(problem, solve_with_fallback(problem))
     held_out = CrossValidation(dataset, unknowns, weights).held_out
-    fitted = model_with(
-        model, unknowns, result, result.standard_deviations(), noise=held_out.rms, delays=delays
-    )
+    fitted = model_with(model, unknowns, result, noise=held_out.rms, delays=delays)
     known = model.information is not None
     shifts = _gain_shifts(dataset, unknowns, weights, result, known=known)
     share = np.zeros(len(weights)) if of_motion is None else of_motion
@@ -94,16 +92,15 @@ def model_with(
     model: RobotModel,
     unknowns: Unknowns,
     fit: FitResult,
-    deviations: Array,
     *,
     noise: Array,
     delays: Sequence[FittedEffect],
 ) -> RobotModel:
     """Return the model with a fit of the unknowns in place of its parameters, and effort delays.
 
-    The `deviations` (p,) are those of the parameters, in their units; the `noise` (nv,) is the
-    held-out RMS.
+    The `noise` (nv,) is the held-out RMS.
     """
+    deviations = fit.standard_deviations()
     spans = [(effect, unknowns.span(effect)) for effect in unknowns.effects]
     return model.with_fit(
         fit.x[: model.phi.size].reshape(model.phi.shape),

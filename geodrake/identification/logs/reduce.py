@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,19 +11,20 @@ from numpy.typing import ArrayLike, NDArray
 from geodrake.effects.base import Effect
 from geodrake.errors import LogError
 from geodrake.identification.logs.dataset import Dataset, Indices, JointData, JointRows
-from geodrake.identification.logs.log_slices import Layout, LogSlice
+from geodrake.identification.logs.log_slices import Layout, LogSlice, SharedRows
 from geodrake.identification.logs.noise import known_noise
-from geodrake.identification.logs.nominal_efforts import effort_scale, passive_inertia
-from geodrake.identification.logs.shared_rows import SharedRows
 from geodrake.identification.logs.unknowns import payload_reference
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.logs.folds import Block, Fold
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import Trajectory
+from geodrake.logs.resting import resting
 from geodrake.logs.smoothing import CHUNK
 from geodrake.model.carried_payloads import joints_with_known_gain
 from geodrake.model.robot_model import LARGEST_REGRESSOR, RobotModel
+from geodrake.robot.driven_tree import RobotTree, with_gravity
 from geodrake.robot.reduction import triangular_factor
+from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
 
 Array = NDArray[np.float64]
 
@@ -52,15 +51,11 @@ def reduce_logs(
 ) -> Dataset:
     """Reduce logs to the triangular factors of every fold and joint.
 
-    Args:
-        model: The model; its inertial parameters give the load, its delays shift the efforts.
-        effects: Effects that get columns: those of the model and those to try.
-        delays: Delays to try on top of the model's, s, of all joints or (nv,) of each; the first
-            must be 0.
-        noise: (nv,) noise floor and whether it is known, if that was looked at already.
-        fitted: Whether the model was fitted to these logs, for the noise floor.
-        shared: What earlier reductions of the same logs by the same robot have in common with this
-            one; used and filled.
+    The model's inertial parameters give the load, its delays shift the efforts. Effects get columns
+    if they are of the model or to be tried. Further `delays` to try, s, are of all joints or (nv,)
+    of each; the first must be 0. `noise` is the (nv,) noise floor and whether it is known, if that
+    was looked at already; else it depends on whether the model was `fitted` to these logs. `shared`
+    is what reductions of the same logs by the same robot have in common; it is used and filled.
 
     Raises:
         LogError: The effort of a joint never changes, or a joint moves for a moment only.
@@ -70,7 +65,14 @@ def reduce_logs(
     layout = Layout.of(model, effects, sign_widths(model, trajectories), still)
     further = np.array([np.broadcast_to(delay, len(model.joints)) for delay in delays])
     data = reduced_joints(layout, trajectories, folds, list(further + model.delays), shared)
-    _check_moving(model.joints, data)
+    for joint, own in zip(model.joints, data, strict=True):
+        if not own.samples.any():
+            raise LogError(
+                f"{joint} stands still but for a moment: in no filtered sample it moves for most "
+                "of the filter's window.",
+                advice="Record a log in which it moves, or always stands. Did its sensor jump?",
+                joint=joint,
+            )
     passive = {joint for trajectory in trajectories for joint in trajectory.passive}
     deviation = effort_deviation(model.joints, data, passive)
     floor, known = noise or known_noise(
@@ -89,7 +91,9 @@ def reduce_logs(
         trajectories[0].filter.bandwidth,
         np.array([joint.still for joint in data]),
         payload_reference(model.phi),
-        gain_uncertainty(model, trajectories),
+        gain_uncertainty(
+            model, [t.payloads for t in trajectories], [t.gain_deviations for t in trajectories]
+        ),
         known,
         passive_inertia(model, layout.tree, trajectories),
     )
@@ -142,25 +146,17 @@ def _joint_data(columns: Indices, boxes: Sequence[_Box]) -> JointData:
     )
 
 
-class HasGains(Protocol):
-    """A log, prepared or digested, of which it is known how well the gains of its efforts are."""
+def gain_uncertainty(
+    model: RobotModel,
+    payloads: Sequence[tuple[KnownPayload, ...]],
+    deviations: Sequence[Array | float],
+) -> Array:
+    """Return (nv,) how well gains of efforts are known, by payloads and deviations (nv,) of logs.
 
-    @property
-    def payloads(self) -> tuple[KnownPayload, ...]:
-        """Known payloads that the robot carried."""
-
-    @property
-    def gain_deviations(self) -> Array | float:
-        """(n,) how well the gain of each joint's efforts is known."""
-
-
-def gain_uncertainty(model: RobotModel, logs: Sequence[HasGains]) -> Array:
-    """Return (nv,) how well gains of efforts are known; 0 where known payloads say them."""
-    payloads = [log.payloads for log in logs]
+    It is 0 where known payloads say them.
+    """
     known = joints_with_known_gain(model, payloads) if any(payloads) else ()
-    largest = np.max(
-        [np.broadcast_to(log.gain_deviations, len(model.joints)) for log in logs], axis=0
-    )
+    largest = np.max([np.broadcast_to(each, len(model.joints)) for each in deviations], axis=0)
     return np.where(np.isin(model.joints, known), 0.0, largest)
 
 
@@ -187,21 +183,14 @@ def least_sign_widths(peaks: Array, noise: Array) -> Array:
     return np.maximum(LEAST_SIGN_WIDTH * peaks, SIGN_NOISE * noise)
 
 
-@dataclass(eq=False)
 class _Box:
     """Rows of one joint and fold on their way into a factor."""
 
-    width: int
-    factor: Array | None = None
-    pending: list[Array] = field(default_factory=list)
-    kept: dict[Block, list[JointRows]] = field(default_factory=lambda: defaultdict(list))
-    seen: int = 0
-    samples: int = 0
-    sums: Array = field(default_factory=lambda: np.zeros(2))
-    carried: Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.carried = np.zeros(self.width)
+    def __init__(self, width: int) -> None:
+        self.width, self.seen, self.samples = width, 0, 0
+        self.kept: dict[Block, list[JointRows]] = defaultdict(list)
+        self.pending = list[Array]()  # the factor of earlier rows first, if there is one
+        self.sums, self.carried = np.zeros(2), np.zeros(width)
 
     def add(self, block: Block, rows: JointRows) -> None:
         if self.samples < ROWS_KEPT:
@@ -211,15 +200,14 @@ class _Box:
         self.samples += len(effort)
         self.pending.append(np.hstack([rows.A, rows.b]))
         self.carried += self.pending[-1].T @ rows.carried
-        if sum(map(len, self.pending)) > WORTHWHILE * self.width:
-            self.factor, self.pending = self.whole_factor(), []
+        if sum(map(len, self.pending)) > (WORTHWHILE + 1) * self.width:
+            self.pending = [self.whole_factor()]
 
     def whole_factor(self) -> Array:
         """Return the factor of all rows: they themselves where they are fewer than the columns."""
-        blocks = [*([] if self.factor is None else [self.factor]), *self.pending]
-        if sum(map(len, blocks)) > self.width:
-            return triangular_factor(blocks)
-        return np.concatenate([np.zeros((0, self.width)), *blocks])
+        if sum(map(len, self.pending)) > self.width:
+            return triangular_factor(self.pending)
+        return np.concatenate([np.zeros((0, self.width)), *self.pending])
 
 
 def _stacked(factors: Sequence[Array]) -> Array:
@@ -268,12 +256,78 @@ def effort_deviation(
     return deviation
 
 
-def _check_moving(joints: Sequence[str], data: Sequence[JointData]) -> None:
-    for joint, own in zip(joints, data, strict=True):
-        if not own.samples.any():
-            raise LogError(
-                f"{joint} stands still but for a moment: in no filtered sample it moves for most "
-                "of the filter's window.",
-                advice="Record a log in which it moves, or always stands. Did its sensor jump?",
-                joint=joint,
-            )
+_SAMPLES = 100_000  # of a segment that are looked at
+_POSES = 50  # of each segment, at which gravity is looked at
+
+
+def effort_scale(
+    model: RobotModel,
+    tree: RobotTree,
+    trajectories: Sequence[Trajectory],
+    data: Sequence[JointData],
+    deviation: Array,
+) -> Array:
+    """Return (nv,) what each joint's effort could show, N·m or N.
+
+    That is the `deviation` of its effort, if it moves. The effort of a joint at rest, or without a
+    motor, deviates by next to nothing, and is no measure of an error: there it is the effort that
+    it holds, or that by which gravity could load it if the robot stood on its side, whichever is
+    larger.
+    """
+    still = _at_rest(model, data) | (deviation == 0.0)
+    if not still.any():
+        return deviation
+    power = np.array([joint.effort_sums[:, 1].sum() for joint in data])
+    count = np.maximum([joint.samples.sum() for joint in data], 1)
+    held = np.maximum(np.sqrt(power / count), _load_by_gravity(model, tree, trajectories))
+    return np.where(still, held, deviation)
+
+
+def _at_rest(model: RobotModel, data: Sequence[JointData]) -> NDArray[np.bool_]:
+    """(nv,) which joints of one degree of freedom hardly move."""
+    low, high = np.full((2, len(data)), np.nan)
+    for joint in model.single_joints:
+        j = model.joints.index(joint)
+        own = [rows.motion[:, 0] for fold in data[j].rows for rows in fold if len(rows.motion)]
+        if own:
+            low[j], high[j] = min(q.min() for q in own), max(q.max() for q in own)
+    return resting(low, high, np.isin(model.joints, model.sliding_joints))
+
+
+def passive_inertia(
+    model: RobotModel, tree: RobotTree, trajectories: Sequence[Trajectory]
+) -> Array | None:
+    """Return `Dataset.passive_inertia`, the mean over poses of the logs."""
+    passive = {joint for trajectory in trajectories for joint in trajectory.passive}
+    if not passive:
+        return None
+    q, found = _poses(model, trajectories), np.zeros((len(model.joints), model.phi.size))
+    still, weightless = np.zeros((len(q), len(model.joints))), with_gravity(tree, np.zeros(3))
+    for joint in passive:
+        j, vd = model.joints.index(joint), still.copy()
+        vd[:, j] = 1.0
+        columns = inverse_dynamics_regressor(weightless, q, still, vd)[:, j]
+        inertia = columns @ model.total_phi.ravel()
+        found[j] = (columns / np.maximum(inertia, np.finfo(float).tiny)[:, None]).mean(axis=0)
+    return found
+
+
+def _poses(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:
+    """(K, nq) positions of the model at instants of the logs."""
+    segments = [segment for trajectory in trajectories for segment in trajectory.segments]
+    starts = [segment[:_SAMPLES].position for segment in segments]
+    positions = [start[:: max(1, len(start) // _POSES)] for start in starts]
+    return model.positions(np.concatenate(positions))
+
+
+def _load_by_gravity(
+    model: RobotModel, tree: RobotTree, trajectories: Sequence[Trajectory]
+) -> Array:
+    """(nv,) RMS of the loads by gravity from three sides, N·m or N."""
+    q = _poses(model, trajectories)
+    zero = np.zeros((len(q), len(model.joints)))
+    power, g = np.zeros(len(model.joints)), float(np.linalg.norm(tree.gravity))
+    for side in g * np.eye(3):
+        load = inverse_dynamics(with_gravity(tree, side), q, zero, zero, model.total_phi)
+        power += np.square(load).mean(axis=0)
+    return np.sqrt(power)

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects import Role, catalogue
-from geodrake.effects.base import Effect
+from geodrake.effects.base import Effect, JointEffect, JointMotion, Parameter, RobotEffect
 from geodrake.effects.declarations import when_sliding
-from geodrake.effects.robot_motion import log_number
+from geodrake.effects.robot_motion import RobotMotion, log_number
 from geodrake.errors import LogError
 from geodrake.identification.logs.criteria import PENALTY
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.effort_gains import SignalGains, SignalRows, signal_gains
-from geodrake.identification.logs.logged_columns import CarriedColumn, Commands, LoggedColumn
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.identification.logs.servo_fit import (
@@ -34,9 +33,146 @@ from geodrake.logs.preparation import prepare_logs
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.effort_signal import COMMAND, EFFORT, EffortSignal, signal_of
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.signal_efforts import in_efforts, kind_of
+from geodrake.model.signal_efforts import error_integral, in_efforts, kind_of
 
 Array = NDArray[np.float64]
+
+_BEFORE = 1.0  # s before a log, for which commands were as at its beginning
+
+Series = tuple[Array, Array]
+"""Instants (N,) since a log began, s, and values (N,)."""
+
+
+@dataclass(frozen=True)
+class LoggedColumn(JointEffect):
+    """A column of logs at a joint: its values (N,) by the log's number and instants (N,), s."""
+
+    values: Callable[[int, Array], Array]
+
+    name = "logged"
+    parameters = (Parameter("share", "1"),)
+    depends_on = frozenset({"time"})
+
+    def columns(self, joint: JointMotion) -> tuple[Array]:
+        """Return [1], where there are no instants."""
+        return (np.ones_like(joint.v),)
+
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """Return the column (N, 1) at the joint."""
+        if motion.time is None:
+            return super().rows(motion)
+        return {self.joint: self.values(motion.log, motion.time)[:, None]}
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """The commands c of a joint in several logs, as columns for every delay that is tried.
+
+    Series of a log are by its number. In a log without commands everything is 0.
+    """
+
+    joint: str
+    told: Mapping[int, Series]  # c, rad or m
+    summed: Mapping[int, Series]  # ∫c dt, rad·s or m·s; before a log begins c is as it is there
+    behind: Mapping[int, Series]  # ∫(c − q) dt, rad·s or m·s
+    later: tuple[int, ...]  # numbers of all logs but the first one
+
+    @classmethod
+    def of(cls, logs: Sequence[JointLog], joint: str) -> Commands:
+        """Return those of a joint in logs, some with commands."""
+        commands, summed, behind = dict[int, Series](), dict[int, Series](), dict[int, Series]()
+        for log in logs:
+            if log.command is None or joint not in log.joints:
+                continue
+            j, number = log.joints.index(joint), log_number(log.name)
+            told, position = log.command[:, j], log.position[:, j]
+            known, there = (np.isfinite(log.time) & np.isfinite(x) for x in (told, position))
+            if not known.any():
+                continue
+            instants = log.time - log.time[np.isfinite(log.time)][0]
+            time, told = instants[known], told[known]
+            commands[number] = time, told
+            if there.any():
+                lag = told - np.interp(time, instants[there], position[there])
+                behind[number] = time, error_integral(time, lag)
+                before = np.append(time[0] - _BEFORE, time)
+                summed[number] = before, error_integral(before, np.append(told[0], told))
+        later = tuple(log_number(log.name) for log in logs[1:])
+        return cls(joint, commands, summed, behind, later)
+
+    @cached_property
+    def late(self) -> tuple[LoggedColumn, ...]:
+        """c(t − δ) − c(t), rad or m; the first of them is zero."""
+
+        def late(delay: float, log: int, time: Array) -> Array:
+            return _at(self.told, log, time - delay) - _at(self.told, log, time)
+
+        return self._delayed(late)
+
+    @cached_property
+    def rates(self) -> tuple[LoggedColumn, ...]:
+        """dc/dt(t − δ), rad/s or m/s."""
+
+        def rate(delay: float, log: int, time: Array) -> Array:
+            late = _at(self.told, log, time - delay)
+            return np.gradient(late, time) if len(time) > 1 else np.zeros(len(time))
+
+        return self._delayed(rate)
+
+    @cached_property
+    def integrals(self) -> tuple[LoggedColumn, ...]:
+        """∫(c(t − δ) − q) dt, rad·s or m·s; it begins at 0 with each log, up to `constants`."""
+
+        def integral(delay: float, log: int, time: Array) -> Array:
+            late = _at(self.summed, log, time - delay) - _at(self.summed, log, time)
+            return _at(self.behind, log, time) + late
+
+        return self._delayed(integral)
+
+    @cached_property
+    def constants(self) -> tuple[LoggedColumn, ...]:
+        """Ones in each log but the first."""
+
+        def is_log(number: int, log: int, time: Array) -> Array:
+            return np.full(len(time), float(log == number))
+
+        return tuple(LoggedColumn(self.joint, partial(is_log, number)) for number in self.later)
+
+    @property
+    def all(self) -> tuple[LoggedColumn, ...]:
+        """All of them that are not zero."""
+        return (*self.late[1:], *self.rates, *self.integrals, *self.constants)
+
+    def _delayed(self, values: Callable[[float, int, Array], Array]) -> tuple[LoggedColumn, ...]:
+        return tuple(LoggedColumn(self.joint, partial(values, delay)) for delay in _DELAYS)
+
+
+def _at(series: Mapping[int, Series], log: int, time: Array) -> Array:
+    return np.interp(time, *series[log]) if log in series else np.zeros(len(time))
+
+
+@dataclass(frozen=True)
+class CarriedColumn(RobotEffect):
+    """The effort that known payloads of a log need.
+
+    It is no effect of the robot, but a column of logs beside those of effects: where the gains of
+    efforts are not known, it cannot be taken off what was measured.
+    """
+
+    # Number of a log -> name of a body -> inertial parameters (10,) of what it carries there.
+    carried: Mapping[int, Mapping[str, Array]] = field(default_factory=dict, compare=False)
+
+    name = "carried"
+    parameters = (Parameter("share", "1"),)
+    depends_on = frozenset({"q", "v", "vd", "bodies"})
+
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """Return the column (N, 1) at every joint."""
+        effort = np.zeros_like(motion.v)
+        for body, phi in self.carried.get(motion.log, {}).items():
+            effort += motion.body_columns(body) @ phi
+        return {joint: effort[:, j : j + 1] for j, joint in enumerate(motion.joints)}
+
 
 _SHARP = 20.0  # Hz
 _ROUNDS = 2  # of choosing how servos take commands, and of bodies and gains with that
@@ -131,17 +267,14 @@ def calibrated(
 ) -> tuple[EffortSignal, ...]:
     """Find what makes efforts of the signals of all joints whose efforts were not measured.
 
-    Args:
-        kinds: (nv,) what stands for the efforts of each joint.
+    `kinds` (nv,) are what stands for the efforts of each joint.
 
     Raises:
         LogError: A servo pushes away from where it is told to go.
     """
     known = signals_as_efforts(logs, kinds)
     trajectories = prepare_logs(known)
-    commanded = {
-        j: _CommandColumns.of(logs, model.joints[j]) for j, k in enumerate(kinds) if k == COMMAND
-    }
+    commanded = {j: Commands.of(logs, model.joints[j]) for j, k in enumerate(kinds) if k == COMMAND}
     usual = [kind for kind in catalogue() if kind.complexity == 0]
     free = [kind.shaped(joint)[0] for joint in model.single_joints for kind in usual]
     free += [effect for effect in effects_of(model) if effect.role is not Role.BODY]
@@ -157,30 +290,26 @@ def calibrated(
     deviations = np.max([log.gain_deviations for log in logs], axis=0)
     prior = np.where([kind == EFFORT for kind in kinds], np.maximum(deviations, 1e-6), np.inf)
     alike = [f"{k} {j in model.sliding_joints}" for j, k in zip(model.joints, kinds, strict=True)]
-    gains = partial(signal_gains, model=model, known=prior, kinds=alike)
-    plain = _Calibration.of(_Choice(dataset, model, tuple(free), commanded, held), gains)
+    fit = partial(signal_gains, model=model, known=prior, kinds=alike)
+    first = _Calibration(dataset, model, kinds, fit, tuple(free), commanded, held)
+    plain, gains = first.found()
     if not commanded:
-        return plain.signals(kinds)
+        return tuple(plain.signals(gains).values())
     bandwidth = trajectories[0].bandwidths[0]
     sharp = prepare_logs(known, bandwidth=bandwidth, motion_bandwidth=_sharp(trajectories))
 
-    def by_motion(found: _Calibration) -> tuple[EffortSignal, ...]:
-        bodies = replace(model, phi=found.gains.phi, effects=())
-        motions = motions_of(bodies, logs, sharp, tuple(commanded))
-        places = {model.joints[j]: j for j in commanded}
-        return tuple(
-            s
-            if (j := places.get(s.joint)) is None
-            else _by_motion(motions[j], s, float(model.effort_limits[j]))
-            for s in found.signals(kinds)
-        )
+    def by_motion(found: _Calibration, gains: SignalGains) -> tuple[EffortSignal, ...]:
+        bodies, signals = replace(model, phi=gains.phi, effects=()), found.signals(gains)
+        for j, motions in motions_of(bodies, logs, sharp, tuple(commanded)).items():
+            signals[j] = _by_motion(motions, signals[j], float(model.effort_limits[j]))
+        return tuple(signals.values())
 
-    summed = _Calibration.of(replace(plain.first, integral=True), gains)
-    if summed.cost + PENALTY * len(commanded) < plain.cost:
-        found = by_motion(summed)
+    summed, other = replace(first, integral=True).found()
+    if summed.cost(other) + PENALTY * len(commanded) < plain.cost(gains):
+        found = by_motion(summed, other)
         if any(signal.integral for signal in found):
             return found
-    return by_motion(plain)
+    return by_motion(plain, gains)
 
 
 def _by_body(model: RobotModel, phi: Array) -> dict[str, Array]:
@@ -267,65 +396,42 @@ def _kinds(model: RobotModel, logs: Sequence[JointLog]) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class _CommandColumns:
-    """Columns of the commands of one joint, for every delay that is tried."""
+class _Calibration:
+    """How servos take their commands, and what a linear fit says of all signals with that.
 
-    late: tuple[LoggedColumn, ...]  # c(t − δ) − c(t)
-    rates: tuple[LoggedColumn, ...]  # dc/dt(t − δ)
-    integrals: tuple[LoggedColumn, ...]  # ∫(c(t − δ) − q) dt
-    constants: tuple[LoggedColumn, ...]  # what integrals begin with in logs but the first one
-
-    @classmethod
-    def of(cls, logs: Sequence[JointLog], joint: str) -> _CommandColumns:
-        """Return those of a joint."""
-        commands = Commands.of(logs, joint)
-        late, rates, integrals = (
-            tuple(LoggedColumn(joint, partial(values, delay)) for delay in _DELAYS)
-            for values in (commands.late, commands.rate, commands.integral)
-        )
-        constants = (
-            LoggedColumn(joint, partial(_is_log, log_number(log.name))) for log in logs[1:]
-        )
-        return cls(late, rates, integrals, tuple(constants))
-
-    @property
-    def all(self) -> tuple[LoggedColumn, ...]:
-        """All of them; the first of `late`, which is zero, left out."""
-        return (*self.late[1:], *self.rates, *self.integrals, *self.constants)
-
-
-def _is_log(number: int, log: int, time: Array) -> Array:
-    """Return (N,) ones in one log, and zeros in all others."""
-    return np.full(len(time), float(log == number))
-
-
-@dataclass(frozen=True, eq=False)
-class _Choice:
-    """How servos take their commands: how late, whether damping knows its rate, and an integral.
-
-    All servos of a robot are alike in that.
+    Servos may be late, their damping may know the command's rate, and they may have an integral:
+    all of a robot are alike in that.
     """
 
     dataset: Dataset
     model: RobotModel
+    kinds: Sequence[str]  # (nv,) what stands for the efforts of each joint
+    fit: Callable[[Sequence[SignalRows]], SignalGains]
     beside: tuple[Effect, ...]  # effects that are free
-    commanded: dict[int, _CommandColumns]  # by the index of the joint
+    commanded: Mapping[int, Commands]  # by the index of the joint
     held: CarriedColumn | None = None  # the column of known payloads' efforts, if there are some
     delay: int = 0  # which of `_DELAYS`
     rate: bool = False
     integral: bool = False
 
-    def at(self, gains: SignalGains) -> _Choice:
-        """Return the likeliest choice with these bodies and gains."""
-        choices = [
-            replace(self, delay=delay, rate=rate)
-            for rate in (False, True)
-            for delay in range(len(_DELAYS))
-        ]
-        return min(choices, key=lambda choice: choice.cost(gains))
+    def found(self) -> tuple[_Calibration, SignalGains]:
+        """Return the likeliest choice with bodies and gains, which are found in turn."""
+        choice, gains = self, self.fit(self.rows())
+        if self.integral:
+            # What is wrong with a delay of 0 shows more in an error that an integral keeps small.
+            gains = replace(gains, phi=self.model.total_phi)
+        for _ in range(_ROUNDS if self.commanded else 0):
+            choices = [
+                replace(self, delay=delay, rate=rate)
+                for rate in (False, True)
+                for delay in range(len(_DELAYS))
+            ]
+            choice = min(choices, key=partial(_Calibration.cost, gains=gains))
+            gains = self.fit(choice.rows())
+        return choice, gains
 
     def cost(self, gains: SignalGains) -> float:
-        """Return twice the negative log-likelihood of this choice with some bodies and gains."""
+        """Return twice the negative log-likelihood with some bodies and gains."""
         phi, total = gains.phi.ravel(), 2.0 * _DELAYS[self.delay] / _USUAL_DELAY
         for j in self.commanded:
             rows = self.joint(j)
@@ -352,47 +458,18 @@ class _Choice:
         """Return the rows of all joints."""
         return [self.joint(j) for j in range(len(self.dataset.joints))]
 
-
-@dataclass(frozen=True, eq=False)
-class _Calibration:
-    """What a linear fit says of all signals."""
-
-    first: _Choice  # how servos take their commands, before anything is known
-    choice: _Choice  # and afterwards
-    rows: Sequence[SignalRows]  # what logs say of each joint, so chosen
-    gains: SignalGains  # of all joints
-
-    @classmethod
-    def of(cls, first: _Choice, fit: Callable[[Sequence[SignalRows]], SignalGains]) -> _Calibration:
-        """Return bodies, gains, and how servos take their commands, which are found in turn."""
-        choice, rows = first, first.rows()
-        gains = fit(rows)
-        if choice.integral:
-            # What is wrong with a delay of 0 shows more in an error that an integral keeps small.
-            gains = replace(gains, phi=choice.model.total_phi)
-        for _ in range(_ROUNDS if choice.commanded else 0):
-            choice = choice.at(gains)
-            rows = choice.rows()
-            gains = fit(rows)
-        return cls(first, choice, rows, gains)
-
-    @property
-    def cost(self) -> float:
-        """Return that of the choice; less for a likelier one."""
-        return self.choice.cost(self.gains)
-
-    def signals(self, kinds: Sequence[str]) -> tuple[EffortSignal, ...]:
-        """Return what makes efforts of the signals (nv,) of joints whose efforts are unknown.
+    def signals(self, gains: SignalGains) -> dict[int, EffortSignal]:
+        """Return what makes efforts of the signals of joints whose efforts are unknown, by index.
 
         Raises:
             LogError: A servo pushes away from where it is told to go.
         """
-        return tuple(self._signal(j, kind) for j, kind in enumerate(kinds) if kind != EFFORT)
+        unknown = {j: kind for j, kind in enumerate(self.kinds) if kind != EFFORT}
+        return {j: self._signal(j, kind, gains) for j, kind in unknown.items()}
 
-    def _signal(self, j: int, kind: str) -> EffortSignal:
-        joint, choice = self.choice.model.joints[j], self.choice
-        gain = float(self.gains.gains[j])
-        deviation = float(self.gains.deviations[j] * abs(gain))
+    def _signal(self, j: int, kind: str, gains: SignalGains) -> EffortSignal:
+        joint, gain = self.model.joints[j], float(gains.gains[j])
+        deviation = float(gains.deviations[j] * abs(gain))
         if kind != COMMAND:
             return EffortSignal(joint, kind, gain, deviation)
         if gain < 0.0:
@@ -402,14 +479,14 @@ class _Calibration:
                 advice="Has its command or its position the wrong sign, or is it of another joint?",
                 joint=joint,
             )
-        phi, worth = self.gains.phi.ravel(), float(self.gains.worth[j])
-        shares, deviations = self.rows[j].free_parameters(1.0 / gain, phi, worth)
+        phi, worth = gains.phi.ravel(), float(gains.worth[j])
+        shares, deviations = self.joint(j).free_parameters(1.0 / gain, phi, worth)
         found = {}
         for name, is_there, at in (
-            ("damping", choice.rate, -1),
-            ("integral", choice.integral, -1 - choice.rate),
+            ("damping", self.rate, -1),
+            ("integral", self.integral, -1 - self.rate),
         ):
             if is_there and shares[at] < 0.0:
                 found[name] = -gain * float(shares[at])
                 found[f"{name}_deviation"] = gain * float(deviations[at])
-        return EffortSignal(joint, kind, gain, deviation, delay=_DELAYS[choice.delay], **found)
+        return EffortSignal(joint, kind, gain, deviation, delay=_DELAYS[self.delay], **found)

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geodrake.effects import Role, catalogue
+from geodrake.effects import catalogue
 from geodrake.identification.fit import FitResult
 from geodrake.identification.logs.criteria import SPREAD
-from geodrake.identification.logs.log_fits import LogFits
 from geodrake.identification.logs.model_fit import ModelFit
-from geodrake.identification.logs.weighing import Weighing
 from geodrake.identification.models.results import BodyChange
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
@@ -20,9 +18,6 @@ from geodrake.inertia import (
     to_mass_com_inertia,
 )
 from geodrake.model.robot_model import RobotModel
-
-_NOTABLY = 0.95
-"""Ratio of held-out errors below which a weaker weight is worth a word."""
 
 _FAR = 2.0
 """Factor of a mass from which on a body's change is worth a word."""
@@ -63,12 +58,6 @@ def body_changes(
     return tuple(changes)
 
 
-def block_names(fits: LogFits) -> tuple[str, ...]:
-    """Return the names of the bodies and payloads."""
-    payloads = [e for e in fits.unknowns.effects if e.role is Role.BODY]
-    return (*fits.dataset.bodies, *(f"payload on {e.where[0]}" for e in payloads))
-
-
 def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
     """Return what to know of a fitted model: no friction, masses far from the prior."""
     notes = []
@@ -104,18 +93,4 @@ def common_factor_notes(bodies: Sequence[BodyChange]) -> list[str]:
         f"these bodies weigh {after:.3g} kg, and {before:.3g} kg before: are the efforts of all "
         f"joints N·m or N? {before / after:.3g} times as large, they would leave the bodies where "
         "the file has them"
-    ]
-
-
-def sweep_notes(gamma: float | None, sweep: Sequence[Weighing]) -> list[str]:
-    """Return a note if a weaker weight of a sweep than may be chosen would fit better."""
-    chosen = [tried.nrms for tried in sweep if tried.gamma == gamma]
-    weaker = [tried for tried in sweep if gamma is not None and tried.gamma < gamma]
-    best = min(weaker, key=lambda tried: tried.nrms, default=None)
-    if best is None or not chosen or best.nrms > _NOTABLY * chosen[0]:
-        return []
-    return [
-        f"gamma {best.gamma:.3g} would lower the held-out nrms to {best.nrms:.3f}, by inertias "
-        "that lie further from the prior than a model file usually errs: the model more likely "
-        "lacks an effect, which geodrake diagnose looks for"
     ]

@@ -16,15 +16,9 @@ from geodrake.identification.identify import IdentificationResult, physical_prio
 from geodrake.identification.logs.case import error_table, open_case, reopen
 from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.hypothesis import first_hypothesis, settle
-from geodrake.identification.logs.log_fits import LogFits, log_unknowns
+from geodrake.identification.logs.log_fits import LogFits, Weighing, log_unknowns, weigh
 from geodrake.identification.logs.model_fit import as_it_stands, model_with
-from geodrake.identification.logs.weighing import Weighing, weigh
-from geodrake.identification.models.bodies import (
-    block_names,
-    body_changes,
-    model_notes,
-    sweep_notes,
-)
+from geodrake.identification.models.bodies import body_changes, model_notes
 from geodrake.identification.models.results import (
     Alternative,
     IdentificationSettings,
@@ -35,8 +29,8 @@ from geodrake.logs.motion import JointLog
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
 
-_MOST_ITERATIONS = 10
-"""Refits until the weights of the joints stay."""
+_MOST_ITERATIONS = 10  # refits until the weights of the joints stay
+_NOTABLY = 0.95  # ratio of held-out errors below which a weaker weight is worth a word
 
 
 def identify_model(
@@ -79,8 +73,7 @@ def identify_model(
     if case.model.joints != prior.joints:  # some are held
         held = {joint: case.model.held[joint] for joint in prior.joints if joint in case.model.held}
         model, prior = holding(model, held), case.model
-    passive = {joint for log in case.asked.logs for joint in log.passive}
-    if passive:
+    if passive := {joint for log in case.asked.logs for joint in log.passive}:
         raise LogError(
             f"{', '.join(sorted(passive))} has no motor: `identify` fits measured efforts alone.",
             advice="`explain`, `diagnose` and `add` fit bodies beside joints without a motor.",
@@ -93,14 +86,8 @@ def identify_model(
         progress(f"Choosing the weight of the {settings.regularizer} regularizer")
         gamma, sweep = weigh(fits, settings.regularizer)
     result, folds = _solved(fits, settings, gamma)
-    if any(
-        effect.role is Role.FORCE
-        and effect.jumps
-        and declares_signals(type(effect))
-        and "load" in effect.depends_on
-        for effect in unknowns.effects
-    ):
-        # Friction by load was fitted by the prior's loads; now it is by those of the first fit.
+    if any(_is_friction_by_load(effect) for effect in unknowns.effects):
+        # It was fitted by the prior's loads; now it is by those of the first fit.
         phi = result.phi[: len(prior.phi)]
         case = replace(reopen(case, replace(prior, phi=phi)), model=prior)
         unknowns = log_unknowns(case.dataset, prior)
@@ -111,13 +98,12 @@ def identify_model(
         progress("Comparing regularizers")
         alternatives, unsolved = _compared(fits, result, folds)
     held_out = fits.held_out(folds)
-    deviations = result.fit.standard_deviations()
     delays = [known for known in prior.effects if known.effect.role is Role.DELAY]
-    fitted = model_with(prior, unknowns, result.fit, deviations, noise=held_out.rms, delays=delays)
+    fitted = model_with(prior, unknowns, result, noise=held_out.rms, delays=delays)
     seen = tuple(dict.fromkeys((*prior.fitted_to, *case.fingerprints)))
     fitted = replace(fitted, fitted_to=seen, bandwidths=case.bandwidths)
-    bodies = body_changes(block_names(fits), fits.prior, result.phi, result.fit)
-    notes = [*case.notes, *model_notes(fitted, bodies), *sweep_notes(gamma, sweep), *unsolved]
+    bodies = body_changes(_block_names(fits), fits.prior, result.phi, result)
+    notes = [*case.notes, *model_notes(fitted, bodies), *_sweep_notes(gamma, sweep), *unsolved]
     if not np.isfinite(result.gamma):
         notes.append(
             "the residual bound holds for the model as it is: nothing limits gamma, and "
@@ -135,8 +121,33 @@ def identify_model(
         result,
         comparison(case, unknowns, held_out),
         alternatives,
-        (*notes, *result.fit.notes),
+        (*notes, *result.notes),
     )
+
+
+def _is_friction_by_load(effect: Effect) -> bool:
+    by_load = declares_signals(type(effect)) and "load" in effect.depends_on
+    return effect.role is Role.FORCE and effect.jumps and by_load
+
+
+def _block_names(fits: LogFits) -> tuple[str, ...]:
+    """Return the names of the bodies and payloads."""
+    payloads = [e for e in fits.unknowns.effects if e.role is Role.BODY]
+    return (*fits.dataset.bodies, *(f"payload on {e.where[0]}" for e in payloads))
+
+
+def _sweep_notes(gamma: float | None, sweep: Sequence[Weighing]) -> list[str]:
+    """Return a note if a weaker weight of a sweep than may be chosen would fit better."""
+    chosen = [tried.nrms for tried in sweep if tried.gamma == gamma]
+    weaker = [tried for tried in sweep if gamma is not None and tried.gamma < gamma]
+    best = min(weaker, key=lambda tried: tried.nrms, default=None)
+    if best is None or not chosen or best.nrms > _NOTABLY * chosen[0]:
+        return []
+    return [
+        f"gamma {best.gamma:.3g} would lower the held-out nrms to {best.nrms:.3f}, by inertias "
+        "that lie further from the prior than a model file usually errs: the model more likely "
+        "lacks an effect, which geodrake diagnose looks for"
+    ]
 
 
 def with_effects(model: RobotModel, effects: Sequence[Effect]) -> RobotModel:
@@ -186,7 +197,7 @@ def _solved(
             ) from error
         if isinstance(error, ArgumentError):
             raise
-        starts = dict(enumerate(block_names(fits)))
+        starts = dict(enumerate(_block_names(fits)))
         columns = [column // PARAMETERS_PER_BODY for column in error.evidence.get("columns", ())]
         blocks = [starts[k] for k in columns if k in starts]
         where = f" ({', '.join(blocks)})" if blocks else ""
@@ -204,7 +215,7 @@ def _compared(
 
     The `folds` are the same fit to all but each fold.
     """
-    names, found = block_names(fits), list[Alternative]()
+    names, found = _block_names(fits), list[Alternative]()
     compared = fits.compare(result.regularizer, result.gamma)
     failures = dict(compared.failures)
     for name, own in compared.results.items():
@@ -216,7 +227,7 @@ def _compared(
             failures[name] = f"Without one fold: {error}"
             continue
         errors = error_table(fits.dataset, fits.held_out(parts))
-        at = tuple(names[start // PARAMETERS_PER_BODY] for start in own.fit.active_blocks)
+        at = tuple(names[start // PARAMETERS_PER_BODY] for start in own.active_blocks)
         phi = own.phi[: len(fits.dataset.bodies)]
         found.append(Alternative(name, own.gamma, own.residual, errors, phi, at))
     notes = [

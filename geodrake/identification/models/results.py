@@ -8,8 +8,8 @@ from geodrake.boundary.arguments import integer, number, one_of
 from geodrake.boundary.showing import Short, Shown
 from geodrake.errors import ArgumentError
 from geodrake.identification.identify import REGULARIZERS, IdentificationResult
+from geodrake.identification.logs.log_fits import Weighing
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable
-from geodrake.identification.logs.weighing import Weighing
 from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
 
