@@ -26,8 +26,7 @@ from geodrake.errors import GeodrakeError
 try:
     from numba import __version__ as numba_version
     from numba import config, njit
-    from numba.core import event
-    from numba.core.compiler import CompileResult
+    from numba.core import compiler, event
     from numba.core.compiler_lock import global_compiler_lock
 except ImportError as error:
     raise GeodrakeError(
@@ -204,7 +203,8 @@ class _Kept:
                 if stat.S_ISREG(status.st_mode) and _is_own(status):
                     source, data = pickle.loads(file.read())
                     if source == self._source:
-                        return CompileResult._rebuild(target_context, *data)
+                        rebuild: Any = compiler.CompileResult._rebuild
+                        return rebuild(target_context, *data)
         return None
 
     def _take_turn(self) -> None:
