@@ -31,8 +31,7 @@ CLASSES = {effect.__name__ for effect in catalogue()}
 
 ALLOWED = {
     "cli/app.py": "examples of help name effects",
-    "fleet/fleet_file.py": "payload is a key of a fleet's file",
-    "logs/files/recognition.py": "contact is a word in names of columns",
+    "logs/files/name_rules.py": "contact is a word in names of columns",
     "model/exporting/model_text.py": "drake:rotor_inertia is a tag of Drake's",
     "model/exporting/formats.py": "viscous_friction is a key of Isaac's actuators",
     "model/file_terms.py": "says what files have of their own of what effects are",

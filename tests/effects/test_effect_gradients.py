@@ -7,7 +7,6 @@ import pytest
 from effect_motions import instances, random_motion
 
 from geodrake import effects
-from geodrake.effects.gradient import sign_slope
 
 WIDTH = 0.7
 STEP = 1e-5
@@ -75,14 +74,6 @@ def test_effects_without_slopes():
             return {"elbow": motion.v[:, :1] ** 2}
 
     assert Drag("hand").gradient(motion, np.ones((20, 3, 1))) is None
-
-
-def test_sign_slope():
-    assert sign_slope(np.array([1.0, 0.0]), 0.0).tolist() == [0.0, 0.0]
-    v = np.linspace(-1.0, 1.0, 9)
-    after, before = (effects.RobotMotion.direction(v + d, 0.3) for d in (1e-6, -1e-6))
-    slope = sign_slope(effects.RobotMotion.direction(v, 0.3), 0.3)
-    np.testing.assert_allclose(slope, (after - before) / 2e-6, atol=1e-8)
 
 
 @pytest.mark.parametrize("exponent", [0.5, 1.0, 2.0])

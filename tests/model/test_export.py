@@ -3,9 +3,7 @@
 import re
 from dataclasses import replace
 
-import mujoco
 import numpy as np
-import pinocchio
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -21,7 +19,6 @@ from geodrake.inertia import (
     from_pseudo_inertia,
     from_spatial_inertia,
     pseudo_inertia,
-    to_mass_com_inertia,
 )
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.export import check_export, distributed, export_model, save_export
@@ -154,38 +151,6 @@ def test_nothing_but_inertial_elements_changes(model):
     assert closed(without_inertials(after)) == closed(without_inertials(before))
     for comment in re.findall(rb"<!--.*?-->", before):
         assert comment in after
-
-
-def test_pinocchio_reads_the_exported_urdf(tmp_path):
-    fitted = identified(load_model(written(tmp_path, "arm.urdf", URDF)))
-    robot = pinocchio.buildModelFromXML(export_model(fitted).content.decode())
-    for name, phi in zip(fitted.bodies, fitted.phi, strict=True):
-        found = robot.inertias[robot.frames[robot.getFrameId(name)].parentJoint]
-        mass, com, inertia = to_mass_com_inertia(phi)
-        assert found.mass == pytest.approx(mass, rel=1e-9)
-        np.testing.assert_allclose(found.lever, com, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(found.inertia, inertia, rtol=1e-9, atol=1e-12)
-
-
-def test_mujoco_reads_the_exported_mjcf(tmp_path):
-    fitted = identified(load_model(written(tmp_path, "arm.xml", MJCF)))
-    robot = mujoco.MjModel.from_xml_string(export_model(fitted).content.decode())
-    for k, phi in enumerate(fitted.phi):
-        turn = np.empty(9)
-        mujoco.mju_quat2Mat(turn, robot.body_iquat[k + 1])
-        turn = turn.reshape(3, 3)
-        inertia = turn @ np.diag(robot.body_inertia[k + 1]) @ turn.T
-        found = from_mass_com_inertia(robot.body_mass[k + 1], robot.body_ipos[k + 1], inertia)
-        np.testing.assert_allclose(found, phi, rtol=1e-9, atol=1e-9 * np.abs(phi).max())
-
-
-def test_drake_reads_the_exported_sdf(tmp_path):
-    fitted = identified(load_model(written(tmp_path, "arm.sdf", SDF)))
-    plant = MultibodyPlant(0.0)
-    Parser(plant).AddModelsFromString(export_model(fitted).content.decode(), "sdf")
-    for name, phi in zip(fitted.bodies, fitted.phi, strict=True):
-        found = from_spatial_inertia(plant.GetBodyByName(name).default_spatial_inertia())
-        np.testing.assert_allclose(found, phi, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.measurements("reference/*.urdf", "reference/iiwa14.sdf")

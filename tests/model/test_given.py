@@ -72,10 +72,6 @@ class TestSeveralRobots:
         motion = Motion(*np.random.default_rng(0).normal(size=(3, 5, 2)))
         np.testing.assert_allclose(chosen.effort(motion), alone.effort(motion), rtol=1e-12)
 
-    def test_names_are_listed_for_an_unknown_one(self, path):
-        with pytest.raises(ModelError, match=r"no robot 'middle'.*It has left, right"):
-            load_model(path, given=Given(robot="middle"))
-
     def test_a_saved_model_remembers_its_robot(self, path, tmp_path):
         model = load_model(path, given=Given(robot="left"), lock={"elbow": 0.3})
         save_model(model, tmp_path / "model.yaml")

@@ -167,12 +167,6 @@ class TestAllEffects:
         efforts = compiled_efforts(source.text, motion, tmp_path)
         np.testing.assert_allclose(efforts, model.effort(motion), **CLOSE)
 
-    def test_directions_fade_as_the_models(self, model):
-        motion = motion_of(model)
-        efforts = ran(python_source(model, sign_width=0.3), motion)
-        np.testing.assert_allclose(efforts, model.effort(motion, sign_width=0.3), **CLOSE)
-        assert np.abs(efforts - model.effort(motion)).max() > 0.1
-
 
 @pytest.mark.parametrize("pair", EFFECTS, ids=lambda pair: pair[0].name)
 def test_each_effect(pair):

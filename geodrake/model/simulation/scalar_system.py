@@ -1,4 +1,8 @@
-"""Arrays of any of Drake's scalar types: values, slopes, linear equations."""
+"""Systems of Drake's that exist for several scalar types: floats, AutoDiffXd, Expression.
+
+`add_scalar_types` is for systems whose laws are evaluated with numbers of any type. `differenced`
+is for systems of floats, compiled ones say: their derivatives are differences.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +14,7 @@ from threading import RLock
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
-from pydrake.autodiffutils import AutoDiffXd, InitializeAutoDiff
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import BasicVector_, LeafSystem, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
@@ -38,23 +41,12 @@ def value_of(x: Scalars) -> Array:
     """Return the values (…) of an array of floats or of AutoDiffXd."""
     if np.asarray(x).dtype != object:
         return np.asarray(x, float)
-    flat = [entry.value() if isinstance(entry, AutoDiffXd) else entry for entry in np.ravel(x)]
-    return np.array(flat, float).reshape(np.shape(x))
+    return ExtractValue(scalars(x, AutoDiffXd)).reshape(np.shape(x))
 
 
 def slopes_of(x: Scalars) -> Array:
     """Return derivatives (n, d) of (n,) numbers; d = 0 where there are none."""
-    flat = scalars(x, AutoDiffXd)
-    most = max((entry.derivatives().size for entry in flat), default=0)
-    found = np.zeros((len(flat), most))
-    for row, entry in zip(found, flat, strict=True):
-        row[: entry.derivatives().size] = entry.derivatives()
-    return found
-
-
-def with_slopes(value: ArrayLike, slopes: ArrayLike) -> Scalars:
-    """Return numbers (n,) of AutoDiffXd with derivatives (n, d)."""
-    return InitializeAutoDiff(np.asarray(value, float), np.asarray(slopes, float)).ravel()
+    return ExtractGradient(scalars(x, AutoDiffXd))
 
 
 def solve(A: Scalars, b: Scalars) -> Scalars:
@@ -68,7 +60,7 @@ def solve(A: Scalars, b: Scalars) -> Scalars:
     x = np.linalg.solve(A_value, b_value)
     # What b − A x changes by where x stays.
     change = slopes_of(scalars(b, AutoDiffXd) - scalars(A, AutoDiffXd) @ x)
-    return with_slopes(x, np.linalg.solve(A_value, change))
+    return InitializeAutoDiff(x, np.linalg.solve(A_value, change)).ravel()
 
 
 def settled(before: Scalars, after: Scalars) -> bool:
@@ -106,7 +98,7 @@ def by_differences(function: Callable[[Array], Array], x: Scalars) -> Scalars:
                 there[moved] += sign * h * direction[moved]
                 ends.append(np.asarray(function(there), float)[known])
             changes[known, k] = (ends[0] - ends[1]) / (2.0 * h)
-    return with_slopes(found, changes)
+    return InitializeAutoDiff(found, changes).ravel()
 
 
 System = TypeVar("System", bound=type)
