@@ -298,46 +298,39 @@ class EffectForce(_EffectForce, LeafSystem):
 
         generalized_force = −Σ_e Y_e(q, v, v̇, τ_model) μ_e
 
-    which belongs at `plant.get_applied_generalized_force_input_port()`; see `AddToBuilder`.
+    which belongs at `plant.get_applied_generalized_force_input_port()`; see `AddToBuilder`. A wrong
+    gain (`EffortScale`) turns the effort u that is commanded, or measured, into u / (1 + ε).
 
-    A wrong gain of a joint (`EffortScale`) turns the effort u that is commanded, or measured, into
-    u / (1 + ε): the difference is taken away, and all else is computed with what is left.
+    Effects of v̇ (rotor inertia, payload) are f(q, v) + M_e(q, v) v̇ with the v̇ that the plant has
+    with them, (M + M_e) v̇ = u − C v + τ_g + … − f: the plant moves exactly as if its mass matrix
+    were M + M_e. Friction that depends on the load τ_model, the effort that the rigid bodies need,
+    is found by fixed-point iteration. Both need u, the `applied_effort` (nv) of controllers at the
+    joints, zero if the port is not connected; forces that reach the plant otherwise, as by contact,
+    are not known here. Where no effect depends on v̇ or load, the port is not read.
 
-    Effects of v̇ (rotor inertia, payload) are taken as f(q, v) + M_e(q, v) v̇, and v̇ is the one that
-    the plant has with them, (M + M_e) v̇ = u − C v + τ_g + … − f. The plant then moves exactly as if
-    its mass matrix were M + M_e. Friction that depends on the load τ_model, the effort that the
-    plant's rigid bodies need, is found by fixed-point iteration. Both need u, the `applied_effort`
-    (nv): the effort that controllers apply at the joints, zero if the port is not connected. Forces
-    that reach the plant otherwise, as by contact, are not known here. Where no effect depends on v̇
-    or load, the port is not read and no dynamics are computed.
-
-    Effects with hidden states (`Hysteresis`) have them among the continuous state, zero at first;
-    `set_hidden_states` starts them otherwise.
-
-    Joints that are elastic or have play (`DeflectionEffect`) are two bodies. The plant's joint is
-    the link; the motor's position, less that of the link, and its velocity are continuous states,
-    zero at first (`set_motors`). Between them is the spring of the effect, or its dead band (see
+    Hidden states (`Hysteresis`) are continuous states, zero at first (`set_hidden_states`). Joints
+    that are elastic or have play (`DeflectionEffect`) are two bodies: the plant's joint is the
+    link; the motor's position, less that of the link, and its velocity are continuous states, zero
+    at first (`set_motors`), with the spring of the effect between them, or its dead band (see
     `geodrake.model.simulation.soft_joints`). Efforts, friction and rotor inertia act at the motor;
-    gravity, payloads and contacts at the link. `motor_state` (nq + nv) is the plant's state with
-    the motors in the place of the links, which is what encoders measure; there is no such port
-    without soft joints. A motor has at least 1 % of its link's inertia; `notes` says where that is
-    more than the model's. Explicit integrators need steps below some 1.7 / ω, with ω the frequency
-    at which motor and link swing against each other: √(k (1/B + 1/M)); stiff ones are for
-    "radau3" or "implicit_euler" (`ResetIntegratorFromFlags`). Plants with time steps take the
-    torque of the spring as it was when the step began, and need steps far below 1 / ω.
+    gravity, payloads and contacts at the link. `motor_state` (nq + nv), which encoders measure, is
+    the plant's state with the motors in the place of the links; it is there with soft joints alone.
+    A motor has at least 1 % of its link's inertia; `notes` says where that is more than the
+    model's. Explicit integrators need steps below some 1.7 / ω, with ω = √(k (1/B + 1/M)) the
+    frequency at which motor and link swing against each other; stiff ones are for "radau3" or
+    "implicit_euler" (`ResetIntegratorFromFlags`). Plants with time steps take the torque of the
+    spring as it was when the step began, and need steps far below 1 / ω.
 
-    Effects that depend on the time since a log began (`FrictionDrift`, `Contact`) take the time of
-    the Context for it. Contacts that were found in a log act only where that log is simulated.
-    Friction that goes with the temperature (`ThermalFriction`) takes that of `temperatures`.
+    Effects of the time since a log began (`FrictionDrift`, `Contact`) take the Context's, and
+    contacts that were found in a log act only where that log is simulated. Friction that goes with
+    the temperature takes that of `temperatures`.
 
     Numeric parameters of the Context are all μ (`set_effect_parameters`), and the inertial
-    parameters that the plant is taken to have (`set_inertial_parameters`). No system sees the
-    Context of another one in Drake: who changes the inertias of the plant in its Context must
-    change them here, too, as `RobotInDiagram.set_parameters` does. They matter to effects of v̇,
-    load and bodies. All else of the plant, such as damping of its joints, is as by default.
-
-    In a plant that holds more than the robot (`RobotInstance`), state, efforts and forces are still
-    those of the whole plant, with zeros where the robot has no part in them.
+    parameters that the plant is taken to have (`set_inertial_parameters`), which matter to effects
+    of v̇, load and bodies. No system sees another one's Context: who changes the plant's inertias
+    there must change them here, too, as `RobotInDiagram.set_parameters` does. All else of the plant
+    is as by default. In a plant that holds more than the robot (`RobotInstance`), state, efforts
+    and forces are those of the whole plant, with zeros where the robot has no part in them.
 
     The system can be cloned and converted. AutoDiffXd has exact derivatives with state, efforts,
     time and μ, from effects' formulas and the plant's own derivatives; a diagram may be linearized.
@@ -348,20 +341,16 @@ class EffectForce(_EffectForce, LeafSystem):
     like a damper F / sign_width, and a joint that it holds creeps at less than sign_width. Explicit
     integrators, and plants with time steps, need steps below 2 · sign_width · inertia / F, rotor
     inertia included: 1 ms for 0.1 kg·m² and 2 N·m, but tens of µs for a wrist of bare links without
-    rotors. There, make the plant continuous and its integrator "implicit_euler"
-    (`pydrake.systems.analysis.ResetIntegratorFromFlags`), or widen sign_width.
+    rotors. There, use "implicit_euler", or widen sign_width.
 
     Args:
         plant: A finalized plant, with the joints and bodies that the effects name; or one robot in
-            it, whose joints and bodies they name: then nothing else feels them.
-        effects: Effects with their linear parameters μ, in SI units: such as those of a model,
-            or pairs of an effect and μ.
+            it: then nothing else feels them.
+        effects: Effects with their linear parameters μ, SI, such as those of a model; or pairs.
         sign_width: Speed below which dry friction fades, rad/s or m/s (`RobotModel.sign_widths`
-            has those of a fitted model); one for all velocities or (nv,),
-            of a robot in a plant (n,).
+            has those of a fitted model); one, or (nv,), of a robot in a plant (n,).
         phi: (nb, 10) inertial parameters of the simulated plant, where its Context has others
-            than the default ones; such as `model.total_phi`, which has the payloads: these are
-            then no effects.
+            than the default ones; such as `model.total_phi`, whose payloads then are no effects.
         log: Name of the log that is simulated; None for none.
         temperatures: Those of the joints, in the time of the Context; without, each joint has that
             to which its friction belongs.

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import instances, number, real_array
 from geodrake.effects import Effect, FittedEffect, Role
 from geodrake.effects.column_checks import rows_of
+from geodrake.effects.deflection import DeflectionEffect
 from geodrake.effects.effect_columns import dependencies
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
@@ -117,14 +118,11 @@ class ForceLaw:
         rigid = np.diag(1.0 - self.soft_unit.sum(1))
         self.of_motors = np.hstack([rigid, self.soft_unit])
         self.of_links = np.hstack([np.eye(nv), np.zeros((nv, len(at)))])
-        self.notes: tuple[str, ...] = ()
-        self.added_inertia, none = np.zeros(len(at)), np.zeros(0)
         damping = number(spring_damping, "spring_damping", lower=0.0)
+        none, self.added_inertia, self.notes = np.zeros(0), np.zeros(0), tuple[str, ...]()
         self.soft = SoftJoints((), at, at, (), none, none, none, damping)
         if soft:
-            chosen = tuple(map(tuple, soft.values()))
-            self.soft = replace(self.soft, names=tuple(soft), effects=chosen)
-            self._find_inertias()
+            self.soft = self._softened(soft, at, damping)
 
     def _check(self, *, known_phi: bool) -> None:
         """Refuses effects that are no forces here, and those that do not fit the plant."""
@@ -163,10 +161,15 @@ class ForceLaw:
         hidden = {e: self.states[e] for e in effects if e.state_count}
         return Terms(self.plant, effects, np.concatenate([np.zeros(0, int), *places]), hidden)
 
-    def _find_inertias(self) -> None:
-        """Finds inertias of soft joints, whose motors may need some, and their usual loads."""
-        plant, soft, at = self.plant, self.soft, self.soft.velocities
-        for joint, place in zip(soft.names, plant.positions[at], strict=True):
+    def _softened(
+        self,
+        soft: Mapping[str, Sequence[tuple[DeflectionEffect, slice]]],
+        at: NDArray[np.intp],
+        damping: float,
+    ) -> SoftJoints:
+        """Return the soft joints at some velocities; their motors may need some inertia."""
+        plant = self.plant
+        for joint, place in zip(soft, plant.positions[at], strict=True):
             if place < 0:
                 raise ArgumentError(f"{joint} is one of several degrees of one joint, and soft.")
         context = self.dynamics.context(self.phi)
@@ -176,22 +179,16 @@ class ForceLaw:
         _, moved = self.motors.accelerated.split(still, unit, zero, (self.mu, self.phi))
         own, least = np.diag(moved)[at], LEAST_MOTOR * links[at]
         self.added_inertia = np.maximum(least - own, 0.0)
-        units = [plant.inertia_units[k] for k in at]
         self.notes = tuple(
-            f"The motor of {joint} is taken to have {mass:.3g} {unit}, {100 * LEAST_MOTOR:g} % of "
-            "what its link has: the model has less of a rotor there."
-            for joint, mass, added, unit in zip(
-                soft.names, least, self.added_inertia, units, strict=True
-            )
+            f"The motor of {joint} is taken to have {mass:.3g} {plant.inertia_units[k]}, "
+            f"{100 * LEAST_MOTOR:g} % of what its link has: the model has less of a rotor there."
+            for joint, mass, added, k in zip(soft, least, self.added_inertia, at, strict=True)
             if added
         )
-        self.soft = replace(
-            soft,
-            positions=plant.positions[at],
-            link_inertia=links[at],
-            motor_inertia=own + self.added_inertia,
-            usual_load=usual_loads(plant.plant, context, links)[at],
-        )
+        chosen, places = tuple(map(tuple, soft.values())), plant.positions[at]
+        inertias = links[at], own + self.added_inertia
+        loads = usual_loads(plant.plant, context, links)[at]
+        return SoftJoints(tuple(soft), at, places, chosen, *inertias, loads, damping)
 
     @property
     def state_count(self) -> int:
