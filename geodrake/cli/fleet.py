@@ -22,7 +22,7 @@ from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet.fleet_file import Fleet, read_fleet
 from geodrake.fleet.fleet_logs import FleetDigests
 from geodrake.fleet.fleet_result import FleetResult, keep_told, new_findings
-from geodrake.fleet.fleet_run import FleetWork, fleet_result, run_fleet, take_in_logs
+from geodrake.fleet.fleet_run import FleetWork, look_at_fleet, run_fleet
 from geodrake.report.fleet_json import finding_line, fleet_dict, parquet_contents
 from geodrake.report.fleets import WatchedFleet, fleet_page
 from geodrake.report.html import render
@@ -131,12 +131,9 @@ def _look(
 ) -> tuple[FleetDigests, bool]:
     """Take in new logs, and tell new findings; statistics only if something is not as before."""
     with progress(f"Reading {fleet.path.name}", quiet=options.quiet) as update:
-        failed = () if seen is None else seen.failed
-        digests = take_in_logs(fleet, work, failed=failed, told=update, said=update.history)
-        known = (digests.records, digests.failed)
-        if seen is not None and not digests.made and known == (seen.records, seen.failed):
+        result, digests = look_at_fleet(fleet, work, seen, told=update, said=update.history)
+        if result is None:
             return digests, False
-        result = fleet_result(fleet, digests, work, update)
         if seen is None:
             _tell_repairs(digests, update)
     contents = _own_contents(fleet, result)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,55 +81,34 @@ def run_fleet(
         DigestError: There are digests of another model, version, or other settings.
         OutputError: The folder cannot be written to.
     """
-    work = work or FleetWork()
-    with _taken_in(fleet, work, (), told, said, pieces=len(fleet.robots)) as (digests, team):
-        return _result(fleet, digests, work.false_alarms, told, team), digests
+    result, digests = look_at_fleet(fleet, work or FleetWork(), told=told, said=said)
+    return cast("FleetResult", result), digests  # a first look always has a result
 
 
-def take_in_logs(
+def look_at_fleet(
     fleet: Fleet,
     work: FleetWork,
+    seen: FleetDigests | None = None,
     *,
-    failed: Sequence[LogRecord] = (),
     told: Told = lambda words, share: None,
     said: Callable[[str], None] = lambda line: None,
-) -> FleetDigests:
-    """Digest the logs of a fleet that have no digest.
+) -> tuple[FleetResult | None, FleetDigests]:
+    """Do what `run_fleet` does; without a result if nothing changed since the last look.
 
     Args:
-        failed: Logs that failed before, which are not tried again until they have changed.
+        seen: What was known then; logs that failed are not tried again until they have changed.
     """
-    with _taken_in(fleet, work, failed, told, said) as (digests, _):
-        return digests
-
-
-@contextmanager
-def _taken_in(
-    fleet: Fleet,
-    work: FleetWork,
-    failed: Sequence[LogRecord],
-    told: Told,
-    said: Callable[[str], None],
-    *,
-    pieces: int = 0,
-) -> Iterator[tuple[FleetDigests, Workers]]:
-    """What `take_in_logs` does, and who works: enough for so many pieces of work that follow."""
     instance(fleet, "fleet", Fleet)
     repairs = check_places(fleet, local=work.workers == 0 and work.scheduler is None)
     told("Looking for logs", None)
-    tasks, known = find_tasks(fleet, failed)
-    most = max(len(tasks), pieces)
-    with workers(most, count=work.workers, scheduler=work.scheduler, told=said) as team:
-        digests = digest_fleet(fleet, tasks, known, team, told)
-        yield replace(digests, repairs=repairs), team
-
-
-def fleet_result(
-    fleet: Fleet, digests: FleetDigests, work: FleetWork, told: Told = lambda words, share: None
-) -> FleetResult:
-    """Findings from digests."""
-    with workers(len(fleet.robots), count=work.workers, scheduler=work.scheduler) as team:
-        return _result(fleet, digests, work.false_alarms, told, team)
+    tasks, known = find_tasks(fleet, () if seen is None else seen.failed)
+    pieces = max(len(tasks), len(fleet.robots)) if seen is None or tasks else 0
+    with workers(pieces, count=work.workers, scheduler=work.scheduler, told=said) as team:
+        digests = replace(digest_fleet(fleet, tasks, known, team, told), repairs=repairs)
+        known = digests.records, digests.failed
+        if seen is not None and not digests.made and known == (seen.records, seen.failed):
+            return None, digests
+        return _result(fleet, digests, work.false_alarms, told, team), digests
 
 
 def _result(

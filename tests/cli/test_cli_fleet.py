@@ -160,12 +160,9 @@ def test_a_watch_goes_on_when_a_place_does_not_answer(folder, monkeypatch):
             raise FleetError("Logs 's3://x' cannot be looked for: TimeoutError.")
         if looks[-1] == 2:
             raise DigestError("There are digests of something else.")
-        return FleetDigests({}, (), {}, 0)
+        return FleetResult((), (), 0.01, {}), FleetDigests({}, (), {}, 0)
 
-    monkeypatch.setattr("geodrake.cli.fleet.take_in_logs", take_in)
-    monkeypatch.setattr(
-        "geodrake.cli.fleet.fleet_result", lambda *given: FleetResult((), (), 0.01, {})
-    )
+    monkeypatch.setattr("geodrake.cli.fleet.look_at_fleet", take_in)
     code, out, err = fleet("--watch --every 0.1")
     assert (code, out, looks) == (2, "", [0, 1, 2])
     assert err.splitlines() == [

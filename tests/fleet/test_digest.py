@@ -253,15 +253,6 @@ def test_the_same_log_gives_the_same_file(model, logs, settings, digests):
     assert digest_content(again) == digest_content(digests[0])
 
 
-def test_a_minute_of_an_arm_of_seven_joints_is_small():
-    arm = load_model(MODELS / "arm7.urdf")
-    log = chain_log(arm, 1, seconds=60.0, rate=500.0)
-    digest = digested(arm, log, make_settings(arm, log))
-    assert len(digest_content(digest)) < 2e6
-    assert len(digest.blocks) == 4
-    assert np.all(digest.samples > 300)
-
-
 def test_a_joint_that_rests_all_the_time_has_no_samples(model, logs, settings, digests):
     rng = np.random.default_rng(0)
     position, effort = logs[1].position.copy(), logs[1].effort.copy()

@@ -1,8 +1,6 @@
 """Folders of digests: made once, whole or not at all, by settings that all of them share."""
 
 import errno
-import multiprocessing
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -119,16 +117,6 @@ def test_a_damaged_digest_is_made_again(model, made, folder):
     assert damaged.read_bytes() == good
 
 
-def test_a_digest_under_the_name_of_another_log_is_made_again(model, made, folder):
-    first, second = digest_files(folder)[:2]
-    good = first.read_bytes()
-    first.write_bytes(second.read_bytes())
-    run = digested(model, [made / "log_1.csv", made / "log_2.csv"], folder)
-    (again,) = (row for row in run.rows if row.status == "made")
-    assert re.search("made again: .* holds the digest of another log", again.reason)
-    assert first.read_bytes() == good
-
-
 def test_a_full_disk_leaves_no_folder(model, made, tmp_path):
     def full(file):
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -235,20 +223,6 @@ def test_a_folder_that_cannot_be_is_refused_before_the_work(model, made, tmp_pat
             digested(model, [made / "none.csv"], to)
     with pytest.raises(ArgumentError, match="no log to digest"):
         digested(model, [], tmp_path / "digests")
-
-
-@pytest.mark.thorough
-def test_another_process_makes_the_same_bytes(made, tmp_path):
-    arguments = (str(PENDULUM), [str(made / f"log_{k}.csv") for k in (1, 2)], str(tmp_path / "x"))
-    process = multiprocessing.get_context("spawn").Process(target=digest_apart, args=arguments)
-    process.start()
-    process.join()
-    assert process.exitcode == 0
-    assert bytes_of(tmp_path / "x") == bytes_of(made / "digests")
-
-
-def digest_apart(model, logs, folder):
-    digest_logs(load_model(model), logs, folder)
 
 
 def test_settings_that_another_run_has_made_meanwhile_are_taken(model, made, folder, tmp_path):

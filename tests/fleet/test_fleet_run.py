@@ -14,9 +14,7 @@ from pathlib import Path
 
 import fsspec
 import numpy as np
-import psutil
 import pytest
-from distributed import LocalCluster
 from processes import limited
 from small_fleet import (
     DRY,
@@ -37,8 +35,7 @@ from geodrake.effects import CoulombFriction, FittedEffect, StribeckFriction
 from geodrake.errors import ArgumentError, DigestError, FleetError, OutputError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
 from geodrake.fleet.digest import read_digest_of
-from geodrake.fleet.fleet_logs import DIGESTS, FleetDigests, digest_task, find_tasks, read_records
-from geodrake.fleet.fleet_run import fleet_result, take_in_logs
+from geodrake.fleet.fleet_logs import DIGESTS, digest_task, find_tasks, read_records
 from geodrake.fleet.history import DAY, MOST_TIMES, HistoryTask, read_history, time_cells
 from geodrake.fleet.log_places import (
     absolute_pattern,
@@ -169,29 +166,6 @@ def test_a_run_that_was_killed_goes_on(own, tmp_path):
     assert text_of(undisturbed) == text_of(result)
 
 
-@pytest.mark.thorough
-def test_workers_that_are_killed_are_replaced(own, tmp_path):
-    path, killed = own(FEW, range(4)), []
-
-    def kill_one(words, share=None):
-        if words.startswith("Digested") and not killed:
-            children = psutil.Process().children(recursive=True)
-            alive = [p for p in children if p.status() != psutil.STATUS_ZOMBIE]
-            (pid, *_) = [p.pid for p in alive if any("spawn_main" in word for word in p.cmdline())]
-            killed.append(pid)
-            os.kill(pid, signal.SIGKILL)
-
-    lines = []
-    result, seen = run_fleet(
-        read_fleet(path), FleetWork(workers=1), told=kill_one, said=lines.append
-    )
-    assert len(killed) == 1
-    assert seen.made == 8
-    assert "http://127.0.0.1" in lines[0]
-    shutil.rmtree(tmp_path / "results")
-    assert text_of(run_fleet(read_fleet(path), HERE)[0]) == text_of(result)
-
-
 def test_logs_in_other_places_have_the_same_digests(folder, own, tmp_path):
     path = own(FEW)
     run_fleet(read_fleet(path), HERE)
@@ -223,15 +197,6 @@ def test_places_are_looked_into_anew(monkeypatch):
     for day in (1, 2):
         memory.pipe(f"/cached/{day}.csv", b"x")
         assert len(find_logs("memory://cached/*.csv")) == day
-
-
-def test_a_copy_is_as_old_as_its_log():
-    memory = fsspec.filesystem("memory")
-    memory.pipe("/dated/log.csv", b"x")
-    (place,) = find_logs("memory://dated/*.csv")
-    for changed in (1.7e9, None):
-        with local_log(replace(place, changed=changed)) as path:
-            assert path.stat().st_mtime == (changed or 0.0)
 
 
 def test_a_log_that_fails_is_a_row(own, tmp_path):
@@ -420,26 +385,9 @@ def test_dates_in_paths(path, pattern, date):
 def test_a_scheduler_that_does_not_answer_is_said(own, monkeypatch):
     monkeypatch.setattr("geodrake.fleet.workers._SECONDS", 0.5)
     fleet, there = read_fleet(own()), FleetWork(scheduler="tcp://127.0.0.1:9")
-    for look in (
-        lambda: run_fleet(fleet, there),
-        lambda: fleet_result(fleet, FleetDigests({}, (), {}, 0), there),  # of a watch
-    ):
-        with pytest.raises(FleetError, match=r"tcp://127\.0\.0\.1:9 cannot be reached"):
-            look()
+    with pytest.raises(FleetError, match=r"tcp://127\.0\.0\.1:9 cannot be reached"):
+        run_fleet(fleet, there)
     assert not fleet.folder.exists()
-
-
-@pytest.mark.thorough
-def test_workers_of_another_scheduler_do_the_same(own, tmp_path):
-    path = own(FEW, range(4))
-    with LocalCluster(
-        n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0"
-    ) as cluster:
-        there = FleetWork(scheduler=cluster.scheduler_address)
-        result, seen = run_fleet(read_fleet(path), there)
-    assert seen.made == 8
-    shutil.rmtree(tmp_path / "results")
-    assert text_of(run_fleet(read_fleet(path), HERE)[0]) == text_of(result)
 
 
 TYPES = "types:\n  arm: {model: arm.urdf}\n"
@@ -561,7 +509,7 @@ def test_logs_in_archives_and_by_caches_have_addresses_of_their_own():
 def task(own):
     """A robot of three logs that have digests."""
     fleet = read_fleet(own([HEAVY], days=(0, 1, 2)))
-    records = take_in_logs(fleet, HERE).records[HEAVY]
+    records = run_fleet(fleet, HERE)[1].records[HEAVY]
     folder = fleet.folder / "pendulum"
     return HistoryTask(HEAVY, records, folder, read_settings(folder / DIGESTS), np.arange(5))
 
@@ -625,15 +573,6 @@ def test_a_digest_under_the_name_of_another_log_is_not_believed(task):
     ((record, problem),) = read_history(task)[1]
     assert record == task.records[1]
     assert "holds the digest of another log" in problem
-
-
-def test_a_log_before_others_is_added_to_none(task):
-    """Its time is another one's: all are read anew."""
-    late = read_history(replace(task, records=task.records[1:]))[0]
-    assert late.logs == 2
-    found = read_history(task)[0].read()
-    task.file.unlink()
-    same_history(read_history(task)[0].read(), found)
 
 
 def test_logs_that_come_to_share_a_time_are_added_to_none(task, monkeypatch):

@@ -182,15 +182,6 @@ def test_scatter_is_learnt_from_robots_that_show_it():
     np.testing.assert_allclose(found.scatter[1:], 0.03, rtol=0.25)
 
 
-@pytest.mark.thorough
-def test_scatter_is_neither_too_small_nor_too_large():
-    for logs, tolerance in ((3, 0.2), (20, 0.08)):
-        rng = np.random.default_rng(6)
-        histories = [robot(rng, logs=logs, rows=60).history() for _ in range(150)]
-        found = learn_type([each.equations() for each in histories], columns(), rounds=20)
-        np.testing.assert_allclose(found.scatter, 0.03, rtol=tolerance)
-
-
 @pytest.mark.parametrize("unit", [1e-8, 1e8])
 def test_units_change_nothing(unit):
     """Bodies and friction in other units; the first body column is never seen."""

@@ -34,13 +34,6 @@ def test_the_step_of_a_converter_is_found(step, offset, noise, seed):
     assert effort_steps(log_with(effort)) == pytest.approx([0.0, step])
 
 
-@settings(max_examples=25)
-@given(digits=st.sampled_from([1, 2, 3]), ratio=st.floats(1.0, 30.0), seed=st.integers(0, 2**31))
-def test_few_digits_below_the_noise_are_no_steps(digits, ratio, seed):
-    noise = ratio * 10.0**-digits * np.random.default_rng(seed).normal(size=len(TIME))
-    assert not effort_steps(log_with(np.round(SMOOTH + noise, digits))).any()
-
-
 def test_steps_that_are_printed_with_few_digits():
     effort = np.round(0.366 * np.rint(SMOOTH / 0.366), 2)
     assert effort_steps(log_with(effort)) == pytest.approx([0.0, 0.366], abs=0.01)
@@ -53,8 +46,3 @@ def test_a_note_says_step_and_noise():
     assert "shoulder" not in note
     plain = dataclasses.replace(log, effort=np.stack([SMOOTH, SMOOTH], 1))
     assert not any("steps" in note for note in make_uniform(plain).notes)
-
-
-@pytest.mark.parametrize("effort", [np.zeros_like(TIME), np.sign(SMOOTH), np.nan * TIME])
-def test_columns_of_hardly_any_values_have_none(effort):
-    assert not effort_steps(log_with(effort))[1]

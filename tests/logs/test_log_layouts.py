@@ -1,15 +1,13 @@
 """Logs as robots' own loggers and other people's scripts write them, read without a mapping."""
 
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from geodrake.errors import ArgumentError, LogError
-from geodrake.logs.files import log_of, read_log, read_mapping
+from geodrake.errors import LogError
+from geodrake.logs.files import read_log, read_mapping
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.table import LogTable
 
 UR = tuple(
     f"{name}_joint"
@@ -170,17 +168,6 @@ def test_joints_have_the_files_names_without_a_model(tmp_path):
     assert read_log(numbered).joints == ("joint_1", "joint_2")
 
 
-def test_a_joint_without_a_name(tmp_path):
-    time, q, _, tau = motion(("",))
-    check(
-        read_log(write(tmp_path / "log.csv", ["time", ".position", ".effort"], [time, q, tau])),
-        ("",),
-        q,
-        None,
-        tau,
-    )
-
-
 @pytest.mark.parametrize(
     ("separator", "head"),
     [(",", "# rig 7\n# 24.11.\n\n"), (";", ""), ("\t", ""), ("   ", ""), (",", "% of Octave\n")],
@@ -241,30 +228,6 @@ def test_units_by_option(tmp_path):
     assert np.allclose(log.time, time)
     for words in ("position is in deg", "velocity is in rpm", "effort is in mA", "time is in ms"):
         assert any(words in note for note in log.notes)
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"units": {"position": "furlong"}}, "'furlong' is no known unit of position"),
-        ({"units": {"colour": "rad"}}, "no quantity 'colour'"),
-        ({"rate": 0.0}, "positive number of rows"),
-        ({"rate": float("nan")}, "positive number of rows"),
-        ({"gains": {"a": 0.0}}, "other than 0"),
-        ({"gains": {"a": float("inf")}}, "other than 0"),
-        ({"columns": "time"}, "columns must be a tuple"),
-    ],
-)
-def test_readings_that_cannot_be(settings, words):
-    with pytest.raises(ArgumentError, match=words):
-        Reading(**settings)
-
-
-def test_a_gain_of_no_joint(tmp_path):
-    time, q, _, tau = motion(("a",))
-    path = write(tmp_path / "log.csv", ["t", "q", "tau"], [time, q, tau])
-    with pytest.raises(LogError, match=r"gain of 'b'.*joints are: joint"):
-        read_log(path, reading=Reading(gains={"b": 2.0}))
 
 
 @pytest.mark.parametrize("stamped", [True, False])
@@ -339,17 +302,6 @@ def test_two_files_that_do_not_fit(tmp_path):
         read_log(f"{first}+{path}")
     with pytest.raises(LogError, match="does not exist"):
         read_log(f"{first}+{tmp_path / 'missing.csv'}")
-
-
-def test_a_table_of_any_format():
-    time, q, v, tau = motion(UR)
-    columns = {"stamp": time}
-    for block, values in (("position", np.rad2deg(q)), ("velocity", v), ("effort", tau)):
-        columns |= {f"{block}[{k}]": values[:, k] for k in range(6)}
-    units = {f"position[{k}]": "deg" for k in range(6)}
-    log = log_of(LogTable(Path("x.bag"), columns, units, ("from a bag",)), joints=UR)
-    check(log, UR, q, v, tau)
-    assert log.notes[0] == "from a bag"
 
 
 GARBAGE = {
@@ -567,13 +519,3 @@ def test_dates_are_no_positions(tmp_path):
     path.write_text("\n".join(["time,a.position,a.effort", *lines]))
     with pytest.raises(LogError, match=r"'a.position'.*holds dates.*position of a"):
         read_log(path)
-
-
-def test_dates_in_archives(tmp_path):
-    time, q, _, tau = motion(("a",))
-    stamps = np.datetime64("2026-05-01T12:00") + np.round(1e9 * time).astype("timedelta64[ns]")
-    path = tmp_path / "log.npz"
-    np.savez(path, time=stamps, **{"a.position": q[:, 0], "a.effort": tau[:, 0]})
-    log = read_log(path)
-    check(log, ("a",), q, None, tau)
-    assert np.allclose(log.time, time, rtol=0, atol=1e-9)

@@ -180,19 +180,6 @@ def test_late_velocities_are_moved():
     assert any("5 ms late" in note for note in trajectory.notes)
 
 
-def test_logs_share_a_bandwidth():
-    logs = [_make_log(_uniform()), _make_log(_uniform(40.0, 0.004))]
-    first, second = prepare_logs(logs)
-    assert first.filter.bandwidth == pytest.approx(second.filter.bandwidth, rel=0.1)
-    assert any("chosen from the data; efforts decimated 100 →" in note for note in first.notes)
-
-
-def test_preparing_twice_gives_the_same():
-    log = _with_standstills(1.0, 1.0, 1.0)
-    one, other = prepare_log(log).segments[0][:], prepare_log(log).segments[0][:]
-    assert np.array_equal(one.acceleration, other.acceleration)
-
-
 def test_shapes_and_time_are_checked():
     log = _make_log(_uniform())
     with pytest.raises(ArgumentError, match=r"effort .* \(3000, 1\).* \(3000, 2\)"):
@@ -205,13 +192,6 @@ def test_shapes_and_time_are_checked():
         replace(log, time=np.where(np.arange(3000) == 3, 0.02, log.time))
     with pytest.raises(ArgumentError, match="as many samples"):
         Motion(np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((2, 2)))
-
-
-def test_motion_slices():
-    motion = Motion(np.arange(6.0)[:, None], np.ones((6, 1)), np.ones((6, 1)), np.arange(6.0))
-    assert len(motion) == 6
-    assert np.array_equal(motion[2:4].q[:, 0], [2, 3])
-    assert np.array_equal(motion[2:4].time, [2, 3])
 
 
 def test_unit_hints():
@@ -273,12 +253,6 @@ def test_number_of_folds(logs, folds):
     assert len(made) == folds
     held = sum(map(len, made))
     assert held == 600 * logs if logs >= 4 else 0.94 * 600 * logs < held < 600 * logs
-
-
-def test_gap_as_asked_for():
-    first, second, third = validation_blocks(_trajectories((300,)), blocks=3, gap_seconds=2.0)
-    assert second.blocks[0].start - first.blocks[0].stop == 20
-    assert third.blocks[0].start - second.blocks[0].stop == 20
 
 
 def test_nothing_to_hold_out():

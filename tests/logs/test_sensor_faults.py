@@ -8,7 +8,6 @@ import pytest
 
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.files import read_log
-from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.log_checks import check_repeated
 from geodrake.logs.motion import JointLog
 from geodrake.logs.sensor_faults import LARGEST, without_faults
@@ -210,17 +209,3 @@ def test_halves_and_rest_are_not_there_twice():
     )
     rest = replace(log, position=np.zeros_like(log.position), effort=np.ones_like(log.effort))
     check_repeated([rest, replace(rest, name="the same rest")])
-
-
-@pytest.mark.parametrize("mass", [np.nan, np.inf, 0.0, -1.0, 1e7, 1e300])
-def test_known_payloads_have_a_mass_that_somebody_can_hang_on_a_robot(mass):
-    with pytest.raises(ArgumentError, match="mass"):
-        KnownPayload("hand", mass)
-
-
-@pytest.mark.parametrize("place", [np.nan, np.inf, 1e4, -1e300])
-def test_known_payloads_are_near(place):
-    with pytest.raises(ArgumentError, match="centre"):
-        KnownPayload("hand", 1.0, (0.0, place, 0.0))
-    with pytest.raises(ArgumentError, match="inertia"):
-        KnownPayload("hand", 1.0, inertia=((1e300, 0, 0), (0, 1, 0), (0, 0, 1)))

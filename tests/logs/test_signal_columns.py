@@ -73,17 +73,6 @@ def test_commands_of_other_names(form):
     assert "commands are in their place" in said(log)
 
 
-@pytest.mark.parametrize("name", ["command/positions[K]", "/arm/JOINT/command"])
-def test_commands_of_topics(name):
-    names = [name.replace("K", str(k)).replace("JOINT", j) for k, j in enumerate(JOINTS)]
-    columns = {f"/joint_states/position[{k}]": Q[:, k] for k in range(2)}
-    if "JOINT" in name:
-        columns = {f"/joint_states/{j}/position": Q[:, k] for k, j in enumerate(JOINTS)}
-    columns |= {n: C[:, k] for k, n in enumerate(names)}
-    log = log_of_frame({"time": TIME, **columns}, joints=JOINTS)
-    assert np.array_equal(log.command, C)
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet", ".mat"])
 def test_own_names_in_files_and_back(tmp_path, suffix):
     columns = {**own(position=Q), "shoulder.current": S[:, 0], "elbow.command": C[:, 1]}
@@ -138,11 +127,6 @@ def test_efforts_win_over_currents_and_these_over_voltages_and_duty_cycles():
             assert f"effort: {next(iter(every)).replace('_J', '_0')}" in said(log)
             assert "and not" in said(log)
         every.pop(next(iter(every)))
-
-
-def test_a_measured_current_wins_over_a_wanted_torque():
-    log = log_of_frame(frame(q_J=Q, target_moment_J=S, actual_current_J=2 * S), joints=JOINTS)
-    assert set(log.effort_kinds.values()) == {"current"}
 
 
 def test_commands_beside_efforts_only_where_they_are_meant():
@@ -262,12 +246,6 @@ def test_what_efforts_are_said_to_be(kinds):
     assert np.allclose(log_of_frame(own(position=Q, effort=S), reading=units).effort, 1e-3 * S)
 
 
-def test_a_torque_that_is_called_a_current():
-    reading = Reading(kinds={"": "effort"})
-    log = log_of_frame(frame(q_J=Q, current_J=S), joints=JOINTS, reading=reading)
-    assert not log.effort_kinds
-
-
 @pytest.mark.parametrize(
     ("columns", "reading", "words"),
     [
@@ -320,6 +298,11 @@ def test_what_contradicts_itself(columns, reading, words):
         ({"gains": {"a": 2.0}, "gain_deviations": {"a": 3.0}}, "less than the gain"),
         ({"gains": {"a": 2.0}, "gain_deviations": {"a": -1.0}}, "at least 0"),
         ({"gain_deviations": {"a": 1.0}}, "and no gain"),
+        ({"units": {"position": "furlong"}}, "'furlong' is no known unit of position"),
+        ({"units": {"colour": "rad"}}, "no quantity 'colour'"),
+        ({"rate": float("nan")}, "positive number of rows"),
+        ({"gains": {"a": float("inf")}}, "other than 0"),
+        ({"columns": "time"}, "columns must be a tuple"),
     ],
 )
 def test_readings_that_cannot_be(options, words):
