@@ -37,7 +37,7 @@ FORMS = (STEP, UNTIL, RAMP)
 
 
 def kind_of(form: str) -> str:
-    """The kind of change that a form is of."""
+    """Return the kind of change that a form is of."""
     return STEP if form == UNTIL else form
 
 
@@ -160,12 +160,12 @@ class ChangeEvidence(Short):
         return tuple(p.reshape(r.shape) for p, r in zip(parts, self.ratio, strict=True))
 
     def joint(self, place: ChangePlace) -> float:
-        """Logarithm of one change's ratio times its prior probability."""
+        """Return the logarithm of one change's ratio times its prior probability."""
         at, chosen = self._chosen(place)
         return float(self.ratio[at][chosen] + self.prior[at][chosen])
 
     def log_prior(self, place: ChangePlace) -> float:
-        """Logarithm of one change's prior probability."""
+        """Return the logarithm of one change's prior probability."""
         at, chosen = self._chosen(place)
         return float(self.prior[at][chosen])
 
@@ -183,7 +183,7 @@ class ChangeEvidence(Short):
 def calc_change_evidence(
     fit: RobotFit, days: Array, hypotheses: Sequence[ChangeHypothesis], scale: Array
 ) -> ChangeEvidence:
-    """What a robot's logs say for each change.
+    """Return what a robot's logs say for each change.
 
     Args:
         days: (T,) days of its logs.

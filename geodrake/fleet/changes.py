@@ -127,7 +127,7 @@ class RobotSearch(Short):
         return self.source.read()
 
     def state(self, places: Sequence[ChangePlace]) -> SearchState:
-        """The logs with some changes, where gains refer to the parameters of the day."""
+        """Return the logs with some changes, where gains refer to the parameters of the day."""
         key = tuple(places)
         if key not in self._states:
             if len(self._states) >= _KEPT:
@@ -157,7 +157,7 @@ class RobotSearch(Short):
         return self.model.parameters(0, state.logs, state.fit), state.odd
 
     def evidence(self, state: SearchState) -> ChangeEvidence:
-        """What logs say for a further change beside those of a state."""
+        """Return what logs say for a further change beside those of a state."""
         scale = self.model.scale(0)
         return calc_change_evidence(state.fit, self.history.days, self.hypotheses, scale)
 
@@ -193,7 +193,7 @@ class RobotSearch(Short):
         return places
 
     def _candidates(self, places: list[ChangePlace]) -> list[list[ChangePlace]]:
-        """One change more: the best where odd logs count less, and where all count the same.
+        """Return one change more: the best where odd logs count less, and where all count the same.
 
         Logs after a large change are odd as long as it is not known: the first may miss what it is.
         A single log that is odd misleads the second.
@@ -206,7 +206,7 @@ class RobotSearch(Short):
         return [[*places, place] for place in found if place not in places]
 
     def _exchanged(self, places: list[ChangePlace], least: float) -> list[ChangePlace]:
-        """The same number of changes, or fewer, each the best beside the others."""
+        """Return the same number of changes, or fewer, each the best beside the others."""
         for _ in range(_MOST_EXCHANGES):
             before = list(places)
             for at in range(len(places) - 1, -1, -1):
@@ -221,7 +221,7 @@ class RobotSearch(Short):
         return places
 
     def support(self, places: Sequence[ChangePlace], at: int) -> float:
-        """Logarithm of the E-value of one of some changes, beside the others.
+        """Return the logarithm of the E-value of one of some changes, beside the others.
 
         Either that of all changes that there may be, with logs that are odd without one; or that of
         this very one, and what such logs lose without it. It is never more than if all logs on one
@@ -237,7 +237,7 @@ class RobotSearch(Short):
         return float(min(max(evidence.total, evidence.joint(places[at]) + lost), most))
 
     def told(self, places: Sequence[ChangePlace]) -> tuple[RobotChange, ...]:
-        """What there is to say of some changes."""
+        """Return what there is to say of some changes."""
         state = self.state(places)
         end, found = state.fit.size, []
         for at in range(len(places) - 1, -1, -1):
@@ -296,7 +296,7 @@ class RobotSearch(Short):
 
 
 def kind_shares(evidence: ChangeEvidence) -> dict[tuple[int, str], float]:
-    """Probability of each hypothesis and kind, over all days."""
+    """Return the probability of each hypothesis and kind, over all days."""
     shares: dict[tuple[int, str], float] = {}
     for profiles, posterior in zip(evidence.profiles, evidence.posterior(), strict=True):
         for h, share in enumerate(posterior.sum(axis=1).tolist()):
@@ -306,7 +306,7 @@ def kind_shares(evidence: ChangeEvidence) -> dict[tuple[int, str], float]:
 
 
 def best_place(evidence: ChangeEvidence) -> ChangePlace:
-    """The most probable hypothesis and kind over all days, on its most probable day."""
+    """Return the most probable hypothesis and kind over all days, on its most probable day."""
     shares = kind_shares(evidence)
     hypothesis, kind = max(shares, key=lambda key: shares[key])
     first, share = _beginnings(evidence, hypothesis, kind)

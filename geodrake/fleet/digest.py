@@ -226,7 +226,7 @@ _OF_BLOCKS = ("factors", "samples", "seen", "effort_sums", "carried", "autocovar
 
 
 def merge(digests: Sequence[Digest]) -> Digest:
-    """One digest of the logs of several: as if they had been read together, exactly.
+    """Return one digest of the logs of several: as if they had been read together, exactly.
 
     Blocks stay what they are, so that any normal matrix is the sum of those of the digests, and
     triangular factors lose no digits.

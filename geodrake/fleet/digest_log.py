@@ -373,7 +373,7 @@ def model_of_digests(model: RobotModel, settings: DigestSettings) -> RobotModel:
 def digest_dataset(
     digest: Digest, model: RobotModel, *, extra: Sequence[type[Effect]] = ()
 ) -> Dataset:
-    """The `Dataset` that a reading of the digest's logs by its settings gives, without rows.
+    """Return the `Dataset` that a reading of the digest's logs by its settings gives, without rows.
 
     Its folds are the digest's blocks, its inertial columns all ten of each body, so that fits and
     held-out errors are the same. Residuals cannot be computed of it: how much samples are worth is
@@ -416,7 +416,7 @@ def delays_of_joints(settings: DigestSettings) -> Array:
 
 
 def _joint_data(joint: JointDigest, columns: Indices, settings: DigestSettings) -> JointData:
-    """What blocks say about a joint over all inertial columns that it feels."""
+    """Return what blocks say about a joint over all inertial columns that it feels."""
     inertial, base = settings.base_matrix.shape[1], len(settings.independent)
     bodies = columns[columns < inertial]
     own = joint.columns[joint.columns < base]
@@ -449,7 +449,7 @@ def with_autocovariances(
     *,
     extra: Sequence[type[Effect]] = (),
 ) -> Digest:
-    """A digest with the autocovariances of what the refitted model leaves of each block.
+    """Return a digest with the autocovariances of what the refitted model leaves of each block.
 
     The model's bodies and effects are fitted to the other blocks, within what was known of them.
     """

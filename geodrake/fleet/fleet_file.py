@@ -146,7 +146,7 @@ class Fleet(Short):
         return (self.path, *(file for kind in self.types.values() for file in kind.files), *own)
 
     def of_type(self, name: str) -> tuple[FleetRobot, ...]:
-        """The robots of a type."""
+        """Return the robots of a type."""
         return tuple(robot for robot in self.robots if robot.type == name)
 
 

@@ -139,7 +139,7 @@ def _result(
 
 
 def _once(records: Sequence[LogRecord]) -> tuple[list[LogRecord], list[UnusedLog]]:
-    """Logs of a robot, those of the same bytes once; and the others."""
+    """Return logs of a robot, those of the same bytes once; and the others."""
     seen: dict[str, str] = {}
     kept, twice = [], []
     for record in records:

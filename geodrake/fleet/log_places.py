@@ -57,7 +57,7 @@ def protocol_of(pattern: str) -> str:
 
 
 def home_path(text: str) -> Path:
-    """A path, with `~` for the home of a user."""
+    """Return a path, with `~` for the home of a user."""
     try:
         return Path(text).expanduser()
     except RuntimeError as error:
@@ -67,14 +67,14 @@ def home_path(text: str) -> Path:
 
 
 def absolute_pattern(pattern: str, base: Path) -> str:
-    """A pattern that means the same in every folder."""
+    """Return a pattern that means the same in every folder."""
     if protocol_of(pattern):
         return pattern
     return str(Path(glob.escape(str(base))) / home_path(pattern))
 
 
 def find_logs(pattern: str) -> tuple[LogPlace, ...]:
-    """What is there that a pattern fits, by name.
+    """Return what is there that a pattern fits, by name.
 
     Args:
         pattern: An absolute path or an address, with `*`, `?`, `[…]` and `**`.
@@ -99,7 +99,7 @@ def find_logs(pattern: str) -> tuple[LogPlace, ...]:
 
 
 def fits(address: str, pattern: str) -> bool:
-    """Whether a pattern would find an address, if the log were there."""
+    """Return whether a pattern would find an address, if the log were there."""
     plain = (re.sub(r"^[\w+.-]+://", "", each) for each in (address, pattern))
     return _fit(*([part for part in each.split("/") if part] for each in plain))
 
@@ -148,7 +148,7 @@ def _place(path: str) -> LogPlace | None:
 
 
 def _file_system(address: str) -> tuple[Any, str]:
-    """What fsspec knows of an address: its file system, and the path there."""
+    """Return what fsspec knows of an address: its file system, and the path there."""
     core = optional_package("fsspec.core", "fleet", f"logs at {address}", FleetError)
     return core.url_to_fs(address)
 
@@ -190,7 +190,7 @@ _EARLIEST, _LATEST = 9e8, 4.2e9  # s since 1970 at which a robot may have been l
 
 
 def date_seconds(text: str) -> float:
-    """The s since 1970 of a date in ISO 8601, in UTC unless it says another zone."""
+    """Return the s since 1970 of a date in ISO 8601, in UTC unless it says another zone."""
     try:
         instant = datetime.fromisoformat(text.strip())
     except ValueError:
@@ -206,7 +206,7 @@ def date_seconds(text: str) -> float:
 
 
 def date_text(seconds: float) -> str:
-    """A date in ISO 8601, of s since 1970."""
+    """Return a date in ISO 8601, of s since 1970."""
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
 
 
@@ -255,7 +255,7 @@ def check_date_pattern(pattern: str) -> None:
 
 
 def date_in_path(path: str, pattern: str) -> float:
-    """The s since 1970 of the last date in a path, in UTC.
+    """Return the s since 1970 of the last date in a path, in UTC.
 
     Args:
         pattern: What the date is like, such as `%Y-%m-%d_%H%M`.

@@ -89,7 +89,7 @@ def type_findings(
     false_alarms: float,
     team: Workers,
 ) -> list[RobotResult]:
-    """What changed in robots of a type, in their order.
+    """Return what changed in robots of a type, in their order.
 
     Args:
         models: Robot -> (p,) what its own model file says; others have that of the type.
@@ -139,7 +139,7 @@ def _result(found: _Found) -> RobotResult:
 def _findings(
     changes: Sequence[RobotChange], places: Sequence[ChangePlace], layout: TypeLayout
 ) -> tuple[FleetFinding, ...]:
-    """Changes of a robot, the surest first."""
+    """Return changes of a robot, the surest first."""
     pairs = zip(changes, places, strict=True)
     findings = [_finding(change, place.hypothesis, layout) for change, place in pairs]
     return tuple(sorted(findings, key=lambda each: (each.false_alarm_probability, each.date)))
@@ -168,7 +168,7 @@ def _finding(change: RobotChange, hypothesis: int, layout: TypeLayout) -> FleetF
 def _columns(
     change: RobotChange, layout: TypeLayout, hypothesis: int
 ) -> tuple[ChangedParameter, ...]:
-    """What changed of columns that are parameters themselves."""
+    """Return what changed of columns that are parameters themselves."""
     moved = np.flatnonzero(layout.hypotheses[hypothesis].factor.any(axis=1))
     relative = layout.columns.relative
     return tuple(
@@ -201,7 +201,7 @@ def _payload(change: RobotChange, root: Array) -> tuple[ChangedParameter, ...]:
 def _histories(
     model: TypeModel, layout: TypeLayout, state: SearchState
 ) -> tuple[ParameterHistory, ...]:
-    """Parameters of effects and gains over time; those of bodies are only known together."""
+    """Return parameters of effects and gains over time; those of bodies are only known together."""
     histories = []
     for at, parameter in enumerate(layout.parameters):
         if parameter.effect == BODIES:

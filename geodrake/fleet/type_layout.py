@@ -71,7 +71,7 @@ class TypeSource:
 
 
 def type_source(kind: FleetType) -> TypeSource:
-    """The model of a type, and how its logs are read."""
+    """Return the model of a type, and how its logs are read."""
     for path in kind.files:
         regular_file(path, f"file of type {kind.name}", FleetError)
     return _read_source(_Key(kind, file_hash(kind.files)))
@@ -108,7 +108,7 @@ def _read_source(key: _Key) -> TypeSource:
 
 
 def own_model(kind: FleetType, path: Path) -> RobotModel:
-    """The model of one robot, read as that of its type."""
+    """Return the model of one robot, read as that of its type."""
     return _loaded(kind, path, type_source(kind).wanted.extra)
 
 
@@ -145,7 +145,7 @@ def _of_joints(kind: FleetType, extra: Sequence[type[Effect]]) -> tuple[type[Eff
 
 
 def with_joint_effects(model: RobotModel, kinds: Sequence[type[Effect]]) -> RobotModel:
-    """A model with effects at all joints where it has none of the kind, of unknown sizes."""
+    """Return a model with effects at all joints where it has none of the kind, of unknown sizes."""
     there = {(fitted.effect.name, fitted.effect.where) for fitted in model.effects}
     joints = [joint for joint in model.joints if joint in model.single_joints]
     added = [
@@ -216,7 +216,7 @@ class TypeLayout(Short):
 def type_layout(
     model: RobotModel, settings: DigestSettings, efforts: Array, *, payload: float | None = None
 ) -> TypeLayout:
-    """The columns of a type, and what may change in its robots.
+    """Return the columns of a type, and what may change in its robots.
 
     Args:
         efforts: (nv,) usual sizes of the joints' efforts, N·m or N.

@@ -51,7 +51,7 @@ def learn_type(
 
 
 def pooled(team: Workers, logs: Sequence[Logs]) -> tuple[Array, Array]:
-    """Sums of all normal matrices (p, p), and of right sides (p,)."""
+    """Return sums of all normal matrices (p, p), and of right sides (p,)."""
     information, right = zip(*team.in_order(_sums, logs), strict=True)
     return np.sum(information, axis=0), np.sum(right, axis=0)
 
@@ -145,7 +145,7 @@ def _scattered(model: TypeModel, scale: Array, fit: RobotFit, scores: LogScores)
 
 
 def _improved(model: TypeModel, logs: Sequence[Logs], told: Sequence[_RobotTells]) -> TypeModel:
-    """One step of all that is learnt.
+    """Return one step of all that is learnt.
 
     Squared scales go by what squares of scores are over what they would be, whose fixed point is
     the largest restricted likelihood. From log to log it is the median over robots, as a robot

@@ -29,7 +29,7 @@ Indices = NDArray[np.intp]
 def calc_marginal(
     information: Array, right: Array, factor: Array, columns: Indices | None = None
 ) -> tuple[Array, Array]:
-    """Normal equations of the mean x̄, where each log has parameters x̄ + u, u ~ N(0, F Fᵀ).
+    """Return normal equations of the mean x̄, where each log has parameters x̄ + u, u ~ N(0, F Fᵀ).
 
     M = (H⁻¹ + F Fᵀ)⁻¹ and m = (𝟙 + H F Fᵀ)⁻¹ s, which exist for singular H too.
 
@@ -145,7 +145,7 @@ class RobotFit(Short):
         return np.asarray(self.rest - (self.information @ self.deviation[..., None])[..., 0])
 
     def scores(self, factors: Sequence[Array]) -> LogScores:
-        """How large scores are along the directions of some factors.
+        """Return how large scores are along the directions of some factors.
 
         Args:
             factors: K factors F_k (p, r_k).
@@ -218,7 +218,7 @@ class Course(Short):
     def improved(
         self, logs: Sequence[Logs], information: Sequence[Array], right: Sequence[Array]
     ) -> Course:
-        """The course after a step towards what logs say.
+        """Return the course after a step towards what logs say.
 
         Args:
             information: (T, q, q) of each robot: what its logs say of shares.
@@ -237,7 +237,7 @@ class Course(Short):
         return with_slope._day_by_day(logs, information, right)
 
     def stronger(self, share: Array) -> Course:
-        """The course of robots that all follow it more than was thought.
+        """Return the course of robots that all follow it more than was thought.
 
         Args:
             share: (q,) by how much, in the mean.
@@ -314,7 +314,7 @@ class TypeModel(Short):
         return np.maximum(size, 1e-3 * np.where(largest > 0.0, largest, 1e3))
 
     def of(self, robot: int) -> TypeModel:
-        """The type as one of its robots alone needs it, whose number is 0."""
+        """Return the type as one of its robots alone needs it, whose number is 0."""
         one = slice(robot, robot + 1)
         return replace(self, own=self.own[one], odd=self.odd[one])
 
@@ -347,7 +347,7 @@ class TypeModel(Short):
         return fit if changes is None else self.with_changes(fit, changes)
 
     def with_changes(self, fit: RobotFit, changes: Array) -> RobotFit:
-        """A fit of the same logs with other changes.
+        """Return a fit of the same logs with other changes.
 
         Args:
             changes: (T, p, m) further parameters, each N(0, 1).
@@ -356,12 +356,12 @@ class TypeModel(Short):
         return replace(fit, own=np.concatenate([response, changes], axis=2))
 
     def log_scores(self, robot: int, fit: RobotFit) -> LogScores:
-        """How large scores of a robot's logs are along each spread."""
+        """Return how large scores of a robot's logs are along each spread."""
         scale = self.scale(robot)[:, None]
         return fit.scores([scale * spread.factor for spread in self.columns.spreads])
 
     def oddness(self, scores: LogScores, odd: Array) -> tuple[Array, Array]:
-        """How odd logs are in a fit, and what that costs.
+        """Return how odd logs are in a fit, and what that costs.
 
         Deviations have the density exp(−½ z²) up to z² = `_USUAL` and (z²)^(−½ `_USUAL`) beyond,
         as those of Student's distribution have. Such a log counts as one of a larger scatter.

@@ -216,7 +216,7 @@ class ZeroPhaseFilter:
         return grid, self.half[0] + 2.0 * np.cos(angle) @ self.half[1:]
 
     def output_count(self, n: int) -> int:
-        """How many outputs `n` input samples support fully."""
+        """Return how many outputs `n` input samples support fully."""
         return max(0, (n - 2 * self.halfwidth - 1) // self.decimation + 1)
 
     def output_indices(self, n: int) -> NDArray[np.intp]:
@@ -312,7 +312,7 @@ def design_filter(period: float, bandwidth: float) -> ZeroPhaseFilter:
 
 
 def differentiate(signal: ArrayLike, period: float) -> Array:
-    """Time derivative of a smooth uniformly sampled signal, by its quintic spline.
+    """Return time derivative of a smooth uniformly sampled signal, by its quintic spline.
 
     Args:
         signal: (N, ...) samples, at least 6.
@@ -335,7 +335,7 @@ def differentiate(signal: ArrayLike, period: float) -> Array:
 
 @lru_cache(maxsize=12)
 def _uniform_spline(count: int) -> tuple[Array, NDArray[np.intc], csr_array]:
-    """What all quintic splines through n uniform samples share, one unit apart.
+    """Return what all quintic splines through n uniform samples share, one unit apart.
 
     Returns:
         The LU factors of the matrix from coefficients to samples, with their pivots, and the
@@ -355,7 +355,7 @@ def _uniform_spline(count: int) -> tuple[Array, NDArray[np.intc], csr_array]:
 
 
 def spline_through(signal: Array) -> BSpline:
-    """The quintic spline through two samples (N, ...) or more, over their number."""
+    """Return the quintic spline through two samples (N, ...) or more, over their number."""
     degree = min(5, len(signal) - 1)
     samples = np.arange(len(signal), dtype=float)
     return make_interp_spline(samples, signal, k=degree - (degree % 2 == 0), axis=0)

@@ -115,7 +115,7 @@ def dealt_out(
     *,
     pieces: int,
 ) -> tuple[Fold, ...]:
-    """Folds of which windows are cut into pieces, every other one given to another fold.
+    """Return folds of which windows are cut into pieces, every other one given to another fold.
 
     Args:
         windows: Index of the log, start and end of each window, s since the log began.
@@ -134,7 +134,7 @@ def set_apart(
     trajectories: Sequence[Trajectory],
     windows: Sequence[tuple[int, float, float]],
 ) -> tuple[Fold, ...]:
-    """Folds less some windows, which become a fold of their own.
+    """Return folds less some windows, which become a fold of their own.
 
     Args:
         windows: Index of the log, start and end of each window, s since the log began.

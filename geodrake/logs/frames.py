@@ -57,7 +57,7 @@ def log_of_frame(
 
 
 def _arrays(frame: Any, called: str) -> dict[str, Any]:
-    """Columns by their names, whatever holds them; a lazy frame of polars is collected."""
+    """Return columns by their names, whatever holds them; a lazy frame of polars is collected."""
     if hasattr(frame, "collect_schema") and hasattr(frame, "collect"):
         frame = frame.collect()
     if isinstance(frame, np.ndarray) and frame.dtype.names is not None:

@@ -254,7 +254,7 @@ def _keep(
     filters: tuple[ZeroPhaseFilter, ZeroPhaseFilter],
     notes: list[str],
 ) -> Iterator[slice]:
-    """Samples of each piece to keep.
+    """Yield samples of each piece to keep.
 
     Near a piece's end, smoothing leans on reflected data, which is right only for a joint at rest:
     those samples go. Of a standstill at an end of the log only what the filter needs to reach the

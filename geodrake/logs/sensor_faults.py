@@ -84,7 +84,7 @@ class _Sensor:
 
     @classmethod
     def of(cls, log: JointLog, quantity: str, joint: int, period: float) -> _Sensor:
-        """The sensor of a quantity of a joint."""
+        """Return the sensor of a quantity of a joint."""
         column = getattr(log, quantity)[:, joint]
         known = np.isfinite(column) & np.isfinite(log.time)
         rows = slice(None) if known.all() else np.flatnonzero(known)
@@ -96,7 +96,7 @@ class _Sensor:
         return f"{self.quantity} of {self.log.joints[self.joint]}"
 
     def repaired(self) -> tuple[Array, list[str]]:
-        """The column (N,) of the log without faults, and what they were."""
+        """Return the column (N,) of the log without faults, and what they were."""
         column = getattr(self.log, self.quantity)[:, self.joint]
         values, words = self._unwrapped() if self.quantity == "position" else (self.values, "")
         notes = [f"the {self.name} {words}"] if words else []
@@ -152,7 +152,7 @@ class _Sensor:
             )
 
     def _unwrapped(self) -> tuple[Array, str]:
-        """Positions without wraps at a full turn, and what was done."""
+        """Return positions without wraps at a full turn, and what was done."""
         steps = np.diff(self.values)
         fast = np.abs(steps) > _JUMP["position"][1] * np.maximum(np.diff(self.time), self.period)
         for turn in _TURNS if fast.any() else ():
@@ -235,7 +235,7 @@ class _Sensor:
                 yield first, last
 
     def _moves_on(self, run: slice) -> bool:
-        """Whether the velocity says that the joint moves while its position stays."""
+        """Return whether the velocity says that the joint moves while its position stays."""
         share, speed, least = _MOVING
         if self._rests:
             return False
@@ -283,7 +283,7 @@ class _Sensor:
 
 
 def _typical(steps: Array) -> float:
-    """The step that three of four blocks of a log do not go beyond."""
+    """Return the step that three of four blocks of a log do not go beyond."""
     whole = len(steps) // _BLOCK * _BLOCK
     if not whole:
         return float(steps.max(initial=0.0))

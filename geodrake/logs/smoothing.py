@@ -176,7 +176,7 @@ class SmoothPiece:
 def smooth_pieces(
     pieces: Sequence[Piece], smoother: ZeroPhaseFilter, lag: Array | None
 ) -> tuple[SmoothPiece, ...]:
-    """The pieces of a log, smoothed where somebody looks; a short log's samples are kept.
+    """Return the pieces of a log, smoothed where somebody looks; a short log's samples are kept.
 
     Args:
         lag: (n,) time by which measured velocities are late, s; None to derive the velocities.

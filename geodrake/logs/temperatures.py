@@ -27,7 +27,7 @@ class Temperatures:
 
     @classmethod
     def of(cls, joints: Sequence[str], time: Array, readings: Array | None) -> Temperatures | None:
-        """The courses of measured temperatures, averaged second by second.
+        """Return the courses of measured temperatures, averaged second by second.
 
         Readings of −1, 0 and 255 °C far from all others of their joint, or without any, are those
         of a sensor that fails: they are left out.

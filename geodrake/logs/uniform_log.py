@@ -27,7 +27,7 @@ _LEAST_SHARE = 0.25  # of the noise's power that steps make
 
 
 def step_notes(log: JointLog) -> Iterator[str]:
-    """Which efforts come in steps that make a good part of their noise, in words.
+    """Yield which efforts come in steps that make a good part of their noise, in words.
 
     A step s makes a noise of deviation s/√12. Numbers that are printed with few digits come in
     steps, too; where their noise is much larger nothing is said.
@@ -51,7 +51,7 @@ def effort_steps(log: JointLog) -> Array:
 
 
 def _step(readings: Array) -> float:
-    """The step of some readings (N,) in time, 0 for none."""
+    """Return the step of some readings (N,) in time, 0 for none."""
     readings = readings[np.isfinite(readings)]
     values = np.unique(readings)
     if len(values) < _FEWEST:
@@ -68,7 +68,7 @@ def _step(readings: Array) -> float:
 
 
 def _makes_the_noise(step: float, readings: Array) -> bool:
-    """Whether a step makes a good part of the noise of readings, as their bends show it."""
+    """Return whether a step makes a good part of the noise of readings, as their bends show it."""
     noise = np.sqrt(np.mean(np.diff(readings, 2) ** 2) / 6.0)
     return bool(step**2 / 12.0 >= _LEAST_SHARE * noise**2)
 
@@ -199,7 +199,7 @@ def _uniform(log: JointLog) -> UniformLog:
 
 
 def _never_measured(log: JointLog) -> str:
-    """The first column without a single number, in words."""
+    """Return the first column without a single number, in words."""
     if not np.isfinite(log.time).any():
         return ": there is no time in any"
     for quantity in ("position", "effort"):

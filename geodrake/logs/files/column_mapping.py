@@ -175,7 +175,7 @@ _STEADY = 0.2  # of its mean, by which the voltage of a supply may vary
 def candidates(
     meanings: Sequence[Meaning], found: Mapping[str, str], reading: Reading
 ) -> tuple[Best, dict[str, tuple[str, ...]]]:
-    """What may be each quantity of each joint, what is taken first.
+    """Return what may be each quantity of each joint, what is taken first.
 
     A joint with efforts of any kind has no command, unless one is called as geodrake itself does.
 
@@ -217,7 +217,7 @@ def _is_own(meaning: Meaning) -> bool:
 
 
 def _preference(meaning: Meaning, said: str | None) -> tuple[bool, bool, bool, int, int]:
-    """The least is taken, of several columns of one quantity of one joint."""
+    """Return the least is taken, of several columns of one quantity of one joint."""
     if meaning.log_quantity != "effort":
         return False, not _is_own(meaning), False, 0, meaning.role
     kind = EFFORT_KINDS.index(meaning.quantity)
@@ -228,7 +228,7 @@ def _preference(meaning: Meaning, said: str | None) -> tuple[bool, bool, bool, i
 def effort_source(
     path: Path, meaning: Meaning, joint: str, reading: Reading, stated: str
 ) -> Source:
-    """Where the efforts of a joint come from, and what they are."""
+    """Return where the efforts of a joint come from, and what they are."""
     said = reading.kind_of(joint)
     said = None if said == "command" else said
     named = meaning.unit or find_unit(stated, meaning.quantity) or find_unit(stated, "effort")
@@ -269,7 +269,7 @@ def check_kind(path: Path, column: str, joint: str, kind: str, unit: Unit | None
 
 
 def without_use(log: JointLog, columns: Columns) -> frozenset[str]:
-    """Columns that were taken for efforts and say nothing, where others may stand for them.
+    """Return columns that were taken for efforts and say nothing, where others may stand for them.
 
     They are empty, or they are the voltage of a supply, which hardly changes.
     """
@@ -292,7 +292,7 @@ _KIND_WORDS = {"current": "motor currents", "voltage": "voltages", "pwm": "duty 
 
 
 def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[str]:
-    """Which columns were taken where several are of one quantity, in words.
+    """Yield which columns were taken where several are of one quantity, in words.
 
     Args:
         best: (joint, quantity) -> what may be it, what is taken first.
@@ -310,12 +310,12 @@ def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[
 
 
 def _is_doubtful(meaning: Meaning) -> bool:
-    """Whether a column may not be measured at the joint; currents are of motors anyway."""
+    """Return whether a column may not be measured at the joint; currents are of motors anyway."""
     return meaning.role > (MOTOR if meaning.quantity in SIGNAL_KINDS else PLAIN)
 
 
 def unit_words(sources: Mapping[str, Source], reading: Reading) -> Iterator[str]:
-    """Which units were converted, in words."""
+    """Yield which units were converted, in words."""
     same: dict[str, dict[str, Source]] = defaultdict(dict)
     for name, source in sources.items():
         quantity = name.rpartition(".")[2]
@@ -347,7 +347,7 @@ def unit_words(sources: Mapping[str, Source], reading: Reading) -> Iterator[str]
 
 
 def _span(meanings: Sequence[Meaning]) -> str:
-    """The first column of each style, with the last."""
+    """Return the first column of each style, with the last."""
     styles: dict[tuple[str, ...], list[str]] = defaultdict(list)
     for meaning in meanings:
         styles[meaning.style].append(meaning.column)
@@ -369,7 +369,7 @@ def columns_of(
     origins: Mapping[str, int] | None = None,
     partial: bool = False,
 ) -> Columns:
-    """The columns of a file with these names, joints in the order given if any is.
+    """Return the columns of a file with these names, joints in the order given if any is.
 
     Args:
         joints: Names of the model's joints, which the log must have, in the order that it shall
@@ -424,7 +424,7 @@ class _Understood:
         reading: Reading,
         units: Mapping[str, str],
     ) -> _Understood:
-        """What the names of the columns say."""
+        """Return what the names of the columns say."""
         meanings = [meaning for name in names if (meaning := meaning_of(name)) is not None]
         of_joints = [meaning for meaning in meanings if meaning.quantity in OF_JOINTS]
         found, notes = matched(of_joints, joints)
@@ -448,7 +448,7 @@ class _Understood:
     def by_mapping(
         cls, path: Path, names: Sequence[str], reading: Reading, mapping: ColumnMapping
     ) -> _Understood:
-        """What a mapping says."""
+        """Return what a mapping says."""
         places = {}
         for name, mapped in mapping:
             if name.endswith(".effort") and mapped.column == PASSIVE and PASSIVE not in names:
@@ -533,7 +533,7 @@ class _Understood:
         return tuple(joint for joint in wanted if joint in own), standing
 
     def _of_model(self, joints: Sequence[str], wanted: Sequence[str] | None) -> tuple[str, ...]:
-        """Joints without those that the model lacks, if it has some of the log's.
+        """Return joints without those that the model lacks, if it has some of the log's.
 
         A joint that is called like one that the log lacks stays: it is that one, misspelled.
         """
@@ -551,7 +551,7 @@ class _Understood:
     def columns(
         self, joints: Sequence[str], standing: Sequence[str], model: Sequence[str] | None
     ) -> Columns:
-        """What is read for these joints."""
+        """Return what is read for these joints."""
         used = {c for source in self.places.values() for c in source.columns}
         check_twice(self.path, self.names, used)
         self._check_said(joints)
@@ -600,7 +600,7 @@ class _Understood:
         )
 
     def _passive(self, joints: Sequence[str]) -> tuple[str, ...]:
-        """Those of some joints without a motor, as the log, the user or the model says."""
+        """Return those of some joints without a motor, as the log, the user or the model says."""
         heard, said = self._having("effort", "command"), self._having(PASSIVE)
         return tuple(
             joint
@@ -611,11 +611,11 @@ class _Understood:
         )
 
     def _having(self, *quantities: str) -> list[str]:
-        """Joints with one of some quantities, in the order of the file."""
+        """Return joints with one of some quantities, in the order of the file."""
         return list(dict.fromkeys(joint for joint, other in self.places if other in quantities))
 
     def _scaled(self, joint: str, quantity: str) -> Source:
-        """The source of a column; with a known gain, signals are efforts."""
+        """Return the source of a column; with a known gain, signals are efforts."""
         source = self.places[joint, quantity]
         gain = self.reading.gains.get(joint)
         if gain is None or quantity != "effort":
@@ -689,7 +689,7 @@ def _with_commands_as_positions(
 def _unit(
     meaning: Meaning, quantity: str, reading: Reading, units: Mapping[str, str]
 ) -> Unit | None:
-    """The unit of a column: as the user says, as its name says, as the file states."""
+    """Return the unit of a column: as the user says, as its name says, as the file states."""
     if quantity in reading.units:
         return unit_of(reading.units[quantity], quantity)
     return meaning.unit or find_unit(units.get(meaning.column, ""), quantity)
@@ -702,7 +702,7 @@ def _time(
     reading: Reading,
     units: Mapping[str, str],
 ) -> dict[tuple[str, str], Source]:
-    """The column of time, the likeliest of several; with one of nanoseconds beside it."""
+    """Return the column of time, the likeliest of several; with one of nanoseconds beside it."""
     times = sorted((m for m in meanings if m.quantity == "time"), key=lambda m: m.role)
     if not times:
         return {}

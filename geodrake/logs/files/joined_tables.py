@@ -82,12 +82,12 @@ def joined_tables(log: Path, tables: Sequence[LogTable], reading: Reading) -> Lo
 
 
 def meanings_of(table: LogTable) -> list[Meaning]:
-    """What columns of a table are, of those whose names say it."""
+    """Return what columns of a table are, of those whose names say it."""
     return [meaning for name in table.columns if (meaning := meaning_of(name)) is not None]
 
 
 def _time(table: LogTable, reading: Reading) -> tuple[Array | None, str]:
-    """Time stamps of a table, s, and a note of a unit that nobody said."""
+    """Return time stamps of a table, s, and a note of a unit that nobody said."""
     times = [m for m in meanings_of(table) if m.quantity == "time"]
     if not times:
         return None, ""

@@ -37,7 +37,7 @@ class JointSeries:
 
 
 def is_complete(quantities: Iterable[str]) -> bool:
-    """Whether positions and something of efforts are among quantities."""
+    """Return whether positions and something of efforts are among quantities."""
     known = set(quantities)
     return "position" in known and not known.isdisjoint((*EFFORT_KINDS, "command"))
 
@@ -66,7 +66,7 @@ class _Track:
 def joint_columns(
     series: Sequence[JointSeries], topic: str, *, part: bool = False
 ) -> tuple[dict[str, Array], tuple[str, ...], int]:
-    """One table of what several series say: `time` and `<joint>.<quantity>`.
+    """Return one table of what several series say: `time` and `<joint>.<quantity>`.
 
     Args:
         part: Whether it is a part of a log, of which nothing is left out.
@@ -113,7 +113,7 @@ def _order_notes(series: Sequence[JointSeries], topic: str) -> list[str]:
 
 
 def _without_repeats(series: JointSeries, topic: str, notes: list[str]) -> JointSeries:
-    """The series with each instant once, or an error if it is not in time."""
+    """Return the series with each instant once, or an error if it is not in time."""
     steps = np.diff(series.stamps)
     if np.all(steps > 0):
         return series
@@ -275,7 +275,7 @@ class JointFields:
         return cls(names, arrays, by_joint) if says else None
 
     def sample(self, message: Any) -> tuple[tuple[JointKey, ...], dict[str, Any], bool]:
-        """Joints and arrays of a message, and whether efforts are those of a controller.
+        """Return joints and arrays of a message, and whether efforts are those of a controller.
 
         Joints without names are numbers from 0 on.
         """

@@ -113,7 +113,7 @@ def _quantity(word: str) -> str | None:
 
 
 def _names(names: Any, size: int) -> list[str] | None:
-    """Names of the numbers of a feature, however they are nested; None if there are none."""
+    """Return names of the numbers of a feature, however they are nested; None if there are none."""
     if isinstance(names, Mapping):
         names = [name for each in names.values() if isinstance(each, list) for name in each]
     if isinstance(names, list) and len(names) == 1 and isinstance(names[0], list):
@@ -138,7 +138,7 @@ def _check_efforts(
 
 
 def _time(stamps: Array, episodes: Array) -> Array:
-    """Time that goes on from one episode to the next."""
+    """Return time that goes on from one episode to the next."""
     steps = np.diff(stamps, prepend=stamps[:1])
     steps[1:][np.diff(episodes) != 0] = _BETWEEN
     return np.asarray(np.cumsum(steps))

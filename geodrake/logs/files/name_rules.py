@@ -124,7 +124,7 @@ class Meaning:
 
 
 def meaning_of(name: str) -> Meaning | None:
-    """What a column of that name is; None if it is none of a joint, and no time."""
+    """Return what a column of that name is; None if it is none of a joint, and no time."""
     own = _own(name)
     if own is not None or len(name) > _LONGEST_NAME:
         return own
@@ -132,13 +132,13 @@ def meaning_of(name: str) -> Meaning | None:
 
 
 def is_time(name: str) -> bool:
-    """Whether a column of that name is of time, or of nanoseconds beside it."""
+    """Return whether a column of that name is of time, or of nanoseconds beside it."""
     meaning = meaning_of(name)
     return meaning is not None and meaning.quantity in ("time", "nanoseconds")
 
 
 def quantity_of(text: str) -> str | None:
-    """The quantity that a text names, such as the name of a file."""
+    """Return the quantity that a text names, such as the name of a file."""
     return _quantity(_split(text))
 
 
@@ -149,24 +149,24 @@ def names_joints(column: str) -> bool:
 
 
 def plain_words(text: str) -> frozenset[str]:
-    """The words in a text, in small letters."""
+    """Return the words in a text, in small letters."""
     return frozenset(word for word in _split(text) if isinstance(word, str))
 
 
 def number_of(text: str) -> int | None:
-    """The number that a text ends in."""
+    """Return the number that a text ends in."""
     last = _split(text)[-1:]
     return last[0] if last and isinstance(last[0], int) else None
 
 
 def words_of(text: str) -> Words:
-    """The words of a joint's name that tell it from others, and its numbers."""
+    """Return the words of a joint's name that tell it from others, and its numbers."""
     words = _split(text)
     return _telling(words) or words
 
 
 def _telling(words: Words) -> Words:
-    """Words without those that any joint may have; `a` and `j` are such before a number."""
+    """Return words without those that any joint may have; `a` and `j` are such before a number."""
     return tuple(
         word
         for word, following in zip_longest(words, words[1:])
@@ -175,7 +175,7 @@ def _telling(words: Words) -> Words:
 
 
 def _has_name(text: str) -> bool:
-    """Whether a text has more than a number and words that any joint may have."""
+    """Return whether a text has more than a number and words that any joint may have."""
     return any(isinstance(word, str) for word in _telling(_split(text)))
 
 
@@ -196,7 +196,7 @@ def _own(name: str) -> Meaning | None:
 
 
 def _time(name: str) -> Meaning | None:
-    """Names of time stamps, such as `Time (ms)`, `header.stamp.secs` and `%time`."""
+    """Return names of time stamps, such as `Time (ms)`, `header.stamp.secs` and `%time`."""
     plain, unit = _without_brackets(name, "time")
     parts = [part for part in re.split(r"[_\s./]+", plain) if part]
     if unit is None and len(parts) > 1 and parts[-1].lower() not in _TIMES | _NANOSECONDS:
@@ -219,7 +219,7 @@ def _time(name: str) -> Meaning | None:
 
 
 def _joint(column: str) -> Meaning | None:
-    """Names of a quantity of a joint, in whatever order."""
+    """Return names of a quantity of a joint, in whatever order."""
     name = _INDEX.sub(r"_\1", _SECOND.sub("qdd", column))
     brackets = _BRACKETS.search(name)
     cut = brackets.start() if brackets else len(name)
@@ -264,7 +264,7 @@ RULES: tuple[Callable[[str], Meaning | None], ...] = (_time, _joint)
 
 
 def _quantity(words: Words) -> str | None:
-    """The quantity that words name."""
+    """Return the quantity that words name."""
     counted = any(isinstance(w, int) for w in words)
     named = [w for w in words if w in QUANTITY_WORDS and (counted or w not in _SHORT)]
     if len(named) > 1:  # the current position is no motor current, and voltage in V no velocity
@@ -278,7 +278,7 @@ def _quantity(words: Words) -> str | None:
 
 
 def _used(words: Words) -> frozenset[str]:
-    """The words that say the quantity and the role."""
+    """Return the words that say the quantity and the role."""
     return frozenset(
         w
         for w in words
@@ -287,13 +287,13 @@ def _used(words: Words) -> frozenset[str]:
 
 
 def _rest(text: str, used: frozenset[str]) -> str:
-    """What is left of a name without these words."""
+    """Return what is left of a name without these words."""
     kept = _WORD.sub(lambda found: "\0" if found[0].lower() in used else found[0], text)
     return re.sub(r"[\s_.\-\[\]()]*\0[\s_.\-]*", "_", kept).strip(" _.-[]()")
 
 
 def _without_brackets(name: str, quantity: str) -> tuple[str, Unit | None]:
-    """A name, and the unit that was in brackets behind it."""
+    """Return a name, and the unit that was in brackets behind it."""
     found = _BRACKETS.search(name)
     unit = find_unit(found[1], quantity) if found else None
     return (name[: found.start()], unit) if found and unit else (name, None)
@@ -323,7 +323,7 @@ ONLY = "joint"  # what a joint is called whose columns name none
 def matched(
     meanings: Sequence[Meaning], joints: Sequence[str] | None
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """The joint that each column is of.
+    """Return the joint that each column is of.
 
     Returns:
         Name of the column -> name of its joint, for those that are of one; and notes of what was
@@ -429,7 +429,7 @@ def _by_name(keys: Mapping[Words, Meaning], joints: Sequence[str]) -> dict[Words
 
 
 def _numbers(keys: Sequence[Words]) -> dict[Words, int]:
-    """The number in which the columns differ, if that is all in which they do."""
+    """Return the number in which the columns differ, if that is all in which they do."""
     if list(keys) == [()]:
         return {(): 0}
     told = [key for key in keys if key]  # one without any is of the whole robot

@@ -147,13 +147,13 @@ class Reading:
         return (self.topic,) if isinstance(self.topic, str) else tuple(self.topic or ())
 
     def kind_of(self, joint: str) -> str | None:
-        """What the efforts of a joint were said to be; None if nothing was."""
+        """Return what the efforts of a joint were said to be; None if nothing was."""
         return self.kinds.get(joint, self.kinds.get(""))
 
     def effort_uncertainty(
         self, joints: Sequence[str], usual: float = USUAL_GAIN_DEVIATION
     ) -> float | Array:
-        """How well the gains of efforts are known: a share of each (n,), or one of all."""
+        """Return how well the gains of efforts are known: a share of each (n,), or one of all."""
         stated = {joint: self._stated_uncertainty(joint) for joint in joints}
         if all(share is None for share in stated.values()):
             return usual

@@ -153,7 +153,7 @@ class Recording:
         return float(numbers[0] + (numbers - numbers[0]).mean())
 
     def _seconds(self, time: Array) -> tuple[Array, tuple[str, ...]]:
-        """Time stamps in s, where nobody said their unit, and a note of it."""
+        """Return time stamps in s, where nobody said their unit, and a note of it."""
         source = self.columns.sources.get("time")
         if source is None or source.unit is not None or source.nanoseconds is not None:
             return time, ()

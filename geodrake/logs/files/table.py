@@ -71,7 +71,7 @@ NO_DATE = np.iinfo(np.int64).min
 
 
 def date_of(text: str) -> int | None:
-    """The nanoseconds since 1970 of a date with its time of day; None if the text is none.
+    """Return the nanoseconds since 1970 of a date with its time of day; None if the text is none.
 
     Args:
         text: In ISO 8601, with a blank for the T if need be. Without a time zone it is in UTC.
@@ -95,7 +95,7 @@ def _offset(zone: str | None) -> str:
 
 
 def date_words(nanoseconds: int) -> str:
-    """A date as messages write it."""
+    """Return a date as messages write it."""
     instant = _EPOCH + timedelta(microseconds=nanoseconds // 1000)
     return f"{instant:%Y-%m-%d %H:%M:%S} UTC"
 
@@ -114,7 +114,7 @@ def since_first(stamps: NDArray[np.int64]) -> tuple[Array, int]:
 
 
 def dates(array: NDArray[Any]) -> tuple[Array, int]:
-    """Seconds of dates of NumPy; see `since_first`.
+    """Return seconds of dates of NumPy; see `since_first`.
 
     Args:
         array: (N,) of a type `datetime64`.
@@ -149,7 +149,7 @@ class TornRows:
             raise self._refusal(self.rows, row + 1, f"in the first {row + 1} rows")
 
     def settle(self, time: Array) -> tuple[Mask | None, tuple[str, ...]]:
-        """Which rows are kept, all if None, and what was left out, in words.
+        """Return which rows are kept, all if None, and what was left out, in words.
 
         Args:
             time: (N,) time stamps of all rows, s, NaN in bad ones.
@@ -198,7 +198,7 @@ class TornRows:
 
 
 def rows_out_of_order(time: Array) -> NDArray[np.intp]:
-    """The fewest rows without which time stamps increase; NaN are in order.
+    """Return the fewest rows without which time stamps increase; NaN are in order.
 
     Args:
         time: (N,) time stamps, s.
@@ -402,7 +402,7 @@ def _what_else(values: Any, rows: int) -> str:
 
 
 def spread(name: str, values: Array) -> Iterator[tuple[str, Array]]:
-    """The columns of an array.
+    """Yield the columns of an array.
 
     Args:
         values: (N,) or (N, n).
@@ -447,7 +447,7 @@ def _array(values: Any) -> NDArray[Any]:
 
 
 def _of_objects(array: NDArray[Any]) -> tuple[Array | None, int | None]:
-    """Numbers of lists, or of objects that are numbers, dates or nothing."""
+    """Return numbers of lists, or of objects that are numbers, dates or nothing."""
     first = next((value for value in array.flat if not _is_nothing(value)), None)
     if not array.size:
         return None, None

@@ -97,7 +97,7 @@ def text_layout(
     *,
     numbered: bool = False,
 ) -> tuple[TextLayout, Iterator[str]]:
-    """The layout of a table, and its lines from the first row on."""
+    """Return the layout of a table, and its lines from the first row on."""
     comment, first, count = "", "", 0
     for first in islice(file, _HEADER_LINES):
         plain = first.strip()
@@ -168,7 +168,7 @@ def _with_contents(layout: TextLayout, lines: Iterator[str]) -> tuple[TextLayout
 
 
 def _units(header: Sequence[str], line: str, separator: str | None) -> dict[str, str]:
-    """Units in a line below the header: as many as names, most of them known ones."""
+    """Return units in a line below the header: as many as names, most of them known ones."""
     cells = [cell.strip(' \t\r\n[]()"') for cell in line.split(separator)]
     if len(cells) != len(header):
         return {}
@@ -179,7 +179,7 @@ def _units(header: Sequence[str], line: str, separator: str | None) -> dict[str,
 
 
 def _separator(line: str) -> str | None:
-    """What is between the cells of a line; commas may be decimal ones."""
+    """Return what is between the cells of a line; commas may be decimal ones."""
     counts = {mark: line.count(mark) for mark in (",", ";", "\t", "|")}
     most = max(counts, key=lambda mark: counts[mark])
     if counts[";"] and _are_numbers([c.replace(",", ".") for c in line.strip().split(";")]):
@@ -192,7 +192,7 @@ def _separator(line: str) -> str | None:
 def _header_cells(
     path: Path, first: str, file: Iterator[str], separator: str | None
 ) -> tuple[list[str], int, Iterator[str]]:
-    """Cells of the first line, how many lines they fill, and the lines after it."""
+    """Return cells of the first line, how many lines they fill, and the lines after it."""
     if separator is None:
         return first.split(), 1, file
     reader = csv.reader(
@@ -209,7 +209,7 @@ def _header_cells(
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell is a number."""
+    """Return whether a cell is a number."""
     try:
         float(cell.replace(",", "."))
     except ValueError:
@@ -235,7 +235,7 @@ def _no_header(path: Path, cells: Sequence[str]) -> LogError:
 
 
 def _renamed(path: Path, reading: Reading, cells: Sequence[str]) -> Sequence[str]:
-    """The names that the user gave, as many as there are columns."""
+    """Return the names that the user gave, as many as there are columns."""
     if len(reading.columns) != len(cells):
         raise LogError(
             f"Log {str(path)!r} has {len(cells)} columns, and {len(reading.columns)} are named.",
@@ -245,7 +245,7 @@ def _renamed(path: Path, reading: Reading, cells: Sequence[str]) -> Sequence[str
 
 
 def _names_in_comment(cells: Sequence[str], comment: str) -> Sequence[str] | None:
-    """Names in the comment before a first line of numbers, if they are as many."""
+    """Return names in the comment before a first line of numbers, if they are as many."""
     named = [name.strip() for name in comment.replace(";", ",").replace("\t", ",").split(",")]
     for names in (named, comment.split()):
         if len(names) == len(cells) and all(names) and not _are_numbers(names):

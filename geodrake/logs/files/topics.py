@@ -74,7 +74,7 @@ class Topic:
 
 
 def chosen_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> tuple[Topic, ...]:
-    """The topic that is the log, or those that are parts of it."""
+    """Return the topic that is the log, or those that are parts of it."""
     if not topics:
         raise LogError(
             f"Log {str(path)!r} has no messages.", advice="Check how it was recorded.", path=path
@@ -96,7 +96,7 @@ def chosen_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> tupl
 
 
 def _best(topics: Sequence[Topic]) -> Sequence[Topic]:
-    """Those with efforts, if there are some, and of these those that are made for joints."""
+    """Return those with efforts, if there are some, and of these those that are made for joints."""
     heard = [topic for topic in topics if topic.has_efforts] or topics
     return [topic for topic in heard if topic.made_for_joints] or heard
 
@@ -126,7 +126,7 @@ def _parts(path: Path, topics: Sequence[Topic]) -> tuple[Topic, Topic]:
 
 
 def topic_table(path: Path, topic: Topic, others: Sequence[Topic]) -> LogTable:
-    """The table of a topic."""
+    """Return the table of a topic."""
     rows = topic.rows
     if rows is None or not topic.fits:  # the first messages had efforts, and none has both
         raise LogError(f"Topic {topic} of log {str(path)!r} has no positions with efforts.")
@@ -207,7 +207,7 @@ def joined_topics(path: Path, topics: Sequence[Topic], reading: Reading) -> LogT
 
 
 def _part_table(topic: Topic, rows: MessageRows) -> LogTable:
-    """The columns of one topic, and what was noticed."""
+    """Return the columns of one topic, and what was noticed."""
     columns, notes, origin = joint_columns(rows.series(), topic.name, part=True)
     if "command" in topic.part and topic.is_wanted:
         columns = _commands(columns)

@@ -95,7 +95,7 @@ class Unit:
 
 
 def unit_of(text: str, quantity: str) -> Unit:
-    """The unit that a text stands for.
+    """Return the unit that a text stands for.
 
     Args:
         text: A unit as people write it, such as `deg`, `°/s`, `N·mm` or `rad_s`.
@@ -116,7 +116,7 @@ def unit_of(text: str, quantity: str) -> Unit:
 
 
 def find_unit(text: str, quantity: str) -> Unit | None:
-    """The unit that a text stands for, or None; see `unit_of`."""
+    """Return the unit that a text stands for, or None; see `unit_of`."""
     known = UNITS.get(quantity, {})
     for name in _spelled(text.strip()) if text else ():
         if name in known:

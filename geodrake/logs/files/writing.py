@@ -37,7 +37,7 @@ def write_log(log: JointLog, path: str | Path) -> None:
 
 
 def log_content(log: JointLog, path: str | Path) -> Content:
-    """The content of the file; see `write_log` for arguments and errors."""
+    """Return the content of the file; see `write_log` for arguments and errors."""
     path = file_path(path)
     instance(log, "log", JointLog)
     if path.suffix.lower() not in (".csv", ".txt", ".npz"):
