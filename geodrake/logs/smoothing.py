@@ -89,14 +89,12 @@ class Segment:
         return len(self.time)
 
     def __getitem__(self, samples: slice) -> Segment:
-        return Segment(
-            time=self.time[samples],
-            position=self.position[samples],
-            velocity=self.velocity[samples],
-            acceleration=self.acceleration[samples],
-            effort=self.effort[samples],
-            period=self.period,
-        )
+        return Segment(*(signal[samples] for signal in self.signals), self.period)
+
+    @property
+    def signals(self) -> tuple[Array, ...]:
+        """Time, position, velocity, acceleration and effort."""
+        return self.time, self.position, self.velocity, self.acceleration, self.effort
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,13 +122,7 @@ class SmoothPiece:
     @cached_property
     def _all(self) -> Segment:
         segment = self._made(slice(None))
-        for signal in (
-            segment.time,
-            segment.position,
-            segment.velocity,
-            segment.acceleration,
-            segment.effort,
-        ):
+        for signal in segment.signals:
             signal.setflags(write=False)  # whoever looks gets a view
         return segment
 

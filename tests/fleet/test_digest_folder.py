@@ -107,27 +107,6 @@ def test_logs_that_cannot_be_read_leave_the_others_alone(model, made, tmp_path):
     assert not (tmp_path / "empty").exists()
 
 
-def test_a_damaged_digest_is_made_again(model, made, folder):
-    damaged = digest_files(folder)[0]
-    good = damaged.read_bytes()
-    damaged.write_bytes(good[:1000])
-    run = digested(model, [made / "log_1.csv", made / "log_2.csv"], folder)
-    assert sorted(row.status for row in run.rows) == ["made", "there"]
-    assert any("made again" in row.reason for row in run.rows)
-    assert damaged.read_bytes() == good
-
-
-def test_a_full_disk_leaves_no_folder(model, made, tmp_path):
-    def full(file):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(digest_folder, "digest_content", lambda digest: full)
-        with pytest.raises(OutputError, match="No space left"):
-            digested(model, [made / "log_1.csv"], tmp_path / "digests")
-    assert not [*tmp_path.iterdir()]
-
-
 def test_settings_of_something_else_are_refused_by_name(model, made, folder):
     log, before = [made / "log_3.csv"], bytes_of(folder)
     own = read_settings(folder)

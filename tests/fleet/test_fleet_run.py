@@ -2,7 +2,6 @@
 
 import io
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -32,7 +31,7 @@ from small_fleet import (
 )
 
 from geodrake.effects import CoulombFriction, FittedEffect, StribeckFriction
-from geodrake.errors import ArgumentError, DigestError, FleetError, OutputError
+from geodrake.errors import ArgumentError, FleetError
 from geodrake.fleet import FleetWork, read_fleet, run_fleet
 from geodrake.fleet.digest import read_digest_of
 from geodrake.fleet.fleet_logs import DIGESTS, digest_task, find_tasks, read_records
@@ -263,45 +262,6 @@ def test_what_was_digested_stays_when_its_log_is_deleted(own, tmp_path):
     result, seen = run_fleet(read_fleet(path), HERE)
     assert seen.made == 0
     assert text_of(result) == text
-
-
-def test_a_full_disk_is_said_and_nothing_is_lost(own, tmp_path):
-    path = own()
-    run_fleet(read_fleet(path), HERE)
-    before = digests(tmp_path)
-    log = tmp_path / HEAVY / f"{date_of(0)}.csv"
-    text = log.read_text(encoding="utf-8")
-    (tmp_path / HEAVY / "2026-05-11.csv").write_text(
-        "\n".join(text.splitlines()[:-3]) + "\n", encoding="utf-8"
-    )
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))
-    try:
-        with pytest.raises(OutputError):
-            run_fleet(read_fleet(path), HERE)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert digests(tmp_path) == before
-    assert run_fleet(read_fleet(path), HERE)[1].made == 1
-
-
-def test_digests_of_something_else_are_refused(own, tmp_path):
-    path = own()
-    run_fleet(read_fleet(path), HERE)
-    before = digests(tmp_path)
-    said = tmp_path / "results" / "pendulum" / "digests" / "digest_settings.json"
-    text = said.read_text(encoding="utf-8")
-    said.write_text(text.replace('"version": "', '"version": "0.0.'), encoding="utf-8")
-    with pytest.raises(DigestError, match=r"of geodrake 0\.0\."):
-        run_fleet(read_fleet(path), HERE)
-    said.write_text(text, encoding="utf-8")
-    other = PENDULUM.read_text(encoding="utf-8").replace('<mass value="1.0"', '<mass value="1.1"')
-    (tmp_path / "other.urdf").write_text(other.replace("0.5235", "0.6"), encoding="utf-8")
-    file = path.read_text(encoding="utf-8").replace(str(PENDULUM), "other.urdf")
-    path.write_text(file, encoding="utf-8")
-    with pytest.raises(DigestError, match=r"another model than other\.urdf"):
-        run_fleet(read_fleet(path), HERE)
-    assert digests(tmp_path) == before
 
 
 def test_a_robot_is_of_its_type(own, tmp_path):
@@ -573,17 +533,6 @@ def test_a_digest_under_the_name_of_another_log_is_not_believed(task):
     ((record, problem),) = read_history(task)[1]
     assert record == task.records[1]
     assert "holds the digest of another log" in problem
-
-
-def test_logs_that_come_to_share_a_time_are_added_to_none(task, monkeypatch):
-    """With one more than there are times, neighbours count as one."""
-    monkeypatch.setattr("geodrake.fleet.history.MOST_TIMES", 2)
-    assert len(read_history(replace(task, records=task.records[:2]))[0].days) == 2
-    found = read_history(task)[0]
-    assert (found.logs, len(found.days)) == (3, 2)
-    later = found.read()
-    task.file.unlink()
-    same_history(read_history(task)[0].read(), later)
 
 
 def test_a_history_is_without_a_digest_that_is_damaged(task):

@@ -40,11 +40,6 @@ def model_file(name="arm6"):
     return load_model(MODELS / f"{name}.urdf")
 
 
-def rubbing(load, v):
-    """Dry and viscous friction, of which a part grows with the load."""
-    return (1.0 + 0.1 * np.abs(load)) * np.tanh(v / 0.01) + 0.8 * v
-
-
 def recorded(plant, label, rng, *, gains=0.0, weight=None, friction=None, share=0.03, **motion):
     """A log of a robot that holds a weight: (mass, place, frame) or none."""
     plant, file = pin.Model(plant), plant
@@ -82,12 +77,7 @@ class TestGainTold:
     @pytest.mark.thorough  # TestCommand has a smaller robot
     @pytest.mark.parametrize(
         ("seed", "joint", "gain"),
-        [
-            (1, 1, 0.08),
-            pytest.param(2, 4, -0.08, marks=pytest.mark.thorough),
-            pytest.param(3, 0, 0.08, marks=pytest.mark.thorough),
-            pytest.param(4, 5, 0.02, marks=pytest.mark.thorough),
-        ],
+        [(1, 1, 0.08), (2, 4, -0.08), (4, 5, 0.02)],
     )
     def test_at_its_joint(self, seed, joint, gain):
         found = explain(model_file(), two_logs(seed, gain_of(joint, gain)))
@@ -98,22 +88,6 @@ class TestGainTold:
         assert told.parameters[name]["gain_error"] == pytest.approx(gain, abs=0.01)
         assert told.systematic == {}  # it is what gains are found to be
         assert found.verdict == "explained"
-
-    @pytest.mark.thorough
-    def test_under_friction_that_grows_with_the_load(self):
-        """The weight's load has its share in friction and gain."""
-        found = explain(model_file(), two_logs(5, gain_of(2), friction=rubbing))
-        steps = {step.effect: step.parameters for step in found.steps}
-        assert set(steps["effort_scale"]) == {"elbow_pitch"}
-        assert steps["effort_scale"]["elbow_pitch"]["gain_error"] == pytest.approx(0.08, abs=0.01)
-        assert "load_dependent_friction" in steps
-        assert "payload" not in steps
-
-    @pytest.mark.thorough
-    @pytest.mark.parametrize("seed", [6, 7])
-    def test_none_where_there_is_none(self, seed):
-        found = explain(model_file(), two_logs(seed))
-        assert {step.effect for step in found.steps} <= {"wrong_inertia"}
 
     @pytest.mark.thorough
     def test_of_all_joints_where_the_stated_mass_is_wrong(self):

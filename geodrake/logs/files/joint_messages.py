@@ -193,40 +193,14 @@ _COMMANDS = (
 )
 """Where messages have what joints were told, which stands for efforts that nobody measures."""
 _ARRAYS = {
-    "position": (
-        "position",
-        "positions",
-        "joint_position",
-        "joint_positions",
-        "joint_position_measured",
-        "measured_joint_position",
-        "q",
-    ),
-    "velocity": (
-        "velocity",
-        "velocities",
-        "joint_velocity",
-        "joint_velocities",
-        "joint_velocity_estimated",
-        "dq",
-    ),
-    "acceleration": ("acceleration", "accelerations"),
-    "effort": (
-        "effort",
-        "efforts",
-        "torque",
-        "torques",
-        "joint_effort",
-        "joint_torque",
-        "joint_torques",
-        "joint_torque_measured",
-        "measured_torque",
-        "tau",
-        "tau_J",
-        "tau_j",
-    ),
+    "position": "position positions joint_position joint_positions joint_position_measured "
+    "measured_joint_position q",
+    "velocity": "velocity velocities joint_velocity joint_velocities joint_velocity_estimated dq",
+    "acceleration": "acceleration accelerations",
+    "effort": "effort efforts torque torques joint_effort joint_torque joint_torques "
+    "joint_torque_measured measured_torque tau tau_J tau_j",
 }
-
+"""Quantity -> what its array is called."""
 
 _INTERFACES = {
     **{name: name for name in ("position", "velocity", "acceleration", *EFFORT_KINDS)},
@@ -260,7 +234,7 @@ class JointFields:
             quantity: tuple(
                 (*place, word)
                 for place in _PLACES
-                for word in words
+                for word in words.split()
                 if np.ndim(_at(message, (*place, word))) == 1
             )
             for quantity, words in _ARRAYS.items()
