@@ -1,5 +1,6 @@
 """Logs as robots' own loggers and other people's scripts write them, read without a mapping."""
 
+import re
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -45,95 +46,54 @@ def check(log, joints, q, v, tau):
     assert np.allclose(log.effort, tau, atol=1e-12)
 
 
-def test_universal_robots_rtde(tmp_path):
-    """As `record.py` of Universal Robots' RTDE client library writes it: one space between."""
-    time, q, v, tau = motion(UR)
-    other = np.zeros((ROWS, 6))
-    blocks = {
-        "target_q": q + 0.01,
-        "target_qd": v + 0.01,
-        "target_moment": tau + 0.1,
-        "actual_q": q,
-        "actual_qd": v,
-        "actual_current": tau / 10,
-        "actual_TCP_pose": other,
-        "actual_TCP_speed": other,
-        "actual_TCP_force": other,
-    }
-    names = ["timestamp", *(n for block in blocks for n in indexed(block, 6)), "robot_mode"]
-    columns = [time + 5000.0, *blocks.values(), np.full(ROWS, 7.0)]
-    path = write(tmp_path / "robot_data.csv", names, columns, " ")
-    gains = dict.fromkeys(UR, 10.0)
-    log = read_log(path, joints=UR, reading=Reading(gains=gains))
-    check(log, UR, q, v, tau)
-    assert log.time[0] == 5000.0
-    said = " ".join(log.notes)
-    for words in ("actual_q_0 … actual_q_5 taken", "target_q_0", "desired", "model's order"):
-        assert words in said
-    without = " ".join(read_log(path, joints=UR).notes)
-    assert "motor currents" in without
-    assert "motor currents" not in said
+LAYOUTS = {
+    "record.py of Universal Robots' RTDE client": (
+        *(UR, " ", "timestamp", "{}_{}", 0),
+        "target_q q+1 target_qd v+1 target_moment tau+1 actual_q q actual_qd v "
+        "actual_current tau/10 actual_TCP_pose 0 actual_TCP_speed 0 actual_TCP_force 0",
+    ),
+    "logToCSV of libfranka": (
+        *(PANDA, ",", "time", "{}[{}]", 0),
+        "q_d q+1 dq_d v+1 q q dq v tau_J_d tau+1 tau_J tau dtau_J tau+1 tau_ext_hat_filtered tau+1",
+    ),
+    "KUKA": (IIWA, "\t", "Time", "{}_A{}", 1, "MeasuredJointPosition q MeasuredTorque tau"),
+    "KUKA in degrees": (IIWA, "\t", "Time", "{}{}", 1, "AxisPos_deg deg AxisTorque_Nm tau"),
+    "KUKA by LCM": (
+        *(IIWA, "\t", "Time", "{}[{}]", 0),
+        "joint_position_measured q joint_position_commanded q+1 joint_position_ipo q+1 "
+        "joint_torque_measured tau joint_torque_commanded tau+1 joint_torque_external tau+1",
+    ),
+    "KUKA's Sunrise": (
+        *(IIWA, "\t", "Time", "{}_LBR_iiwa_7_R800_1[{}]", 0),
+        "axisQMsr q axisTauMsr tau axisTauExtMsr tau+1",
+    ),
+}
+"""Logger -> joints, separator, column of time, form of names, first number, and blocks of them."""
 
 
-def test_franka_control_records(tmp_path):
-    """As libfranka's `logToCSV` names the columns of a record."""
-    time, q, v, tau = motion(PANDA, rate=1000.0)
-    form, columns, names = "{}[{}]", [1000.0 * time], ["time"]
-    for block, values in {
-        "q_d": q + 1,
-        "dq_d": v + 1,
-        "q": q,
-        "dq": v,
-        "tau_J_d": tau + 1,
-        "tau_J": tau,
-        "dtau_J": tau + 2,
-        "tau_ext_hat_filtered": tau + 3,
-    }.items():
-        names += indexed(block, 7, form)
-        columns.append(values)
-    names += indexed("O_T_EE", 16, form)
-    path = write(tmp_path / "log.csv", names, [*columns, np.zeros((ROWS, 16))])
-    log = read_log(path, joints=PANDA, reading=Reading(units={"time": "ms"}))
-    check(log, PANDA, q, v, tau)
-    assert np.allclose(log.time, time)
-    assert "time is in ms, as asked for: converted" in log.notes
-
-
-@pytest.mark.parametrize("layout", ["measured", "axis", "lcm", "sunrise"])
-def test_kuka(tmp_path, layout):
-    time, q, _, tau = motion(IIWA, rate=200.0)
-    deg = np.rad2deg(q)
-    blocks = {
-        "measured": ("{}_A{}", 1, {"MeasuredJointPosition": q, "MeasuredTorque": tau}),
-        "axis": ("{}{} [deg]", 1, {"AxisPos": deg}),
-        "lcm": (
-            "{}[{}]",
-            0,
-            {
-                "joint_position_measured": q,
-                "joint_position_commanded": q + 1,
-                "joint_position_ipo": q + 2,
-                "joint_torque_measured": tau,
-                "joint_torque_commanded": tau + 1,
-                "joint_torque_external": tau + 2,
-            },
-        ),
-        "sunrise": (
-            "{}_LBR_iiwa_7_R800_1[{}]",
-            0,
-            {"axisQMsr": q, "axisTauMsr": tau, "axisTauExtMsr": tau + 1},
-        ),
-    }[layout]
-    form, first, values = blocks
-    names = [n for block in values for n in indexed(block, 7, form, first)]
-    columns = list(values.values())
-    if layout == "axis":
-        names += indexed("AxisTorque", 7, "{}{} [Nm]", 1)
-        columns.append(tau)
-    path = write(tmp_path / "kuka.log", ["Time", *names], [time, *columns], "\t")
-    log = read_log(path, joints=IIWA)
-    check(log, IIWA, q, None, tau)
-    assert any("deg" in note for note in log.notes) == (layout == "axis")
+@pytest.mark.parametrize("logger", LAYOUTS)
+def test_loggers_of_robots(tmp_path, logger):
+    joints, separator, clock, form, first, blocks = LAYOUTS[logger]
+    time, q, v, tau = motion(joints)
+    values = {"q": q, "v": v, "tau": tau, "tau/10": tau / 10, "deg": np.rad2deg(q), "0": 0 * q}
+    values |= {f"{name}+1": values[name] + 1.0 for name in ("q", "v", "tau")}
+    said = blocks.split()
+    names = [clock, *(n for block in said[::2] for n in indexed(block, len(joints), form, first))]
+    if "deg" in said:  # the unit stands behind the number
+        names = [re.sub(r"_(deg|Nm)(\d)", r"\2 [\1]", name) for name in names]
+    columns = [time + 5000.0, *(values[block] for block in said[1::2])]
+    path = write(tmp_path / "robot_data.csv", [*names, "mode"], [*columns, 7 + 0 * time], separator)
+    gains = dict.fromkeys(joints, 10.0) if "tau/10" in said else {}
+    log = read_log(path, joints=joints, reading=Reading(gains=gains))
+    check(log, joints, q, v if "v" in said else None, tau)
+    assert np.allclose(log.time, time + 5000.0)
+    noted = " ".join(log.notes)
+    assert ("position is in deg" in noted) == ("deg" in said)
+    if "tau/10" in said:
+        for words in ("actual_q_0 … actual_q_5 taken", "target_q_0", "desired", "model's order"):
+            assert words in noted
+        assert "motor currents" in " ".join(read_log(path, joints=UR).notes)
+        assert "motor currents" not in noted
 
 
 def test_stamps_of_ros_and_arrays_of_joint_states(tmp_path):
