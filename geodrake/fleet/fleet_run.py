@@ -105,8 +105,8 @@ def look_at_fleet(
     pieces = max(len(tasks), len(fleet.robots)) if seen is None or tasks else 0
     with workers(pieces, count=work.workers, scheduler=work.scheduler, told=said) as team:
         digests = replace(digest_fleet(fleet, tasks, known, team, told), repairs=repairs)
-        known = digests.records, digests.failed
-        if seen is not None and not digests.made and known == (seen.records, seen.failed):
+        there = digests.records, digests.failed
+        if seen is not None and not digests.made and there == (seen.records, seen.failed):
             return None, digests
         return _result(fleet, digests, work.false_alarms, told, team), digests
 

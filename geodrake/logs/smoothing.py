@@ -89,7 +89,8 @@ class Segment:
         return len(self.time)
 
     def __getitem__(self, samples: slice) -> Segment:
-        return Segment(*(signal[samples] for signal in self.signals), self.period)
+        time, position, velocity, acceleration, effort = (x[samples] for x in self.signals)
+        return Segment(time, position, velocity, acceleration, effort, self.period)
 
     @property
     def signals(self) -> tuple[Array, ...]:

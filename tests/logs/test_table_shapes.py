@@ -191,16 +191,20 @@ def test_a_row_a_joint_with_what_was_commanded_and_other_units(tmp_path):
 def test_one_joint_after_the_other_is_no_row_a_joint(tmp_path, first):
     """Of joints that move one at a time, nobody knows where the others stand."""
     rows = [
-        [j * first + (1.0 + 0.1 * j) * TIME[k], joint, POSITION[k, j], EFFORT[k, j]]
+        [j * first + TIME[k], joint, POSITION[k, j], EFFORT[k, j]]
         for j, joint in enumerate(JOINTS)
-        for k in range(ROWS)
+        for k in range(ROWS - 15 * j)
     ]
     path = _write(tmp_path / "one.csv", ["time", "joint", "position", "effort"], rows)
     with pytest.raises(LogError, match=r"one joint after the other, as 'joint' says"):
         read_log(path)
-    together = [[TIME[k % ROWS], *row[1:]] for k, row in enumerate(rows)]
+    together = [  # each with stamps of its own
+        [TIME[k] + 1e-7 * j, joint, POSITION[k, j], EFFORT[k, j]]
+        for j, joint in enumerate(JOINTS)
+        for k in range(ROWS)
+    ]
     path = _write(tmp_path / "all.csv", ["time", "joint", "position", "effort"], together)
-    np.testing.assert_allclose(read_log(path, joints=JOINTS).effort, EFFORT)
+    np.testing.assert_allclose(read_log(path, joints=JOINTS).effort, EFFORT, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
-from numpy.typing import NDArray
 from scipy.io import loadmat
 
 from geodrake.boundary.input_files import open_regular, open_text
@@ -86,7 +85,8 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
     own = {name: value for name, value in variables.items() if not name.startswith(("__", "#"))}
     arrays = _arrays(own)
     rows = max((max(array.shape) for array in arrays.values()), default=0)
-    sides = {name: _upright(array, rows) for name, array in arrays.items()}
+    sides = {name: np.squeeze(array) for name, array in arrays.items()}
+    sides = {n: x.T if x.ndim == 2 and x.shape[0] != rows else x for n, x in sides.items()}
     table = numeric_table(path, sides, rows)
     if not table.columns:
         raise LogError(
@@ -153,15 +153,6 @@ def _arrays(variables: dict[str, Any]) -> dict[str, Any]:
     while len(variables) == 1 and isinstance(inner := next(iter(variables.values())), Mapping):
         variables = dict(inner)
     return {n: x for n, x in _fields(variables) if isinstance(x, np.ndarray) and x.size > 1}
-
-
-def _upright(array: Any, rows: int) -> Any:
-    """Return an array with its rows first."""
-    squeezed = np.squeeze(array)
-    return squeezed.T if squeezed.ndim == 2 and squeezed.shape[0] != rows else squeezed
-
-
-Array = NDArray[np.float64]
 
 
 def read_parquet(path: Path, reading: Reading) -> LogTable:

@@ -189,7 +189,10 @@ def candidates(
     others = {}
     for joint in dict.fromkeys(joint for joint, _ in best):
         said = reading.kind_of(joint)
-        commands = [*best.pop((joint, "command"), ()), *_wanted(best.get((joint, "position"), ()))]
+        positions = best.get((joint, "position"), [])
+        wanted = [m for m in positions if m.is_wanted]
+        wanted = wanted if len(wanted) < len(positions) else []  # beside measured ones
+        commands = [*best.pop((joint, "command"), ()), *wanted]
         efforts = best.get((joint, "effort"), [])
         efforts.sort(key=lambda meaning: _preference(meaning, said))
         others[joint] = (*(m.column for m in efforts[1:]), *(m.column for m in commands))
@@ -198,18 +201,12 @@ def candidates(
         if not commands or (best.get((joint, "effort")) and not any(map(_is_own, commands))):
             continue
         best[joint, "command"] = commands
-        kept = [m for m in best.get((joint, "position"), ()) if m not in commands]
+        kept = [m for m in positions if m not in commands]
         if kept:
             best[joint, "position"] = kept
     for same in best.values():
         same.sort(key=lambda meaning: _preference(meaning, reading.kind_of(found[meaning.column])))
     return {key: same for key, same in best.items() if same}, others
-
-
-def _wanted(positions: Sequence[Meaning]) -> list[Meaning]:
-    """Desired positions beside measured ones."""
-    wanted = [meaning for meaning in positions if meaning.is_wanted]
-    return wanted if len(wanted) < len(positions) else []
 
 
 def _is_own(meaning: Meaning) -> bool:
@@ -473,7 +470,9 @@ class _Understood:
                     check_kind(path, column, joint, kind, unit)
                 source, quantity = replace(source, kind=kind), "effort"
             places[joint, quantity] = source
-        _drop_unwanted(places, reading)
+        for joint in [joint for joint, quantity in places if quantity == "command"]:
+            if reading.kind_of(joint) == "command":  # in the place of its efforts
+                places.pop((joint, "effort"), None)
         places = _with_commands_as_positions(places)
         rate = reading.rate or mapping.rate
         if rate is not None:
@@ -660,13 +659,6 @@ def _mapped_kind(quantity: str, gain: float, unit: Unit | None, said: str | None
         return quantity if said in (None, "command") else str(said)
     in_signal = unit is not None and unit.signal is not None and gain == 1.0
     return str(unit.signal) if unit is not None and in_signal else "effort"
-
-
-def _drop_unwanted(places: dict[tuple[str, str], Source], reading: Reading) -> None:
-    """Take out the efforts of joints whose commands are to be used in their place."""
-    for joint in [joint for joint, quantity in places if quantity == "command"]:
-        if reading.kind_of(joint) == "command":
-            places.pop((joint, "effort"), None)
 
 
 def _with_commands_as_positions(

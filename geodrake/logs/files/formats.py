@@ -123,17 +123,14 @@ def reader_of(path: Path) -> Reader | None:
     return BEGINNINGS.get(first)
 
 
-def _is_folder(path: Path) -> bool:
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):  # no name that a file could have
-        return False
-
-
 @typed
 def check_log(path: Path) -> Path:
     """Return the path of a log that can be opened: a file, or the folder of such a format."""
-    if not _is_folder(path):
+    try:
+        is_folder = path.is_dir()
+    except (OSError, ValueError):  # no name that a file could have
+        is_folder = False
+    if not is_folder:
         return regular_file(path, "log", LogError)
     if reader_of(path) is None:
         raise LogError(

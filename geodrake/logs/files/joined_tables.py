@@ -168,6 +168,7 @@ Texts = NDArray[np.object_]
 _NAMES = frozenset(["name", "names"])
 _ITEM = re.compile(r"[^\s,;'\"\[\]()]+")  # of a list of names
 _MOST_CHANGES = 0.05  # of the rows, after which another joint follows in tables of one at a time
+_TOGETHER = 0.9  # of the time and the rows of a joint, that others have which are logged with it
 _MOST_JOINTS = 200  # more different words are no names of joints
 
 
@@ -288,14 +289,17 @@ def _pivoted(table: LogTable, naming: str, words: Texts, reading: Reading) -> Lo
 def _check_at_once(table: LogTable, naming: str, words: Texts) -> None:
     """Refuse a table of one joint after the other: nobody knows where the others were meanwhile.
 
-    Tables may also have all rows of a joint together, at the same instants as those of the others.
+    Tables may also have all rows of a joint together, as many and of the same time as the others'.
     """
     changes = np.count_nonzero(words[1:] != words[:-1])
     time = next((values for name, values in table.columns.items() if is_time(name)), None)
     if time is None or changes > _MOST_CHANGES * len(words):
         return
-    first, *others = (time[words == joint] for joint in dict.fromkeys(words.tolist()))
-    if not all(np.array_equal(first, other, equal_nan=True) for other in others):
+    own = [time[words == joint] for joint in dict.fromkeys(words.tolist())]
+    first, last = ([float(end(each)) for each in own] for end in (np.nanmin, np.nanmax))
+    longest = max(np.subtract(last, first))
+    counts = [len(each) for each in own]
+    if min(last) - max(first) < _TOGETHER * longest or min(counts) < _TOGETHER * max(counts):
         raise LogError(
             f"Log {str(table.path)!r} has one joint after the other, as {naming!r} says, and not "
             "all of them at each instant.",

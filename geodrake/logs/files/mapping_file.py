@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import yaml  # type: ignore[import-untyped]
@@ -186,16 +186,11 @@ def proposed_mapping(
         effort = places.get((joint, "effort"))
         if joint in motorless and (effort is None or effort.role >= DESIRED):
             guessed[joint, "effort"] = PASSIVE
-        for quantity in _keys(joint, places):
+        kinds = [kind for kind in (*EFFORT_KINDS, "command") if (joint, kind) in places]
+        for quantity in ("position", "velocity", kinds[0] if kinds else "effort"):
             column = guessed.get((joint, quantity), _filled_column(places.get((joint, quantity))))
             lines.append(f"    {quantity}: {column}")
     return "\n".join(lines) + "\n"
-
-
-def _keys(joint: str, places: Mapping[tuple[str, str], Meaning]) -> list[str]:
-    """Quantities that a proposal has of a joint."""
-    kinds = [kind for kind in (*EFFORT_KINDS, "command") if (joint, kind) in places]
-    return ["position", "velocity", kinds[0] if kinds else "effort"]
 
 
 def _guess(

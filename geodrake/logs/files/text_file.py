@@ -112,7 +112,9 @@ def text_layout(
     cells, used, rest = _header_cells(path, first, file, separator)
     if not _are_numbers(cells):
         header = _renamed(path, reading, cells) if reading.columns else cells
-        _check_names(path, header)
+        check_text(path, header)
+        if not any(header):
+            raise _no_header(path, header)
         following = next(rest, "")
         units = _units(header, following, separator)
         if units:
@@ -219,12 +221,6 @@ def is_number(cell: str) -> bool:
 
 def _are_numbers(cells: Sequence[str]) -> bool:
     return any(cells) and all(is_number(cell) or date_of(cell) is not None for cell in cells)
-
-
-def _check_names(path: Path, names: Sequence[str]) -> None:
-    check_text(path, names)
-    if not any(names):
-        raise _no_header(path, names)
 
 
 def _no_header(path: Path, cells: Sequence[str]) -> LogError:
